@@ -20,6 +20,7 @@ import sys
 import time
 from typing import Any
 
+from geometry_msgs.msg import WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.config import parameter, Real
 from multicontact_control.errors import MessageError, RunError
@@ -51,7 +52,7 @@ from sim_bridge.config import PlantConfig
 from sim_bridge.plant import Plant, Sample
 from sim_bridge.position_hold import PositionHold
 from sim_bridge.surface_markers import SurfaceMarkers
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 
 MAX_LATE_PERIODS = 2
 CATCH_UP = NANOSECONDS // 10  # lag behind the wall clock that lockstep makes up for [ns]
@@ -132,7 +133,7 @@ class SimNode(Node):
         """Return a message of each topic that is published at the control rate."""
         joints, contacts = self._plant.joint_names, self._plant.contact_names
         build, n = messages.joint_state_message, np.zeros(len(joints))
-        wrench = messages.wrench_message(0, np.zeros(6), SENSOR_FRAME)
+        wrench = WrenchStamped(header=Header(frame_id=SENSOR_FRAME))
         return {
             topics.WRENCH: wrench, topics.WRENCH_FILTERED: wrench,
             topics.JOINT_STATES: build(0, joints, position=n, velocity=n, effort=n),

@@ -24,8 +24,8 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active', 'finalized'
 AUTOSTART = '--autostart'
 SPIN_TIMEOUT = 0.02  # s, between two looks at the gate and at what is due
+DRAIN_TIME = 0.1  # s, at the end, for callbacks of what has arrived or is on its way
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
-FATAL = TransitionCallbackReturn.ERROR
 
 
 class ManagedConfig(StartupConfig):
@@ -96,7 +96,9 @@ class ManagedNode(LifecycleNode):
         while not (spinner.stop or self.state == FINALIZED):
             self.spin_once(spinner)
         self.take_leave(spinner)
-        spinner.drain()
+        end = time.monotonic() + DRAIN_TIME
+        while time.monotonic() < end:
+            spinner.spin_once(SPIN_TIMEOUT)
 
     def spin_once(self, spinner: Spinner) -> None:
         """Run what comes next, and what is due between two callbacks."""
@@ -172,7 +174,7 @@ class ManagedNode(LifecycleNode):
                 self._free()
             if not isinstance(error, MulticontactError):
                 self.get_logger().fatal(f'cannot {what}: {traceback.format_exc()}')
-                return FATAL
+                return TransitionCallbackReturn.ERROR
             self._failure = error
             self.get_logger().error(f'cannot {what}: {error}')
             return FAILURE

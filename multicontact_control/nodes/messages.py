@@ -13,7 +13,7 @@ import math
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Transform, Twist, WrenchStamped
+from geometry_msgs.msg import Transform, Twist
 from multicontact_control.arrays import Vector
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import counted, MessageError
@@ -107,22 +107,14 @@ def _fill(values: ArrayLike, field: str, axes: str, *parts: Any) -> None:
 
 def joint_state_message(
     stamp: int, names: Sequence[str], *, position: ArrayLike | None = None,
-    velocity: ArrayLike | None = None, effort: ArrayLike | None = None, frame_id: str = '',
+    velocity: ArrayLike | None = None, effort: ArrayLike | None = None,
 ) -> JointState:
     """Build a named list of numbers."""
-    message = JointState(name=list(names))
-    message.header = Header(stamp=ns_to_stamp(stamp), frame_id=frame_id)
+    message = JointState(header=Header(stamp=ns_to_stamp(stamp)), name=list(names))
     for field, values in (('position', position), ('velocity', velocity), ('effort', effort)):
         if values is not None:
             numbers = finite_array(values, len(names), field)
             setattr(message, field, array('d', numbers.tobytes()))
-    return message
-
-
-def wrench_message(stamp: int, wrench: ArrayLike, frame_id: str) -> WrenchStamped:
-    """Build a wrench, force first."""
-    message = WrenchStamped(header=Header(stamp=ns_to_stamp(stamp), frame_id=frame_id))
-    _fill(wrench, 'wrench', 'xyz', message.wrench.force, message.wrench.torque)
     return message
 
 

@@ -24,7 +24,6 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-SPIN_TIMEOUT = 0.1  # s
 ACKNOWLEDGE_TIMEOUT = 5.0  # s; the last acknowledgement may take long after the data has come
 
 
@@ -54,7 +53,7 @@ class Spinner:
         self.stop, self._node = stop, node
         self._executor: Executor | None = None
 
-    def spin_once(self, timeout: float = SPIN_TIMEOUT) -> None:
+    def spin_once(self, timeout: float) -> None:
         """Wait for one callback for up to `timeout` [s] and run it."""
         if self._executor is None:  # made late: it empties the subscriptions that a node takes
             self._executor = make_executor(self._node.context)
@@ -62,12 +61,6 @@ class Spinner:
         # The events executor raises for events of ends that are destroyed (rclpy issue 1644).
         with contextlib.suppress(InvalidHandle):
             self._executor.spin_once(timeout_sec=timeout)
-
-    def drain(self, duration: float = SPIN_TIMEOUT) -> None:
-        """Run the callbacks of what has arrived or is on its way, for `duration` [s]."""
-        end = time.monotonic() + duration
-        while time.monotonic() < end:
-            self.spin_once(0.01)
 
     def close(self) -> None:
         """Stop running callbacks."""

@@ -25,7 +25,6 @@ ESTIMATOR = 'noise_estimator_node'
 RECORDER = 'recorder_node'
 USER = 'user'
 EVERY_NODE = 'every node'
-LOCKSTEP_SIM = 'sim_node in lockstep'
 WORLD_FRAME = 'world'
 
 
@@ -123,7 +122,7 @@ DIAGNOSTICS = Topic(
     'Once a second: rates, jitter, misses, latency, ages of inputs, refusals; of the controller '
     'also reaction and causes, contact states, energies and sensor.')
 CLOCK = Topic(
-    '/clock', Clock, LOCKSTEP_SIM, (RECORDER,), qos.STREAM, 'event',  # absolute, as expected
+    '/clock', Clock, 'sim_node in lockstep', (RECORDER,), qos.STREAM, 'event',  # absolute
     'Time of the newest sample.')
 
 TOPICS = tuple(topic for topic in globals().values() if isinstance(topic, Topic))

@@ -1,5 +1,6 @@
 """A robot's tool weighed from a recording of it at rest, and from a running arm."""
 
+from fake_arm import wrench_message
 from foreign_bag import controller_file, JOINTS, RATE, START
 from multicontact_control.config import ToolConfig
 from multicontact_control.dynamics.robot import RobotModel
@@ -60,7 +61,7 @@ def recorded(folder, file, poses=POSES, *, offset=700_000, touched=()):
             writer.write(joint_states, stamp, serialize_message(messages.joint_state_message(
                 stamp, JOINTS, position=q, velocity=np.zeros(7))))
             writer.write(wrenches, stamp + offset % 10 ** 9, serialize_message(
-                messages.wrench_message(stamp + offset, wrench, 'wrist')))
+                wrench_message(stamp + offset, wrench, 'wrist')))
     return folder
 
 

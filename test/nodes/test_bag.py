@@ -2,8 +2,9 @@
 
 from contextlib import closing
 
+from fake_arm import wrench_message
 from multicontact_control.errors import RunError
-from multicontact_control.nodes import messages, qos
+from multicontact_control.nodes import qos
 from multicontact_control.nodes.recorder_node import Bag
 import pytest
 from rclpy.serialization import serialize_message
@@ -15,7 +16,7 @@ START, PERIOD, COUNT = 1_795_000_000_000_000_000, 2_000_000, 250
 
 def test_bag_gives_back_bytes_times_and_qualities_of_service(tmp_path):
     folder = tmp_path / 'bag'
-    sent = [(START + k * PERIOD, serialize_message(messages.wrench_message(
+    sent = [(START + k * PERIOD, serialize_message(wrench_message(
         START, [k, 0, 0, 0, 0, -k], 'ft_face'))) for k in range(COUNT)]
     with closing(Bag(folder)) as bag:
         wrench = bag.add_topic('/wrench', 'geometry_msgs/msg/WrenchStamped', qos.STREAM)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from builtin_interfaces.msg import Duration
 from fake_arm import FakeArm, PARAMETERS
 from geometry_msgs.msg import Transform
-from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.graph import ignore, take
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.status import ControllerStatus
@@ -13,6 +13,7 @@ from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
 from ros_graph import get_parameter, Middleware, set_parameter, wait_for
+from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 
@@ -52,8 +53,8 @@ def settle(arm):
 
 
 def send_forces(arm, names, efforts, identifier=''):
-    message = messages.joint_state_message(1, names, frame_id=identifier)
-    message.effort = [float(x) for x in efforts]
+    message = JointState(name=names, effort=[float(x) for x in efforts])
+    message.header.frame_id = identifier
     arm.force_command.publish(message)
 
 

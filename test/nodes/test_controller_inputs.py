@@ -6,7 +6,7 @@ import threading
 import time
 
 from arms import HOME
-from fake_arm import EFFORT, FakeArm, PARAMETERS, PERIOD, UNFELT
+from fake_arm import EFFORT, FakeArm, PARAMETERS, PERIOD, UNFELT, wrench_message
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.controller_node import ControllerNode
 from multicontact_control.nodes.lifecycle import SUCCESS
@@ -41,7 +41,7 @@ class StrangeArm(FakeArm):
             message.position, message.effort = list(map(float, position)), list(map(float, effort))
             self._joints.publish(message)
         if 'wrench' in parts:
-            self._wrench.publish(messages.wrench_message(stamp + LATE, self.wrench, self.frame))
+            self._wrench.publish(wrench_message(stamp + LATE, self.wrench, self.frame))
 
 
 @pytest.fixture

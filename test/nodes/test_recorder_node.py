@@ -8,6 +8,7 @@ import json
 import signal
 import time
 
+from fake_arm import wrench_message
 from multicontact_control.config import ControllerConfig, read_parameters, validate
 from multicontact_control.errors import ConfigError, MulticontactError
 from multicontact_control.experiment.bag import read_bag
@@ -57,7 +58,7 @@ def publish(publishers, first, count):
     for k in range(first, first + count):
         for topic, publisher in publishers.items():
             publisher.publish(
-                messages.wrench_message(PERIOD * (1 + k), [k] * 6, 'ft_face')
+                wrench_message(PERIOD * (1 + k), [k] * 6, 'ft_face')
                 if topic is topics.WRENCH else messages.joint_state_message(
                     PERIOD * (1 + k), JOINTS, position=[0.001 * k] * 6, velocity=[0.0] * 6,
                     effort=[k] * 6))

@@ -29,7 +29,8 @@ for _ in range(5):
     time.sleep(0.1)
     for end in ends:
         node.destroy_subscription(end)
-    spinner.drain(0.1)
+    for _ in range(10):
+        spinner.spin_once(0.01)
 print('went on')
 """
 
@@ -84,7 +85,7 @@ class Idle(Node):
     def run(self, spinner):
         os.kill(os.getpid(), signal.SIGINT)
         while not spinner.stop:
-            spinner.spin_once()
+            spinner.spin_once(0.1)
 
     def close(self):
         print('closed', flush=True)

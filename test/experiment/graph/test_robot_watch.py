@@ -2,6 +2,7 @@
 
 from contextlib import closing
 
+from fake_arm import wrench_message
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.robot_watch import RobotWatch
 from multicontact_control.nodes import messages, qos, topics
@@ -33,7 +34,7 @@ class Robot(GuestNode):
         stamp = 1_000_000_000 + self._k * period
         self._joints.publish(messages.joint_state_message(
             stamp, names, position=[0.0] * len(names), velocity=[0.0] * len(names)))
-        self._wrench.publish(messages.wrench_message(stamp + late, [0.0] * 6, 'wrist'))
+        self._wrench.publish(wrench_message(stamp + late, [0.0] * 6, 'wrist'))
 
 
 @pytest.fixture(name='domain_id')
