@@ -5,7 +5,7 @@ import pytest
 
 
 @pytest.mark.parametrize('cell', [
-    Cell('panda', False, False, 'joints:in_degrees_qd'),
+    Cell('panda', False, True, 'joints:in_degrees_qd'),
     Cell('puma', True, False, 'joints:sign_flipped_qd_of_one', 1)])
 def test_wrong_speeds_are_named_and_move_nothing(cell):
     """From the first sample on; before, 24 rad/s and 1100 N."""
