@@ -121,3 +121,17 @@ def velocity_at(twist: Vector, lever: Vector, velocity: Vector) -> None:
     cross(twist[3:], lever, velocity)
     for k in range(3):
         velocity[k] += twist[k]
+
+
+@compiled
+def rotate_by(vector: Vector, rotation: Matrix) -> None:
+    """Turn a rotation, shape (3, 3), by a rotation vector [rad] (Rodrigues)."""
+    angle = np.sqrt(dot(vector, vector))
+    if angle < 1e-12:
+        return
+    axis, once, twice = vector / angle, np.empty(3), np.empty(3)
+    for j in range(3):
+        column = rotation[:, j].copy()
+        cross(axis, column, once)
+        cross(axis, once, twice)
+        rotation[:, j] = column + np.sin(angle) * once + (1.0 - np.cos(angle)) * twice

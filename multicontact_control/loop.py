@@ -14,6 +14,7 @@ from pathlib import Path
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
+from multicontact_control.contact.geometry import offset_shares
 from multicontact_control.control.tasks import CommandedTask, MotionReading, TaskSource
 from multicontact_control.control.tick import ControlOutput
 from multicontact_control.dynamics.robot import RobotModel
@@ -21,11 +22,7 @@ from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sensor.push_test import PushGate, PushTestConfig
 from multicontact_control.sensor.tool import MAX_JOINT_SPEED, tare_bias, TareConfig
-from multicontact_control.supervision.command_limits import (
-    check_motion,
-    CommandLimits,
-    offset_shares,
-)
+from multicontact_control.supervision.command_limits import check_motion, CommandLimits
 from multicontact_control.supervision.inputs import TickInputs
 from multicontact_control.supervision.report import EventLog, SupervisorStatus
 from multicontact_control.supervision.supervisor import not_supervised, Supervisor
@@ -139,7 +136,7 @@ class ControlLoop:
         if self.status is not None:
             self.events.note(inputs.time, self.status)
         stage, arm = self.supervisor.inputs, self.supervisor.controller.arm
-        if stage.fresh:
+        if inputs.wrench is not None and inputs.wrench.stamp == inputs.time:
             self._readings.append((self.time, stage.raw.copy(), arm.q.copy()))
         if self.push_gate.phase and self.output is not None:
             self._push(inputs)

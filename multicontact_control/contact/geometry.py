@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import math
 from typing import Any
 
@@ -11,7 +11,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.contact import ALONG, FORCE
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.records import Records
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -175,3 +175,17 @@ def misread_friction(
             for j in config.leaders for i in range(len(names))
             if coupling[i, j] > LEVERED and not (
                 contacts[names[j]].friction_std or contacts[names[j]].friction_coefficient)]
+
+
+def offset_shares(config: ControllerConfig, centres: Mapping[str, float]) -> dict[str, float]:
+    """
+    Return couples, relative to the normal force, for centres of pressure by the couple's name [m].
+
+    A name that is not that of a couple, or a number that is not finite, is a CommandError.
+    """
+    halves = {column.name: column.half_length for column in config.columns if column.half_length}
+    for name, centre in centres.items():
+        if name not in halves or not math.isfinite(centre):
+            raise CommandError('centre of pressure', f'a finite one of {", ".join(halves)}'
+                               if halves else 'an edge or plane', f"'{name}': {centre:g} m")
+    return {name: centre / halves[name] for name, centre in centres.items()}

@@ -225,6 +225,13 @@ class Controller:
             torque, np.frombuffer(self._contact_bytes.tobytes(), CONTACT),
             np.frombuffer(self._control_bytes.tobytes(), CONTROL))
 
+    def own_weight(self) -> Vector:
+        """Return the torque by which drives with `adds_gravity` carry the arm, (n,) [N m]."""
+        torque, tool = self.robot.terms.gravity.copy(), self.config.tool
+        if not self.config.robot.adds_tool_gravity:
+            torque -= self.robot.load_torque(tool.mass, np.array(tool.com_sensor))
+        return torque
+
     def account_for(self, torque: Vector) -> None:
         """
         Tell the force laws that another torque, shape (n,) [N m], acts than the one answered.

@@ -16,8 +16,8 @@ from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.status import ACCEPTED, ControllerStatus, REFUSED, STATE
 from multicontact_control.sampling import NANOSECONDS, SampleTiming
-from multicontact_control.supervision.collision_causes import undeclared_friction
 from multicontact_control.supervision.contacts import GIVEN_UP, LOST, NAMES, RETRACTING
+from multicontact_control.supervision.findings import undeclared_friction
 from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
 from multicontact_control.supervision.report import SupervisorStatus
 import numpy as np

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-import math
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import Config, ControllerConfig, LimitsConfig, parameter, Real
@@ -56,20 +55,6 @@ class CommandLimits(Config):
                     f'centre of pressure of {column.name}',
                     f'at most {LARGEST_OFFSET * column.half_length:.3g} m from the middle',
                     f'{share * column.half_length:.3g} m')
-
-
-def offset_shares(config: ControllerConfig, centres: Mapping[str, float]) -> dict[str, float]:
-    """
-    Return couples, relative to the normal force, for centres of pressure by the couple's name [m].
-
-    A name that is not that of a couple, or a number that is not finite, is a CommandError.
-    """
-    halves = {column.name: column.half_length for column in config.columns if column.half_length}
-    for name, centre in centres.items():
-        if name not in halves or not math.isfinite(centre):
-            raise CommandError('centre of pressure', f'a finite one of {", ".join(halves)}'
-                               if halves else 'an edge or plane', f"'{name}': {centre:g} m")
-    return {name: centre / halves[name] for name, centre in centres.items()}
 
 
 def check_motion(motion: MotionReading, limits: LimitsConfig) -> None:

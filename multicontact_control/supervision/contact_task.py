@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import cross, dot
+from multicontact_control.algebra import dot, rotate_by
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ContactStateConfig, ControllerConfig, validate
@@ -14,17 +14,7 @@ from multicontact_control.control.tasks import STILL, Task, TaskSource
 from multicontact_control.dynamics.robot import turn_between
 from multicontact_control.dynamics.rotations import Pose, rotation_vector
 from multicontact_control.records import CONTACT_STATE, TASK_LIMITS
-from multicontact_control.supervision.contacts import (
-    advance_contact,
-    contact_settings,
-    FREE,
-    FREE_CONTACT,
-    GIVEN_UP,
-    HOLDING,
-    is_active,
-    let_go,
-    NAMES,
-)
+from multicontact_control.supervision import contacts
 import numpy as np
 
 GUARD_SHARE = 0.3  # of the force held; below it the measured force is fed forward, so that the
@@ -77,7 +67,7 @@ class ContactTask:
         self.states: Any = np.zeros(len(config.columns), dtype=CONTACT_STATE)
         self._codes, self._leaders = self.states['state'], np.array(config.leaders)
         self._limits: Any = np.zeros(1, dtype=TASK_LIMITS)
-        self._limits['contacts'] = contact_settings(validate(
+        self._limits['contacts'] = contacts.contact_settings(validate(
             ContactStateConfig, {**config.contact_state.model_dump(), **source.contact_state},
             'reference.approach'), config.period)
         self._limits['box'] = [config.limits.workspace_lower or [-np.inf] * 3,
@@ -85,7 +75,7 @@ class ContactTask:
         self.retune(config)
         self.locked = config.sensor.require_push_test
         # No tick waits for numba.
-        let_go(self.states[0], 0.0, 0.0)
+        contacts.let_go(self.states[0], 0.0, 0.0)
         _limit_task(self._limits, self._controls, self._columns, self.states)
         self.reset()
 
@@ -112,7 +102,7 @@ class ContactTask:
         if pressing:
             forces[pressed] = self._task.alpha_des[pressed]
         self._task: Task = Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces)
-        self.states[~pressed] = FREE_CONTACT
+        self.states[~pressed] = contacts.FREE_CONTACT
         self._name_states()
         self._limits['offset'] = self._limits['turned'] = 0.0
         self._kept: Mask | None = None  # contacts, from the end of a pause to the next tick
@@ -143,7 +133,8 @@ class ContactTask:
 
     def _name_states(self) -> None:
         self._named = self._codes.tobytes()
-        self.state_names = tuple(NAMES[code] for code in self._codes[self._leaders].tolist())
+        codes = self._codes[self._leaders].tolist()
+        self.state_names = tuple(contacts.NAMES[code] for code in codes)
 
     def hold(self, wanted: bool) -> None:
         """Stay where the arm is and press as it does, or go on from there."""
@@ -176,18 +167,18 @@ class ContactTask:
             if is_kept:
                 state['displacement'] = place
             else:
-                let_go(state, place, 0.0)
+                contacts.let_go(state, place, 0.0)
         self._limits['offset'] = gap - along @ normals
         self._limits['turned'] = turn_between(self._frame['rotation'], pose.rotation_world)
 
     def sought_normals(self) -> Matrix:
         """Return normals of what is sought or held, couples with 0, shape (k, 3)."""
-        normals: Matrix = self._columns['normal'][self._codes != FREE]
+        normals: Matrix = self._columns['normal'][self._codes != contacts.FREE]
         return normals
 
     def seek_again(self) -> bool:
         """Seek the contacts that were given up; return whether there are any."""
-        given_up = self._codes == GIVEN_UP
+        given_up = self._codes == contacts.GIVEN_UP
         self.states['again'] |= given_up
         return bool(given_up.any())
 
@@ -208,7 +199,7 @@ def _limit_task(limits: Any, controls: Any, columns: Any, states: Any) -> bool:
         fastest = RETURN_SHARE * largest / limit.lead / np.sqrt(dot(gap, gap))
         gap *= 1.0 - limit.contacts.period * min(RETURN_RATE, fastest)
     _follow_contacts(limit, frame, task, columns, states)
-    _rotate_by(limit.turned, task.rotation)
+    rotate_by(limit.turned, task.rotation)
     return _bound_task(limit, frame, task, columns)
 
 
@@ -239,34 +230,20 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
                     others += dot(normal, columns[j].normal) * moved[j]
             # Turning about the tool moves the operational point, and a surface that is not where
             # the task has it moves the contact point: what escapes does both.
-            advance_contact(
+            contacts.advance_contact(
                 state, limit.contacts, column.alpha_meas, dot(normal, away) - others, speed,
                 min(speed, dot(column.N, frame.twist)) - state.surface_speed)
             answer.alpha_des = min(state.asked, state.force_limit)
-            column.guarded = state.state == HOLDING and state.in_state > GUARD_TIME and (
+            column.guarded = state.state == contacts.HOLDING and state.in_state > GUARD_TIME and (
                 column.alpha_meas < GUARD_SHARE * min(state.level, state.asked))
         for k in range(3):
             shift[k] += state.displacement * normal[k]
-        answer.active = is_active(state)
+        answer.active = contacts.is_active(state)
         if not answer.active:
             answer.alpha_des = 0.0
             twist[:3] += state.speed * normal
             acceleration[:3] += state.acceleration * normal
     position += shift
-
-
-@compiled
-def _rotate_by(vector: Vector, rotation: Matrix) -> None:
-    """Turn a rotation, shape (3, 3), by a rotation vector [rad] (Rodrigues)."""
-    angle = np.sqrt(dot(vector, vector))
-    if angle < 1e-12:
-        return
-    axis, once, twice = vector / angle, np.empty(3), np.empty(3)
-    for j in range(3):
-        column = rotation[:, j].copy()
-        cross(axis, column, once)
-        cross(axis, once, twice)
-        rotation[:, j] = column + np.sin(angle) * once + (1.0 - np.cos(angle)) * twice
 
 
 @compiled
@@ -309,7 +286,7 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
     if turn_share < 1.0:
         turn *= turn_share
         task.rotation[:] = frame.rotation
-        _rotate_by(turn, task.rotation)
+        rotate_by(turn, task.rotation)
     return limited or share <= 1.0 or turn_share <= 1.0
 
 

@@ -12,9 +12,6 @@ it), `frozen` (identical readings in a row), `saturated` (at full scale),
 `stamp` (none, or in the future), `order` (before an earlier one), `late` (a wrench more than a
 period old when it comes), `stale` (too old, and nothing newer has come), and of the clock
 `backwards` and `rate` (a wrong period twice in a row, also of a clock that stands).
-
-A live wrist sensor repeats itself by chance: two readings of all six axes of a 14-bit JR3 with
-0.047 N and 0.004 N m of noise are equal with a probability of 6e-8, three in a row with 4e-15.
 """
 
 from __future__ import annotations
@@ -26,16 +23,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.records import INPUT_STAGE, Records
-from multicontact_control.supervision.velocities import (
-    check_velocities,
-    explain_velocities,
-    HISTORY,
-    OFFSET,
-    PROOF,
-    ROWS,
-    STILL,
-    V_TRACKED,
-)
+from multicontact_control.supervision import velocities
 import numpy as np
 
 PARTS = ('joints', 'wrench', 'variance', 'clock')
@@ -103,33 +91,15 @@ class TickInputs(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """
-    What is valid at a tick; the numbers are in `Inputs`.
+    """What is valid at a tick; the numbers are in `Inputs`."""
 
-    Attributes
-    ----------
-    causes
-        What calls for a reaction.
-    rejected
-        What is wrong with the readings of this tick, whether it calls for a reaction yet or not.
-    joints, wrench
-        Whether any joint state and any wrench were ever valid.
-    blind
-        Whether the joint state is neither of this tick nor of the one before.
-    measured
-        Whether the wrench is of this tick.
-    skipped
-        Samples that are missing before this tick.
-
-    """
-
-    causes: tuple[str, ...] = ()
-    rejected: tuple[str, ...] = ()
-    joints: bool = True
-    wrench: bool = True
-    blind: bool = False
-    measured: bool = True
-    skipped: int = 0
+    causes: tuple[str, ...] = ()  # of a reaction
+    rejected: tuple[str, ...] = ()  # what is wrong with the readings of this tick
+    joints: bool = True  # whether any joint state was ever valid
+    wrench: bool = True  # whether any wrench was
+    blind: bool = False  # whether the joint state is neither of this tick nor of the one before
+    measured: bool = True  # whether the wrench is of this tick
+    skipped: int = 0  # samples that are missing before this tick
 
 
 @compiled
@@ -193,18 +163,18 @@ def _check_joints(
         if joints[5, j] > 0.0 and state.known[JOINTS]:
             joints[0, j] += joints[5, j] * np.round((joints[2, j] - joints[0, j]) / joints[5, j])
         q, qd = joints[0, j], joints[1, j]
-        still, same = still and abs(qd) <= STILL, same and q == joints[2, j]
-        moves = moves or abs(qd) > OFFSET
+        still, same = still and abs(qd) <= velocities.STILL, same and q == joints[2, j]
+        moves = moves or abs(qd) > velocities.OFFSET
         before, speed = motion[0, j], motion[1, j]
         if distrusted:
             before, speed = joints[2, j], joints[3, j]
         way, step = q - before, min(span, LONGEST_STEP)
-        change = abs(way - joints[V_TRACKED, j] * step)
+        change = abs(way - joints[velocities.V_TRACKED, j] * step)
         if abs(qd) <= joints[4, j]:
             change = min(change, abs(way - 0.5 * (qd + speed) * step))
         jumped = jumped or change > limit
     known, jumped = state.known[JOINTS], jumped and state.known[JOINTS]
-    contradicted = check_velocities(
+    contradicted = velocities.check_velocities(
         joints, history, span, known and not jumped, state, settings.period)
     for j in range(motion.shape[1]):
         joints[2, j], joints[3, j] = joints[0, j], joints[1, j]
@@ -212,18 +182,20 @@ def _check_joints(
         state.distrust = settings.recovery_ticks if jumped else state.distrust - 1
         return JUMP
     # Velocities that are not believed say nothing of positions that stand still.
-    believed = state.states > PROOF and not state.doubted
+    believed = state.states > velocities.PROOF and not state.doubted
     state.equal_joints = state.equal_joints + 1 if same and believed and not still else 1
     if 0 < settings.frozen_joint_ticks <= state.equal_joints:
         return FROZEN
     state.contradicted = state.contradicted + 1 if contradicted else 0
     if contradicted:
         state.agreeing = 0
-    state.doubted = state.contradicted >= FAULTS or (state.doubted and state.agreeing <= PROOF)
-    begins = moves and state.states <= PROOF
+    unproven = state.doubted and state.agreeing <= velocities.PROOF
+    state.doubted = state.contradicted >= FAULTS or unproven
+    begins = moves and state.states <= velocities.PROOF
     estimated = state.silent or state.doubted or contradicted or begins
+    source = velocities.V_TRACKED if estimated else 1
     for j in range(motion.shape[1]):
-        motion[0, j], motion[1, j] = joints[0, j], joints[V_TRACKED if estimated else 1, j]
+        motion[0, j], motion[1, j] = joints[0, j], joints[source, j]
     return VELOCITY if contradicted else FINE
 
 
@@ -410,7 +382,7 @@ class Inputs:
         _, self._wrench, self._variance = places
         n, r = len(joints), len(self._variance)
         self._estimated = config.wrench_input == 'momentum'
-        readings = np.zeros((ROWS, n))
+        readings = np.zeros((velocities.ROWS, n))
         readings[2:4] = math.nan
         readings[4] = np.minimum(
             SPEED_EXCESS * np.array(config.limits.joint_speed or np.inf), np.finfo(float).max)
@@ -419,9 +391,7 @@ class Inputs:
         self._initial: Any = _stage_record(config), readings, variance
         self._stage: Any = np.zeros(1, dtype=INPUT_STAGE)
         self._readings, self._new_variance = readings.copy(), np.zeros(r)
-        self._history: Matrix = np.zeros((HISTORY, 2 * n))
-        self._no_velocity: Vector = np.zeros(n)
-        self._names, self._period = config.robot.joint_names, config.period
+        self._history: Matrix = np.zeros((velocities.HISTORY, 2 * n))
         self._effort: Vector = joints['effort']
         self._commands: Matrix = np.zeros((max(config.collision.command_delay, 0) + 2, n))
         self._arguments = (self._stage, self._readings, self._history, self._new_variance,
@@ -463,11 +433,12 @@ class Inputs:
         """Whether joints move but no velocities come, which positions make up for."""
         return bool(self._state['silent'][0])
 
-    def explain_velocities(self) -> str:
-        """Return what speaks against the velocities of the last 0.1 s, and what may be why."""
-        return explain_velocities(
-            self._history, int(self._state['states'][0]), self._readings, self._names,
-            self._period)
+    @property
+    def history(self) -> tuple[Matrix, Vector]:
+        """Return the newest joint states, shape (k, 2 n) [rad, rad/s], and the row `DOUBT`."""
+        count = int(self._state['states'][0])
+        states = np.roll(self._history, -count, axis=0)[-min(count, velocities.HISTORY):]
+        return states, self._readings[velocities.DOUBT]
 
     def validate(self, inputs: TickInputs, command: Vector | None = None) -> Seen:
         """Take in what came at a tick, and the command before it [N m]; say what is valid."""
@@ -477,7 +448,7 @@ class Inputs:
             wrench = WrenchInput(joints.stamp, self._wrench) if joints and known else None
         effort = None if joints is None or joints.effort is None else (0.0, joints.effort)
         if joints is not None and joints.qd is None:
-            joints = joints._replace(qd=self._no_velocity)
+            joints = joints._replace(qd=self._no_command)
         stamps, contents = [math.nan] * 5, [ABSENT] * 5
         for part, reading in enumerate((joints, wrench, variance, (time,), effort)):
             if reading is None:

@@ -147,20 +147,16 @@ class Recovery:
     def reset(self) -> None:
         """Forget the past."""
         self._wait = self._shortest
-        self._resumed_at: int | None = None
+        self.resumed_at: int | None = None  # tick of control's own count
         self.allow()
 
     def allow(self) -> None:
         """Let control resume although it is latched; the next relapse is the first."""
         self.latched, self._relapses = False, 0
 
-    def resumed(self, tick: int) -> None:
-        """Take note that control has resumed at a tick of its own count."""
-        self._resumed_at = tick
-
     def stopped(self, causes: tuple[str, ...], tick: int) -> None:
         """Take note that a reaction has begun at a tick of control's count."""
-        since, soon = self._resumed_at, RELAPSE_TIME if _is_physical(causes) else SOON
+        since, soon = self.resumed_at, RELAPSE_TIME if _is_physical(causes) else SOON
         if since is None or (tick - since) * self._period > soon:
             self._relapses, self._wait = 0, self._shortest
         else:

@@ -7,13 +7,7 @@ from typing import Any
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
-from multicontact_control.control.arm import (
-    AMBIGUOUS,
-    ArmState,
-    JOINT_SPEED,
-    OPERATIONAL_SPEED,
-    TOUCHED,
-)
+from multicontact_control.control.arm import AMBIGUOUS, ArmState, TOUCHED
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import TaskSource
 from multicontact_control.control.tick import ControlOutput
@@ -21,9 +15,9 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, ConfigError, SingularTaskError
 from multicontact_control.force.force_law import continue_laws_at
 from multicontact_control.supervision import checks
-from multicontact_control.supervision.collision_causes import explain_collision
 from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.contact_task import ContactTask
+from multicontact_control.supervision.findings import explain_collision, explain_velocities
 from multicontact_control.supervision.gate import TorqueGate
 from multicontact_control.supervision.inputs import Inputs, Seen, TickInputs
 from multicontact_control.supervision.reactions import (
@@ -43,6 +37,7 @@ from multicontact_control.supervision.report import no_answer, SupervisorStatus
 import numpy as np
 
 CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
+STRAY_TORQUE = 0.5  # N m at the operational point that is worth a report
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
 CONTROLLED = (NONE, INFLATE)  # what the control law answers
 FIXED = ('torque_limit', 'sensor', 'contact_state', 'limits', 'watchdog', 'collision')
@@ -209,10 +204,10 @@ class Supervisor:
         if seen.joints and arm.refresh():
             self._arm = arm
             if arm.flags or self._flags:
-                self._alarms = checks.TOO_FAST[arm.flags & (OPERATIONAL_SPEED | JOINT_SPEED)]
+                self._alarms = checks.TOO_FAST[arm.flags & checks.SPEED_FLAGS]
                 self._alarms += self._touch(arm.flags)
             if self._adds_gravity:
-                self.gate.allow_for(self._own_weight())
+                self.gate.allow_for(self.controller.own_weight())
             self._flags = arm.flags
         if self._flags & AMBIGUOUS:  # what the contacts bear is of some time before
             self._wrench_known = False
@@ -243,13 +238,6 @@ class Supervisor:
         # The wrench is not to be believed before the pushes that prove it.
         return () if self.task.locked else (
             f'{checks.COLLISION}_{self.config.robot.joint_names[self._touched]}',)
-
-    def _own_weight(self) -> Vector:
-        """Return the torque by which the drives carry the arm where it is seen, shape (n,)."""
-        torque, tool = self._robot.terms.gravity.copy(), self.config.tool
-        if not self.config.robot.adds_tool_gravity:
-            torque -= self._robot.load_torque(tool.mass, np.array(tool.com_sensor))
-        return torque
 
     def _decide(self, causes: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
         """Return what answers the tick, the law or a reaction, and why."""
@@ -311,7 +299,7 @@ class Supervisor:
             self.reactions.end()
             self._causes = self.findings = ()
             if self.started:
-                self._recovery.resumed(self._task_ticks)
+                self._recovery.resumed_at = self._task_ticks
         self.started, self._paused = True, False
 
     def _account_for(self, torque: Vector, limits: tuple[str, ...]) -> None:
@@ -375,14 +363,15 @@ class Supervisor:
 
     def _explain(self, cause: str) -> str:
         """Return what the readings say about a cause that has just begun; empty if nothing."""
-        if cause == checks.CONTRADICTED:
-            return self.inputs.explain_velocities()
-        if cause.startswith(checks.COLLISION):
-            residual = explain_collision(
-                self._joints, self._controls['momentum'][0], self.config.robot.joint_names)
-            return self.inputs.explain_velocities() or '; '.join(
-                filter(None, (residual, self.stray_force)))
-        return self.stray_force if cause in checks.WRONG_WRENCH.values() else ''
+        names, texts = self.config.robot.joint_names, ['']
+        if cause in checks.WRONG_WRENCH.values():
+            texts = [self.stray_force]
+        elif cause == checks.CONTRADICTED or cause.startswith(checks.COLLISION):
+            texts = [explain_velocities(*self.inputs.history, names, self._period)]
+            if cause != checks.CONTRADICTED and not texts[0]:
+                texts = [explain_collision(self._joints, self._controls['momentum'][0], names),
+                         self.stray_force]
+        return '; '.join(filter(None, texts))
 
     @property
     def stray_force(self) -> str:
@@ -390,9 +379,10 @@ class Supervisor:
         wrench = np.zeros(6)
         if self._wrench_known and not self.task.sought_normals().size:
             operational_wrench(self._controls[0], wrench)
-        force = float(np.linalg.norm(wrench[:3]))
-        return f'{force:.1f} N with nothing touching: bias or tool weight; tare or calibrate' if (
-            force > self.config.contact_state.smallest_force) else ''
+        force, torque = np.linalg.norm(wrench.reshape(2, 3), axis=1).tolist()
+        stray = force > self.config.contact_state.smallest_force or torque > STRAY_TORQUE
+        return (f'{force:.1f} N and {torque:.2g} N m with nothing touching: bias or tool weight; '
+                'tare or calibrate') if stray else ''
 
     def _unseen(self, causes: tuple[str, ...], reaction: str) -> bool:
         """Return whether the arm floats only because it is not seen, or a part has failed."""
@@ -437,18 +427,14 @@ class Supervisor:
             reaction, causes, self._seen.rejected, limits, self.task.state_names,
             self._task_ticks * self._period) if self.guarded else None
 
-    def check(self, config: ControllerConfig) -> None:
-        """Raise a ConfigError if `reconfigure` would refuse a configuration."""
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """Go on with another configuration, without a jump; or ConfigError, as it was before."""
         if self.guarded:
             then = _fixed_values(config)
             for name, value in _fixed_values(self.config).items():
                 if then.get(name) != value:
                     raise ConfigError(name, 'what it is while in use', 'another value')
         self.controller.check(config)
-
-    def reconfigure(self, config: ControllerConfig) -> None:
-        """Go on with another configuration, without a jump; or ConfigError, as it was before."""
-        self.check(config)
         self.controller.reconfigure(config)
         self._adopt(config)
         self.gate.go_over()

@@ -8,7 +8,7 @@ from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import ELBOW_WALL, FAR
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.paths import config_dir
-from multicontact_control.supervision.collision_causes import undeclared_friction
+from multicontact_control.supervision.findings import undeclared_friction
 import numpy as np
 import pytest
 import yaml

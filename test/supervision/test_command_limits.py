@@ -2,13 +2,13 @@
 
 from arms import controller_config
 from multicontact_control.config import LimitsConfig
+from multicontact_control.contact.geometry import offset_shares
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError
 from multicontact_control.supervision.command_limits import (
     check_motion,
     check_position,
     CommandLimits,
-    offset_shares,
 )
 import numpy as np
 import pytest

@@ -5,6 +5,7 @@ from multicontact_control.config import SensorFrontEndConfig
 from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.errors import ConfigError
 from multicontact_control.records import JOINT, MOMENTUM
+from multicontact_control.supervision.findings import explain_velocities
 from multicontact_control.supervision.inputs import (
     Inputs,
     JointInput,
@@ -170,7 +171,7 @@ def test_velocity_that_positions_contradict_is_a_cause_and_is_not_used(wrong, li
             WrenchInput(k * H, random.normal(size=6))))
         assert k >= begin or not seen.rejected
         if 'joints_velocity' in seen.causes:
-            causes.append(stage.explain_velocities())
+            causes.append(explain_velocities(*stage.history, CONFIG.robot.joint_names, H))
             np.testing.assert_allclose(stage.qd, qd, atol=0.02 if k > begin + 20 else 0.2)
         np.testing.assert_array_equal(stage.q, q)
     assert any(likely in text for text in causes)

@@ -69,7 +69,7 @@ def test_recovery_waits_three_times_as_long_after_each_relapse_and_latches_what_
         tick += round(after / H)
         recovery.stopped((cause,), tick)
         waits = [k * H for k in range(2000) if recovery.missing(k) == ()]
-        recovery.resumed(tick)
+        recovery.resumed_at = tick
         return waits[0] if waits else None
 
     waits = [0.05, 0.15, 0.45, 1.35, 2.0, 2.0]

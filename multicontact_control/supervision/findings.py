@@ -1,10 +1,11 @@
-"""What speaks for which cause of a residual of the momentum observer, and what to check."""
+"""What readings say of the cause of a fault, and what to check: a sentence for each."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from multicontact_control.arrays import Matrix
 from multicontact_control.control.arm import (
     DIRECTION,
     LEARNING_TIME,
@@ -13,8 +14,14 @@ from multicontact_control.control.arm import (
     SPEED,
     WRENCH,
 )
+from multicontact_control.supervision.velocities import OFFSET
 import numpy as np
 
+UNITS = {180.0 / np.pi: 'degrees per second', 30.0 / np.pi: 'revolutions per minute',
+         0.5 / np.pi: 'revolutions per second'}
+CORRELATED = 0.8  # square of the correlation from which on two velocities differ by a factor
+FEWEST, SLOWEST = 8, 0.01  # joint states, and rad/s, that say something
+SIMILAR = 0.25  # difference from a factor, relative to it
 EXPLAINED = 0.7  # share of the residual's power, from which on what it follows is its cause
 CREEP = 0.05  # of that power, by which the speed must explain more than its sign
 MULTIPLE = 0.95  # the same over the joints at rest, from which on it is a multiple of gravity
@@ -27,19 +34,48 @@ FOLLOWED = (
     '(robot.sensor_frame), and the scale of the effort')
 
 
+def explain_velocities(
+    states: Matrix, doubt: Any, names: Sequence[str], period: float,
+) -> str:
+    """
+    Return what positions say against the velocities of the joint whose `doubt` is largest.
+
+    Of the newest joint states, shape (k, 2 n) [rad, rad/s], oldest first; empty if that is
+    nothing, or if there are too few. `doubt` is the row `DOUBT` of `velocities`, h in [s].
+    """
+    if len(states) < FEWEST:
+        return ''
+    j = int(np.argmax(doubt))
+    q, v, what = states[:, j], states[:, len(names) + j], f'{names[j]}: its velocity'
+    if not np.isfinite(v).all():
+        return f'{what} is not a finite number'
+    if np.abs(v).max() > OFFSET:
+        if np.abs(v - q).max() <= 1e-3 * np.abs(q).max():
+            return f'{what} is equal to its position: are the fields of the message in order?'
+        if np.ptp(v) == 0.0:
+            return f'{what} is {v[-1]:.3g} rad/s whatever its position does: frozen?'
+    rate, reading = np.diff(q) / period, 0.5 * (v[1:] + v[:-1])
+    if max(np.abs(rate).max(), np.abs(reading).max()) < SLOWEST:
+        return ''
+    power, common = (reading @ reading) * (rate @ rate), reading @ rate
+    if common ** 2 >= CORRELATED * power:
+        ratio = np.copysign(np.sqrt(reading @ reading / max(float(rate @ rate), 1e-12)), common)
+        unit = next((f': {name}?' for factor, name in UNITS.items()
+                     if abs(abs(ratio) / factor - 1.0) < SIMILAR), '')
+        sign = ', with the opposite sign' if ratio < 0.0 else ''
+        return '' if abs(ratio - 1.0) < SIMILAR else (
+            f'{what} is {abs(ratio):.3g} times the rate of its position{sign}{unit}')
+    error = reading - rate
+    if np.std(error) < SIMILAR * abs(np.mean(error)):
+        return f'{what} is {np.mean(error):.3g} rad/s beyond the rate of its position: an offset?'
+    return '' if doubt[j] <= 1.0 else (
+        f'{what} is up to {np.abs(error).max():.3g} rad/s off the rate of its position: a delay, '
+        'a low-pass, or that of another joint?')
+
+
 @np.errstate(all='ignore')  # of impossible efforts
 def explain_collision(joints: Any, momentum: Any, names: Sequence[str]) -> str:
-    """
-    Return what speaks for the cause of a collision, and what to check.
-
-    Parameters
-    ----------
-    joints, momentum
-        Records of `JOINT`, shape (n,), and one of `MOMENTUM`, when it is noticed.
-    names
-        Of the joints.
-
-    """
+    """Return what speaks for which cause of a collision, from the records of the observer."""
     residual = joints['residual']
     shares = np.abs(residual) / (joints['threshold'] + joints['slack'])
     worst, loaded = int(np.argmax(shares)), [
