@@ -33,7 +33,6 @@ from multicontact_control.experiment.faults.fault import (
     PROCESS,
     REST,
     SLIDING,
-    START,
 )
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -134,19 +133,21 @@ def _double(names: Sequence[str], _choice: Vector) -> list[str]:
 
 def _edit(
     stream: str, fields: str, kind: str, change: Change | None, *, told: bool = True,
-    phases: tuple[str, ...] = PHASES, where: tuple[str, ...] = BOTH, at_once: bool = False,
+    declared: tuple[str, ...] = (), phases: tuple[str, ...] = PHASES,
+    where: tuple[str, ...] = BOTH, at_once: bool = False,
 ) -> Fault:
     """Return a fault of what a reading says; `told` if the stream's reaction must follow."""
     return Fault(kind, stream, Edit(tuple(fields.split()), change),
-                 REACTIONS[stream] if told else (), phases, where, at_once=at_once)
+                 (declared or REACTIONS[stream]) if told else (), phases, where, at_once=at_once)
 
 
 def _numbers() -> list[Fault]:
     changes = {'nan': _put(NAN), 'infinite': _put(INF), 'huge': _put(1e30),
                'wrong_count': _shorten}
     return [
-        *(_edit('joints', field, f'{kind}_{field}', change)
-          for field in ('q', 'qd') for kind, change in changes.items()),
+        *(_edit('joints', 'q', f'{kind}_q', change) for kind, change in changes.items()),
+        *(_edit('joints', 'qd', f'{kind}_qd', change, declared=HOLD)
+          for kind, change in changes.items()),
         _edit('wrench', 'wrench', 'nan', _put(NAN)),
         _edit('wrench', 'wrench', 'infinite', _put(-INF)),
         _edit('wrench', 'wrench', 'huge', _put(1e30)),
@@ -168,7 +169,7 @@ def _numbers() -> list[Fault]:
         _edit('variance', 'variance', 'tiny', _put(1e-30), told=False),
         _edit('joints', 'q', 'biased_q', _add(0.05)),
         _edit('joints', 'qd', 'biased_qd', _add(0.2), told=False),
-        _edit('joints', 'qd', 'saturated_qd', _put(50.0), where=IN_PROCESS)]
+        _edit('joints', 'qd', 'saturated_qd', _put(50.0), declared=HOLD, where=IN_PROCESS)]
 
 
 def _names() -> list[Fault]:
@@ -324,7 +325,7 @@ def _velocities() -> list[Fault]:
         'delayed': Edit(('qd',), None, age=25), 'frozen': Edit(('qd',), None)}
     told = ('constant_qd', 'like_position_qd')  # also of an arm that stands
     return [Fault(name := f'{kind}_{which}', 'joints', replace(edit, single=which == 'qd_of_one'),
-                  STOPPED if name in told else (), (START, *PHASES), IN_PROCESS, ticks=LASTING,
+                  STOPPED if name in told else (), where=IN_PROCESS, ticks=LASTING,
                   from_start=True)
             for kind, edit in edits.items() for which in ('qd', 'qd_of_one')
             if (kind, which) != ('frozen', 'qd')]
