@@ -86,9 +86,8 @@ class TorqueGate:
     of the torque before fades by the `quintic`, as `transition` says. What happens by itself (a
     contact that comes or goes, a reaction) fades with a time constant of 3 ms.
 
-    Then, in turn: a torque that is not finite is replaced by the one that carries the arm; near a
-    stop, or above its speed, a joint brakes; the torque is clipped to its limits, and to their
-    rate. The last two hold whatever came in.
+    Then a torque that is not finite is replaced by the one that carries the arm; near a stop, or
+    above its speed, a joint brakes; the torque is clipped to its limits and to their rate.
 
     Parameters
     ----------
@@ -151,10 +150,11 @@ class TorqueGate:
         """Let the next torque be the one that acts: what is commanded is about to jump."""
         self._pending, self._slow, self._fast = self.begun, None, None
 
-    def hurry(self) -> None:
-        """Leave what has still to fade slowly to the fast way."""
-        if self._pending or self._slow is not None:
+    def hurry(self, law: object = None) -> None:
+        """Leave what has still to fade slowly to the fast way; a law given acts at once."""
+        if self._pending or self._slow is not None or law is not None:
             self._end_blend()
+            self._law = law
 
     def allow_for(self, added: Vector) -> None:
         """Take in what the drives add to a command [N m], which changes the torque that acts."""

@@ -330,10 +330,9 @@ def check_inputs(
     for i in range(3):
         age = state.time - valid[i]
         verdict.stale[i] = age > settings.max_age[i] or (np.isnan(age) and i != VARIANCE)
-    if problem[JOINTS] == VELOCITY and state.contradicted >= FAULTS:
-        verdict.stale[JOINTS] = True
-    if state.faults >= FAULTS:
-        verdict.stale[WRENCH] = True
+    contradicted = problem[JOINTS] == VELOCITY and state.contradicted >= FAULTS
+    verdict.stale[JOINTS] = verdict.stale[JOINTS] or contradicted
+    verdict.stale[WRENCH] = verdict.stale[WRENCH] or state.faults >= FAULTS
     verdict.stale[CLOCK] = problem[CLOCK] != FINE
     if verdict.stale[VARIANCE]:
         for i in range(new_variance.shape[0]):

@@ -349,8 +349,8 @@ class Supervisor:
         self._paused = True
         if not self.gate.begun:
             self._begin()
-        if reaction != SAFE:
-            self.gate.hurry()
+        if reaction != SAFE:  # the torque before may come from wrong velocities
+            self.gate.hurry(reaction if checks.CONTRADICTED in causes else None)
         with np.errstate(all='ignore'):  # the gate finds numbers that are not finite
             # What blocks the arm may be what the contacts' forces press it against: they fade.
             felt = self._wrench_known and not any(
@@ -363,15 +363,16 @@ class Supervisor:
 
     def _explain(self, cause: str) -> str:
         """Return what the readings say about a cause that has just begun; empty if nothing."""
-        names, texts = self.config.robot.joint_names, ['']
         if cause in checks.WRONG_WRENCH.values():
-            texts = [self.stray_force]
-        elif cause == checks.CONTRADICTED or cause.startswith(checks.COLLISION):
-            texts = [explain_velocities(*self.inputs.history, names, self._period)]
-            if cause != checks.CONTRADICTED and not texts[0]:
-                texts = [explain_collision(self._joints, self._controls['momentum'][0], names),
-                         self.stray_force]
-        return '; '.join(filter(None, texts))
+            return self.stray_force
+        touched, names = cause.startswith(checks.COLLISION), self.config.robot.joint_names
+        if not touched and cause != checks.CONTRADICTED:
+            return ''
+        text = explain_velocities(*self.inputs.history, names, self._period)
+        if touched and not text:
+            residual = explain_collision(self._joints, self._controls['momentum'][0], names)
+            text = '; '.join(filter(None, (residual, self.stray_force)))
+        return text
 
     @property
     def stray_force(self) -> str:

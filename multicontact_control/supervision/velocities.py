@@ -23,7 +23,7 @@ HISTORY = 50  # joint states that are kept for an explanation
 MEMORY = 0.05  # s, in which evidence is forgotten
 OFFSET = 0.05  # rad/s by which a velocity may be wrong...
 SHARE = 0.25  # ...beside this share of it, which is that of a driver's low-pass, too
-LARGEST_UNREST = 5.0  # rad/s that velocities go up and down within `MEMORY`
+LARGEST_UNREST = 2.5  # rad/s that velocities go up and down beside the estimate in `MEMORY`
 PROOF = 10  # joint states of an arm that moves, before velocities are believed (again)
 POLE = 0.5  # of the tracking filter, per period
 STILL = 1e-4  # rad/s, below which a joint stands
@@ -58,10 +58,11 @@ def check_velocities(
         if evident:
             predicted = joints[Q_TRACKED, j] + span * joints[V_TRACKED, j]
             joints[Q_TRACKED, j] = predicted + (1.0 - POLE ** 2) * (q - predicted)
-            joints[V_TRACKED, j] += (1.0 - POLE) ** 2 / span * (q - predicted)
+            change = (1.0 - POLE) ** 2 / span * (q - predicted)
+            joints[V_TRACKED, j] += change
             joints[MISSED, j] = keep * joints[MISSED, j] + way - 0.5 * span * (v + joints[3, j])
             joints[WAY, j] = keep * joints[WAY, j] + abs(way)
-            joints[UNREST, j] = keep * joints[UNREST, j] + abs(v - joints[3, j])
+            joints[UNREST, j] = keep * joints[UNREST, j] + abs(v - joints[3, j] - change)
         else:
             joints[Q_TRACKED, j] = q
             if follows:
