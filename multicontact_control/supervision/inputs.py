@@ -42,6 +42,7 @@ WRENCH_AGE = 1.501  # periods, up to which a wrench is that of its tick
 HARDEST = 1e6  # N or N m; no wrench is beyond it
 FARTHEST = 1e3  # rad; no joint is beyond it
 SPEED_EXCESS = 3.0  # times the speed limit of a joint; no joint is faster
+STILL = 1e-4  # rad/s; below it a joint state may repeat itself
 POSITION_JUMP = 0.01  # rad between a joint position and the one its speeds lead to
 LONGEST_STEP = 0.1  # s, over which speeds are extrapolated
 VARIANCE_FLOOR, VARIANCE_CEILING = 0.1, 1e3  # N^2; with less the observer outruns the drives
@@ -163,7 +164,7 @@ def _check_joints(
         if joints[5, j] > 0.0 and state.known[JOINTS]:
             joints[0, j] += joints[5, j] * np.round((joints[2, j] - joints[0, j]) / joints[5, j])
         q, qd = joints[0, j], joints[1, j]
-        still, same = still and abs(qd) <= velocities.STILL, same and q == joints[2, j]
+        still, same = still and abs(qd) <= STILL, same and q == joints[2, j]
         moves = moves or abs(qd) > velocities.OFFSET
         before, speed = motion[0, j], motion[1, j]
         if distrusted:

@@ -26,7 +26,6 @@ SHARE = 0.25  # ...beside this share of it, which is that of a driver's low-pass
 LARGEST_UNREST = 2.5  # rad/s that velocities go up and down beside the estimate in `MEMORY`
 PROOF = 10  # joint states of an arm that moves, before velocities are believed (again)
 POLE = 0.5  # of the tracking filter, per period
-STILL = 1e-4  # rad/s, below which a joint stands
 EVEN = 1.5  # periods between two joint states, up to which they are evidence
 
 
@@ -69,13 +68,13 @@ def check_velocities(
                 joints[V_TRACKED, j] = way / span
             joints[MISSED, j] = joints[WAY, j] = joints[UNREST, j] = 0.0
         fastest = max(fastest, abs(joints[V_TRACKED, j]))
-    state.silent = silent and fastest > STILL
     if fastest > OFFSET:
         state.agreeing += 1
     for j in range(n):
-        if state.silent:
-            joints[MISSED, j] = joints[UNREST, j] = 0.0
         joints[DOUBT, j] = max(joints[DOUBT, j], joints[UNREST, j] / LARGEST_UNREST, abs(
             joints[MISSED, j]) / (OFFSET * MEMORY + SHARE * joints[WAY, j]))
         contradicted = contradicted or joints[DOUBT, j] > 1.0
+    state.silent = silent and (state.silent or contradicted)
+    if state.silent:
+        joints[MISSED], joints[UNREST], joints[DOUBT], contradicted = 0.0, 0.0, 0.0, False
     return contradicted
