@@ -87,7 +87,7 @@ class RobotModel:
             self._require_felt(config)
         self._data = self._model.createData()
         self.terms = self._shared_terms()
-        self.endless: Mask = np.isinf(self._model.upperPositionLimit)  # joints without stops
+        self.turning: Mask = np.array(['ModelR' in x.shortname() for x in self._model.joints[1:]])
 
     @property
     def joint_count(self) -> int:
@@ -97,7 +97,7 @@ class RobotModel:
     @property
     def torque_limit(self) -> Vector:
         """Return what the URDF says of the joints' largest torques, shape (n,) [N m]."""
-        limit: Vector = np.array(self._model.effortLimit)
+        limit = np.array(self._model.effortLimit)
         return np.where(limit > 0.0, limit, np.inf)
 
     def warnings(self, torque_limit: Sequence[float] = ()) -> tuple[str, ...]:

@@ -150,7 +150,7 @@ def _check_joints(
     """
     Check a joint state, `elapsed` after the newest valid one [s]; keep it if it is fine.
 
-    A joint that turns without end goes on where its angle wraps by 2 pi. After a jump each state
+    A joint that turns goes on where its angle wraps by 2 pi. After a jump each state
     is compared with the reading before, and refused for the recovery time. Where a velocity is
     not believed, that of the positions is kept.
     """
@@ -365,8 +365,8 @@ class Inputs:
         and R, shape (r,) [N^2].
     joints, momenta
         Records of `JOINT`, shape (n,), and one of `MOMENTUM`, for the torques that acted.
-    endless
-        Which joints turn without end, so that their angles may wrap, shape (n,).
+    turning
+        Which joints turn, so that their angles may wrap, shape (n,).
 
     Attributes
     ----------
@@ -377,7 +377,7 @@ class Inputs:
 
     def __init__(
         self, config: ControllerConfig, places: tuple[Matrix, Vector, Vector], joints: Any,
-        momenta: Any, endless: Any = False,
+        momenta: Any, turning: Any = False,
     ) -> None:
         _, self._wrench, self._variance = places
         n, r = len(joints), len(self._variance)
@@ -386,7 +386,7 @@ class Inputs:
         readings[2:4] = math.nan
         readings[4] = np.minimum(
             SPEED_EXCESS * np.array(config.limits.joint_speed or np.inf), np.finfo(float).max)
-        readings[5] = np.where(endless, 2.0 * math.pi, 0.0)
+        readings[5] = np.where(turning, 2.0 * math.pi, 0.0)
         variance = np.clip(config.initial_noise_variance, VARIANCE_FLOOR, VARIANCE_CEILING)
         self._initial: Any = _stage_record(config), readings, variance
         self._stage: Any = np.zeros(1, dtype=INPUT_STAGE)

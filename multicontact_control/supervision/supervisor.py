@@ -93,7 +93,7 @@ class Supervisor:
         self.task = ContactTask(config, source, controller, guarded=guarded)
         self.inputs = Inputs(
             config, controller.measured, self._joints, self._controls['momentum'],
-            robot.endless)
+            robot.turning)
         self.gate = TorqueGate(config, self._joints, guarded=guarded)
         self.reactions = Reactions(config, controller)
         self._recovery = Recovery(config.watchdog.recovery_time, config.period)

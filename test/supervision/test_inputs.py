@@ -25,11 +25,11 @@ FULL_SCALE = (100.0, 100.0, 200.0, 5.0, 5.0, 5.0)
 SOURCES = ('joints', 'wrench', 'variance')
 
 
-def make(config=CONFIG, endless=False):
+def make(config=CONFIG, turning=False):
     """Return a stage whose places are its attributes."""
     motion, wrench, variance = np.zeros((2, 6)), np.zeros(6), np.zeros(CONTACTS)
     stage = Inputs(config, (motion, wrench, variance), np.zeros(6, dtype=JOINT),
-                   np.zeros(1, dtype=MOMENTUM), endless)
+                   np.zeros(1, dtype=MOMENTUM), turning)
     (stage.q, stage.qd), stage.wrench, stage.variance = motion, wrench, variance
     return stage
 
@@ -201,8 +201,8 @@ def test_positions_make_up_for_velocities_that_do_not_come(silent):
     assert stage.estimates
 
 
-def test_angle_of_an_endless_joint_goes_on_where_it_wraps():
-    stage, speed = make(endless=np.arange(6) == 5), 1.0
+def test_angle_goes_on_where_it_wraps():
+    stage, speed = make(turning=np.arange(6) == 5), 1.0
     for k in range(4000):
         q = HOME + speed * k * H * (np.arange(6) == 5)
         wrapped = np.append(q[:5], np.angle(np.exp(1j * q[5])))

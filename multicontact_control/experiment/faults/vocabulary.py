@@ -346,8 +346,7 @@ def _drivers() -> list[Fault]:
     return [
         *(Fault(kind, 'wrench', Edit(('wrench',), change), where=IN_PROCESS, ticks=LASTING,
                 from_start=True) for kind, change in wrenches.items()),
-        # Of joints that are not continuous.
-        _edit('joints', 'q', 'wrapped_q', _add(2.0 * math.pi), where=IN_PROCESS),
+        _edit('joints', 'q', 'wrapped_q', _add(2.0 * math.pi), told=False, where=IN_PROCESS),
         Fault('second_publisher', 'plant', PlantEdit(
             command_twice, lambda plant, choice: delattr(plant, 'step')), where=IN_PROCESS)]
 

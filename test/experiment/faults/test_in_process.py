@@ -27,7 +27,7 @@ def world():
     (('nan', 'wrench'), 'hold'), (('dropped', 'joints'), 'float'),
     (('delayed', 'variance'), 'inflate'), (('duplicated', 'wrench'), 'none'),
     (('restarted', 'clock'), 'hold'), (('surface_gone', 'plant'), 'none'),
-    (('wrapped_q', 'joints'), 'float'), (('second_publisher', 'plant'), 'none'),
+    (('wrapped_q', 'joints'), 'none'), (('second_publisher', 'plant'), 'none'),
     (('constant_qd', 'joints'), 'hold'), (('like_position_qd', 'joints'), 'hold')])
 def test_fault_is_answered_as_declared(world, kind, reaction):
     row = in_fork(world, KINDS[kind], 1, 'approach')
