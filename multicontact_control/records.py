@@ -326,9 +326,9 @@ INPUT_STATE = np.dtype([
     ('known', np.uint8, 2),  # whether any joints and any wrench were valid
     ('blind_ticks', I), ('unknown', I),  # in a row without valid joints; without their torques
     ('distrust', I),  # joint states to be refused after a jump
-    # Joint states in a row; those whose velocities positions contradict; of moving joints, since.
-    ('states', I), ('contradicted', I), ('agreeing', I),
-    ('silent', B), ('doubted', B),  # no velocities come; they are not believed
+    ('states', I), ('contradicted', I),  # joint states in a row; of velocities that are wrong
+    ('agreeing', I),  # joint states of a moving arm since the last wrong velocity
+    ('silent', B), ('doubted', B), ('begins', B),  # no velocities come; not believed; not yet
     ('equal_joints', I), ('equal_wrenches', I),  # readings in a row, the newest counted
     ('fault', I), ('faults', I),  # of the newest wrench; frozen or saturated ones in a row
     ('raw', F, 6), ('last', F, 6),  # the newest wrench and the one before [N, N m]

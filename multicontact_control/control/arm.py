@@ -113,7 +113,7 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
                 if joint.learnt_limit > 0.0:
                     least = joint.least_threshold
                     if evidence.moved < LEARNING_TIME:
-                        least = max(least, UNPROVEN_THRESHOLD)
+                        least = max(least, min(UNPROVEN_THRESHOLD, joint.learnt_limit))
                     # Of what touches the arm, which grows, the deviation is near the mean.
                     learnt = evidence.friction - np.sqrt(
                         max(evidence.mean_square - evidence.friction ** 2, 0.0))

@@ -83,7 +83,7 @@ class ControllerReport:
             return
         before, self._before = self._before, now
         if now[:3] != before[:3]:
-            self._warn(f'{now[:3]}', self._reaction() or 'control goes on')
+            self._warn(f'{now[:2]}{bool(now[2])}', self._reaction() or 'control goes on')
         if instruction not in ('', before[3]):
             self._node.get_logger().info(f'push test: {instruction}')
         self._next_state = time.monotonic_ns() + STATE_INTERVAL
@@ -134,7 +134,7 @@ class ControllerReport:
     def _odd_samples(self) -> Iterator[str]:
         """Yield what is odd of readings: no velocities, no pairs, the rate since the last call."""
         timing, config, now = self._timing, self._loop.config, time.monotonic_ns()
-        if self._loop.supervisor.inputs.estimates:
+        if self._loop.supervisor.guarded and self._loop.supervisor.inputs.estimates:
             yield self._warn('estimates', f'{topics.JOINT_STATES.name} has no velocities: those '
                              'of the positions are used, and collisions are not looked for')
         pair = [topic for topic in self.inputs.last if topic is not topics.NOISE_VARIANCE]

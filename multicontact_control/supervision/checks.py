@@ -24,8 +24,7 @@ NOT_FINITE, PULL, SIDEWAYS, OUTSIDE, STRAY = 1, 2, 4, 8, 16
 WRONG_WRENCH = {PULL: 'wrench_pull', STRAY: 'wrench_stray', SIDEWAYS: 'wrench_sideways'}
 COLLISION, CONTRADICTED = 'collision', 'joints_velocity'
 SPEEDS = (('motion_operational_speed', OPERATIONAL_SPEED), ('motion_joint_speed', JOINT_SPEED))
-TOO_FAST = tuple(tuple(cause for cause, bit in SPEEDS if flags & bit) for flags in range(4))
-SPEED_FLAGS = OPERATIONAL_SPEED | JOINT_SPEED
+TOO_FAST = tuple(tuple(cause for cause, bit in SPEEDS if flags & bit) for flags in range(16))
 
 PULL_LIMIT = 4.0  # N, measured pull of a surface that is accepted
 LOSS_ACCELERATION = 20.0  # m/s^2, of a tool that is braked after a contact is lost

@@ -17,8 +17,7 @@ from multicontact_control.records import CONTACT_STATE, TASK_LIMITS
 from multicontact_control.supervision import contacts
 import numpy as np
 
-GUARD_SHARE = 0.3  # of the force held; below it the measured force is fed forward, so that the
-# other contacts are not pressed with what a surface that has gone does not bear
+GUARD_SHARE = 0.3  # of the force held, below which the measured force is fed forward
 GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bounces
 RETURN_RATE = 2.0  # 1/s, of the way left, at which the task is caught up with after a pause
 RETURN_SHARE = 0.2  # of the largest speeds, at which it is at most
@@ -74,8 +73,7 @@ class ContactTask:
                                config.limits.workspace_upper or [np.inf] * 3]
         self.retune(config)
         self.locked = config.sensor.require_push_test
-        # No tick waits for numba.
-        contacts.let_go(self.states[0], 0.0, 0.0)
+        contacts.let_go(self.states[0], 0.0, 0.0)  # no tick waits for numba
         _limit_task(self._limits, self._controls, self._columns, self.states)
         self.reset()
 

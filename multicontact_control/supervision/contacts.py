@@ -25,8 +25,7 @@ import numpy as np
 
 NAMES = ('free', 'approaching', 'impact', 'holding', 'lost', 'retracting', 'given up')
 FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(len(NAMES))
-RELEASE_SHARE = 0.3  # of the force held or asked for, below which a contact may be lost: a tool
-# that falls after its surface reads its own inertia
+RELEASE_SHARE = 0.3  # of the force held or asked for, below which a contact may be lost
 ESCAPE_SPEED = 0.1  # m/s into the surface, beyond the task's, that only a lost contact reaches
 IMPACT_TIME = 0.05  # s in contact from touch to holding, at least
 LOSS_TIME = 0.004  # s below the release threshold until a contact is lost
@@ -44,8 +43,7 @@ STEP_TIME = 0.02  # s, in which a force step may be taken
 REBOUND_SPEED = 2e-3  # m/s, away from the surface, from which on it is thrown back
 REBOUNDS_APART = 0.5  # s
 LONGEST_WAIT = 4  # doublings of the time between two searches
-# Periods: one sample, or two between touch and holding, say nothing of a surface.
-LOSS_PERIODS, BOUNCE_PERIODS = 2, 3
+LOSS_PERIODS, BOUNCE_PERIODS = 2, 3  # the same, at least: one sample says nothing
 POSITION_RATE = 20.0  # 1/s, of the way left: how a displacement settles
 
 FREE_CONTACT: Records = np.zeros((), dtype=CONTACT_STATE)

@@ -7,6 +7,7 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix
 from multicontact_control.control.arm import (
+    ACCELERATION,
     DIRECTION,
     LEARNING_TIME,
     RELEASE,
@@ -63,14 +64,16 @@ def explain_velocities(
         unit = next((f': {name}?' for factor, name in UNITS.items()
                      if abs(abs(ratio) / factor - 1.0) < SIMILAR), '')
         sign = ', with the opposite sign' if ratio < 0.0 else ''
-        return '' if abs(ratio - 1.0) < SIMILAR else (
+        right = (1.0 - SIMILAR, 1.0 + SIMILAR) if doubt[j] > 1.0 else (0.4, 2.5)
+        return '' if right[0] < ratio < right[1] else (
             f'{what} is {abs(ratio):.3g} times the rate of its position{sign}{unit}')
     error = reading - rate
+    if doubt[j] <= 1.0:
+        return ''
     if np.std(error) < SIMILAR * abs(np.mean(error)):
         return f'{what} is {np.mean(error):.3g} rad/s beyond the rate of its position: an offset?'
-    return '' if doubt[j] <= 1.0 else (
-        f'{what} is up to {np.abs(error).max():.3g} rad/s off the rate of its position: a delay, '
-        'a low-pass, or that of another joint?')
+    return (f'{what} is up to {np.abs(error).max():.3g} rad/s off the rate of its position: a '
+            'delay, a low-pass, or that of another joint?')
 
 
 @np.errstate(all='ignore')  # of impossible efforts
@@ -89,6 +92,9 @@ def explain_collision(joints: Any, momentum: Any, names: Sequence[str]) -> str:
     share, slope = evidence['product'] ** 2 / squares, evidence['product'] / squares
     faster = share[SPEED] > share[DIRECTION] + CREEP * evidence['power']
     share[DIRECTION if faster else SPEED] = 0.0
+    if slope[ACCELERATION] < 0.0 and share[ACCELERATION] > EXPLAINED * evidence['power']:
+        return (f'{name}: the residual is {slope[ACCELERATION]:.2g} kg m^2 times the acceleration'
+                ': noise or steps of its velocity')
     share[:WRENCH][slope[:WRENCH] < 0.0] = 0.0  # what pushes a joint moves it that way, too
     best = int(np.argmax(share))
     if share[best] > EXPLAINED * evidence['power']:

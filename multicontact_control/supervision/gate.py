@@ -131,7 +131,7 @@ class TorqueGate:
     def reset(self) -> None:
         """Forget the torque that acts."""
         self.begun = False
-        self._joints['added'] = 0.0
+        self._joints['added'] = self.last[:] = 0.0
         self._end_blend()
 
     def _end_blend(self) -> None:

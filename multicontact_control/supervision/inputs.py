@@ -182,7 +182,6 @@ def _check_joints(
     if distrusted or jumped:
         state.distrust = settings.recovery_ticks if jumped else state.distrust - 1
         return JUMP
-    # Velocities that are not believed say nothing of positions that stand still.
     believed = state.states > velocities.PROOF and not state.doubted
     state.equal_joints = state.equal_joints + 1 if same and believed and not still else 1
     if 0 < settings.frozen_joint_ticks <= state.equal_joints:
@@ -192,8 +191,8 @@ def _check_joints(
         state.agreeing = 0
     unproven = state.doubted and state.agreeing <= velocities.PROOF
     state.doubted = state.contradicted >= FAULTS or unproven
-    begins = moves and state.states <= velocities.PROOF
-    estimated = state.silent or state.doubted or contradicted or begins
+    state.begins = moves and state.states <= velocities.PROOF
+    estimated = state.silent or state.doubted or contradicted or state.begins
     source = velocities.V_TRACKED if estimated else 1
     for j in range(motion.shape[1]):
         motion[0, j], motion[1, j] = joints[0, j], joints[source, j]
@@ -263,8 +262,8 @@ def _supply_torques(
             after = commands[(state.commands + min(2, needed - 1)) % needed, j]
             joint.doubt = max(abs(last - before), abs(after - last))
             joint.effort = last
-    estimated = state.doubted or (state.silent and not momentum.is_input)  # some periods late
-    known = known and measured and not estimated and (
+    late = state.doubted or state.begins or (state.silent and not momentum.is_input)
+    known = known and measured and not late and (
         abs(elapsed - settings.period) < UNEVEN * settings.period)
     momentum.elapsed = elapsed if known else 0.0
     state.unknown = 0 if known else state.unknown + 1
@@ -449,6 +448,7 @@ class Inputs:
         effort = None if joints is None or joints.effort is None else (0.0, joints.effort)
         if joints is not None and joints.qd is None:
             joints = joints._replace(qd=self._no_command)
+            self._state['silent'] = True
         stamps, contents = [math.nan] * 5, [ABSENT] * 5
         for part, reading in enumerate((joints, wrench, variance, (time,), effort)):
             if reading is None:

@@ -156,6 +156,7 @@ class Recovery:
 
     def stopped(self, causes: tuple[str, ...], tick: int) -> None:
         """Take note that a reaction has begun at a tick of control's count."""
+        self.latched = self.latched or 'wrench_stray' in causes  # it presses on what is there
         since, soon = self.resumed_at, RELAPSE_TIME if _is_physical(causes) else SOON
         if since is None or (tick - since) * self._period > soon:
             self._relapses, self._wait = 0, self._shortest

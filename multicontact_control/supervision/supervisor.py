@@ -204,8 +204,7 @@ class Supervisor:
         if seen.joints and arm.refresh():
             self._arm = arm
             if arm.flags or self._flags:
-                self._alarms = checks.TOO_FAST[arm.flags & checks.SPEED_FLAGS]
-                self._alarms += self._touch(arm.flags)
+                self._alarms = checks.TOO_FAST[arm.flags] + self._touch(arm.flags)
             if self._adds_gravity:
                 self.gate.allow_for(self.controller.own_weight())
             self._flags = arm.flags
@@ -235,7 +234,6 @@ class Supervisor:
             return ()
         beyond = np.flatnonzero(np.abs(self._joints['residual']) > self._joints['threshold'])
         self._touched = max(self._touched, *beyond.tolist(), 0)
-        # The wrench is not to be believed before the pushes that prove it.
         return () if self.task.locked else (
             f'{checks.COLLISION}_{self.config.robot.joint_names[self._touched]}',)
 
@@ -334,15 +332,14 @@ class Supervisor:
             reaction = FLOAT  # what is not seen can be neither held nor slowed down
         if causes not in ((RECOVERING,), (LATCHED,)):
             self._good_ticks = 0
-            # An arm that was not seen for a moment only is held when it is seen again, or what
-            # else it waited in goes on.
+            # An arm that was not seen for a moment is held again, or waits as it did.
             if not self._unseen(causes, reaction):
                 self._waiting_reaction = reaction
             elif not self._paused:
                 self._waiting_reaction = HOLD
             if causes != self._causes or not self.findings:
                 self._causes = causes
-                self.findings = tuple(filter(None, map(self._explain, causes)))
+                self.findings = tuple(filter(None, map(self._explain, causes))) or self.findings
         if self.started and not self._paused:
             self._recovery.stopped(causes, self._task_ticks)
             self.reactions.begin(self._output)
@@ -378,12 +375,13 @@ class Supervisor:
     def stray_force(self) -> str:
         """Return what is felt while no contact is sought or held, if it is worth a command."""
         wrench = np.zeros(6)
-        if self._wrench_known and not self.task.sought_normals().size:
+        known = self._wrench_known and self.guarded and self.config.wrench_input != 'momentum'
+        if known and not self.task.sought_normals().size:
             operational_wrench(self._controls[0], wrench)
         force, torque = np.linalg.norm(wrench.reshape(2, 3), axis=1).tolist()
         stray = force > self.config.contact_state.smallest_force or torque > STRAY_TORQUE
-        return (f'{force:.1f} N and {torque:.2g} N m with nothing touching: bias or tool weight; '
-                'tare or calibrate') if stray else ''
+        return (f'{force:.1f} N and {torque:.2g} N m while no contact is commanded: if nothing '
+                'touches the tool, bias or tool weight (tare or calibrate)') if stray else ''
 
     def _unseen(self, causes: tuple[str, ...], reaction: str) -> bool:
         """Return whether the arm floats only because it is not seen, or a part has failed."""

@@ -94,7 +94,7 @@ def main(arguments=None):
     todo = [*product(options.arms, (False, True), (True, False)), *todo[::options.every]]
     found = dict(zip(todo, track(Parallel(2, return_as='generator')(
         delayed(run)(Cell(*cell)) for cell in todo), total=len(todo))))
-    table, bad = Table('', *Cell._fields[:4], 'n', *LARGEST, 'untold', 'causes', box=None), 0
+    table, bad = Table('', *Cell._fields[:4], 'n', *LARGEST, 'unnamed', 'causes', box=None), 0
     for group in dict.fromkeys(x[:4] for x in todo if len(x) == len(Cell._fields)):
         cells, right = [x for cell, x in found.items() if cell[:4] == group], found[group[:3]]
         figures = [max(float((x[0] - right[0]).max()) for x in cells),
@@ -103,9 +103,9 @@ def main(arguments=None):
         limits = [*LARGEST.values()][:3 if source == 'wrench' else 2]  # commanded, it is to move
         wrong = any(x > limit for x, limit in zip(figures, limits))
         bad += wrong
-        untold = sum(not any(y.startswith(source) for y in x[3]) for x in cells)
+        unnamed = sum(not any(y.startswith(source) for y in x[3]) for x in cells)
         table.add_row('not safe' * wrong, *map(str, (*group, len(cells))),
-                      *(f'{x:.2f}' for x in figures), str(untold),
+                      *(f'{x:.2f}' for x in figures), str(unnamed),
                       ', '.join(sorted(set().union(*(x[3] for x in cells)))))
     Console(width=190).print(table)
     return 1 if bad else 0

@@ -74,8 +74,8 @@ def _deliveries() -> list[Fault]:
     burst = Delivery(
         lambda random, n: tuple(range(BURST))[::-1] if n % BURST == BURST - 1 else ())
     gap = Delivery(lambda random, n: ())
-    return [Fault(kind, stream, delivery, REACTIONS[stream] if told else ())
-            for stream in STREAMS for kind, delivery, told in ways] + [
+    return [Fault(kind, stream, delivery, REACTIONS[stream] if named else ())
+            for stream in STREAMS for kind, delivery, named in ways] + [
         Fault('gap', stream, gap, where=IN_PROCESS, ticks=(1, 51)) for stream in STREAMS] + [
         Fault('burst', stream, burst, where=OVER_GRAPH) for stream in STREAMS]
 
@@ -132,13 +132,13 @@ def _double(names: Sequence[str], _choice: Vector) -> list[str]:
 
 
 def _edit(
-    stream: str, fields: str, kind: str, change: Change | None, *, told: bool = True,
+    stream: str, fields: str, kind: str, change: Change | None, *, named: bool = True,
     declared: tuple[str, ...] = (), phases: tuple[str, ...] = PHASES,
     where: tuple[str, ...] = BOTH, at_once: bool = False,
 ) -> Fault:
-    """Return a fault of what a reading says; `told` if the stream's reaction must follow."""
+    """Return a fault of what a reading says; `named` if the stream's reaction must follow."""
     return Fault(kind, stream, Edit(tuple(fields.split()), change),
-                 (declared or REACTIONS[stream]) if told else (), phases, where, at_once=at_once)
+                 (declared or REACTIONS[stream]) if named else (), phases, where, at_once=at_once)
 
 
 def _numbers() -> list[Fault]:
@@ -154,21 +154,21 @@ def _numbers() -> list[Fault]:
         # A message always has six numbers.
         _edit('wrench', 'wrench', 'wrong_count', _shorten, where=IN_PROCESS),
         _edit('wrench', 'wrench', 'saturated', _put(200.0), at_once=True),
-        _edit('wrench', 'wrench', 'biased', _add(5.0), told=False),
+        _edit('wrench', 'wrench', 'biased', _add(5.0), named=False),
         _edit('wrench', 'wrench', 'sign_flipped', _scale(-1.0), phases=(REST, SLIDING),
               at_once=True),
-        _edit('wrench', 'wrench', 'rotated', _turn, told=False),
-        _edit('wrench', 'wrench', 'scaled_x3', _scale(3.0), told=False, where=IN_PROCESS),
-        _edit('wrench', 'wrench', 'half', _scale(0.5), told=False),
+        _edit('wrench', 'wrench', 'rotated', _turn, named=False),
+        _edit('wrench', 'wrench', 'scaled_x3', _scale(3.0), named=False, where=IN_PROCESS),
+        _edit('wrench', 'wrench', 'half', _scale(0.5), named=False),
         _edit('variance', 'variance', 'nan', _put(NAN)),
         _edit('variance', 'variance', 'infinite', _put(INF)),
         _edit('variance', 'variance', 'zero', _put(0.0)),
         _edit('variance', 'variance', 'negative', _put(-1.0)),
         _edit('variance', 'variance', 'wrong_count', _shorten),
-        _edit('variance', 'variance', 'huge', _put(1e30), told=False),
-        _edit('variance', 'variance', 'tiny', _put(1e-30), told=False),
+        _edit('variance', 'variance', 'huge', _put(1e30), named=False),
+        _edit('variance', 'variance', 'tiny', _put(1e-30), named=False),
         _edit('joints', 'q', 'biased_q', _add(0.05)),
-        _edit('joints', 'qd', 'biased_qd', _add(0.2), told=False),
+        _edit('joints', 'qd', 'biased_qd', _add(0.2), named=False),
         _edit('joints', 'qd', 'saturated_qd', _put(50.0), declared=HOLD, where=IN_PROCESS)]
 
 
@@ -185,9 +185,9 @@ def _frozen() -> list[Fault]:
     return [
         _edit('joints', 'q qd', 'frozen', None, phases=moving),
         _edit('joints', 'q', 'frozen_q', None, phases=moving, where=IN_PROCESS),
-        _edit('joints', 'qd', 'frozen_qd', None, told=False, where=IN_PROCESS),
+        _edit('joints', 'qd', 'frozen_qd', None, named=False, where=IN_PROCESS),
         _edit('wrench', 'wrench', 'frozen', None),
-        _edit('variance', 'variance', 'frozen', None, told=False)]
+        _edit('variance', 'variance', 'frozen', None, named=False)]
 
 
 def _clocks() -> list[Fault]:
@@ -323,9 +323,9 @@ def _velocities() -> list[Fault]:
         'like_position': Edit(('qd',), _scale(1.0), source='q'),
         'constant': Edit(('qd',), lambda values, choice: np.full(len(values), 0.5)),
         'delayed': Edit(('qd',), None, age=25), 'frozen': Edit(('qd',), None)}
-    told = ('constant_qd', 'like_position_qd')  # also of an arm that stands
+    named = ('constant_qd', 'like_position_qd')  # also of an arm that stands
     return [Fault(name := f'{kind}_{which}', 'joints', replace(edit, single=which == 'qd_of_one'),
-                  STOPPED if name in told else (), where=IN_PROCESS, ticks=LASTING,
+                  STOPPED if name in named else (), where=IN_PROCESS, ticks=LASTING,
                   from_start=True)
             for kind, edit in edits.items() for which in ('qd', 'qd_of_one')
             if (kind, which) != ('frozen', 'qd')]
@@ -346,7 +346,7 @@ def _drivers() -> list[Fault]:
     return [
         *(Fault(kind, 'wrench', Edit(('wrench',), change), where=IN_PROCESS, ticks=LASTING,
                 from_start=True) for kind, change in wrenches.items()),
-        _edit('joints', 'q', 'wrapped_q', _add(2.0 * math.pi), told=False, where=IN_PROCESS),
+        _edit('joints', 'q', 'wrapped_q', _add(2.0 * math.pi), named=False, where=IN_PROCESS),
         Fault('second_publisher', 'plant', PlantEdit(
             command_twice, lambda plant, choice: delattr(plant, 'step')), where=IN_PROCESS)]
 
