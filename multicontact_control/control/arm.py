@@ -29,7 +29,7 @@ REGRESSORS = DIRECTION, SPEED, ACCELERATION, WRENCH = range(4)
 FADING_TIME = 1.0  # s, time constant of what is summed up of them
 REST_TIME, LEARNING_TIME = 0.2, 0.5  # s at rest and in motion, after which no more is learnt
 PRIOR_TIME = 0.01  # s of motion without friction that each joint has behind it
-UNPROVEN_THRESHOLD = 3.0  # N m, least threshold of a joint before
+UNPROVEN_THRESHOLD = 3.0  # N m, least threshold of a joint until it has moved that long
 
 
 @compiled

@@ -1,5 +1,5 @@
 """
-What an answer of the control law is checked for, and from which residuals on a joint counts.
+What an answer of the control law is checked for, and which residual is a collision.
 
 Causes of the checks, as those of the inputs in `inputs`, are named `<part>_<what>`: `motion`
 (`operational_speed`, `joint_speed`), `wrench` (`pull`, `sideways`, `stray`), `law` (`not_finite`,

@@ -81,9 +81,9 @@ def explain_collision(joints: Any, momentum: Any, names: Sequence[str]) -> str:
     """Return what speaks for which cause of a collision, from the records of the observer."""
     residual = joints['residual']
     shares = np.abs(residual) / (joints['threshold'] + joints['slack'])
-    worst, loaded = int(np.argmax(shares)), [
-        name for name, share in zip(names, shares) if share > RELEASE]
+    worst = int(np.argmax(shares))
     name, evidence = names[worst], joints['evidence'][worst]
+    loaded = [joint for joint, share in zip(names, shares) if share > RELEASE] or [name]
     if evidence['rested'] < 0.5 * REST_TIME or evidence['at_rest'] / residual[worst] > 0.5:
         settled = 1.0 - np.exp(-momentum['bandwidth'] * evidence['rested'])
         return (f'{name}: the residual is there from the first sample on'

@@ -8,7 +8,7 @@ from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import ELBOW_WALL, FAR
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.paths import config_dir
-from multicontact_control.supervision.findings import undeclared_friction
+from multicontact_control.supervision.findings import explain_collision, undeclared_friction
 import numpy as np
 import pytest
 import yaml
@@ -182,3 +182,16 @@ def test_cause_of_a_collision_is_named(tmp_path, corrupt, controller, ticks, wha
             advance(loop, 1, corrupt)
             findings += loop.control.supervisor.findings
     assert what in findings[0]
+
+
+def test_cause_of_a_collision_is_named_whatever_is_left_of_its_residual():
+    """Torques that are not known for a second make it be forgotten while the arm is not seen."""
+    with standing('panda/rigid', 0, commanded=False) as loop:
+        advance(loop, 200)
+        supervisor = loop.control.supervisor
+        joints, momenta = supervisor.controller.arm.joints, supervisor.controller.controls
+        joints['evidence']['product'] = 0.0  # it has followed nothing
+        for residual in (0.0, 1e30, np.nan):
+            joints['residual'] = residual
+            assert explain_collision(
+                joints, momenta['momentum'][0], loop.setup.controller.robot.joint_names)
