@@ -25,7 +25,7 @@ MOST_HOPS, MOST_FILES = 25, 15  # compiled functions counted
 
 
 class Walk:
-    """The functions of the package that run from a callback to the next publication."""
+    """The functions of the package that run from a callback to what it publishes."""
 
     def __init__(self):
         self.hops, self.published = [], False
@@ -36,6 +36,8 @@ class Walk:
         if event == 'c_call' and argument.__name__ in ('publish', 'publish_raw') and self.hops:
             self.published = True
         path, name = Path(frame.f_code.co_filename), frame.f_code.co_qualname
+        if event == 'return' and name == CALLBACK:
+            self.hops = []  # the first message of two publishes nothing; timers may come between
         if event == 'call' and path.is_relative_to(PACKAGE):
             if name == CALLBACK:
                 self.hops = []
