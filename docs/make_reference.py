@@ -223,7 +223,7 @@ def graph() -> str:
         'All names but those with a slash in front are relative: a namespace moves the whole '
         'graph. The robot, or a simulator of yours, stands where `sim_node` does. *control*: one '
         'message per control period; *event*: now and then. What each end does when messages '
-        'are late, missing or wrong is in [Your robot](../your_robot.md#behind-the-topics).',
+        'are late, missing or wrong is in [the interface](../interface.md#samples).',
         '## Topics',
         table(['topic', 'type', 'content'], contents),
         '## Ends',
