@@ -7,13 +7,14 @@ The tutorial is followed in one folder from its first line to its last, but for 
 """
 
 import ast
+from dataclasses import fields
 import inspect
 from pathlib import Path
 import re
 import shlex
 
 from multicontact_control import cli
-from multicontact_control.cli.options import resolve_settings
+from multicontact_control.cli.options import RunOptions
 from multicontact_control.client import ArmState, MultiContactClient
 from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, RECORDER, SIM
 from multicontact_control.experiment.results import load_run
@@ -82,16 +83,9 @@ def parses(words):
 def resolves(words):
     """As `parses`; and scenario, robot, plant, preset and settings make a configuration."""
     values = parses(words)
-    options = {key: values.get(key) or '' for key in ('plant', 'robot', 'preset')}
-    estimator, law, engine = (
-        values.get(key) for key in ('noise_estimator', 'law', 'engine'))
-    if values.get('external') or options['robot'] in YOURS:
-        return
-    resolve_settings(values['scenario'], {
-        **options, 'seed': values['seed'],
-        'noise_estimator': {'estimator': estimator} if estimator else None,
-        'controller': {'force': {'law': law}} if law else None,
-        'plant_overrides': {'engine': engine} if engine else None}, values.get('settings'))
+    if not values.get('external') and values['robot'] not in YOURS:
+        RunOptions(**{field.name: values[field.name] for field in fields(RunOptions)
+                      if field.name in values}).setup()
 
 
 def names_a_study(words):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from multicontact_control.cli.exits import errors_in_one_line
 from multicontact_control.errors import ConfigError
 import typer
 
@@ -18,38 +17,39 @@ def design(
     input_delay: Annotated[float, typer.Option(
         help='T_d, from commanded to acting input [s].')] = 0.006,
     noise: Annotated[float, typer.Option(
-        help='R that aob and lqg are designed for [N^2]. What it does to u is printed for white '
-        'noise of this variance.')] = 0.6,
+        help='R, the variance of the force noise: aob and lqg are designed for it, and its effect '
+        'on u is printed [N^2].')] = 0.6,
     damping_rate: Annotated[float, typer.Option(help='K_2 [1/s].')] = 100.0,
     rate: Annotated[float, typer.Option(help='Control rate [Hz].')] = 500.0,
     out: Annotated[Path | None, typer.Option(
-        help='Parameter file to write, for --preset. The stiffness of the model is not in it, '
-        'since contacts have that: it is told as --set for it.')] = None,
+        help='Parameter file to write, for --preset.')] = None,
 ) -> None:
     """
-    Find the fastest gains of a force law that are stable on a range of surfaces.
+    Find the fastest stable gains of a force law for a range of surfaces.
 
-    With a gain margin of 2 and a control period of delay left on the stiffest one, on the linear
-    model of the contact (P04 eq. 32). Exit code 0; 2: bad input, or no such gains.
+    With a gain margin of 2 and a delay margin of one control period on the stiffest surface, on
+    the linear model of the contact (P04 eq. 32). The file has the gains only: the stiffness of
+    the model is printed as a --set option.
+
+    Exit code 0: found; 2: bad input, or no such gains.
     """
-    with errors_in_one_line():
-        try:
-            softest, stiffest = map(float, stiffness.split(','))
-        except ValueError:
-            raise ConfigError(
-                'stiffness', 'two numbers with a comma between', f"'{stiffness}'") from None
-        if not rate > 0.0:
-            raise ConfigError('rate', 'a positive number', rate)
-        from multicontact_control.experiment.law_report import (
-            design_for_range,
-            show_design,
-            write_design,
-        )
+    try:
+        softest, stiffest = map(float, stiffness.split(','))
+    except ValueError:
+        raise ConfigError(
+            'stiffness', 'two numbers with a comma between', f"'{stiffness}'") from None
+    if not rate > 0.0:
+        raise ConfigError('rate', 'a positive number', rate)
+    from multicontact_control.experiment.law_report import (
+        design_for_range,
+        show_design,
+        write_design,
+    )
 
-        found = design_for_range(
-            law, input_delay=input_delay, softest=softest, stiffest=stiffest,
-            noise_variance=noise, damping_rate=damping_rate, period=1.0 / rate)
-        typer.echo(show_design(found))
-        if out is not None:
-            write_design(found, out)
-            typer.echo(f'written to {out}')
+    result = design_for_range(
+        law, input_delay=input_delay, softest=softest, stiffest=stiffest,
+        noise_variance=noise, damping_rate=damping_rate, period=1.0 / rate)
+    typer.echo(show_design(result))
+    if out is not None:
+        write_design(result, out)
+        typer.echo(f'written to {out}')

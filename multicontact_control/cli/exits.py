@@ -51,6 +51,6 @@ def resumable() -> Iterator[None]:
 
 
 def end_by_verdict(summary: dict[str, Any]) -> None:
-    """Exit with 1 if the run was not stable; what the supervisor held is not, either."""
+    """Exit with 1 if the run was not stable, or was held by the supervisor."""
     if summary['stable'] is False:
         raise typer.Exit(EXIT_FAILED)

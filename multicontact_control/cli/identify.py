@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from multicontact_control.cli.exits import errors_in_one_line
 import typer
 
 
@@ -14,29 +13,28 @@ def identify(
         metavar='RUN', help='Folder of `run` or `simulate`, or a bag (folder or .mcap file) with '
         '--config.')],
     config: Annotated[Path | None, typer.Option(
-        help='Parameter file of the controller, for a bag that was recorded in another way; its '
-             'URDF is looked for beside it.')] = None,
+        help='Parameter file of the controller, for a bag; its URDF is looked for beside '
+        'it.')] = None,
     out: Annotated[Path | None, typer.Option(help='JSON file to write.')] = None,
 ) -> None:
     """
-    Find out from recorded force steps what the contacts are like.
+    Identify the contacts of a run from its force steps.
 
-    For each contact stiffness and damping of the surface, friction of the others, inertia of the
+    For each contact: stiffness and damping of the surface, friction of the others, inertia of the
     tool, noise of the sensor, and the delay from a commanded torque to the motion, each with its
-    standard error, by the band-pass and the regression of the on-line estimate. Exit code 0; 1: no
-    force steps, or the recording lacks something; 2: bad input.
-    """
-    with errors_in_one_line():
-        from multicontact_control.experiment.contact_identification import (
-            identify_contacts,
-            read_recording,
-            show,
-        )
-        from multicontact_control.files import finite, write_json
+    standard error, by the band-pass and the regression of the on-line estimate.
 
-        data, controller, base_dir = read_recording(run, config)
-        found = identify_contacts(data, controller, base_dir)
-        typer.echo(show(found))
-        if out is not None:
-            write_json(out, finite(found))
-            typer.echo(f'written to {out}')
+    Exit code 0: found; 1: no force steps, or the recording lacks something; 2: bad input.
+    """
+    from multicontact_control.experiment.contact_identification import (
+        identify_contacts,
+        read_recording,
+        show,
+    )
+    from multicontact_control.files import finite, write_json
+
+    result = identify_contacts(*read_recording(run, config))
+    typer.echo(show(result))
+    if out is not None:
+        write_json(out, finite(result))
+        typer.echo(f'written to {out}')

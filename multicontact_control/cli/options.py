@@ -1,12 +1,16 @@
-"""Options that several commands have, and what `run` and `simulate` make of theirs."""
+"""Options that several commands have."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from datetime import datetime
+from functools import wraps
+import inspect
 from pathlib import Path
-from typing import Annotated, Any, TYPE_CHECKING
+from typing import Annotated, Any, get_type_hints, TYPE_CHECKING
 
+from multicontact_control.errors import ConfigError
 import typer
 
 if TYPE_CHECKING:
@@ -14,50 +18,32 @@ if TYPE_CHECKING:
     from multicontact_control.experiment.scenario import Setup
 
 Scenario = Annotated[str, typer.Option(
-    help='Scenario: a name from config/scenarios (paper, quick) or the path of a YAML file.')]
+    help='Scenario: a name from config/scenarios (paper, quick) or a YAML file.')]
 Robot = Annotated[str, typer.Option(
-    help='Robot: a name from config/robots (puma, panda, iiwa, ur5, kinova) or the path of such a '
-         'file; puma if not given.')]
+    help='Robot: a name from config/robots (puma, panda, iiwa, ur5, kinova) or a YAML file; '
+         'puma if not given.')]
 Plant = Annotated[str, typer.Option(
-    help='How the robot is simulated: `rigid` (ideal drives), `flexible` (drives with springs and '
-         'friction; of the PUMA, also called `puma`), ROBOT/PLANT, or the path of a parameter '
-         'file; the default of the robot if not given.')]
+    help='How the robot is simulated: rigid (ideal drives), flexible (drives with springs and '
+         "friction), ROBOT/PLANT, or a parameter file; the robot's default if not given.")]
 Engine = Annotated[str, typer.Option(
-    help='What simulates it: pybullet, or mujoco (extra [mujoco]); as configured, pybullet, if '
+    help='Physics engine: pybullet or mujoco (extra [mujoco]); the configured one, pybullet, if '
          'not given.')]
 Plants = Annotated[str, typer.Option(
     help='Plants, with commas between: names, ROBOT/PLANT, or paths; all of the robot if not '
          'given.')]
-Seed = Annotated[int, typer.Option(help='Seed of the sensor noise and the surface roughness.')]
-Duration = Annotated[float | None, typer.Option(
-    help="Length of the run [s]; the scenario's own if not given.")]
-Out = Annotated[Path | None, typer.Option(
-    help='Folder for the results; runs/<date>-<time>-<scenario> if not given.')]
-Estimator = Annotated[str | None, typer.Option(
-    '--noise-estimator', help='How R is estimated: lead_window (the paper), hf_window, window, '
-    'fixed (0.6 N^2), innovation, sage_husa or variational_bayes; the configured one if not '
-    'given.')]
+Seed = Annotated[int, typer.Option(help='Seed of sensor noise and surface roughness.')]
 Preset = Annotated[str, typer.Option(
-    help='What is laid over the configuration first: `paper` (as published), `best` (the default '
-         'of the nodes), `adaptive` (best, with the stiffness found on-line), or the path of a '
-         'parameter file.')]
-Law = Annotated[str | None, typer.Option(
-    help='Force law of all contacts: aob (the paper), pi, dob, lqg, admittance, impedance or '
-         'feedforward; the configured one if not given.')]
+    help='Parameters laid over the files of controller and noise estimator: paper (as '
+         'published), best, adaptive (best, with stiffness found on-line), or a file.')]
 Settings = Annotated[list[str] | None, typer.Option(
-    '--set', metavar='KEY=VALUE', help='A value laid over all files, e.g. '
-    'plant.surfaces.*.stiffness=60000 or controller.force.damping_rate=60; may be repeated.')]
-Overwrite = Annotated[bool, typer.Option(
-    '--overwrite', help='Replace a run that is already in that folder.')]
-Bare = Annotated[bool, typer.Option(
-    '--bare', help='The control law alone, as the claims are measured, without the contact '
-    'states, watchdogs, limits and gate of the supervisor.')]
+    '--set', metavar='KEY=VALUE', help='A value laid over all files, in SI units, e.g. '
+    'plant.surfaces.*.stiffness=60000; may be repeated.')]
 ControllerFiles = Annotated[list[Path] | None, typer.Option(
     '--controller', metavar='FILE', help='Parameter file of your controller; may be repeated, '
-    'each laid over those before. A relative URDF is looked for beside the file that names it.')]
+    'each laid over those before. A relative URDF is looked for beside its file.')]
 DomainId = Annotated[int | None, typer.Option(
     envvar='ROS_DOMAIN_ID', min=0, max=232,
-    help='ROS_DOMAIN_ID to look at; that of the environment, or 0, if not given.')]
+    help='ROS_DOMAIN_ID of the graph; that of the environment, or 0, if not given.')]
 Namespace = Annotated[str | None, typer.Option(
     help='Namespace of the controller; of a recording, the only one in it if not given.')]
 
@@ -79,6 +65,112 @@ Estimators = Annotated[str, typer.Option(
     'at rest as `lead_window`. All if not given.')]
 
 
+@dataclass(frozen=True)
+class SetupOptions:
+    """What is simulated, as `run`, `simulate` and `view` are told."""
+
+    scenario: Scenario = 'paper'
+    robot: Robot = ''
+    plant: Plant = ''
+    seed: Seed = 0
+    preset: Preset = 'best'
+    settings: Settings = None
+    engine: Engine = ''
+
+    def arguments(self) -> dict[str, Any]:
+        """Return them as arguments of `experiment.scenario.resolve`."""
+        return {'plant': self.plant, 'robot': self.robot, 'seed': self.seed,
+                'preset': self.preset,
+                'plant_overrides': {'engine': self.engine} if self.engine else None}
+
+    def setup(self) -> Setup:
+        """Return the configuration, checked; ConfigError."""
+        return resolve_settings(self.scenario, self.arguments(), self.settings)
+
+
+@dataclass(frozen=True)
+class RunOptions(SetupOptions):
+    """What `run` and `simulate` are told beside that."""
+
+    duration: Annotated[float | None, typer.Option(
+        help="Length of the run [s]; the scenario's own if not given.")] = None
+    noise_estimator: Annotated[str | None, typer.Option(
+        help='How R is estimated: lead_window (the paper), hf_window, window, fixed (0.6 N^2), '
+        'innovation, sage_husa or variational_bayes; the configured one if not given.')] = None
+    law: Annotated[str | None, typer.Option(
+        help='Force law of all contacts: aob (the paper), pi, dob, lqg, admittance, impedance or '
+        'feedforward; the configured one if not given.')] = None
+    out: Annotated[Path | None, typer.Option(
+        help='Folder for the results; runs/<date>-<time>-<scenario> if not given.')] = None
+    overwrite: Annotated[bool, typer.Option(
+        '--overwrite', help='Replace the run in that folder.')] = False
+    bare: Annotated[bool, typer.Option(
+        '--bare', help='The control law alone, without the contact states, checks, limits and '
+        'gate of the supervisor.')] = False
+
+    def control(self) -> dict[str, Any]:
+        """Return the overrides of controller and noise estimator."""
+        return {
+            'duration': self.duration,
+            'noise_estimator': {'estimator': self.noise_estimator} if self.noise_estimator
+            else None, 'controller': {'force': {'law': self.law}} if self.law else None}
+
+    def arguments(self) -> dict[str, Any]:
+        """Return them as arguments of `experiment.scenario.resolve`."""
+        return {**super().arguments(), **self.control()}
+
+    def external(self, files: Sequence[Path], given: set[str]) -> External:
+        """
+        Return the configuration for a robot behind the topics, checked; ConfigError.
+
+        A scenario and a preset count only if they are `given`; the noise estimator may be a
+        parameter file.
+        """
+        from multicontact_control.experiment.external import resolve_external
+        from multicontact_control.experiment.overrides import overridden
+
+        arguments = {
+            **self.control(), 'scenario': self.scenario if 'scenario' in given else None,
+            'preset': self.preset if 'preset' in given else ''}
+        if self.noise_estimator and Path(self.noise_estimator).suffix in ('.yaml', '.yml'):
+            arguments |= {'noise_estimator': None, 'estimator_file': Path(self.noise_estimator)}
+        resolved = resolve_external(files, **arguments)
+        if not self.settings:
+            return resolved
+        return resolve_external(files, **overridden(arguments, self.settings, resolved.setup))
+
+    def folder(self, setup: Setup) -> Path:
+        """Make the folder of the run and return it; ConfigError if there is a run in it."""
+        from multicontact_control.experiment.results import prepare_folder
+
+        return prepare_folder(
+            self.out, setup.scenario.name, overwrite=self.overwrite, now=datetime.now())
+
+
+def flattened(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command that has the fields of each of its dataclass parameters as options."""
+    kinds = get_type_hints(command, include_extras=True)
+    groups = {name: kind for name, kind in kinds.items() if is_dataclass(kind)}
+    parameters = []
+    for parameter in inspect.signature(command).parameters.values():
+        kind = kinds[parameter.name]
+        hints = get_type_hints(kind, include_extras=True) if parameter.name in groups else {}
+        parameters += [inspect.Parameter(
+            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default,
+            annotation=hints[field.name]) for field in fields(kind)] if hints else [
+            parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kind)]
+
+    @wraps(command)
+    def flat(**values: Any) -> None:
+        made = {name: kind(**{field.name: values.pop(field.name) for field in fields(kind)})
+                for name, kind in groups.items()}
+        command(**made, **values)
+
+    flat.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    flat.__annotations__ = {each.name: each.annotation for each in parameters}
+    return flat
+
+
 def given_options(context: typer.Context) -> set[str]:
     """Return the names of the options that were given on the command line."""
     return {name for name in context.params
@@ -86,10 +178,8 @@ def given_options(context: typer.Context) -> set[str]:
             and source.name == 'COMMANDLINE'}
 
 
-def refuse_options(given: set[str], names: tuple[str, ...], what: str) -> None:
+def refuse_options(given: set[str], names: Sequence[str], what: str) -> None:
     """Refuse options that have no meaning; ConfigError naming the first."""
-    from multicontact_control.errors import ConfigError
-
     for name in names:
         if name in given:
             option = 'set' if name == 'settings' else name.replace('_', '-')
@@ -99,47 +189,6 @@ def refuse_options(given: set[str], names: tuple[str, ...], what: str) -> None:
 def split_list(text: str) -> tuple[str, ...]:
     """Return the parts of a list with commas between, without the empty ones."""
     return tuple(part.strip() for part in text.split(',') if part.strip())
-
-
-def prepare(
-    scenario: str, plant: str, seed: int, duration: float | None, noise_estimator: str | None,
-    out: Path | None, overwrite: bool, *, preset: str = '', law: str | None = None,
-    settings: Sequence[str] | None = None, robot: str = '', engine: str = '',
-) -> tuple[Setup, Path]:
-    """Check all a run needs, then make its folder; MulticontactError for what is wrong."""
-    from multicontact_control.experiment.results import prepare_folder
-
-    setup = resolve_settings(scenario, {
-        'plant': plant, 'robot': robot, 'seed': seed, 'duration': duration, 'preset': preset,
-        'noise_estimator': {'estimator': noise_estimator} if noise_estimator else None,
-        'controller': {'force': {'law': law}} if law else None,
-        'plant_overrides': {'engine': engine} if engine else None}, settings)
-    return setup, prepare_folder(
-        out, setup.scenario.name, overwrite=overwrite, now=datetime.now())
-
-
-def prepare_external(
-    files: Sequence[Path], scenario: str | None, duration: float | None,
-    noise_estimator: str | None, out: Path | None, overwrite: bool, *, preset: str = '',
-    law: str | None = None, settings: Sequence[str] | None = None,
-) -> tuple[External, Path]:
-    """Do the same as `prepare` for a run with the user's own robot behind the topics."""
-    from multicontact_control.experiment.external import resolve_external
-    from multicontact_control.experiment.overrides import overridden
-    from multicontact_control.experiment.results import prepare_folder
-
-    is_file = noise_estimator is not None and Path(noise_estimator).suffix in ('.yaml', '.yml')
-    options: dict[str, Any] = {
-        'scenario': scenario, 'duration': duration, 'preset': preset,
-        'estimator_file': Path(noise_estimator) if noise_estimator and is_file else None,
-        'noise_estimator': {'estimator': noise_estimator} if noise_estimator and (
-            not is_file) else None,
-        'controller': {'force': {'law': law}} if law else None}
-    resolved = resolve_external(files, **options)
-    if settings:
-        resolved = resolve_external(files, **overridden(options, settings, resolved.setup))
-    return resolved, prepare_folder(
-        out, resolved.setup.scenario.name, overwrite=overwrite, now=datetime.now())
 
 
 def resolve_settings(

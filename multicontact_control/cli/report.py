@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 from multicontact_control.cli import options
-from multicontact_control.cli.exits import errors_in_one_line
 import typer
 
 
@@ -23,23 +22,24 @@ def report(
     namespace: options.Namespace = None,
 ) -> None:
     """
-    Judge recorded runs by the claims of the paper: report.html, and figures as PNG and PDF.
+    Judge recorded runs by the claims of the paper: HTML and figures.
 
-    Of a recording without ground truth the measured forces are shown, and no run is called stable
-    by them. Names and rate are those of the messages, or of --controller.
+    Of a recording without ground truth the measured forces are shown, and the run is not judged.
+    Names and rate are those of the messages, or of --controller.
+
+    Exit code 0: written; 1: a recording lacks something; 2: bad input.
     """
     from multicontact_control.experiment.report import write_report
     from multicontact_control.experiment.results import is_whole_run, load, report_folder
     from multicontact_control.experiment.study.presets.compare.results import read_comparison
 
-    with errors_in_one_line():
-        if all(map(is_whole_run, runs)):
-            options.refuse_options(
-                options.given_options(context), ('controller', 'namespace'),
-                'runs of this package, which know their own')
-        content = read_comparison(comparison) if comparison is not None else None
-        loaded = [load(path, controller or (), namespace) for path in runs]
-        paths = write_report(loaded, out or report_folder(runs[0]), content)
+    if all(map(is_whole_run, runs)):
+        options.refuse_options(
+            options.given_options(context), ('controller', 'namespace'),
+            'runs of this package, which know their own')
+    content = read_comparison(comparison) if comparison is not None else None
+    loaded = [load(path, controller or (), namespace) for path in runs]
+    paths = write_report(loaded, out or report_folder(runs[0]), content)
     for run in loaded:
         for remark in run.summary.get('remarks', ()):
             typer.echo(f'{run.folder}: {remark}')

@@ -1,121 +1,119 @@
-"""`multicontact run`."""
+"""`multicontact run` and `multicontact simulate`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Annotated, Any, NoReturn
+from typing import Annotated
 
-from multicontact_control.cli import options
-from multicontact_control.cli.exits import (
-    end_by_verdict,
-    errors_in_one_line,
-    EXIT_FAILED,
-    EXIT_SIGNAL,
+from multicontact_control.cli.exits import end_by_verdict, EXIT_FAILED, EXIT_SIGNAL
+from multicontact_control.cli.options import (
+    ControllerFiles,
+    given_options,
+    refuse_options,
+    RunOptions,
 )
+from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.graph.node_process import prepare_nodes
 import typer
 
+OF_THE_PLANT = ('robot', 'plant', 'seed', 'commanded', 'speed', 'free_running', 'engine')
+
 
 def run(
-    context: typer.Context,
-    scenario: options.Scenario = 'paper', robot: options.Robot = '', plant: options.Plant = '',
-    seed: options.Seed = 0, duration: options.Duration = None,
-    noise_estimator: options.Estimator = None, out: options.Out = None,
-    overwrite: options.Overwrite = False, bare: options.Bare = False,
-    preset: options.Preset = 'best', law: options.Law = None, settings: options.Settings = None,
-    engine: options.Engine = '',
+    context: typer.Context, options: RunOptions,
+    commanded: Annotated[bool, typer.Option(
+        '--commanded', help='The simulated arm obeys the command topics instead of the '
+        "scenario's reference. Ends after --duration, or with Ctrl-C.")] = False,
+    speed: Annotated[float, typer.Option(
+        min=0.0, max=100.0, help='Largest real-time factor; 0 for as fast as it goes. The torques '
+        'are those of `simulate`, bit for bit, at any speed.')] = 1.0,
+    free_running: Annotated[bool, typer.Option(
+        '--free-running', help='The simulated arm does not wait for commands, as a robot does '
+        'not; missed deadlines are counted.')] = False,
     external: Annotated[bool, typer.Option(
-        '--external', help='On your own robot or simulator, which is behind the topics: starts '
-        'controller, noise estimator and recorder only, waits for the robot, and obeys the '
-        'command topics, or a --scenario. Ends after --duration, or with Ctrl-C. Takes '
-        '--controller; --noise-estimator may then be a parameter file, too.')] = False,
-    controller: options.ControllerFiles = None,
+        '--external', help='Your own robot or simulator is behind the topics: start controller, '
+        'noise estimator and recorder only, wait for the robot, and obey the command topics, or a '
+        '--scenario. Ends after --duration, or with Ctrl-C. Needs --controller; '
+        '--noise-estimator may be a parameter file.')] = False,
+    controller: ControllerFiles = None,
     robot_timeout: Annotated[float, typer.Option(
         help='With --external: time without a sample after which the robot counts as gone '
         '[s].')] = 5.0,
-    commanded: Annotated[bool, typer.Option(
-        '--commanded', help='Let the simulated arm obey the command topics, as a robot does, '
-        'instead of playing the scenario, of which contacts, surfaces and disturbances stay. Ends '
-        'after --duration, or with Ctrl-C.')] = False,
-    speed: Annotated[float, typer.Option(
-        min=0.0, max=100.0, help='Simulated time per wall time at most; 0 for as fast as it '
-        'goes. The torques are those of `simulate`, bit for bit, at any speed.')] = 1.0,
-    free_running: Annotated[bool, typer.Option(
-        '--free-running', help='Let the simulated arm run on without waiting for commands, as a '
-        'robot does; missed deadlines are counted.')] = False,
     domain_id: Annotated[int | None, typer.Option(
-        help='ROS_DOMAIN_ID of the graph; that of the environment, or the first one without '
-        'participants on this machine (0 with --external), if not given.')] = None,
+        help='ROS_DOMAIN_ID of the graph; that of the environment, or the first one that is free '
+        'on this machine (0 with --external), if not given.')] = None,
+    namespace: Annotated[str, typer.Option(
+        help='Namespace of the graph: two graphs can then share one domain.')] = '',
     realtime: Annotated[bool, typer.Option(
         '--realtime', help='Ask for SCHED_FIFO, a processor and locked memory for the nodes that '
-        'control, and say at the end what they got.')] = False,
-    namespace: Annotated[str, typer.Option(
-        help='Namespace of the graph, e.g. `left`: two graphs can then share one domain.')] = '',
+        'control, and print what they got.')] = False,
 ) -> None:
     """
-    Run a scenario on the ROS 2 graph, record it to MCAP and report it.
+    Run a scenario on the ROS 2 graph, and record it.
 
-    Starts simulator, controller, noise estimator and recorder, each in a process of its own, stops
-    them together, then draws the figures from the bag. The simulator waits for the controller: on
-    a busy machine simulated time is slow, and the forces stay the same.
-    Exit code 0: stable, or not judged (nothing was ever pressed, or a free run missed more than
-    1 % of its deadlines); 1: not stable, held by the supervisor, or a node died; 2: bad input;
-    128 + n: ended by signal n.
-    With --external 0 also without ground truth, where nothing is called stable, and 1 also if the
-    robot is gone.
+    Starts simulator, controller, noise estimator and recorder, each in a process of its own, and
+    draws the figures from the recorded bag. The simulator waits for the controller: on a busy
+    machine simulated time is slow, and the forces are the same.
+
+    Exit code 0: stable, or not judged because no contact was under load or a free run missed more
+    than 1 % of its deadlines; 1: not stable, held by the supervisor, a node died, or the external
+    robot is gone; 2: bad input; 128 + n: ended by signal n. An external run has no ground truth:
+    it is not called stable, and ends with 0.
     """
     from multicontact_control.experiment.graph.domain import check_namespace
 
-    with errors_in_one_line():
-        namespace = check_namespace(namespace)
-        given = options.given_options(context)
-        # The nodes' modules are loaded by another process, while this one loads its own.
-        prepare_nodes()
-        if external:
-            options.refuse_options(given, ('robot', 'plant', 'seed', 'commanded', 'speed',
-                                           'free_running', 'engine'), '--external')
-            resolved, folder = options.prepare_external(
-                controller or (), scenario if 'scenario' in given else None, duration,
-                noise_estimator, out, overwrite, preset=preset if 'preset' in given else '',
-                law=law, settings=settings)
-            from multicontact_control.experiment.run import GraphOptions, run_external
-
-            outcome, interrupted = run_external(resolved, folder, GraphOptions(
-                domain_id=domain_id, namespace=namespace, realtime=realtime),
-                robot_timeout=robot_timeout, supervised=not bare)
-            end(outcome, interrupted)
-        options.refuse_options(given, ('controller', 'robot_timeout'), 'a simulated plant')
+    namespace = check_namespace(namespace)
+    given = given_options(context)
+    # The nodes' modules are loaded by another process, while this one loads its own.
+    prepare_nodes()
+    if external:
+        refuse_options(given, OF_THE_PLANT, '--external')
+        resolved = options.external(controller or (), given)
+        folder = options.folder(resolved.setup)
+    else:
+        refuse_options(given, ('controller', 'robot_timeout'), 'a simulated plant')
         if commanded:
-            refuse_scenario(settings)
-        setup, folder = options.prepare(
-            scenario, plant, seed, duration, noise_estimator, out, overwrite, preset=preset,
-            law=law, settings=settings, robot=robot, engine=engine)
-        setup = replace(setup, commanded_by_topic=commanded)
-        from multicontact_control.experiment.run import GraphOptions, run_real_time
+            refuse_scenario(options.settings or ())
+        setup = replace(options.setup(), commanded_by_topic=commanded)
+        folder = options.folder(setup)
+    # Only now: bad input is refused before the simulator is loaded.
+    from multicontact_control.experiment.run import GraphOptions, run_external, run_real_time
 
-        summary, interrupted = run_real_time(setup, folder, GraphOptions(
-            free_running=free_running, speed=speed, domain_id=domain_id, namespace=namespace,
-            realtime=realtime, endless=commanded and duration is None), supervised=not bare)
-    end(summary, interrupted)
-
-
-def refuse_scenario(settings: Sequence[str] | None) -> None:
-    """Refuse settings of a scenario that is not played; ConfigError naming the first."""
-    from multicontact_control.errors import ConfigError
-    from multicontact_control.experiment.overrides import read_settings
-
-    for name in read_settings(settings or ()):
-        if name.startswith('scenario.'):
-            raise ConfigError(f'--set {name}', 'nothing with --commanded, which plays no scenario '
-                              '(its length is --duration)', 'it')
-
-
-def end(summary: dict[str, Any] | None, interrupted: int | None) -> NoReturn:
-    """Exit as a run has ended: by a signal, without a sample, or by its verdict."""
+    graph = GraphOptions(
+        free_running=free_running, speed=speed, domain_id=domain_id, namespace=namespace,
+        realtime=realtime, endless=commanded and options.duration is None)
+    summary, interrupted = run_external(
+        resolved, folder, graph, robot_timeout=robot_timeout, supervised=not options.bare,
+    ) if external else run_real_time(setup, folder, graph, supervised=not options.bare)
     if interrupted is not None:
         raise typer.Exit(EXIT_SIGNAL + interrupted)
     if summary is None:
         raise typer.Exit(EXIT_FAILED)
     end_by_verdict(summary)
-    raise typer.Exit
+
+
+def simulate(options: RunOptions) -> None:
+    """
+    Run a scenario in one process, without ROS, as fast as it goes.
+
+    The same seed gives the same run, bit for bit.
+
+    Exit code 0: stable, or not judged because no contact was under load; 1: not stable, or held
+    by the supervisor; 2: bad input.
+    """
+    setup = options.setup()
+    folder = options.folder(setup)
+    from multicontact_control.experiment.run import run_simulate
+
+    end_by_verdict(run_simulate(setup, folder, supervised=not options.bare))
+
+
+def refuse_scenario(settings: Sequence[str]) -> None:
+    """Refuse settings of a scenario that is not played; ConfigError naming the first."""
+    from multicontact_control.experiment.overrides import read_settings
+
+    for name in read_settings(settings):
+        if name.startswith('scenario.'):
+            raise ConfigError(f'--set {name}', 'nothing with --commanded, which plays no scenario '
+                              '(its length is --duration)', 'it')

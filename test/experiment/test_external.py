@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from foreign_bag import controller_file, JOINTS
-from multicontact_control.cli.options import prepare_external
+from multicontact_control.cli.options import RunOptions
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.external import contact_types, dotted, resolve_external
 from multicontact_control.experiment.results import load_setup
@@ -43,16 +43,16 @@ def test_later_files_preset_scenario_law_and_settings_are_laid_over(file, tmp_pa
                                 'command': {'force_ceiling': 25.0}}, '/**')
     scenario = tmp_path / 'mine.yaml'
     scenario.write_text(yaml.safe_dump(SCENARIO))
-    (setup, node, duration), folder = prepare_external(
-        [file, tool], str(scenario), None, 'fixed', tmp_path / 'out', False, preset='adaptive',
+    options = RunOptions(
+        scenario=str(scenario), noise_estimator='fixed', preset='adaptive',
         settings=['controller.force.damping_rate=33', 'scenario.duration=6'])
+    setup, node, duration = options.external([file, tool], {'scenario', 'preset'})
     assert setup.controller.tool.mass == 0.8
     assert setup.controller.force.stiffness == 'adaptive'
     assert setup.controller.force.damping_rate == 33.0
     assert setup.noise_estimator.estimator == 'fixed'
     assert (duration, setup.commanded_by_topic) == (6.0, False)
     assert dotted(node) == {'patience': 9.0, 'command.force_ceiling': 25.0}
-    assert folder.is_dir()
 
 
 def test_what_a_file_says_for_every_node_lies_below_the_sections_of_both(file):
@@ -145,9 +145,8 @@ def test_setting_without_what_it_is_laid_over_is_refused(
     scenario = tmp_path / 'mine.yaml'
     scenario.write_text(yaml.safe_dump(SCENARIO))
     with pytest.raises(ConfigError, match=message):
-        prepare_external([file], str(scenario) if given else None, duration, None,
-                         tmp_path / 'out', False, settings=[setting])
-    assert not (tmp_path / 'out').exists()
+        RunOptions(scenario=str(scenario), duration=duration, settings=[setting]).external(
+            [file], {'scenario'} if given else set())
 
 
 def test_contact_types_follow_from_names():

@@ -4,7 +4,7 @@ import math
 import re
 import shlex
 
-from multicontact_control.cli.options import resolve_settings
+from multicontact_control.cli.options import SetupOptions
 from multicontact_control.experiment.law_report import (
     DesignedLaw,
     Margins,
@@ -21,6 +21,7 @@ def test_parameter_file_says_which_stiffness_it_goes_with(tmp_path):
     write_design(found, path)
     for text in (show_design(found), path.read_text()):
         _, setting = shlex.split(re.search(r"--set '[^']+'", text)[0])
-        config = resolve_settings('quick', {'preset': str(path)}, [setting]).controller
+        config = SetupOptions(scenario='quick', preset=str(path), settings=[setting]).setup(
+            ).controller
         assert (config.force.law, config.force.input_delay) == ('pi', 0.004)
         assert {config.contacts[name].stiffness for name in config.contact_names} == {3162.0}
