@@ -149,8 +149,8 @@ class RunOptions(SetupOptions):
 
 def flattened(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command that has the fields of each of its dataclass parameters as options."""
-    kinds = get_type_hints(command, include_extras=True)
-    groups = {name: kind for name, kind in kinds.items() if is_dataclass(kind)}
+    kinds: dict[str, Any] = get_type_hints(command, include_extras=True)
+    groups: dict[str, Any] = {name: kind for name, kind in kinds.items() if is_dataclass(kind)}
     parameters = []
     for parameter in inspect.signature(command).parameters.values():
         kind = kinds[parameter.name]
