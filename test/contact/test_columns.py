@@ -44,7 +44,7 @@ def control(wrench, *, separated=False, lever=(0.0, 0.0, 0.06)):
     return record[0]
 
 
-def test_a_couple_is_a_difference_of_forces_at_both_ends():
+def test_couple_column_is_a_difference_of_forces_at_both_ends():
     """Of 1 N: half a newton more at one end, half a newton less at the other."""
     turn = Rotation.from_rotvec([0.3, -0.2, 0.9]).as_matrix()
     records = columns([FORCE, ALONG, ACROSS], direction=turn.T @ [0.0, 1.0, 0.0])
@@ -58,7 +58,7 @@ def test_a_couple_is_a_difference_of_forces_at_both_ends():
         np.testing.assert_allclose(N[:, column], 0.5 * (ends[0] - ends[1]), atol=1e-15)
 
 
-def test_forces_at_the_ends_are_read_as_force_and_centre_of_pressure():
+def test_measured_couple_is_that_of_forces_at_the_ends():
     records, forces = columns([FORCE, ALONG]), (4.0, 9.0)
     wrench = sum(force * point_column(POINT + side * HALF * np.array([0.0, 1.0, 0.0]))
                  for side, force in zip((-1.0, 1.0), forces))
@@ -67,7 +67,7 @@ def test_forces_at_the_ends_are_read_as_force_and_centre_of_pressure():
 
 
 @pytest.mark.parametrize('kinds', [[FORCE], [FORCE, ALONG], [FORCE, ALONG, ACROSS]])
-def test_friction_that_is_allowed_for_is_no_normal_force(kinds):
+def test_measured_forces_exclude_friction_that_is_allowed_for(kinds):
     """It is 12 N on a lever of 0.2 m: without that, it is read as several newtons."""
     true = np.array([10.0, 2.0, -1.0])[:len(kinds)]
     friction = np.array([4.0, 12.0, 3.0]) - NORMAL * (NORMAL @ [4.0, 12.0, 3.0])
@@ -83,7 +83,7 @@ def test_friction_that_is_allowed_for_is_no_normal_force(kinds):
     np.testing.assert_allclose(records['friction'][0], friction, atol=5e-3)
 
 
-def test_weighing_by_noise_and_friction_is_generalised_least_squares():
+def test_measured_forces_are_generalised_least_squares():
     random = np.random.default_rng(3)
     lever, wrench = np.array([0.01, 0.02, 0.06]), random.standard_normal(6)
     records = columns([FORCE, ALONG], friction=0.3)
@@ -111,7 +111,7 @@ def corners(count):
     return POINT + places @ np.array([[0.0, 1.0, 0.0], np.cross(NORMAL, [0.0, 1.0, 0.0])])
 
 
-def test_dependent_columns_are_refused():
+def test_columns_that_depend_are_refused():
     records = columns([FORCE] * 4, points=corners(4))
     check_columns(['a', 'b', 'c'], records[:3])
     with pytest.raises(ConfigError, match='a, b, c, d'):
@@ -119,7 +119,7 @@ def test_dependent_columns_are_refused():
     assert not measure_contacts(control(np.ones(6)), records)
 
 
-def test_coupling_is_what_friction_is_read_as():
+def test_friction_coupling_is_the_worst_misreading():
     records = columns([FORCE, ALONG])
     coupling = friction_coupling(records.copy(), np.eye(3))
     worst = np.zeros(2)

@@ -1,55 +1,170 @@
-"""Projections against the paper's example (eq. 22) and their defining properties (eqs 13-15)."""
+"""
+Normals, projections and allocation against the paper (P04 eqs 2-22, 30-31).
 
-from contact_space import allocate_force, contact_normals, contact_rates, projections
+The compiled functions never form the matrices: here they are made column by column.
+"""
+
 import equations
+from equations import free_motions
+from hypothesis import given
+from hypothesis import strategies as st
+from multicontact_control.algebra import multiply, solve_cholesky
+from multicontact_control.contact.geometry import normal_space, operational_stiffness
+from multicontact_control.contact.projections import compose_acceleration, factorise_contacts
+from multicontact_control.control.law import force_law
+from multicontact_control.records import CONTACT, LAW
 import numpy as np
 import pytest
 
-
-@pytest.fixture
-def rng():
-    return np.random.default_rng(1)
-
-
-@pytest.fixture
-def N(rng):
-    """Three contacts in general position, so that N^T N is full."""
-    normals = rng.standard_normal((3, 3))
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    return contact_normals(normals, rng.standard_normal((3, 3)))
+STIFFNESS = np.array([6000.0, 4000.0, 9000.0])  # of three surfaces [N/m]
+INPUTS = np.array([0.7, -0.4, 1.1])  # a_i [m/s^2]
+METRICS = pytest.mark.parametrize('metric', ['euclidean', 'inertia'])
 
 
-@pytest.fixture
-def Lambda(rng):
-    root = rng.standard_normal((6, 6))
-    return root @ root.T + 6.0 * np.eye(6)
+def contact_normals(normals_world, levers_world):
+    """Return N of contacts a lever away from an operational point with the world's axes."""
+    contacts = np.zeros(len(normals_world), dtype=CONTACT)
+    contacts['normal'], contacts['config']['point'] = normals_world, -levers_world
+    return normal_space(contacts, np.eye(3))
+
+
+def factorised(N, Lambda=None):
+    contacts = np.zeros(N.shape[1], dtype=CONTACT)
+    contacts['N'], contacts['answer']['active'] = N.T, True
+    rows = np.ascontiguousarray(N.T)
+    weighted = rows if Lambda is None else np.ascontiguousarray(np.linalg.solve(Lambda, N).T)
+    factor = np.empty((len(rows), len(rows)))
+    assert factorise_contacts(contacts, False, rows, weighted, factor)
+    return rows, weighted, factor
+
+
+def projections(N, Lambda=None):
+    """Return Omega_f, as the dual of Omega_c, and Omega_m."""
+    Omega_m, Omega_c, column = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
+    for k, unit in enumerate(np.eye(6)):
+        for matrix, f_t, f_c in ((Omega_m, unit, np.zeros(6)), (Omega_c, np.zeros(6), unit)):
+            compose_acceleration(*factorised(N, Lambda), f_t, f_c, column)
+            matrix[:, k] = column
+    np.testing.assert_allclose(Omega_c, np.eye(6) - Omega_m, atol=1e-12)
+    return Omega_c.T, Omega_m
+
+
+def allocate_force(N, alpha_star, allocation):
+    rows, _, factor = factorised(N)
+    law, f_c = np.zeros(1, dtype=LAW), np.empty(6)
+    law['decoupled'] = allocation == 'decoupled'
+    contacts = np.zeros(len(rows), dtype=CONTACT)
+    force_law(law[0], rows, factor, np.zeros(6), contacts, np.array(alpha_star), f_c)
+    return f_c
+
+
+def contact_rates(N, twist, allocation):
+    rows, _, factor = factorised(N)
+    rates = np.empty(len(rows))
+    multiply(rows, twist, rates)
+    if allocation == 'paper':
+        solve_cholesky(factor, rates)
+    return rates
+
+
+def overlapping(scale=1.0):
+    """
+    Return N of a floor and two slopes, all pushed by one tool: N_i^T N_j is nowhere 0.
+
+    Lengths are in metres, or in 1/scale of them.
+    """
+    normals = np.array([[0.0, 0.0, -1.0], [0.0, 0.8, -0.6], [0.6, 0.0, -0.8]])
+    levers = np.array([[0.05, -0.02, 0.24], [0.03, -0.16, 0.19], [-0.1, 0.06, 0.2]])
+    return contact_normals(normals, scale * levers)
+
+
+def task_inertia(metric, scale=1.0):
+    """Return Lambda, so that a^T Lambda a / scale^2 is the same number in every unit."""
+    if metric == 'euclidean':
+        return None
+    root = np.random.default_rng(26).standard_normal((6, 6))
+    inertia = np.diag([4.0] * 3 + [0.1] * 3) + 0.02 * root @ root.T
+    inverse = np.diag([1.0 / scale] * 3 + [1.0] * 3)  # of twists in this unit
+    return scale ** 2 * inverse @ inertia @ inverse
+
+
+@given(st.integers(0, 2 ** 32 - 1), st.integers(0, 4))
+def test_contact_normals_are_those_of_the_equation(seed, count):
+    random = np.random.default_rng(seed)
+    normals, levers = random.standard_normal((2, count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    np.testing.assert_allclose(contact_normals(normals, levers),
+                               equations.contact_normals(normals, levers), atol=1e-14)
+
+
+def test_operational_stiffness_of_the_planar_example():
+    """k_s = k_env (1 + l^2 sin^2 gamma) (P04 eq. 21)."""
+    l, gamma = 0.7, 0.6
+    lever = l * np.array([np.sin(gamma), np.cos(gamma), 0.0])
+    expected = 6000.0 * (1.0 + (l * np.sin(gamma)) ** 2)
+    assert operational_stiffness(6000.0, np.array([0.0, 1.0, 0.0]), lever) == pytest.approx(
+        expected, rel=1e-14)
 
 
 def test_euclidean_projections_of_the_planar_example():
-    """N = [0 1 -1]^T, Omega_f and Omega_m to the digit (P04 eq. 22)."""
-    found = projections(np.array([[0.0], [1.0], [0.0], [0.0], [0.0], [-1.0]]))
+    """With l = sqrt(2), gamma = 45 deg: N = [0 1 -1]^T, Omega_f and Omega_m (P04 eqs 18, 22)."""
+    N = contact_normals(np.array([[0.0, 1.0, 0.0]]), np.array([[1.0, 1.0, 0.0]]))
+    np.testing.assert_allclose(N[[0, 1, 5], 0], [0.0, 1.0, -1.0], atol=1e-15)
+    Omega_f, Omega_m = projections(N)
     plane = np.ix_([0, 1, 5], [0, 1, 5])  # x, y and the rotation about z
     np.testing.assert_allclose(
-        found.Omega_f[plane], [[0, 0, 0], [0, 0.5, -0.5], [0, -0.5, 0.5]], atol=1e-15)
+        Omega_f[plane], [[0, 0, 0], [0, 0.5, -0.5], [0, -0.5, 0.5]], atol=1e-15)
     np.testing.assert_allclose(
-        found.Omega_m[plane], [[1, 0, 0], [0, 0.5, 0.5], [0, 0.5, 0.5]], atol=1e-15)
+        Omega_m[plane], [[1, 0, 0], [0, 0.5, 0.5], [0, 0.5, 0.5]], atol=1e-15)
 
 
-def test_planar_example_normal_comes_from_the_contact_geometry():
-    """With l = sqrt(2), gamma = 45 deg: N = [0 1 -1]^T in x, y, rotation about z (P04 eq. 18)."""
-    N = contact_normals(np.array([[0.0, 1.0, 0.0]]), np.array([[1.0, 1.0, 0.0]]))[:, 0]
-    np.testing.assert_allclose(N[[0, 1, 5]], [0.0, 1.0, -1.0], atol=1e-15)
-
-
-@pytest.mark.parametrize('allocation', ['paper', 'decoupled'])
-def test_contact_rates_belong_to_the_allocations_coordinates(N, rng, allocation):
-    u = rng.standard_normal(3)
-    twist = allocate_force(N, u, allocation)
-    np.testing.assert_allclose(contact_rates(N, twist, allocation), u, atol=1e-12)
-
-
-def test_projections_are_those_of_the_equations_in_full_matrices(N, Lambda):
+def test_projections_are_those_of_the_equations_in_full_matrices():
+    N, Lambda = overlapping(), task_inertia('inertia')
     for found, wanted in ((projections(N), equations.euclidean_projections(N)),
                           (projections(N, Lambda), equations.inertia_projections(N, Lambda))):
-        np.testing.assert_allclose(found.Omega_f, wanted.Omega_f, atol=1e-12)
-        np.testing.assert_allclose(found.Omega_m, wanted.Omega_m, atol=1e-12)
+        np.testing.assert_allclose(found, (wanted.Omega_f, wanted.Omega_m), atol=1e-11)
+
+
+def test_contact_coordinates_are_the_forces_for_any_free_part():
+    """N^+ (N alpha + T beta) = alpha (P04 eq. 7); rates invert either allocation."""
+    N, random = overlapping(), np.random.default_rng(0)
+    wrench = N @ INPUTS + free_motions(N) @ random.standard_normal(3)
+    np.testing.assert_allclose(contact_rates(N, wrench, 'paper'), INPUTS, atol=1e-12)
+    for allocation in ('paper', 'decoupled'):
+        np.testing.assert_allclose(contact_rates(
+            N, allocate_force(N, INPUTS, allocation), allocation), INPUTS, atol=1e-12)
+
+
+@METRICS
+def test_decoupled_allocation_gives_every_force_its_own_acceleration_in_any_unit(metric):
+    """N^T Omega_c f_c = a to 1e-9; that of the paper depends on the unit of length."""
+    found = {}
+    for scale in (1.0, 1000.0):
+        N = overlapping(scale)
+        Omega_c = projections(N, task_inertia(metric, scale))[0].T
+        for allocation in ('decoupled', 'paper'):
+            f_c = allocate_force(N, scale * INPUTS, allocation)
+            found[allocation, scale] = N.T @ Omega_c @ f_c / scale  # back in m/s^2
+        np.testing.assert_allclose(found['decoupled', scale], INPUTS, rtol=1e-9)
+    assert np.abs(found['paper', 1000.0] / found['paper', 1.0] - 1.0).min() > 1.0
+
+
+@METRICS
+def test_paper_allocation_couples_the_forces(metric):
+    """alpha_ddot = K_env N^T N alpha*: not k_s,i alpha*_i of P04 eq. 31, by tens of percent."""
+    N = overlapping()
+    Omega_c = projections(N, task_inertia(metric))[0].T
+    found = STIFFNESS * (N.T @ Omega_c @ allocate_force(N, INPUTS, 'paper'))
+    np.testing.assert_allclose(found, STIFFNESS * (N.T @ N @ INPUTS), rtol=1e-9)
+    k_s = STIFFNESS * np.diag(N.T @ N)
+    assert (np.abs(found - k_s * INPUTS) > 0.1 * np.abs(k_s * INPUTS)).all()
+
+
+def test_paper_allocation_decouples_orthogonal_contacts():
+    """With N^T N diagonal eq. 31 holds: the paper's own two contacts, arranged so."""
+    normals = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    levers = np.array([[0.0, 0.0, 0.24], [0.0, -0.16, 0.19]])
+    N = contact_normals(normals, levers)
+    k_s = [operational_stiffness(6000.0, normal, l) for normal, l in zip(normals, levers)]
+    np.testing.assert_allclose(
+        6000.0 * N.T @ allocate_force(N, INPUTS[:2], 'paper'), k_s * INPUTS[:2], rtol=1e-12)

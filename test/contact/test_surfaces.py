@@ -15,9 +15,9 @@ def follow(velocity, ticks=1):
     frame, contacts = np.zeros(1, dtype=FRAME), np.zeros(1, dtype=CONTACT)
     frame['rotation'] = np.eye(3)
     frame['twist'][0, :3] = velocity
-    told = np.array([0.0, 0.0, -1.0])
+    configured = np.array([0.0, 0.0, -1.0])
     config = contacts['config']
-    contacts['normal'] = config['normal'] = told
+    contacts['normal'] = config['normal'] = configured
     contacts['answer']['active'], config['normal_gain'] = True, 0.1
     config['turn_limit'], config['smallest_cosine'] = 0.1, np.cos(0.6)
     for _ in range(ticks):
@@ -31,12 +31,12 @@ def follow(velocity, ticks=1):
 
 @pytest.mark.parametrize('velocity', [
     0.05 * DOWNHILL, -0.05 * DOWNHILL, [0.0, 0.05, 0.0], 0.04 * DOWNHILL + [0.0, 0.04, 0.0]])
-def test_normal_turns_to_that_of_the_surface_that_is_slid_along(velocity):
+def test_normal_follows_the_surface_that_is_slid_along(velocity):
     np.testing.assert_allclose(follow(np.array(velocity), ticks=300), TRUE_NORMAL, atol=1e-9)
 
 
 @pytest.mark.parametrize('velocity', [
     0.02 * DOWNHILL,  # too slow to have a direction
     0.2 * TRUE_NORMAL, -0.2 * TRUE_NORMAL, [0.0, 0.0, 0.1], [0.05, 0.0, 0.1]])  # bounces
-def test_normal_stays_where_nothing_slides(velocity):
+def test_normal_stays_without_sliding(velocity):
     assert (follow(np.array(velocity)) == [0.0, 0.0, -1.0]).all()

@@ -44,16 +44,19 @@ def test_approach_moves_towards_every_untouched_surface():
         [False, False], [True, False]]
 
 
-def test_force_steps_apply_to_active_contacts_from_their_time_on():
+def test_force_steps_apply_to_touched_contacts_and_a_force_of_0_wants_none():
     source = _scenario(
         approach=ApproachConfig(start_time=0.0, preload=2.0),
         force_steps=(ForceStepConfig(time=0.2, forces={'table': 10.0, 'board': 10.0}),
-                     ForceStepConfig(time=0.4, forces={'board': 15.0})))
+                     ForceStepConfig(time=0.4, forces={'board': 15.0}),
+                     ForceStepConfig(time=0.8, forces={'board': 0.0}),
+                     ForceStepConfig(time=1.2, forces={'board': 6.0})))
     run = _run(source, 0.6, lambda t: np.array([3.0, 3.0 if t > 0.3 else 0.0]))
-    np.testing.assert_array_equal(run[50].alpha_des, [2.0, 0.0])
-    np.testing.assert_array_equal(run[100].alpha_des, [10.0, 0.0])
-    np.testing.assert_array_equal(run[160].alpha_des, [10.0, 10.0])
-    np.testing.assert_array_equal(run[200].alpha_des, [10.0, 15.0])
+    np.testing.assert_array_equal(
+        [run[k].alpha_des for k in (50, 100, 160, 200)],
+        [[2.0, 0.0], [10.0, 0.0], [10.0, 10.0], [10.0, 15.0]])
+    assert [source.task(t).active.tolist() for t in (0.1, 0.6, 1.0, 1.4)] == [
+        [True, True], [True, True], [True, False], [True, True]]
 
 
 def test_sine_motion_derivatives_agree_with_differences():
@@ -68,12 +71,7 @@ def test_sine_motion_derivatives_agree_with_differences():
     assert max(abs(v) for v in sine_motion(config, 1.0 + 1e-4)) < 1e-4
 
 
-def test_commanded_task_has_no_pose_and_no_forces_before_its_start():
-    source = CommandedTask(('table', 'board'))
-    assert (source.pose, source.forces, source.shares) == (None, {'table': 0.0, 'board': 0.0}, {})
-
-
-def test_twist_of_a_motion_that_stops_coming_counts_for_a_while_only():
+def test_twist_of_a_motion_expires_when_none_follows():
     source = CommandedTask(('table', 'board'))
     source.start(POSE, NORMALS)
     motion = MotionReading(
@@ -87,14 +85,3 @@ def test_twist_of_a_motion_that_stops_coming_counts_for_a_while_only():
         np.testing.assert_array_equal(late.pose_des.position_world, POSE.position_world)
     source.set_motion(motion, FREE)
     assert source.task(2.0).twist_des.all() and source.task(1e6).twist_des.all()
-
-
-def test_contact_is_not_wanted_while_a_step_asks_nothing_of_it():
-    """A force of 0 N, held for a contact, would let it tap for ever."""
-    source = _scenario(approach=ApproachConfig(start_time=0.0), force_steps=(
-        ForceStepConfig(time=1.0, forces={'table': 10.0, 'board': 5.0}),
-        ForceStepConfig(time=2.0, forces={'board': 0.0}),
-        ForceStepConfig(time=3.0, forces={'board': 6.0})))
-    assert source.task(0.9).active.all()
-    assert [source.task(t).active.tolist() for t in (1.5, 2.5, 3.5)] == [
-        [True, True], [True, False], [True, True]]
