@@ -89,9 +89,6 @@ class CollisionConfig(Config):
         '1 N m...', ge=0.0, le=1.0)
     friction_share: Real = parameter(
         1.0, '...and over its Coulomb friction (friction.coulomb), added to it.', ge=0.0, le=10.0)
-    learnt_share: Real = parameter(
-        0.1, 'Largest share of the limit that is added for friction seen in the first half '
-        'second of motion; until then that torque is at least 3 N m.', ge=0.0, le=1.0)
     dynamic_share: Real = parameter(
         0.1, 'Added to it, over the torque that accelerates the joint.', ge=0.0, le=1.0)
     command_delay: int = parameter(

@@ -31,7 +31,8 @@ LOSS_ACCELERATION = 20.0  # m/s^2, of a tool that is braked after a contact is l
 SIDEWAYS_LIMIT = 5.0  # N of sideways force that is always accepted
 SPEED_EXCESS = 1.1  # times a speed limit, beyond which gate and reference have failed
 BOX_EXCESS = 0.01  # m beyond the workspace, where the reference has failed
-LEAST_THRESHOLD = 1.0  # N m; the wrist sensor takes no less off the residual
+# The smallest threshold [N m], and the largest share of the limit that friction adds to it.
+LEAST_THRESHOLD, LEARNT_SHARE = 1.0, 0.1
 
 
 def reactions_of(config: ControllerConfig) -> dict[str, str]:
@@ -55,8 +56,7 @@ def check_plausibility(
     point is out of its box).
     """
     bounds, control = limits[0], controls[0]
-    frame, tool = control.frame, control.tool
-    found = 0
+    frame, tool, found = control.frame, control.tool, 0
     for j in range(joints.shape[0]):
         if not np.isfinite(joints[j].torque):
             found = NOT_FINITE
@@ -116,7 +116,7 @@ def watch_arm(config: ControllerConfig, controller: Controller) -> None:
         limit = np.array(config.torque_limit or controller.robot.torque_limit)
         least = np.maximum(collision.limit_share * limit, LEAST_THRESHOLD)
         joints['allowance'] = collision.friction_share * np.array(config.friction.coulomb or 0.0)
-        joints['learnt_limit'] = collision.learnt_share * limit
+        joints['learnt_limit'] = LEARNT_SHARE * limit
     joints['least_threshold'], joints['threshold'] = least, least + joints['allowance']
     momentum['bandwidth'] = config.momentum_bandwidth
     momentum['dynamic_share'] = collision.dynamic_share
