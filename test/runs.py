@@ -14,9 +14,9 @@ from pathlib import Path
 import pickle
 
 from multicontact_control.experiment.closed_loop import LoopResult, run_in_process
+from multicontact_control.experiment.results import summarise
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.experiment.study.jobs import content_key, setup_content
-from multicontact_control.experiment.summary import summarise
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / '.pytest_cache' / 'runs'

@@ -1,217 +1,240 @@
-"""Reading a recorded bag back into the series of a run; needs no ROS installation."""
+"""The messages of a recording as columns of numbers; needs no ROS installation."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from array import array
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from io import BufferedReader
 from pathlib import Path
+import re
+from typing import Any
 
+from mcap.reader import NonSeekingReader
+from mcap_ros2.decoder import DecoderFactory
 from multicontact_control.arrays import Matrix
-from multicontact_control.config import ControllerConfig
-from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import RunError
-from multicontact_control.experiment.bag_messages import (
-    BagColumns,
-    BagMessages,
-    describe_others,
-    JOINT_STATE,
-    POSE,
-    read_messages,
-    WRENCH,
-)
-from multicontact_control.experiment.oscillation import stretches
-from multicontact_control.experiment.recording import empty_run_data, RunData
 import numpy as np
 from numpy.typing import NDArray
+import zstandard
 
-SPARSE = 20.0  # ticks per sample beyond which the stamps are no clock
-CUT_OFF = 'the recording is cut off'
-NOT_RECORDED = 'not in the recording'
-REACHED = 0.99  # of a command, from which on the contact that it is for has been made
+NAMED = 6  # topics that a line names
+JOINT_STATE, WRENCH, POSE = (
+    'sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped',
+    'geometry_msgs/msg/PoseStamped')
+MARKERS = 'visualization_msgs/msg/MarkerArray'
+# Names of the numbers of a field in messages without names.
+AXES = {
+    'wrench': ('force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z'),
+    'point': ('x', 'y', 'z'), 'quaternion': ('x', 'y', 'z', 'w')}
+# What the messages of a type hold: names, and for every field its numbers.
+Content = tuple[Sequence[str], Mapping[str, Sequence[float]]]
+READERS: dict[str, Callable[[Any], Content]] = {
+    JOINT_STATE: lambda message: (message.name, {
+        field: getattr(message, field) for field in ('position', 'velocity', 'effort')}),
+    WRENCH: lambda message: ((), {'wrench': [
+        getattr(part, axis) for part in (message.wrench.force, message.wrench.torque)
+        for axis in 'xyz']}),
+    POSE: lambda message: ((), {
+        'point': [getattr(message.pose.position, axis) for axis in 'xyz'],
+        'quaternion': [getattr(message.pose.orientation, axis) for axis in 'xyzw']}),
+    MARKERS: lambda message: ([marker.ns.rpartition('/')[2] for marker in message.markers], {
+        axis: [getattr(marker.pose.position, axis) for marker in message.markers]
+        for axis in 'xyz'})}
+
+
+class BagColumns:
+    """The messages of one topic of a type of `READERS`, in the order of the recording."""
+
+    def __init__(self, type_name: str) -> None:
+        self._type = type_name
+        self._stamps, self._published = array('q'), array('Q')
+        # Rows and numbers of the messages with the same names and count of numbers by field:
+        # several nodes may share a topic. A number takes 8 bytes.
+        self._parts: dict[tuple[Any, ...], tuple[array[int], array[float]]] = {}
+
+    def take(self, message: Any, published: int) -> None:
+        """Add a message that was sent at a time [ns since the epoch], or nothing if it fails."""
+        stamp = (message.markers[0] if self._type == MARKERS else message).header.stamp
+        names, content = READERS[self._type](message)
+        numbers = array('d', [number for values in content.values() for number in values])
+        stamps = array('q', [stamp.sec * 1_000_000_000 + stamp.nanosec])
+        rows, kept = self._parts.setdefault(
+            (tuple(names), *((field, len(values)) for field, values in content.items())),
+            (array('q'), array('d')))
+        rows.append(len(self))
+        kept.extend(numbers)
+        self._stamps.extend(stamps)
+        self._published.append(published)
+
+    def __len__(self) -> int:
+        """Return the number of messages."""
+        return len(self._stamps)
+
+    @property
+    def stamps(self) -> NDArray[np.int64]:
+        """Stamps of the headers, shape (m,) [ns]."""
+        return np.array(self._stamps, dtype=np.int64)
+
+    @property
+    def published(self) -> NDArray[np.uint64]:
+        """When the messages were sent, shape (m,) [ns since the epoch]."""
+        return np.array(self._published, dtype=np.uint64)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in the first message that has any."""
+        return next((names for names, *_ in self._parts if names), ())
+
+    def values(self, field: str, names: Sequence[str] = ()) -> Matrix:
+        """
+        Return the numbers of a field, shape (m, k); NaN where a message has none of a name.
+
+        `names` are the order of the columns, of messages with names.
+        """
+        names = AXES.get(field, names)
+        found = np.full((len(self), len(names)), np.nan)
+        for (known, *widths), (rows, numbers) in self._parts.items():
+            columns, first = {}, 0
+            for name, width in widths:
+                if name == field:
+                    columns = dict(zip(known or AXES.get(field, ()), range(first, first + width)))
+                first += width
+            block = np.asarray(numbers).reshape(len(rows), first)
+            for column, name in enumerate(names):
+                if name in columns:
+                    found[rows, column] = block[:, columns[name]]
+        return found
 
 
 @dataclass(frozen=True)
-class BagContent:
-    """A bag read back."""
+class BagMessages:
+    """The messages of some topics of one graph."""
 
-    data: RunData  # by sample stamp
-    topic_rates: dict[str, float]  # messages per second, of topics with more than one [Hz]
-    missing: dict[str, int]  # messages that the samples call for and the bag lacks, by topic
-    remarks: tuple[str, ...] = ()  # what the bag lacks, and what could not be read, in words
-    start: int = 0  # stamp of the first sample [ns]
-
-    @property
-    def told(self) -> list[str]:
-        """Return what is told of a run of one's own: not every topic is in each."""
-        return [text for text in self.remarks if not text.startswith(NOT_RECORDED)]
+    by_topic: Mapping[str, BagColumns]  # by the name within the graph's namespace
+    # Messages per second of all topics with more than one, by full name without slash [Hz].
+    rates: Mapping[str, float]
+    others: tuple[str, ...]  # names of all other topics
+    cut_off: bool = False  # whether the recording ends in the middle
+    unreadable: tuple[str, ...] = ()  # what could not be read of these topics, in words
 
 
-def read_bag(
-    path: Path, controller: ControllerConfig, *, namespace: str | None = None,
-    commanded: bool = False,
-) -> BagContent:
+def mcap_files(path: Path) -> list[Path]:
+    """Return the MCAP files of a recording, or that file, also those compressed as a whole."""
+    files = [path] if path.is_file() else sorted(path.glob('*.mcap*'), reverse=True)
+    # Of a file that is there twice, the one that is not compressed comes last.
+    by_stem = {match[1]: file for file in files
+               if (match := re.fullmatch(r'(.*)\.mcap(\.zstd?)?', file.name))}
+
+    def place(stem: str) -> tuple[int, str]:  # rosbag2 counts bag_0, bag_1, ..., bag_10
+        number = re.search(r'_(\d+)$', stem)
+        return int(number[1]) if number else -1, stem
+
+    return [by_stem[stem] for stem in sorted(by_stem, key=place)]
+
+
+def read_messages(
+    path: Path, wanted: Mapping[str, str], namespace: str | None = None,
+) -> BagMessages:
     """
-    Read a recording of the graph: a bag's folder, or its MCAP file, up to its last whole chunk.
+    Read the messages of some topics of an MCAP file or a folder, as far as the files go.
 
-    `controller` gives rate, contacts and joints; `namespace` is that of the graph, if not given
-    the only one in the bag; `commanded` says whether forces were commanded over topics. Returns
-    one row per sample of ``joint_states``, without these of the topic with the most messages; NaN
-    where another message is missing. Raises RunError if the bag cannot be read or holds no
-    samples.
+    `wanted` has the type of each topic, one of `READERS`, by its name without namespace;
+    `namespace` is that of the graph; if not given, the only one that such topics are in. Raises
+    RunError if there is no file, or it holds the topics of several graphs.
     """
-    return content_of(path, read_graph(path, namespace), controller, commanded=commanded)
-
-
-def read_graph(path: Path, namespace: str | None = None) -> BagMessages:
-    """Read the messages of a graph of this package; RunError if there are none."""
-    found = read_messages(path, TYPES, namespace)
-    if not any(topic in SERIES for topic in found.by_topic):
-        unreadable = ''.join(f'; {text}' for text in found.unreadable)
-        raise RunError(f'{path}: expected samples on joint_states, or another topic of the '
-                       f'controller, found {describe_others(found)}{unreadable}')
-    return found
-
-
-def sample_topic(found: BagMessages) -> str:
-    """Return the topic that has a message for every sample."""
-    there = [topic for topic in SERIES if topic in found.by_topic]
-    return SAMPLES if SAMPLES in there else max(there, key=lambda x: len(found.by_topic[x]))
-
-
-def content_of(
-    path: Path, found: BagMessages, controller: ControllerConfig, *, commanded: bool = False,
-) -> BagContent:
-    """Return the series of the messages that `read_graph` found; see `read_bag`."""
-    topic = sample_topic(found)
-    samples = found.by_topic[topic]
-    stamps, newest = np.unique(samples.stamps[::-1], return_index=True)
-    ticks = np.rint((stamps - stamps[0]) * 1e-9 * controller.rate).astype(np.int64)
-    count = int(ticks[-1]) + 1
-    if count > SPARSE * len(stamps) + controller.rate or 2 * len(stamps) < len(samples):
-        raise RunError(
-            f'{path}: {topic}: expected stamps {1e3 * controller.period:g} ms apart, found '
-            f'{len(samples)} messages with {len(stamps)} stamps over '
-            f'{(int(stamps[-1]) - int(stamps[0])) * 1e-9:.3g} s')
-    data = empty_run_data(count, controller)
-    missing = _fill(data, found.by_topic, stamps, ticks)
-    if commanded:
-        data = replace(data, command=_commands(
-            data, found.by_topic.get(FORCE_COMMAND), samples.published[::-1][newest], ticks))
-    return BagContent(
-        data, dict(found.rates), missing, _remarks(found, data), int(stamps[0]))
-
-
-def answered(content: BagContent) -> BagContent:
-    """Return what lies between the first and the last sample that was answered, if any was."""
-    data, start = content.data, content.start
-    for series in (data.alpha_meas, data.torque):
-        known = np.flatnonzero(np.isfinite(series).any(axis=1))
-        if known.size:
-            data = data.part(int(known[0]), int(known[-1]) + 1)
-            start += round(known[0] / data.rate * 1e9)
-            break
-    missing = {topic: int(np.isnan(getattr(data, next(iter(SERIES[topic])))).all(axis=1).sum())
-               for topic in content.missing}
-    return replace(content, data=data, start=start, missing=missing)
-
-
-def _fill(
-    data: RunData, messages: Mapping[str, BagColumns], stamps: NDArray[np.int64],
-    ticks: NDArray[np.int64],
-) -> dict[str, int]:
-    """Write the messages into series; return how many samples lack one, by topic."""
-    missing = {}
-    for topic, fields in SERIES.items():
-        found = messages.get(topic)
-        if found is None:
-            if topic not in OPTIONAL:
-                missing[topic] = data.ticks
+    columns: dict[tuple[str, str], BagColumns] = {}  # by namespace and topic
+    counts: dict[str, tuple[int, int, int]] = {}  # by full name; first and last [ns]
+    unreadable: dict[str, str] = {}
+    cut_off = False
+    suffix = re.compile(rf'(?:(.*)/)?({"|".join(map(re.escape, wanted))})')
+    for record in _records(path):
+        if record is None:
+            cut_off = True
             continue
-        names = data.joint_names if topic.startswith('joint') else data.contact_names
-        places = np.searchsorted(stamps, found.stamps).clip(max=len(stamps) - 1)
-        of_samples = stamps[places] == found.stamps
-        rows = ticks[places[of_samples]]
-        for series, field in fields.items():
-            getattr(data, series)[rows] = found.values(field, names)[of_samples]
-        there = len(np.unique(places[of_samples]))
-        if there or topic not in OPTIONAL:
-            missing[topic] = data.ticks - there
-    return missing
-
-
-def _commands(
-    data: RunData, sent: BagColumns | None, published: NDArray[np.uint64],
-    ticks: NDArray[np.int64],
-) -> Matrix:
-    """
-    Return the forces that were commanded over topics, shape (m, r) [N].
-
-    A command counts from when the contact was made. Where no command was recorded it is what
-    the controller wanted.
-    """
-    if sent is None:
-        return data.alpha_des.copy()
-    command = np.zeros_like(data.alpha_des)
-    order = np.argsort(published)
-    places = np.searchsorted(published[order], sent.published)
-    begins = np.append(ticks[order], data.ticks)[places]
-    for asked, forces in zip(command.T, sent.values('effort', data.contact_names).T):
-        named = ~np.isnan(forces)
-        begun = np.full(data.ticks + 1, np.nan)
-        begun[0] = 0.0
-        begun[begins[named]] = forces[named]
-        newest = np.where(np.isnan(begun), 0, np.arange(data.ticks + 1))
-        asked[:] = begun[np.maximum.accumulate(newest)][:-1]
-    for name, asked, wanted in zip(data.contact_names, command.T, data.alpha_des.T):
-        if name.endswith((SUFFIXES[ALONG], SUFFIXES[ACROSS])):
-            # A couple may be commanded as a centre of pressure.
-            asked[:] = wanted
+        schema, channel, message, decode = record
+        name, published = channel.topic.strip('/'), message.publish_time or message.log_time
+        count, first, _ = counts.get(name, (0, published, published))
+        counts[name] = count + 1, first, published
+        place = suffix.fullmatch(name)
+        if place is None or name in unreadable:
             continue
-        for begin, end in zip(*stretches(asked > 0.0)):
-            reached = np.flatnonzero(wanted[begin:end] >= REACHED * asked[begin:end])
-            if reached.size:
-                asked[begin:begin + reached[0]] = 0.0
-    return command
+        kind, key = wanted[place[2]], (place[1] or '', place[2])
+        if schema is None or schema.name != kind:
+            unreadable[name] = f'expected {kind}, found {schema.name if schema else "no type"}'
+            continue
+        taken = columns.get(key) or BagColumns(kind)
+        try:
+            taken.take(decode(), published)
+        except Exception as error:  # whatever a message of another program makes of its decoder
+            unreadable[name] = f'cannot be read: {error}'
+        else:
+            columns[key] = taken
+    chosen = _namespace(path, [space for space, _ in columns], namespace)
+    return BagMessages(
+        {topic: taken for (space, topic), taken in columns.items() if space == chosen},
+        {name: (count - 1) / ((last - first) * 1e-9)
+         for name, (count, first, last) in counts.items() if last > first},
+        tuple(sorted(name for name in counts if not (
+            (place := suffix.fullmatch(name)) and (place[1] or '', place[2]) in columns))),
+        cut_off, tuple(f'{name}: {why}' for name, why in unreadable.items()))
 
 
-def _remarks(found: BagMessages, data: RunData) -> tuple[str, ...]:
-    remarks = list(found.unreadable)
-    lacking = [x for x in SERIES if x not in found.by_topic and x not in OPTIONAL]
-    if lacking:
-        remarks.append(f'{NOT_RECORDED}: {", ".join(lacking)}')
-    for topic, values, wanted in ((SAMPLES, data.q, data.joint_names),
-                                  (MEASURED, data.alpha_meas, data.contact_names)):
-        if topic in found.by_topic and wanted and not np.isfinite(values).any():
-            names = ', '.join(found.by_topic[topic].names) or 'none'
-            remarks.append(f'{topic}: expected {", ".join(wanted)}, found {names}')
-    if found.cut_off:
-        remarks.append(CUT_OFF)
-    return tuple(remarks)
+def _records(path: Path) -> Iterator[tuple[Any, Any, Any, Callable[[], Any]] | None]:
+    """Yield schema, channel, record and decoder of every message; None where a file is cut off."""
+    files = mcap_files(path)
+    if not files and path.is_file():
+        raise RunError(f'{path}: expected an .mcap file or a folder with one')
+    if not files:
+        found = 'none; `ros2 bag convert` makes MCAP of a database' if any(
+            path.glob('*.db3*')) else 'none' if path.is_dir() else 'nothing'
+        raise RunError(f'{path}: expected an .mcap file, found {found}')
+    for file in files:
+        try:
+            stream: Any = file.open('rb')
+        except OSError as error:
+            raise RunError(f'{file}: {error.strerror}') from None
+        with stream:
+            # mcap's seeking reader would hold all messages before it hands out the first.
+            reader = NonSeekingReader(stream if file.suffix == '.mcap' else BufferedReader(
+                zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)))
+            messages = reader.iter_messages(log_time_order=False)
+            factory = DecoderFactory()  # each file of a recording numbers its types anew
+            while True:
+                try:
+                    record = next(messages, None)
+                except Exception:  # many kinds, of damaged lengths, names and checksums
+                    yield None
+                    break
+                if record is None:
+                    break
+                yield *record, partial(_decoded, factory, *record)
 
 
-# Which field of the messages of a topic a series is.
-SERIES: dict[str, dict[str, str]] = {
-    'joint_states': {'q': 'position', 'qd': 'velocity', 'effort': 'effort'},
-    'ft_sensor/wrench': {'wrench': 'wrench'},
-    'ft_sensor/wrench_filtered': {'wrench_filtered': 'wrench'},
-    'joint_effort_command': {'torque': 'effort'},
-    'contact_forces/measured': {'alpha_meas': 'effort'},
-    'contact_forces/estimated': {'alpha_est': 'effort', 'alpha_rate_est': 'velocity'},
-    'contact_forces/desired': {'alpha_des': 'effort'},
-    'contact_forces/innovation': {'innovation': 'effort'},
-    'contact_forces/stiffness': {
-        'stiffness_est': 'position', 'stiffness_std': 'velocity', 'stiffness': 'effort'},
-    'contact_forces/stability_margin': {'margin': 'effort'},
-    'contact_forces/noise_variance': {'noise_variance': 'effort'},
-    'ground_truth/contact_forces': {'alpha_true': 'effort'},
-    'operational_point/pose': {'position': 'point', 'quaternion': 'quaternion'},
-    'operational_point/pose_desired': {
-        'position_des': 'point', 'quaternion_des': 'quaternion'}}
-# Only there where the stiffness is found on-line.
-OPTIONAL = ('contact_forces/stiffness', 'contact_forces/stability_margin')
-SAMPLES, MEASURED = 'joint_states', 'contact_forces/measured'
-FORCE_COMMAND = 'contact_forces/command'
-# Types of all topics that are read.
-TYPES = dict.fromkeys((*SERIES, FORCE_COMMAND), JOINT_STATE) | {
-    'ft_sensor/wrench': WRENCH, 'ft_sensor/wrench_filtered': WRENCH,
-    'operational_point/pose': POSE, 'operational_point/pose_desired': POSE}
+def _decoded(factory: DecoderFactory, schema: Any, channel: Any, record: Any) -> Any:
+    """Return a message, also of one that rosbag2 has compressed by itself."""
+    decode = factory.decoder_for(channel.message_encoding, schema)
+    if decode is None:
+        raise ValueError(f'{channel.message_encoding} with {schema.encoding}')
+    data = record.data
+    return decode(zstandard.decompress(data) if data[:4] == zstandard.FRAME_HEADER else data)
+
+
+def _namespace(path: Path, spaces: Sequence[str], namespace: str | None) -> str:
+    """Return the namespace of a graph: that asked for, or the only one."""
+    # Grippers and the like have joint states of their own: one topic of several makes no graph.
+    known = {space for space in spaces if spaces.count(space) > 1} or set(spaces)
+    if namespace is None and len(known) > 1:
+        names = ', '.join(f"'{space}'" for space in sorted(known))
+        raise RunError(f'{path}: expected the topics of one graph, found the namespaces {names}; '
+                       '--namespace chooses one')
+    return known.pop() if namespace is None and known else (namespace or '').strip('/')
+
+
+def describe_others(found: BagMessages) -> str:
+    """Return the names of the first other topics, for a line that says what is missing."""
+    names = found.others
+    more = f' and {len(names) - NAMED} more' if len(names) > NAMED else ''
+    what = ', '.join(names[:NAMED]) + more if names else 'nothing'
+    return what + (', and a file that is cut off' if found.cut_off else '')

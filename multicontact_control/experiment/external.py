@@ -21,8 +21,8 @@ from multicontact_control.config.base import EVERY_NODE
 from multicontact_control.config.contact import ACROSS, ALONG, ContactType, SUFFIXES
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.experiment.bag import sample_topic
-from multicontact_control.experiment.bag_messages import BagMessages
+from multicontact_control.experiment.bag import BagMessages
+from multicontact_control.experiment.recording import sample_topic
 from multicontact_control.experiment.scenario import (
     check_together,
     EXTERNAL,

@@ -1,4 +1,4 @@
-"""The series of one run, tick by tick, wherever they were recorded."""
+"""The series of a run, sample by sample, and how they are read from a recording."""
 
 from __future__ import annotations
 
@@ -10,11 +10,52 @@ import zipfile
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
+from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import RunError
+from multicontact_control.experiment.bag import (
+    BagColumns,
+    BagMessages,
+    describe_others,
+    JOINT_STATE,
+    POSE,
+    read_messages,
+    WRENCH,
+)
+from multicontact_control.experiment.oscillation import stretches
 import numpy as np
+from numpy.typing import NDArray
 
 SERIES_FILE = 'samples.npz'
 OF_STIFFNESS = ('stiffness', 'stiffness_est', 'stiffness_std', 'margin')
+# Which field of the messages of a topic a series is.
+SERIES: dict[str, dict[str, str]] = {
+    'joint_states': {'q': 'position', 'qd': 'velocity', 'effort': 'effort'},
+    'ft_sensor/wrench': {'wrench': 'wrench'},
+    'ft_sensor/wrench_filtered': {'wrench_filtered': 'wrench'},
+    'joint_effort_command': {'torque': 'effort'},
+    'contact_forces/measured': {'alpha_meas': 'effort'},
+    'contact_forces/estimated': {'alpha_est': 'effort', 'alpha_rate_est': 'velocity'},
+    'contact_forces/desired': {'alpha_des': 'effort'},
+    'contact_forces/innovation': {'innovation': 'effort'},
+    'contact_forces/stiffness': {
+        'stiffness_est': 'position', 'stiffness_std': 'velocity', 'stiffness': 'effort'},
+    'contact_forces/stability_margin': {'margin': 'effort'},
+    'contact_forces/noise_variance': {'noise_variance': 'effort'},
+    'ground_truth/contact_forces': {'alpha_true': 'effort'},
+    'operational_point/pose': {'position': 'point', 'quaternion': 'quaternion'},
+    'operational_point/pose_desired': {
+        'position_des': 'point', 'quaternion_des': 'quaternion'}}
+# Published only where the stiffness is found on-line.
+OPTIONAL = ('contact_forces/stiffness', 'contact_forces/stability_margin')
+SAMPLES, MEASURED, FORCE_COMMAND = (
+    'joint_states', 'contact_forces/measured', 'contact_forces/command')
+TYPES = dict.fromkeys((*SERIES, FORCE_COMMAND), JOINT_STATE) | {
+    'ft_sensor/wrench': WRENCH, 'ft_sensor/wrench_filtered': WRENCH,
+    'operational_point/pose': POSE, 'operational_point/pose_desired': POSE}
+SPARSE = 20.0  # ticks per sample beyond which the stamps are no clock
+CUT_OFF = 'the recording is cut off'
+NOT_RECORDED = 'not in the recording'
+REACHED = 0.99  # share of a commanded force at which the contact counts as made
 
 
 @dataclass(frozen=True)
@@ -90,8 +131,8 @@ class RunData:
         except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
             raise RunError(f'{path}: expected a recording of a run, found {error}') from None
         return cls(**{**values, 'rate': float(values['rate']),
-                      'contact_names': tuple(str(name) for name in values['contact_names']),
-                      'joint_names': tuple(str(name) for name in values['joint_names'])})
+                      'contact_names': tuple(map(str, values['contact_names'])),
+                      'joint_names': tuple(map(str, values['joint_names']))})
 
 
 def empty_run_data(ticks: int, controller: ControllerConfig) -> RunData:
@@ -109,3 +150,149 @@ def empty_run_data(ticks: int, controller: ControllerConfig) -> RunData:
         rate=controller.rate, contact_names=contacts, joint_names=joints,
         time=np.arange(ticks) / controller.rate,
         **{name: np.full((ticks, count), np.nan) for name, count in columns.items()})
+
+
+@dataclass(frozen=True)
+class BagContent:
+    """A bag read back."""
+
+    data: RunData  # by sample stamp
+    topic_rates: dict[str, float]  # messages per second, of topics with more than one [Hz]
+    missing: dict[str, int]  # messages that the samples call for and the bag lacks, by topic
+    remarks: tuple[str, ...] = ()  # what the bag lacks, and what could not be read, in words
+    start: int = 0  # stamp of the first sample [ns]
+
+    @property
+    def told(self) -> list[str]:
+        """Return the remarks on a run of this package, which need not have every topic."""
+        return [text for text in self.remarks if not text.startswith(NOT_RECORDED)]
+
+
+def read_bag(
+    path: Path, controller: ControllerConfig, *, namespace: str | None = None,
+    commanded: bool = False,
+) -> BagContent:
+    """
+    Read a recording of the graph: a bag's folder, or its MCAP file, up to its last whole chunk.
+
+    `controller` gives rate, contacts and joints; `namespace` is that of the graph, if not given
+    the only one in the bag; `commanded` says whether forces were commanded over topics. Returns
+    one row per sample of ``joint_states``, without these of the topic with the most messages; NaN
+    where another message is missing. Raises RunError if the bag cannot be read or holds no
+    samples.
+    """
+    return content_of(path, read_graph(path, namespace), controller, commanded=commanded)
+
+
+def read_graph(path: Path, namespace: str | None = None) -> BagMessages:
+    """Read the messages of a graph of this package; RunError if there are none."""
+    found = read_messages(path, TYPES, namespace)
+    if not any(topic in SERIES for topic in found.by_topic):
+        unreadable = ''.join(f'; {text}' for text in found.unreadable)
+        raise RunError(f'{path}: expected samples on joint_states, or another topic of the '
+                       f'controller, found {describe_others(found)}{unreadable}')
+    return found
+
+
+def sample_topic(found: BagMessages) -> str:
+    """Return the topic that has a message for every sample."""
+    there = [topic for topic in SERIES if topic in found.by_topic]
+    return SAMPLES if SAMPLES in there else max(there, key=lambda x: len(found.by_topic[x]))
+
+
+def content_of(
+    path: Path, found: BagMessages, controller: ControllerConfig, *, commanded: bool = False,
+) -> BagContent:
+    """Return the series of the messages that `read_graph` found; see `read_bag`."""
+    topic = sample_topic(found)
+    samples = found.by_topic[topic]
+    stamps, newest = np.unique(samples.stamps[::-1], return_index=True)
+    ticks = np.rint((stamps - stamps[0]) * 1e-9 * controller.rate).astype(np.int64)
+    count = int(ticks[-1]) + 1
+    if count > SPARSE * len(stamps) + controller.rate or 2 * len(stamps) < len(samples):
+        raise RunError(
+            f'{path}: {topic}: expected stamps {1e3 * controller.period:g} ms apart, found '
+            f'{len(samples)} messages with {len(stamps)} stamps over '
+            f'{(int(stamps[-1]) - int(stamps[0])) * 1e-9:.3g} s')
+    data = empty_run_data(count, controller)
+    for name, columns in found.by_topic.items():
+        names = data.joint_names if name.startswith('joint') else data.contact_names
+        places = np.searchsorted(stamps, columns.stamps).clip(max=len(stamps) - 1)
+        known = stamps[places] == columns.stamps
+        for series, field in SERIES.get(name, {}).items():
+            getattr(data, series)[ticks[places[known]]] = columns.values(field, names)[known]
+    missing = {name: data.ticks - len(np.intersect1d(stamps, found.by_topic[name].stamps))
+               if name in found.by_topic else data.ticks for name in SERIES}
+    if commanded:
+        data = replace(data, command=_commands(
+            data, found.by_topic.get(FORCE_COMMAND), samples.published[::-1][newest], ticks))
+    return BagContent(
+        data, dict(found.rates), {name: count for name, count in missing.items()
+                                  if name not in OPTIONAL or count < data.ticks},
+        _remarks(found, data), int(stamps[0]))
+
+
+def answered(content: BagContent) -> BagContent:
+    """Return what lies between the first and the last sample that was answered, if any was."""
+    data, start = content.data, content.start
+    for series in (data.alpha_meas, data.torque):
+        known = np.flatnonzero(np.isfinite(series).any(axis=1))
+        if known.size:
+            data = data.part(int(known[0]), int(known[-1]) + 1)
+            start += round(known[0] / data.rate * 1e9)
+            break
+    missing = {topic: int(np.isnan(getattr(data, next(iter(SERIES[topic])))).all(axis=1).sum())
+               for topic in content.missing}
+    return replace(content, data=data, start=start, missing=missing)
+
+
+def _commands(
+    data: RunData, sent: BagColumns | None, published: NDArray[np.uint64],
+    ticks: NDArray[np.int64],
+) -> Matrix:
+    """
+    Return the forces that were commanded over topics, shape (m, r) [N].
+
+    A command counts from when the contact was made. Where no command was recorded it is the
+    force that the controller aimed at.
+    """
+    if sent is None:
+        return data.alpha_des.copy()
+    command = np.zeros_like(data.alpha_des)
+    order = np.argsort(published)
+    places = np.searchsorted(published[order], sent.published)
+    begins = np.append(ticks[order], data.ticks)[places]
+    for i, (name, forces) in enumerate(
+            zip(data.contact_names, sent.values('effort', data.contact_names).T)):
+        desired = data.alpha_des[:, i]
+        if name.endswith((SUFFIXES[ALONG], SUFFIXES[ACROSS])):
+            # A couple may be commanded as a centre of pressure.
+            command[:, i] = desired
+            continue
+        named = ~np.isnan(forces)
+        begun = np.full(data.ticks + 1, np.nan)
+        begun[0] = 0.0
+        begun[begins[named]] = forces[named]
+        newest = np.where(np.isnan(begun), 0, np.arange(data.ticks + 1))
+        asked = begun[np.maximum.accumulate(newest)][:-1]
+        for begin, end in zip(*stretches(asked > 0.0)):
+            reached = np.flatnonzero(desired[begin:end] >= REACHED * asked[begin:end])
+            if reached.size:
+                asked[begin:begin + reached[0]] = 0.0
+        command[:, i] = asked
+    return command
+
+
+def _remarks(found: BagMessages, data: RunData) -> tuple[str, ...]:
+    remarks = list(found.unreadable)
+    lacking = [x for x in SERIES if x not in found.by_topic and x not in OPTIONAL]
+    if lacking:
+        remarks.append(f'{NOT_RECORDED}: {", ".join(lacking)}')
+    for topic, values, expected in ((SAMPLES, data.q, data.joint_names),
+                                    (MEASURED, data.alpha_meas, data.contact_names)):
+        if topic in found.by_topic and expected and not np.isfinite(values).any():
+            names = ', '.join(found.by_topic[topic].names) or 'none'
+            remarks.append(f'{topic}: expected {", ".join(expected)}, found {names}')
+    if found.cut_off:
+        remarks.append(CUT_OFF)
+    return tuple(remarks)

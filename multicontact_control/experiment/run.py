@@ -10,7 +10,6 @@ from typing import Any, TYPE_CHECKING
 from multicontact_control.compiled import compiled_here
 from multicontact_control.config import validate
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.experiment.bag import answered, BagContent, read_bag
 from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
@@ -30,10 +29,14 @@ from multicontact_control.experiment.judge import (
     verdict_text,
 )
 from multicontact_control.experiment.metrics import percentiles
-from multicontact_control.experiment.recording import RunData
-from multicontact_control.experiment.results import CONFIG_FOLDER, FIGURE_FOLDER, SUMMARY_FILE
+from multicontact_control.experiment.recording import answered, BagContent, read_bag, RunData
+from multicontact_control.experiment.results import (
+    CONFIG_FOLDER,
+    FIGURE_FOLDER,
+    summarise,
+    SUMMARY_FILE,
+)
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.experiment.summary import summarise
 from multicontact_control.experiment.terminal import terminal
 from multicontact_control.files import finite, write_json
 from rich.console import Console

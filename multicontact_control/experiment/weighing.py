@@ -12,7 +12,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import Config, ControllerConfig, parameter, Real
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, ConfigError, RunError
-from multicontact_control.experiment.bag_messages import (
+from multicontact_control.experiment.bag import (
     BagColumns,
     describe_others,
     JOINT_STATE,

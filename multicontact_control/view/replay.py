@@ -14,10 +14,15 @@ import warnings
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.errors import CommandError, ConfigError
-from multicontact_control.experiment.bag import answered, CUT_OFF, read_bag
-from multicontact_control.experiment.bag_messages import MARKERS, mcap_files, read_messages
+from multicontact_control.experiment.bag import MARKERS, mcap_files, read_messages
 from multicontact_control.experiment.judge import read_event
-from multicontact_control.experiment.recording import RunData, SERIES_FILE
+from multicontact_control.experiment.recording import (
+    answered,
+    CUT_OFF,
+    read_bag,
+    RunData,
+    SERIES_FILE,
+)
 from multicontact_control.experiment.results import (
     BAG_FOLDER,
     load_setup,

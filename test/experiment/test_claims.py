@@ -11,7 +11,7 @@ from multicontact_control.experiment.claims import (
 )
 from multicontact_control.experiment.judge import HELD, INTERRUPTED
 from multicontact_control.experiment.metrics import disturbance_summary
-from multicontact_control.experiment.summary import summarise
+from multicontact_control.experiment.results import summarise
 import numpy as np
 import pytest
 from synthetic_run import delayed, disturbance_setup, paper_run, perfect_run

@@ -23,7 +23,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from multicontact_control.cli import app
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.experiment.bag_messages import BagColumns, JOINT_STATE
+from multicontact_control.experiment.bag import BagColumns, JOINT_STATE
 from multicontact_control.experiment.contact_identification import read_recording
 from multicontact_control.experiment.display import summary_table, verdict_lines
 from multicontact_control.experiment.figures import draw_figures, interactive_figures, run_figures

@@ -14,8 +14,7 @@ from multicontact_control.experiment.page import (
     script_json,
     Trace,
 )
-from multicontact_control.experiment.results import LoadedRun
-from multicontact_control.experiment.summary import summarise
+from multicontact_control.experiment.results import LoadedRun, summarise
 import numpy as np
 import pytest
 from synthetic_run import disturbance_setup, paper_run

@@ -10,9 +10,8 @@ from multicontact_control.experiment import report
 from multicontact_control.experiment.claims import evidence_of
 from multicontact_control.experiment.display import verdict_lines
 from multicontact_control.experiment.report import run_claims
-from multicontact_control.experiment.results import load_run, LoadedRun
+from multicontact_control.experiment.results import load_run, LoadedRun, summarise
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.experiment.summary import summarise
 from multicontact_control.files import write_json
 import pytest
 from runs import run_of, summary_of

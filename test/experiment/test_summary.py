@@ -4,8 +4,8 @@ from multicontact_control.cli.exits import end_by_verdict
 from multicontact_control.experiment import figures
 from multicontact_control.experiment.display import headline, summary_table, verdict_lines
 from multicontact_control.experiment.judge import INTERRUPTED
+from multicontact_control.experiment.results import summarise
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.experiment.summary import summarise
 import numpy as np
 import pytest
 from synthetic_run import perfect_run

@@ -11,7 +11,7 @@ import time
 from fake_arm import wrench_message
 from multicontact_control.config import ControllerConfig, read_parameters, validate
 from multicontact_control.errors import ConfigError, MulticontactError
-from multicontact_control.experiment.bag import read_bag
+from multicontact_control.experiment.recording import read_bag
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph import READY
 from multicontact_control.nodes.recorder_node import RecorderNode

@@ -12,8 +12,8 @@ from typing import Any, TYPE_CHECKING
 from multicontact_control.experiment.claims import evidence_of
 from multicontact_control.experiment.metrics import disturbance_summary
 from multicontact_control.experiment.recording import empty_run_data, RunData
+from multicontact_control.experiment.results import summarise
 from multicontact_control.experiment.study.jobs import JobResult, RunJob
-from multicontact_control.experiment.summary import summarise
 from multicontact_control.files import finite
 import numpy as np
 

@@ -19,8 +19,8 @@ import sys
 from arms import seven_joint_urdf
 from external_arm import BIAS, TOOL_COM, TOOL_MASS
 from multicontact_control.client import MultiContactClient
-from multicontact_control.experiment.bag import read_graph
 from multicontact_control.experiment.graph.domain import reserve_domain, shared_domain
+from multicontact_control.experiment.recording import read_graph
 from multicontact_control.experiment.results import load
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph import ignore, take

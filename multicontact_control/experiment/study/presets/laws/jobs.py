@@ -14,10 +14,10 @@ from multicontact_control.experiment.metrics import (
 )
 from multicontact_control.experiment.overrides import ARGUMENTS, overrides_of
 from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.results import summarise
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.experiment.study.jobs import content_key, JobResult, setup_content
 from multicontact_control.experiment.study.measure import largest, largest_known, long_enough
-from multicontact_control.experiment.summary import summarise
 from multicontact_control.files import finite
 import numpy as np
 
