@@ -1,18 +1,16 @@
 """
-An arm with a wrist sensor and a tool, as every engine is told of it.
+An arm with a wrist sensor and a tool, from which engines and controller get their models.
 
-A chain of joints that turn about the z axis of their own frame, each with one rigid link. Every
-URDF (`urdf_arm`) becomes one of these, and what an engine or the controller reads (a URDF, a
-MuJoCo model) is written from it.
+A chain of joints that turn about the z axis of their own frame, each with one rigid link.
+`urdf_arm` makes one of every robot's URDF.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 import math
 from typing import Any
-import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.config import Vector3
 from multicontact_control.dynamics.robot import load_model
@@ -39,7 +37,7 @@ class Placement:
     def of(cls, placement: pin.SE3) -> Placement:
         """Return pinocchio's placement."""
         position, rpy = placement.translation, pin.rpy.matrixToRpy(placement.rotation)
-        return cls(_triple(position), _triple(rpy))
+        return cls(triple(position), triple(rpy))
 
     @property
     def se3(self) -> pin.SE3:
@@ -65,7 +63,7 @@ class Body:
             moments, axes = np.linalg.eigh(matrix)
             axes[:, 2] *= np.sign(np.linalg.det(axes))
         com = Placement.of(pin.SE3(axes, np.array(inertia.lever)))
-        return cls(float(inertia.mass), com, _triple(moments))
+        return cls(float(inertia.mass), com, triple(moments))
 
 
 @dataclass(frozen=True)
@@ -104,7 +102,7 @@ class Arm:
     face_mass: float  # of the sensor itself [kg]
     tool: Body  # what hangs on the sensor, in the sensor's frame
     tips: Mapping[str, Vector3]  # of the tool, by URDF link, in the sensor's frame [m]
-    text: str = ''  # URDF with sensor and tool that the arm comes from; empty: written anew
+    text: str = ''  # of a URDF with sensor and tool that the arm was read from
 
     def __post_init__(self) -> None:
         own = (BASE_LINK, *(f'link{i + 1}' for i in range(len(self.links))), SENSOR_FRAME,
@@ -164,63 +162,42 @@ def urdf_text(arm: Arm, *, for_bullet: bool = False) -> str:
     """
     Return the URDF of an arm with its tool.
 
-    Parameters
-    ----------
-    arm
-        The arm.
-    for_bullet
-        Whether PyBullet is to read it: without the links that only name a place (operational
-        point, tips), which would cost it time at every step, with a mass for the base, without
-        joint limits, which are the controller's to keep, and with every inertia made isotropic,
-        since the importer refuses some that have been published. The true ones have to be set
-        afterwards.
-
-    Returns
-    -------
-    str
-        The XML.
-
+    For PyBullet it is without the links that only name a place (operational point, tips), which
+    would cost time at every step, with a mass for the base, without joint limits, which are the
+    controller's, and with isotropic inertias, since the importer refuses some published ones: the
+    true inertias have to be set afterwards.
     """
-    bodies = arm.bodies
-    parts = [f'  <link name="{BASE_LINK}"/>']
+    bodies, base = arm.bodies, [f'  <link name="{BASE_LINK}"/>']
     if for_bullet:
-        bodies = tuple(Body(body.mass, body.com, (max(body.inertia),) * 3) for body in bodies)
-        parts = _link(BASE_LINK, Body(1.0, Placement(), (1.0, 1.0, 1.0)))
-    parent = BASE_LINK
+        bodies = tuple(replace(body, inertia=(max(body.inertia),) * 3) for body in bodies)
+        base = _link(BASE_LINK, Body(1.0, Placement(), (1.0, 1.0, 1.0)))
+    parts, parent = base, BASE_LINK
     for number, (link, body) in enumerate(zip(arm.links, bodies), start=1):
         name = f'link{number}'
-        parts += [*_link(name, body), *_joint(link, parent, name, endless=for_bullet)]
+        endless = for_bullet or not (math.isfinite(link.lower) and math.isfinite(link.upper))
+        lower, upper = (-NO_LIMIT, NO_LIMIT) if endless else (link.lower, link.upper)
+        parts += _link(name, body)
+        parts += _joint(
+            link.joint, 'continuous' if endless else 'revolute', parent, name, link.placement, [
+                '    <axis xyz="0 0 1"/>',
+                f'    <limit lower="{lower!r}" upper="{upper!r}" effort="{link.torque_limit!r}"'
+                f' velocity="{link.speed_limit!r}"/>'])
         parent = name
+    places = {} if for_bullet else {
+        OPERATIONAL_FRAME: (parent, arm.operational),
+        **{tip: (TOOL_LINK, Placement(point)) for tip, point in arm.tips.items()}}
     parts += _link(SENSOR_FRAME, bodies[-2])
-    parts += _fixed_joint(parent, SENSOR_FRAME, arm.sensor)
+    parts += _joint(f'{SENSOR_FRAME}_joint', 'fixed', parent, SENSOR_FRAME, arm.sensor)
     parts += _link(TOOL_LINK, bodies[-1])
-    parts += _fixed_joint(SENSOR_FRAME, TOOL_LINK, Placement())
-    if not for_bullet:
-        parts.append(f'  <link name="{OPERATIONAL_FRAME}"/>')
-        parts += _fixed_joint(parent, OPERATIONAL_FRAME, arm.operational)
-        for tip, point in arm.tips.items():
-            parts.append(f'  <link name="{tip}"/>')
-            parts += _fixed_joint(TOOL_LINK, tip, Placement(point))
-    return '\n'.join([_HEADER, f'<robot name="{arm.name}">', *parts, '</robot>',
-                      ''])
+    parts += _joint(f'{TOOL_LINK}_joint', 'fixed', SENSOR_FRAME, TOOL_LINK, Placement())
+    for name, (carrier, placement) in places.items():
+        parts.append(f'  <link name="{name}"/>')
+        parts += _joint(f'{name}_joint', 'fixed', carrier, name, placement)
+    return '\n'.join([_HEADER, f'<robot name="{arm.name}">', *parts, '</robot>', ''])
 
 
 _HEADER = """<?xml version="1.0"?>
 <!-- Written by sim_bridge/arm.py from the robot's file: change that. -->"""
-
-
-def _joint(link: Link, parent: str, child: str, *, endless: bool) -> list[str]:
-    endless = endless or not (math.isfinite(link.lower) and math.isfinite(link.upper))
-    limits = (-NO_LIMIT, NO_LIMIT) if endless else (link.lower, link.upper)
-    return [
-        f'  <joint name="{link.joint}" type="{"continuous" if endless else "revolute"}">',
-        f'    <parent link="{parent}"/>',
-        f'    <child link="{child}"/>',
-        f'    {_origin(link.placement)}',
-        '    <axis xyz="0 0 1"/>',
-        f'    <limit lower="{limits[0]!r}" upper="{limits[1]!r}" effort="{link.torque_limit!r}"'
-        f' velocity="{link.speed_limit!r}"/>',
-        '  </joint>']
 
 
 def _link(name: str, body: Body) -> list[str]:
@@ -235,12 +212,16 @@ def _link(name: str, body: Body) -> list[str]:
         '  </link>']
 
 
-def _fixed_joint(parent: str, child: str, placement: Placement) -> list[str]:
+def _joint(
+    name: str, kind: str, parent: str, child: str, placement: Placement,
+    turning: Sequence[str] = (),
+) -> list[str]:
     return [
-        f'  <joint name="{child}_joint" type="fixed">',
+        f'  <joint name="{name}" type="{kind}">',
         f'    <parent link="{parent}"/>',
         f'    <child link="{child}"/>',
         f'    {_origin(placement)}',
+        *turning,
         '  </joint>']
 
 
@@ -253,73 +234,8 @@ def numbers(values: Iterable[float]) -> str:
     return ' '.join(repr(float(value)) for value in values)
 
 
-def arm_of_urdf(text: str) -> Arm:
-    """
-    Return the arm of a URDF as `urdf_text` writes it; visuals may stand in it, too.
-
-    Raises
-    ------
-    ConfigError
-        If a joint, link or value that `urdf_text` writes is missing.
-
-    """
-    root = parse_urdf(text)
-    joints = {_value(joint, 'child', 'link'): joint for joint in root.findall('joint')}
-    elements = {link.get('name', ''): link for link in root.findall('link')}
-    missing = {SENSOR_FRAME, TOOL_LINK, OPERATIONAL_FRAME} - joints.keys()
-    if missing:
-        raise ConfigError('mount_link', 'a link of a URDF that lacks '
-                          f'{", ".join(sorted(missing))}', 'nothing')
-    links = []
-    for child, joint in joints.items():
-        kind = joint.get('type')
-        if kind not in ('revolute', 'continuous'):
-            continue
-        if _numbers(joint, 'axis', 'xyz') != (0.0, 0.0, 1.0):
-            raise ConfigError('mount_link', 'a link, for joints that turn about another axis than '
-                              'z', 'nothing')
-        range_of = [_numbers(joint, 'limit', end)[0] if kind == 'revolute' else sign * math.inf
-                    for end, sign in (('lower', -1.0), ('upper', 1.0))]
-        links.append(Link(
-            joint.get('name', ''), _placement(joint), _body(elements[child]), *range_of,
-            *_numbers(joint, 'limit', 'velocity'), *_numbers(joint, 'limit', 'effort')))
-    tips = {child: _placement(joint).position for child, joint in joints.items()
-            if _value(joint, 'parent', 'link') == TOOL_LINK}
-    return Arm(root.get('name', 'arm'), tuple(links), _placement(joints[OPERATIONAL_FRAME]),
-               _placement(joints[SENSOR_FRAME]), _body(elements[SENSOR_FRAME]).mass,
-               _body(elements[TOOL_LINK]), tips, text)
-
-
-def parse_urdf(text: str | bytes) -> ElementTree.Element:
-    """Return the root element of a URDF; ConfigError if it is no XML."""
-    try:
-        return ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise ConfigError('urdf', 'a valid URDF', str(error)) from None
-
-
-def _value(element: ElementTree.Element, path: str, name: str) -> str:
-    found = element.find(path)
-    if found is None or name not in found.attrib:
-        raise ConfigError('urdf', f"{path} with {name} in '{element.get('name')}'", 'none')
-    return found.attrib[name]
-
-
-def _numbers(element: ElementTree.Element, path: str, name: str) -> tuple[float, ...]:
-    return tuple(float(number) for number in _value(element, path, name).split())
-
-
-def _placement(element: ElementTree.Element, path: str = 'origin') -> Placement:
-    return Placement(*(_triple(_numbers(element, path, name)) for name in ('xyz', 'rpy')))
-
-
-def _body(link: ElementTree.Element) -> Body:
-    moments = [_numbers(link, 'inertial/inertia', name)[0] for name in ('ixx', 'iyy', 'izz')]
-    mass, = _numbers(link, 'inertial/mass', 'value')
-    return Body(mass, _placement(link, 'inertial/origin'), _triple(moments))
-
-
-def _triple(values: Iterable[float]) -> Vector3:
+def triple(values: Iterable[float]) -> Vector3:
+    """Return three numbers as floats."""
     x, y, z = (float(value) for value in values)
     return (x, y, z)
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 import math
 from pathlib import Path
+from typing import Any, NamedTuple
 import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.arrays import Vector
@@ -15,31 +14,34 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.parameter_file import write_parameters
 import numpy as np
 import pinocchio as pin
-from sim_bridge.arm import Arm, parse_urdf
-from sim_bridge.posture import condition, limits_of, reach
-from sim_bridge.robot_file import ToolData
-from sim_bridge.robots import find_robot, SCHEME, urdf_name
-from sim_bridge.urdf_arm import ends_of, Mount, read_arm, read_urdf
+from sim_bridge.arm import Arm
+from sim_bridge.posture import condition, limits_of, middle_of, reach, turn_onto
+from sim_bridge.robot_file import RobotFile
+from sim_bridge.robots import find_robot, urdf_name
+from sim_bridge.urdf_arm import ends_of, parse_urdf, read_arm, read_urdf
+import yaml
 
 MARK = 'PLACEHOLDER'
 GUESSED_TOOL = {
     'face_offset': 0.0, 'face_mass': 0.001, 'mass': 0.5, 'com': [0.0, 0.0, 0.08],
     'inertia': [0.002, 0.002, 0.001]}
-GUESSED_TIP = [0.0, 0.0, 0.15]  # m, where the URDF has the tip at the sensor itself
-GUESSED_TORQUE, GUESSED_SPEED, GUESSED_ARMATURE = 50.0, 1.0, 0.1  # N m, rad/s, kg m^2
+GUESSED_TIP = [0.0, 0.0, 0.15]  # m, where the URDF has no tool
+GUESSED_LIMITS = {'torque_limit': (50.0, 'N m'), 'speed_limit': (1.0, 'rad/s')}
+GUESSED_ARMATURE = 0.1  # kg m^2
+LARGEST_LIMIT = 1e6  # N m or rad/s, from which on a limit is none
 # Places of the operational point that are tried for home, as shares of the arm's length: how far
 # out and how high, on the four sides.
 PLACES = ((0.45, 0.35), (0.35, 0.3), (0.5, 0.2), (0.4, 0.45), (0.3, 0.2))
 STARTS = 4  # postures from which each is tried
+GOOD_CONDITION = 20.0  # of the Jacobian
 
 
-@dataclass(frozen=True)
-class NewRobot:
+class NewRobot(NamedTuple):
     """A configuration that was written."""
 
     path: Path
     missing: tuple[str, ...]  # what it still needs, in sentences
-    found: tuple[str, ...]  # what was found out, in sentences
+    found: tuple[str, ...]  # what is known of it, in sentences
 
 
 def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:
@@ -62,36 +64,40 @@ def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:
 
     """
     text, suspicious = read_urdf(urdf), list[str]()
-    root = parse_urdf(text)
-    joints, locked = _joints(root, sensor)
-    if tip not in _links(root):
-        raise ConfigError('tip', f'a link of the URDF among {", ".join(_links(root))}',
-                          f"'{tip}'")
+    joints, locked = _joints(parse_urdf(text), sensor, tip)
+    values: dict[str, Any] = {
+        'urdf': urdf_name(urdf, out.parent), 'joint_names': joints, 'mount_link': sensor,
+        'tip_links': [tip], 'home': [0.0] * len(joints), 'contacts': _contacts(tip),
+        'armature': [GUESSED_ARMATURE] * len(joints)}
+    if locked:
+        values |= {'locked_joints': list(locked), 'locked_positions': list(locked.values())}
     missing: list[str] = []
     try:
-        arm = read_arm(urdf, joints, Mount(sensor, tip_links=[tip]), locked)
-        tool = ''
+        arm = read_arm(urdf, RobotFile(**values))
     except ConfigError as error:
         if error.field not in ('tool', 'tip_links'):
             raise
         tip = f'{tip}_tip'  # the arm may have a link or joint of that name
-        tool = _guessed_tool(tip)
         missing.append('tool: weigh it (`multicontact calibrate` shows how) and measure the tip')
-        arm = read_arm(urdf, joints, Mount(sensor, tool=ToolData.model_validate(
-            {**GUESSED_TOOL, 'tips': {tip: GUESSED_TIP}})), locked)
+        del values['tip_links']
+        values |= {'tool': {**GUESSED_TOOL, 'tips': {tip: GUESSED_TIP}},
+                   'contacts': _contacts(tip)}
+        arm = read_arm(urdf, RobotFile(**values))
     load_model(text, locked, suspicious)
-    suspicious += check_torques(arm.model(), np.array(_own(arm, 'torque_limit')))
-    home, reached = _home(arm, np.array(arm.tips[tip]))
-    if not reached:
+    limits = {name: _own_limits(arm, name) for name in GUESSED_LIMITS}
+    suspicious += check_torques(arm.model(), np.array(limits['torque_limit']))
+    home = _home(arm, np.array(arm.tips[tip]))
+    if home is None:
+        home = middle_of(arm.model(), np.zeros(len(joints)))
         missing.append('home: no posture with the tool straight down was found; this one is the '
                        "middle of the joints' range")
+    values['home'] = [round(float(angle), 9) for angle in home]
     out.parent.mkdir(parents=True, exist_ok=True)
-    text = _text(urdf, out, joints, locked, sensor, tip, tool, arm, home, missing)
-    out.write_text(text, encoding='utf-8')
+    out.write_text(_text(urdf.name, values, limits, missing), encoding='utf-8')
     missing += ['armature: rotor inertia x gear ratio squared of each joint',
                 'contacts: the surfaces your tip really meets, and their stiffness']
     return NewRobot(out, tuple(missing), (
-        *(f'suspicious: {text}' for text in suspicious), *_found(out)))
+        *(f'suspicious: {remark}' for remark in suspicious), *_remarks(out)))
 
 
 def write_controller(made: NewRobot, out: Path) -> None:
@@ -101,7 +107,7 @@ def write_controller(made: NewRobot, out: Path) -> None:
     Parameters
     ----------
     made
-        The robot's file; what it still needs is guessed here, too, and told in the head.
+        The robot's file; what it still needs is guessed here, too, and listed in the head.
     out
         Parameter file to write; the URDF is written next to it.
 
@@ -114,13 +120,12 @@ def write_controller(made: NewRobot, out: Path) -> None:
     robot = find_robot(str(made.path))
     values = robot.controller_base()
     urdf = out.with_name(f'{made.path.stem}_with_tool.urdf')
-    source = robot.urdf_dir() / values['robot']['urdf']
     values['robot'] = {**values['robot'], 'urdf': urdf.name}
-    # Nothing of the sensor that is simulated; and no contact before this one is known to be right.
+    # Nothing of the simulated sensor; and no contact before this one is proven by a push test.
     values['sensor'], values['watchdog'] = {'require_push_test': True}, {}
     validate(ControllerConfig, values, str(out))
     out.parent.mkdir(parents=True, exist_ok=True)
-    urdf.write_text(source.read_text(encoding='utf-8'), encoding='utf-8')
+    urdf.write_text(robot.arm.urdf, encoding='utf-8')
     guesses = '\n'.join(f'# - {text}' for text in made.missing)
     write_parameters(
         out, {'/**': values},
@@ -130,60 +135,50 @@ def write_controller(made: NewRobot, out: Path) -> None:
         f'{guesses}\n')
 
 
-def _links(root: ElementTree.Element) -> list[str]:
-    return [link.get('name', '') for link in root.findall('link')]
-
-
-def _joints(root: ElementTree.Element, sensor: str) -> tuple[list[str], dict[str, float]]:
+def _joints(
+    root: ElementTree.Element, sensor: str, tip: str,
+) -> tuple[list[str], dict[str, float]]:
     """Return the joints between base and sensor, and where all others are to stay."""
-    if sensor not in _links(root):
-        raise ConfigError('sensor', f'a link of the URDF among {", ".join(_links(root))}',
-                          f"'{sensor}'")
-    carried = {}
-    for joint in root.findall('joint'):
-        parent, child = ends_of(joint)
-        if child:
-            carried[child] = parent, joint
+    links = [link.get('name', '') for link in root.findall('link')]
+    for field, name in (('sensor', sensor), ('tip', tip)):
+        if name not in links:
+            raise ConfigError(field, f'a link of the URDF among {", ".join(links)}', f"'{name}'")
+    moving = [joint for joint in root.findall('joint') if joint.get('type') != 'fixed']
+    carried = {ends_of(joint)[1]: joint for joint in root.findall('joint')}
     chain: list[str] = []
     link = sensor
-    while link in carried:
-        link, joint = carried[link]
-        if joint.get('type') != 'fixed':
+    while joint := carried.get(link):
+        link = ends_of(joint)[0]
+        if joint in moving:
             chain.insert(0, joint.get('name', ''))
     if not chain:
         raise ConfigError('sensor', 'a link that joints carry', f"'{sensor}'")
     locked = {}
-    for joint in root.findall('joint'):
-        name, limit = joint.get('name', ''), joint.find('limit')
-        if joint.get('type') == 'fixed' or name in chain:
-            continue
-        lower, upper = (0.0, 0.0) if limit is None else (
-            float(limit.get('lower', 0.0)), float(limit.get('upper', 0.0)))
-        locked[name] = min(max(0.0, lower), upper) if lower <= upper else 0.0
-    return chain, locked
+    for joint in moving:
+        limit = joint.find('limit')
+        ends = {} if limit is None else limit.attrib
+        lower, upper = (float(ends.get(end, 0.0)) for end in ('lower', 'upper'))
+        locked[joint.get('name', '')] = min(max(0.0, lower), upper) if lower <= upper else 0.0
+    return chain, {name: place for name, place in locked.items() if name not in chain}
 
 
-def _guessed_tool(tip: str) -> str:
-    units = {'face_offset': 'm, mount_link to sensor along z', 'face_mass': 'kg', 'mass': 'kg',
-             'com': 'm', 'inertia': 'kg m^2'}
-    return '\n'.join([
-        f'# {MARK}: the URDF has no tool with a mass beyond the sensor link.',
-        'tool:  # in the frame of the sensor',
-        *(f'  {name}: {value}  # {units[name]}' for name, value in GUESSED_TOOL.items()),
-        f'  tips: {{{tip}: {GUESSED_TIP}}}  # m'])
+def _contacts(tip: str) -> dict[str, Any]:
+    return {'table': {
+        'tip': tip, 'normal_world': [0.0, 0.0, -1.0], 'gap': 0.007, 'stiffness': 6000.0}}
 
 
-def _home(arm: Arm, tip: Vector) -> tuple[Vector, bool]:
-    """Return a posture with the tip straight below the sensor, or the middle of the range."""
+def _home(arm: Arm, tip: Vector) -> Vector | None:
+    """Return a posture with the tip straight below the sensor, or None."""
     model = arm.model()
     lower, upper = limits_of(model)
-    ends = np.isfinite(lower) & np.isfinite(upper)
-    middle = np.where(ends, 0.5 * (np.where(ends, lower, 0.0) + np.where(ends, upper, 0.0)), 0.0)
-    span = np.where(ends, np.where(ends, upper, 0.0) - np.where(ends, lower, 0.0), np.pi)
+    middle = middle_of(model, np.zeros(model.nv))
+    span = np.where(np.isfinite(upper - lower), upper - lower, np.pi)
     length = sum(float(np.linalg.norm(link.placement.position)) for link in arm.links)
-    down = _turned_down(tip)
-    random, best, found = np.random.default_rng(0), math.inf, None
-    starts = [middle, *(middle + random.uniform(-0.25, 0.25, len(middle)) * span
+    size = float(np.linalg.norm(tip))
+    z = np.array([0.0, 0.0, 1.0])
+    down = turn_onto(z if size < 1e-6 else tip / size, -z)
+    random, best, home = np.random.default_rng(0), math.inf, None
+    starts = [middle, *(middle + random.uniform(-0.25, 0.25, model.nv) * span
                         for _ in range(STARTS - 1))]
     for out, high in PLACES:
         for side in range(4):
@@ -191,78 +186,59 @@ def _home(arm: Arm, tip: Vector) -> tuple[Vector, bool]:
             pose = pin.SE3(turn @ down, turn @ np.array([out * length, 0.0, high * length]))
             for start in starts:
                 q = reach(model, pose, start)
-                value = math.inf if q is None else condition(model, q)
-                if value < best:
-                    best, found = value, q
-        if found is not None and best < 20.0:
+                if q is not None and (value := condition(model, q)) < best:
+                    best, home = value, q
+        if best < GOOD_CONDITION:
             break
-    return (middle, False) if found is None else (found, True)
+    return home
 
 
-def _turned_down(tip: Vector) -> Vector:
-    """Return axes in which the way to the tip points down."""
-    size = float(np.linalg.norm(tip))
-    way = np.array([0.0, 0.0, 1.0]) if size < 1e-6 else tip / size
-    across = np.cross(way, [0.0, 0.0, -1.0])
-    sine = float(np.linalg.norm(across))
-    if sine < 1e-9:
-        return np.eye(3) if way[2] < 0.0 else np.diag([1.0, -1.0, -1.0])
-    return np.asarray(pin.exp3(across / sine * np.arctan2(sine, -way[2])))
+def _own_limits(arm: Arm, name: str) -> list[float]:
+    """Return a limit of each joint, nan where the URDF has none."""
+    values = [float(getattr(link, name)) for link in arm.links]
+    return [value if 0.0 < value < LARGEST_LIMIT else math.nan for value in values]
 
 
 def _text(
-    urdf: Path, out: Path, joints: Sequence[str], locked: dict[str, float], sensor: str,
-    tip: str, tool: str, arm: Arm, home: Vector, missing: list[str],
+    urdf: str, values: dict[str, Any], limits: dict[str, list[float]], missing: list[str],
 ) -> str:
-    """Return the file, and add to what is missing."""
-    name = urdf_name(urdf, out.parent)
-    relative = '' if name.startswith(SCHEME) else '  # relative to this file'
+    """Return the text of the file, and add the limits to what is missing."""
+    comments = {
+        'locked_positions': 'rad or m', 'mount_link': 'carries the wrist sensor',
+        'tip_links': 'of the tool, which is in the URDF', 'armature': f'kg m^2, {MARK}',
+        'home': 'rad'}
+    heads = {
+        'locked_joints': 'Joints that are no part of the arm, and where they stay.',
+        'tool': f'{MARK}: the URDF has no tool with a mass beyond the sensor link. In the frame '
+                'of the sensor; m, kg, kg m^2.',
+        'contacts': f'{MARK}: a table 7 mm below the tip at home; the normal points INTO it.'}
     lines = [
-        f'# Written by `multicontact new-robot {urdf.name}`; what is marked {MARK} is a guess.',
-        '# SI units. What is not here follows from the URDF (docs/your_robot.md).',
-        f'urdf: {name}{relative}', f'joint_names: {_list(joints)}']
-    if locked:
-        lines += ['# Joints that are no part of the arm, and where they stay.',
-                  f'locked_joints: {_list(list(locked))}',
-                  f'locked_positions: {_list(list(locked.values()))}  # rad or m']
-    lines += [f'mount_link: {sensor}  # carries the wrist sensor; operational point and sensor '
-              'frame',
-              'mount_rpy: [0.0, 0.0, 0.0]  # rad, axes of the sensor in that link']
-    lines += [tool] if tool else [f'tip_links: [{tip}]  # of the tool, which is in the URDF']
-    n = len(joints)
-    lines += [f'armature: {_list([GUESSED_ARMATURE] * n)}  # kg m^2, {MARK}']
-    for name, unit, guess in (('torque_limit', 'N m', GUESSED_TORQUE),
-                              ('speed_limit', 'rad/s', GUESSED_SPEED)):
-        own = _own(arm, name)
-        lacking = ', '.join(joint for joint, value in zip(joints, own) if math.isnan(value))
-        values = _list([guess if math.isnan(value) else value for value in own])
+        f'# Written by `multicontact new-robot {urdf}`; what is marked {MARK} is a guess.',
+        '# SI units. What is not here follows from the URDF (docs/your_robot.md).']
+    for name, value in values.items():
+        if name in heads:
+            lines.append(f'# {heads[name]}')
+        comment = f'  # {comments[name]}' if name in comments else ''
+        lines.append(_entry(name, value) + comment)
+    for name, (guess, unit) in GUESSED_LIMITS.items():
+        lacking = ', '.join(joint for joint, value in zip(values['joint_names'], limits[name])
+                            if math.isnan(value))
+        entry = _entry(name, [guess if math.isnan(x) else x for x in limits[name]])
         if lacking:
-            lines.append(f'{name}: {values}  # {unit}, {MARK} for {lacking}: the URDF has none')
             missing.append(f'{name} of {lacking}: the URDF has none')
-        else:
-            lines.append(f'# {name}: {values}  # {unit}, those of the URDF')
-    lines += [
-        f'home: {_list([round(float(x), 9) for x in home])}  # rad',
-        f'contacts:  # {MARK}: a table 7 mm below the tip at home; the normal points INTO it',
-        f'  table: {{tip: {tip}, normal_world: [0.0, 0.0, -1.0], gap: 0.007, stiffness: 6000.0}}',
-        '# plants:  # with flexible drives beside the rigid ones, where stiffness is known',
-        '#   rigid: {}', '#   flexible:',
-        '#     plant: {drives: flexible, joint_sensing: motor, substep: 2.5e-4, '
-        'drive_stiffness: [...], drive_damping: [...]}', '']
-    return '\n'.join(lines)
+        lines.append(f'{entry}  # {unit}, {MARK} for {lacking}: the URDF has none' if lacking
+                     else f'# {entry}  # {unit}, those of the URDF')
+    return '\n'.join([*lines, '# mount_rpy: [0.0, 0.0, 0.0]  # rad, axes of the sensor', ''])
 
 
-def _own(arm: Arm, name: str) -> list[float]:
-    """Return a limit of each joint, nan where the URDF has none."""
-    values = [float(getattr(link, name)) for link in arm.links]
-    return [value if 0.0 < value < 1e6 else math.nan for value in values]
+def _entry(name: str, value: Any) -> str:
+    """Return an entry of a YAML file, its lists in one line each."""
+    style = None if isinstance(value, (list, dict)) else False
+    return yaml.safe_dump({name: value}, default_flow_style=style, sort_keys=False,
+                          width=math.inf).strip()
 
 
-def _list(values: Sequence[object]) -> str:
-    return f'[{", ".join(str(value) for value in values)}]'
-
-
-def _found(out: Path) -> tuple[str, ...]:
+def _remarks(out: Path) -> tuple[str, ...]:
     """Check the file by reading it, and return what it makes."""
     robot = find_robot(str(out))
     arm, home = robot.arm, np.array(robot.file.home)
@@ -270,9 +246,10 @@ def _found(out: Path) -> tuple[str, ...]:
     robot.plant_values('rigid')
     robot.controller_base()
     gravity = np.abs(pin.computeGeneralizedGravity(model, model.createData(), home))
-    share = gravity / np.array([link.torque_limit for link in arm.links])
+    share = gravity / np.array(arm.torque_limit)
     return (
         f'{len(arm.links)} joints, {sum(body.mass for body in arm.bodies):.3g} kg, of which '
         f'{arm.carried_mass:.3g} kg hang on the sensor',
         f'at home gravity takes {100.0 * share.max():.0f} % of the torque limit at most, and the '
-        f'Jacobian has the condition {condition(model, home):.3g} (below 20 is good)')
+        f'condition of the Jacobian is {condition(model, home):.3g} (good below '
+        f'{GOOD_CONDITION:g})')

@@ -1,4 +1,4 @@
-"""Joint angles for a pose of the operational point, by inverse kinematics."""
+"""Poses, Jacobians and inverse kinematics of an arm, where no run waits for them."""
 
 from __future__ import annotations
 
@@ -13,34 +13,26 @@ DAMPING = 1e-6
 CENTRING = 0.05  # of the way to the middle of the joints' range per step, where the task lets it
 REACHED = 1e-9  # m, rad
 FAR = 10.0  # rad, from which on a limit is none
+PARALLEL = 1e-9  # sine of the angle between directions that are taken for one
 
 
 def reach(model: pin.Model, pose: pin.SE3, start: Vector) -> Vector | None:
     """
-    Return joint angles that put the operational frame there, None if none are found.
+    Return joint angles that put the operational frame at a pose, None if none are found.
 
-    Damped least squares from a posture on, within the joints' limits. What the task leaves free
-    goes to the middle of the joints' range.
-
-    Parameters
-    ----------
-    model
-        The arm.
-    pose
-        Wanted, in the world.
-    start
-        Shape (n,) [rad].
-
+    Damped least squares from joint angles `start` on, shape (n,) [rad], within the joints' limits.
+    What the task leaves free goes to the middle of the joints' range.
     """
-    data, frame = model.createData(), model.getFrameId(OPERATIONAL_FRAME)
     lower, upper = limits_of(model)
-    ends = np.isfinite(lower) & np.isfinite(upper)
-    middle = np.where(ends, 0.5 * (np.where(ends, lower, 0.0) + np.where(ends, upper, 0.0)), start)
+    middle = middle_of(model, start)
     q = np.array(start, dtype=float)
     for step in range(STEPS):
-        error, jacobian = _error(model, data, frame, pose, q)
+        now = frame_pose(model, q)
+        error = np.concatenate((
+            pose.translation - now.translation, pin.log3(pose.rotation @ now.rotation.T)))
         if np.abs(error).max() < REACHED:
             return q
+        jacobian = frame_jacobian(model, q)
         inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + DAMPING * np.eye(6))
         change = inverse @ error
         fading = CENTRING * max(0.0, 1.0 - 2.0 * step / STEPS)
@@ -56,16 +48,12 @@ def limits_of(model: pin.Model) -> tuple[Vector, Vector]:
     return np.where(lower < -FAR, -np.inf, lower), np.where(upper > FAR, np.inf, upper)
 
 
-def _error(
-    model: pin.Model, data: pin.Data, frame: int, pose: pin.SE3, q: Vector,
-) -> tuple[Vector, Vector]:
-    """Return how far the frame is off, and its Jacobian, both in world axes."""
-    pin.computeJointJacobians(model, data, q)
-    pin.updateFramePlacements(model, data)
-    now = data.oMf[frame]
-    turn = pin.log3(pose.rotation @ now.rotation.T)
-    jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-    return np.concatenate((pose.translation - now.translation, turn)), jacobian
+def middle_of(model: pin.Model, otherwise: Vector) -> Vector:
+    """Return the middle of the joints' ranges, and angles `otherwise` without one [rad]."""
+    lower, upper = limits_of(model)
+    ends = np.isfinite(lower) & np.isfinite(upper)
+    return np.where(ends, 0.5 * (np.where(ends, lower, 0.0) + np.where(ends, upper, 0.0)),
+                    otherwise)
 
 
 def frame_pose(model: pin.Model, q: Vector, frame: str = OPERATIONAL_FRAME) -> pin.SE3:
@@ -75,16 +63,22 @@ def frame_pose(model: pin.Model, q: Vector, frame: str = OPERATIONAL_FRAME) -> p
     return data.oMf[model.getFrameId(frame)].copy()
 
 
+def frame_jacobian(model: pin.Model, q: Vector, frame: str = OPERATIONAL_FRAME) -> Matrix:
+    """Return the Jacobian of a frame, world axes, linear rows first, shape (6, n) [m, rad]."""
+    jacobian: Matrix = pin.computeFrameJacobian(
+        model, model.createData(), q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)
+    return jacobian
+
+
 def condition(model: pin.Model, q: Vector) -> float:
     """Return the condition number of the operational point's Jacobian [m, rad]."""
     return float(np.linalg.cond(frame_jacobian(model, q)))
 
 
-def frame_jacobian(model: pin.Model, q: Vector, frame: str = OPERATIONAL_FRAME) -> Matrix:
-    """Return the Jacobian of a frame, world axes, linear rows first, shape (6, n) [m, rad]."""
-    data = model.createData()
-    pin.computeJointJacobians(model, data, q)
-    pin.updateFramePlacements(model, data)
-    jacobian: Matrix = pin.getFrameJacobian(
-        model, data, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)
-    return jacobian
+def turn_onto(start: Vector, end: Vector) -> Matrix:
+    """Return a rotation that turns one unit vector onto another, one of which is along z."""
+    across = np.cross(start, end)
+    sine, cosine = float(np.linalg.norm(across)), float(start @ end)
+    if sine <= PARALLEL:
+        return np.eye(3) if cosine > 0.0 else np.diag([1.0, -1.0, -1.0])
+    return np.asarray(pin.exp3(across / sine * np.arctan2(sine, cosine)))

@@ -58,13 +58,6 @@ class WideConfig(Config):
         return self
 
 
-class ElbowConfig(Config):
-    """Where an obstacle meets the arm before its wrist sensor, in the fault campaign."""
-
-    link: int = parameter(..., 'Link whose origin meets it, counted from 1 at the base.', ge=1)
-    normal_world: UnitVector3 = parameter(..., "Unit normal INTO the obstacle's surface.")
-
-
 class PlantVariant(Config):
     """One way to simulate a robot, and what the controller then knows of it."""
 
@@ -115,16 +108,9 @@ class RobotFile(Config):
     contacts: dict[str, SideConfig] = parameter({}, 'Contacts, in their order.')
     wide_contacts: dict[str, WideConfig] = parameter(
         {}, 'Edges and faces of the tool, which scenarios may name among their contacts.')
-    elbow: ElbowConfig | None = parameter(
-        None, 'Where an obstacle may meet the arm; none for the link in the middle, along '
-        'the horizontal axis that its joints feel best at home.')
     controller_file: str = parameter(
         '', "The controller's parameter file; empty for what follows from the robot.")
     controller: dict[str, Any] = parameter({}, 'Values laid over that, on every plant.')
-    calibration_file: str = parameter(
-        '', 'Poses for weighing the tool; empty for some around home.')
-    motion: dict[str, Any] = parameter(
-        {}, "Values laid over a scenario's reference.motion, where it has one.")
     plants: dict[str, PlantVariant] = parameter(
         {'rigid': PlantVariant()}, 'Ways to simulate it.', min_length=1)
     plant_aliases: dict[str, str] = parameter({}, 'Other names of these.')

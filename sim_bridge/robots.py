@@ -28,7 +28,7 @@ from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
 from sim_bridge.config import SurfaceConfig
 from sim_bridge.posture import frame_jacobian, frame_pose, limits_of, reach
 from sim_bridge.robot_file import PlantVariant, RobotFile
-from sim_bridge.urdf_arm import Mount, read_arm
+from sim_bridge.urdf_arm import read_arm
 
 FOLDER = 'robots'
 DEFAULT = 'puma'
@@ -43,7 +43,9 @@ FACE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
 RANGE_OF_CONTINUOUS = 1e3  # rad, which no run gets to
 TORQUE_RATE_SHARE = 0.4  # of the torque limit in one period
 WORKSPACE = ((-0.6, -0.45, -0.4), (0.6, 0.4, 0.6))  # m, around the operational point at home
-LIFT, TILT = 0.12, 0.5  # m and rad, for weighing the tool
+LIFT, TILT = 0.12, 0.8  # m and rad, for weighing the tool
+TILTS = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0),
+         (1.0, 1.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -58,8 +60,7 @@ class Robot:
     def arm(self) -> Arm:
         """Return the arm with its tool."""
         file = self.file
-        arm = read_arm(urdf_path(file.urdf, self.folder), file.joint_names, Mount(
-            file.mount_link, file.mount_rpy, file.tool, file.tip_links), file.locked)
+        arm = read_arm(urdf_path(file.urdf, self.folder), file)
         none = (0.0,) * len(arm.links)
         given = zip(arm.links, file.armature or none, file.viscous or none, file.coulomb or none,
                     file.coulomb_negative or file.coulomb or none,
@@ -77,23 +78,19 @@ class Robot:
 
     def elbow(self) -> tuple[str, Vector]:
         """
-        Return where an obstacle meets the arm before its wrist sensor.
+        Return the link of an obstacle before the wrist sensor, and the normal into its surface.
 
-        Returns
-        -------
-        tuple of str and Vector
-            The link whose origin meets it, and the unit normal into its surface, shape (3,). If
-            the file has none: the elbow of most arms, (n + 1) // 2, and of the two horizontal
-            axes that along which a force there takes the largest share of a joint's limit.
-
+        The elbow of most arms, link (n + 1) // 2, and of the two horizontal axes that along which
+        a force there takes the largest share of a joint's torque limit, shape (3,); the obstacle
+        is on the side of the base on which the elbow is.
         """
-        if self.file.elbow is not None:
-            return f'link{self.file.elbow.link}', np.array(self.file.elbow.normal_world)
         link = f'link{(len(self.arm.links) + 1) // 2}'
-        home = np.array(self.plant_values('')['home'])
-        torques = frame_jacobian(self.arm.model(), home, link)[:3] / self.arm.torque_limit
+        model, home = self.arm.model(), self._home()
+        torques = frame_jacobian(model, home, link)[:3] / self.arm.torque_limit
         axis = int(np.argmax(np.abs(torques[:2]).max(axis=1)))
-        return link, np.eye(3)[axis]
+        normal = np.zeros(3)
+        normal[axis] = np.sign(frame_pose(model, home, link).translation[axis]) or 1.0
+        return link, normal
 
     @property
     def plant_names(self) -> tuple[str, ...]:
@@ -171,25 +168,24 @@ class Robot:
         file = self.file.controller_file
         return (self._path(file) if file else _urdf_file(self.arm)).parent
 
-    def calibration_values(self) -> dict[str, Any]:
-        """Return the poses in which its tool is weighed, as config/calibration.yaml has them."""
-        file = self.file
-        if file.calibration_file:
-            return read_yaml(self._path(file.calibration_file))
-        home = np.array(file.home)
-        model = self.arm.model()
-        pose = frame_pose(model, home)
-        poses, q = [], home
-        for turn in ((0.0, 0.0, 0.0), (TILT, 0.0, 0.0), (-TILT, 0.0, 0.0), (0.0, TILT, 0.0),
-                     (0.0, -TILT, 0.0), (TILT, TILT, 0.0)):
-            away = pose.translation - LIFT * sum(
-                (np.array(contact.normal_world) for contact in file.contacts.values()),
-                np.zeros(3))
-            found = reach(model, pin.SE3(pin.exp3(np.array(turn)) @ pose.rotation, away), q)
-            if found is not None:
-                q = found
+    def weighing_poses(self) -> list[list[float]]:
+        """Return joint angles away from the surfaces, in which the tool is tilted [rad]."""
+        model, q = self.arm.model(), self._home()
+        pose = frame_pose(model, q)
+        away = pose.translation - LIFT * sum(
+            (np.array(contact['normal_world']) for contact in
+             self.controller_base()['contacts'].values()), np.zeros(3))
+        poses = []
+        for turn in TILTS:
+            tilted = pin.exp3(TILT * np.array(turn)) @ pose.rotation
+            reached = reach(model, pin.SE3(tilted, away), q)
+            if reached is not None:
+                q = reached
                 poses.append(q.tolist())
-        return {'poses': poses}
+        return poses
+
+    def _home(self) -> Vector:
+        return np.array(self.plant_values('')['home'])
 
     def _variant(self, name: str) -> PlantVariant:
         return self.file.plants[self.plant_name(name)]

@@ -1,86 +1,80 @@
-"""Any arm from its vendor's URDF: cut off where our sensor and tool go, joints turned to z."""
+"""
+An arm from a URDF.
+
+Either of its vendor, cut off where our sensor and tool go and its joints turned to z, or a whole
+one as `urdf_text` writes it, with the links ft_face, tool, wrist_point and tips.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
+import math
 from pathlib import Path
 import xml.etree.ElementTree as ElementTree
 
-from multicontact_control.config import Vector3
 from multicontact_control.dynamics.robot import load_model
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
-from sim_bridge.arm import Arm, arm_of_urdf, Body, Link, parse_urdf, Placement
-from sim_bridge.robot_file import ToolData
+from sim_bridge.arm import (
+    Arm,
+    Body,
+    Link,
+    OPERATIONAL_FRAME,
+    Placement,
+    SENSOR_FRAME,
+    TOOL_LINK,
+    triple,
+)
+from sim_bridge.posture import turn_onto
+from sim_bridge.robot_file import RobotFile
 
 FACE_MASS = 1e-3  # kg, of a sensor whose tool is in the URDF
 SMALLEST_INERTIA = 1e-7  # kg m^2, for what has a mass and is given none
-ALONG_Z = 1e-9  # how far an axis may be from z to be taken for it
+SLIDING = 1e-9  # share of an axis along which a joint slides, from which on it is refused
 
 
-@dataclass(frozen=True)
-class Mount:
-    """Where an arm ends and what hangs there."""
-
-    link: str  # of the URDF, which carries the sensor; empty for one that has sensor and tool
-    rpy: Vector3 = (0.0, 0.0, 0.0)  # axes of operational frame and sensor in the link [rad]
-    tool: ToolData | None = None  # instead of all that the URDF has beyond the link
-    tip_links: Sequence[str] = ()  # of a tool in the URDF, those that may touch
-
-
-def read_arm(
-    path: Path, joint_names: Sequence[str], mount: Mount, locked: Mapping[str, float],
-) -> Arm:
+def read_arm(path: Path, file: RobotFile) -> Arm:
     """
-    Read an arm from a URDF.
+    Read the arm of a robot's file from its URDF; ConfigError if the URDF is not such an arm.
 
-    Parameters
-    ----------
-    path
-        The URDF.
-    joint_names
-        Joints of the arm, base to wrist, all revolute or continuous.
-    mount
-        Where it ends.
-    locked
-        Positions of all other joints [rad or m].
-
-    Raises
-    ------
-    ConfigError
-        If the URDF is not such an arm.
-
+    Rotor inertia, friction, and limits that the file has are not laid over it.
     """
     text = read_urdf(path)
-    if not mount.link:
+    if not file.mount_link:
         arm = arm_of_urdf(text)
-        _check_names(list(arm.joint_names), joint_names)
+        _check_names(list(arm.joint_names), file.joint_names)
         return arm
-    name = parse_urdf(text).get('name') or 'arm'
-    bare = _without(text, _beyond(text, mount.link))
+    name, locked, joints = parse_urdf(text).get('name') or 'arm', file.locked, file.joint_names
+    bare = _without_tool(text, file.mount_link)
     model = load_model(bare, {name: locked[name] for name in locked if f'"{name}"' in bare})
-    _check_chain(model, joint_names, mount.link)
-    turns = [_turn(model, joint) for joint in range(1, model.njoints)]
+    _check_names(list(model.names)[1:], joints)
+    last = model.njoints - 1
+    if list(model.parents)[1:] != list(range(last)):
+        raise ConfigError('joint_names', 'one joint after the other', 'a tree')
+    mount = _frame(model, file.mount_link)
+    if mount.parentJoint != last:
+        raise ConfigError('mount_link', 'a link carried by the last joint',
+                          f"'{file.mount_link}'")
     # 0 is what a URDF has for a speed or torque that is not known.
     limits = zip(*(map(float, values) for values in (
         model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit,
         model.effortLimit)))
-    links = []
-    before = pin.SE3.Identity()
-    for number, (turn, limit) in enumerate(zip(turns, limits)):
-        placement = before.inverse() * model.jointPlacements[number + 1] * turn
-        body = _body(turn.actInv(model.inertias[number + 1]), joint_names[number])
-        links.append(Link(joint_names[number], Placement.of(placement), body, *limit))
+    links, before = [], pin.SE3.Identity()
+    for number, limit in enumerate(limits, start=1):
+        turn = _turn(model, number)
+        placement = before.inverse() * model.jointPlacements[number] * turn
+        body = _body(turn.actInv(model.inertias[number]), joints[number - 1])
+        links.append(Link(joints[number - 1], Placement.of(placement), body, *limit))
         before = turn
-    flange = turns[-1].inverse() * _frame(model, mount.link).placement
-    sensor = flange * pin.SE3(pin.rpy.rpyToMatrix(*mount.rpy), np.zeros(3))
-    tool = mount.tool
+    sensor = before.inverse() * mount.placement * pin.SE3(
+        pin.rpy.rpyToMatrix(*file.mount_rpy), np.zeros(3))
+    tool = file.tool
     if tool is None:
-        return _with_tool_of_urdf(text, locked, model, turns[-1], Arm(
-            name, tuple(links), Placement.of(sensor), Placement.of(sensor), FACE_MASS,
-            links[-1].body, {}), mount)
+        arm = Arm(name, tuple(links), Placement.of(sensor), Placement.of(sensor), FACE_MASS,
+                  links[-1].body, {})
+        return _with_tool_of_urdf(arm, text, model, before * arm.sensor.se3, file)
     face = sensor * pin.SE3(np.eye(3), np.array([0.0, 0.0, tool.face_offset]))
     return Arm(name, tuple(links), Placement.of(sensor), Placement.of(face),
                tool.face_mass, tool.body, tool.tips)
@@ -94,39 +88,41 @@ def read_urdf(path: Path) -> str:
         raise ConfigError('urdf', 'a readable URDF file', f'{path} ({error.strerror})') from None
 
 
+def parse_urdf(text: str | bytes) -> ElementTree.Element:
+    """Return the root element of a URDF; ConfigError if it is no XML."""
+    try:
+        return ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise ConfigError('urdf', 'a valid URDF', str(error)) from None
+
+
 def ends_of(joint: ElementTree.Element) -> tuple[str, str]:
     """Return parent and child link of a joint; empty where it does not say."""
-    found = (joint.find('parent'), joint.find('child'))
-    parent, child = ('' if end is None else end.get('link', '') for end in found)
+    ends = (joint.find('parent'), joint.find('child'))
+    parent, child = ('' if end is None else end.get('link', '') for end in ends)
     return parent, child
 
 
-def _beyond(text: str, link: str) -> set[str]:
-    """Return the links that hang on one, that one left out; ConfigError if there is none."""
+def _without_tool(text: str, mount: str) -> str:
+    """Return a URDF without what hangs on a link; ConfigError if it has no such link."""
     root = parse_urdf(text)
     known = [element.get('name', '') for element in root.findall('link')]
-    if link not in known:
+    if mount not in known:
         raise ConfigError('mount_link', f'a link of the URDF among {", ".join(known)}',
-                          f"'{link}'")
+                          f"'{mount}'")
     joints = [ends_of(joint) for joint in root.findall('joint')]
-    found, ahead = set(), [link]
+    beyond: set[str] = set()
+    ahead = [mount]
     while ahead:
         parent = ahead.pop()
         children = [child for start, child in joints if start == parent]
-        found.update(children)
+        beyond.update(children)
         ahead += children
-    return found
-
-
-def _without(text: str, links: set[str]) -> str:
-    """Return a URDF without some links and the joints that carry them."""
-    root = parse_urdf(text)
     for element in list(root):
-        if (element.tag == 'link' and element.get('name') in links) or (
-                element.tag == 'joint' and ends_of(element)[1] in links):
+        name = element.get('name') if element.tag == 'link' else ends_of(element)[1]
+        # What is neither link nor joint names joints that may be gone.
+        if element.tag not in ('link', 'joint') or name in beyond:
             root.remove(element)
-        elif element.tag not in ('link', 'joint'):
-            root.remove(element)  # names joints that may be gone
     return ElementTree.tostring(root, encoding='unicode')
 
 
@@ -136,14 +132,6 @@ def _check_names(names: list[str], joint_names: Sequence[str]) -> None:
         raise ConfigError(
             'joint_names', f'the joints up to mount_link, {names}' + (
                 f', or {others} in locked_joints' if others else ''), list(joint_names))
-
-
-def _check_chain(model: pin.Model, joint_names: Sequence[str], mount: str) -> None:
-    _check_names(list(model.names)[1:], joint_names)
-    if list(model.parents)[1:] != list(range(model.njoints - 1)):
-        raise ConfigError('joint_names', 'one joint after the other', 'a tree')
-    if _frame(model, mount).parentJoint != model.njoints - 1:
-        raise ConfigError('mount_link', 'a link carried by the last joint', f"'{mount}'")
 
 
 def _frame(model: pin.Model, link: str) -> pin.Frame:
@@ -156,48 +144,92 @@ def _turn(model: pin.Model, joint: int) -> pin.SE3:
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     column = pin.getJointJacobian(model, data, joint, pin.LOCAL)[:, joint - 1]
-    if np.abs(column[:3]).max() > ALONG_Z:
+    if np.abs(column[:3]).max() > SLIDING:
         raise ConfigError('joint_names', 'joints that turn, or sliding ones in locked_joints',
                           f"'{model.names[joint]}'")
-    axis, z = column[3:], np.array([0.0, 0.0, 1.0])
-    across = np.cross(z, axis)
-    sine = float(np.linalg.norm(across))
-    if sine <= ALONG_Z:
-        turn = np.eye(3) if axis[2] > 0.0 else np.diag([1.0, -1.0, -1.0])
-    else:
-        turn = pin.exp3(across / sine * np.arctan2(sine, axis[2]))
-    return pin.SE3(turn, np.zeros(3))
+    return pin.SE3(turn_onto(np.array([0.0, 0.0, 1.0]), column[3:]), np.zeros(3))
 
 
 def _body(inertia: pin.Inertia, joint: str) -> Body:
     if inertia.mass <= 0.0:
         raise ConfigError('urdf', 'a mass for what every joint moves', f"none beyond '{joint}'")
     body = Body.of(inertia)
-    x, y, z = (max(moment, SMALLEST_INERTIA) for moment in body.inertia)
-    return replace(body, inertia=(x, y, z))
+    return replace(body, inertia=triple(max(x, SMALLEST_INERTIA) for x in body.inertia))
 
 
 def _with_tool_of_urdf(
-    text: str, locked: Mapping[str, float], bare: pin.Model, turn: pin.SE3, arm: Arm,
-    mount: Mount,
+    arm: Arm, text: str, bare: pin.Model, sensor: pin.SE3, file: RobotFile,
 ) -> Arm:
-    """Return an arm with the tool that its URDF has beyond the mount."""
-    full = load_model(text, locked)
-    last, sensor = bare.njoints - 1, arm.sensor.se3
+    """Return an arm with the tool of its URDF; the sensor is placed in the last joint's frame."""
+    full = load_model(text, file.locked)
+    last = bare.njoints - 1
     if full.njoints != bare.njoints:
         others = [name for name in full.names if name not in bare.names]
-        raise ConfigError('locked_joints', f'also {", ".join(others)}', sorted(locked))
+        raise ConfigError('locked_joints', f'also {", ".join(others)}', sorted(file.locked))
     if full.inertias[last].mass - bare.inertias[last].mass <= 0.0:
-        raise ConfigError('tool', f"a tool, or one with a mass beyond '{mount.link}' in the URDF",
-                          'neither')
-    tool = (turn * sensor).actInv(full.inertias[last] - bare.inertias[last])
+        raise ConfigError(
+            'tool', f"a tool, or one with a mass beyond '{file.mount_link}' in the URDF",
+            'neither')
     tips = {}
-    for link in mount.tip_links:
-        if not full.existFrame(link, pin.FrameType.BODY):
-            raise ConfigError('tip_links', 'links of the URDF', f"'{link}'")
-        frame = _frame(full, link)
-        if frame.parentJoint != last:
-            raise ConfigError('tip_links', 'links that the last joint carries', f"'{link}'")
-        x, y, z = (turn * sensor).actInv(frame.placement.translation)
-        tips[link] = (float(x), float(y), float(z))
-    return replace(arm, tool=_body(tool, mount.link), tips=tips)
+    for link in file.tip_links:
+        if not full.existFrame(link, pin.FrameType.BODY) or _frame(
+                full, link).parentJoint != last:
+            raise ConfigError('tip_links', 'links of the URDF that the last joint carries',
+                              f"'{link}'")
+        tips[link] = triple(sensor.actInv(_frame(full, link).placement.translation))
+    tool = sensor.actInv(full.inertias[last] - bare.inertias[last])
+    return replace(arm, tool=_body(tool, file.mount_link), tips=tips)
+
+
+def arm_of_urdf(text: str) -> Arm:
+    """Return the arm of a URDF with sensor, tool and tips; ConfigError names what is missing."""
+    root = parse_urdf(text)
+    joints = {_value(joint, 'child', 'link'): joint for joint in root.findall('joint')}
+    elements = {link.get('name', ''): link for link in root.findall('link')}
+    missing = {SENSOR_FRAME, TOOL_LINK, OPERATIONAL_FRAME} - joints.keys()
+    if missing:
+        raise ConfigError('mount_link', 'a link of a URDF that lacks '
+                          f'{", ".join(sorted(missing))}', 'nothing')
+    links = []
+    for child, joint in joints.items():
+        kind = joint.get('type')
+        if kind not in ('revolute', 'continuous'):
+            continue
+        if _numbers(joint, 'axis', 'xyz') != (0.0, 0.0, 1.0):
+            raise ConfigError('mount_link', 'a link, for joints that turn about another axis than '
+                              'z', 'nothing')
+        range_of = [_numbers(joint, 'limit', end)[0] if kind == 'revolute' else sign * math.inf
+                    for end, sign in (('lower', -1.0), ('upper', 1.0))]
+        links.append(Link(
+            joint.get('name', ''), _placement(joint), _own_body(elements[child]), *range_of,
+            *_numbers(joint, 'limit', 'velocity'), *_numbers(joint, 'limit', 'effort')))
+    tips = {child: _placement(joint).position for child, joint in joints.items()
+            if _value(joint, 'parent', 'link') == TOOL_LINK}
+    return Arm(root.get('name', 'arm'), tuple(links), _placement(joints[OPERATIONAL_FRAME]),
+               _placement(joints[SENSOR_FRAME]), _own_body(elements[SENSOR_FRAME]).mass,
+               _own_body(elements[TOOL_LINK]), tips, text)
+
+
+def _value(element: ElementTree.Element, path: str, name: str) -> str:
+    found = element.find(path)
+    if found is None or name not in found.attrib:
+        raise ConfigError('urdf', f"{path} with {name} in '{element.get('name')}'", 'none')
+    return found.attrib[name]
+
+
+def _numbers(element: ElementTree.Element, path: str, name: str) -> tuple[float, ...]:
+    return tuple(float(number) for number in _value(element, path, name).split())
+
+
+def _placement(element: ElementTree.Element, path: str = 'origin') -> Placement:
+    return Placement(*(triple(_numbers(element, path, name)) for name in ('xyz', 'rpy')))
+
+
+def _own_body(link: ElementTree.Element) -> Body:
+    moments = [_numbers(link, 'inertial/inertia', name)[0] for name in (
+        'ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')]
+    if any(moments[3:]):
+        raise ConfigError('urdf', 'an inertial frame along the principal axes in '
+                          f"'{link.get('name')}'", f'ixy ixz iyz = {moments[3:]}')
+    mass, = _numbers(link, 'inertial/mass', 'value')
+    return Body(mass, _placement(link, 'inertial/origin'), triple(moments[:3]))

@@ -12,10 +12,9 @@ from multicontact_control.config import (
     parameter,
     Real,
     ToolConfig,
-    validate,
     Vector,
 )
-from multicontact_control.errors import CalibrationError, ConfigError
+from multicontact_control.errors import CalibrationError
 from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.experiment.scenario import plant_source, resolve, Setup
 from multicontact_control.sensor.tool import (
@@ -25,7 +24,6 @@ from multicontact_control.sensor.tool import (
     PoseReading,
 )
 import numpy as np
-from pydantic import model_validator
 from rich.table import Table
 from sim_bridge.robots import DEFAULT, find_robot
 
@@ -47,13 +45,6 @@ class CalibrationConfig(Config):
     settle_time: Real = parameter(0.5, 'Rest before the readings.', unit='s', ge=0.0)
     average_time: Real = parameter(0.5, 'Time over which readings are averaged.', unit='s', gt=0.0)
     identification: IdentificationConfig = IdentificationConfig()
-
-    @model_validator(mode='after')
-    def _check_lengths(self) -> CalibrationConfig:
-        lengths = {len(pose) for pose in self.poses}
-        if len(lengths) > 1:
-            raise ConfigError('poses', 'as many joints in every pose', sorted(lengths))
-        return self
 
 
 @dataclass(frozen=True)
@@ -84,7 +75,7 @@ class Calibration:
 def calibration_config(robot: str = '') -> CalibrationConfig:
     """Return the poses of a robot, the default one if none is named."""
     chosen = find_robot(robot or DEFAULT)
-    return validate(CalibrationConfig, chosen.calibration_values(), f'poses of {chosen.name}')
+    return CalibrationConfig(poses=chosen.weighing_poses())
 
 
 def sensor_setup(

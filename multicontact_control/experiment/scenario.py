@@ -285,7 +285,7 @@ def resolve(
     path = scenario_path(scenario)
     source = plant_source(plant, robot)
     config = scenario_with(
-        _with_motion(read_yaml(path), source.robot), scenario_overrides or {}, duration, path)
+        read_yaml(path), scenario_overrides or {}, duration, path)
     folder = config_dir()
     chosen = preset_values(preset) if preset else {}
     wanted = merge(config.controller, controller or {}).get('contact_names', ())
@@ -311,13 +311,6 @@ def resolve(
         plant=plant_config, plant_name=source.name, seed=seed, urdf_dir=source.robot.urdf_dir())
     check_together(setup, path)
     return setup
-
-
-def _with_motion(text: dict[str, Any], robot: Robot) -> dict[str, Any]:
-    """Return a scenario whose motion, if it has one, is one that the robot can do."""
-    if not (text.get('reference') or {}).get('motion'):
-        return text
-    return merge(text, {'reference': {'motion': robot.file.motion}})
 
 
 def _controller_parameters(

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from robots import OTHERS, robot_parameters, ROBOTS
-from sim_bridge.arm import arm_of_urdf, OPERATIONAL_FRAME, Placement
+from sim_bridge.arm import OPERATIONAL_FRAME, Placement
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import act_on_arm, Contacts
 from sim_bridge.drives import DRIVE
@@ -21,7 +21,7 @@ from sim_bridge.new_robot import new_robot, write_controller
 from sim_bridge.posture import condition, frame_pose
 from sim_bridge.pushes import HAND
 from sim_bridge.robots import find_robot, urdf_path
-from sim_bridge.urdf_arm import read_urdf
+from sim_bridge.urdf_arm import arm_of_urdf, read_urdf
 import yaml
 
 
@@ -105,7 +105,7 @@ def test_controller_and_plant_have_the_same_arm_at_home_before_its_surfaces(name
         assert 5e-3 <= gap <= 10e-3
         assert told.normal_world == surface.normal_world
     assert controller.tool.mass == pytest.approx(robot.arm.carried_mass)
-    poses = robot.calibration_values()['poses']
+    poses = robot.weighing_poses()
     assert len(poses) >= 4 and {len(pose) for pose in poses} == {len(plant.home)}
 
 
