@@ -7,7 +7,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.graph import take
+from multicontact_control.nodes.graph import ignore, take
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np
@@ -19,8 +19,7 @@ from std_msgs.msg import Header
 PERIOD = 2_000_000
 UNFELT = f'collision.threshold:={[1e9] * 6}'  # its torques mean nothing
 # An arm that is late because a test is, and whose readings have no noise.
-PARAMETERS = ('patience:=0.0', 'sensor.frozen_ticks:=0',
-              UNFELT)
+PARAMETERS = ('patience:=0.0', 'sensor.frozen_ticks:=0', UNFELT)
 EFFORT = np.array([1.0, 29.0, 7.0, 0.5, 0.5, 0.1])  # not quite what gravity wants
 DEPTH = QoSProfile(depth=1000)
 
@@ -53,7 +52,7 @@ class FakeArm:
             topics.MOTION_COMMAND.message, topics.MOTION_COMMAND.name,
             topics.MOTION_COMMAND.profile)
         self._commands, self._desired, self._measured, self._diagnostics = (
-            node.create_subscription(kind, name, lambda _: None, DEPTH) for kind, name in (
+            node.create_subscription(kind, name, ignore, DEPTH) for kind, name in (
                 (JointState, 'joint_effort_command'), (JointState, 'contact_forces/desired'),
                 (JointState, 'contact_forces/measured'), (DiagnosticArray, 'diagnostics')))
 
@@ -80,22 +79,29 @@ class FakeArm:
         return self._middleware.take(self._commands, JointState)
 
     def commands(self):
+        """Return the stamps of the commands that have come since [ns]."""
         stamps = []
         while (taken := take(self._commands)) is not None:
             stamps.append(messages.stamp_to_ns(taken[0].header.stamp))
         return stamps
 
     def answer(self, stamp):
-        taken = self._middleware.take(self._commands, JointState)
-        if taken is not None and messages.stamp_to_ns(taken.header.stamp) == stamp:
-            return np.array(taken.effort)
-        return None
+        """Return the torque of the newest command if it answers this sample."""
+        command = self.newest_command()
+        answers = command is not None and messages.stamp_to_ns(command.header.stamp) == stamp
+        return np.array(command.effort) if answers else None
 
     def step(self):
         """Publish a sample and return the torque that answers it."""
         stamp = self.send()
         return wait_for(lambda: [x for x in [self.answer(stamp)] if x is not None],
                         f'answer to sample {self.k}')[0]
+
+    def settle(self, count=60):
+        """Return the torque that answers the last of so many samples."""
+        for _ in range(count):
+            torque = self.step()
+        return torque
 
     def connect(self):
         """Send samples until the newest is answered; return the first answer that came."""
@@ -124,20 +130,23 @@ class FakeArm:
         forces = wait_for(lambda: self._middleware.take(subscription, JointState), 'forces')
         return dict(zip(forces.name, forces.effort))
 
-    def diagnostics(self, condition, *, node='controller_node'):
-        """Step until diagnostics satisfy a condition on {part: (level, message, values)}."""
+    def diagnostics(self, condition, send=None):
+        """Send until a report, {part: (level, message, values)}, is as wanted; return it."""
+        seen = []
+
         def satisfied():
-            self.send()
+            (send or self.send)()
             self._middleware.pause(0.01)
-            self.report = self.newest_report(node)
-            return self.report is not None and condition(self.report)
+            report = self._newest_report()
+            seen.extend([] if report is None else [report])
+            return report is not None and condition(report)
 
-        wait_for(satisfied, 'such diagnostics')
-        return self.report
+        wait_for(satisfied, 'such diagnostics', lambda: seen[-1:])
+        return seen[-1]
 
-    def newest_report(self, node='controller_node'):
+    def _newest_report(self):
         report = self._middleware.take(self._diagnostics, DiagnosticArray)
-        if report is None or not report.status[0].name.startswith(node):
+        if report is None or not report.status[0].name.startswith('controller_node'):
             return None
         return {
             x.name.split(': ')[1]: (

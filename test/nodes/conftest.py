@@ -13,10 +13,8 @@ from ros_graph import Middleware, own_domain
 @pytest.fixture(scope='session')
 def domain_id():
     """Reserve a domain that nothing else on this machine uses."""
-    with own_domain() as number:
-        keeper = GuestNode('keeper', number)  # so that one participant serves all tests
+    with own_domain() as number, GuestNode('keeper', number):  # one participant for all tests
         yield number
-        keeper.close()
 
 
 @contextmanager
@@ -34,8 +32,15 @@ def middleware(domain_id, tmp_path):
         yield handle
 
 
-@pytest.fixture
-def driver(domain_id, middleware):
+@pytest.fixture(scope='module')
+def module_middleware(domain_id, tmp_path_factory):
+    with environment(domain_id, tmp_path_factory.mktemp('nodes')), (
+            Middleware(domain_id)) as handle:
+        yield handle
+
+
+@pytest.fixture(scope='module')
+def driver(domain_id):
     with GuestNode('driver', domain_id) as handle:
         yield handle
 

@@ -21,11 +21,10 @@ from std_msgs.msg import Float64MultiArray
 
 pytestmark = pytest.mark.ros
 
-FILE = config_dir() / 'controller.yaml'
 # Far longer than the pauses of a busy machine, so that only what is left out is missed.
-PATIENT = ('sensor.frozen_ticks:=0', UNFELT, 'patience:=50.0')
+PATIENT = ('sensor.frozen_ticks:=0', UNFELT, 'patience:=50.0', 'watchdog.rate_band:=50.0')
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-LATE = 50_000  # ns
+BOTH = {'joints', 'wrench'}
 
 
 class StrangeArm(FakeArm):
@@ -34,41 +33,27 @@ class StrangeArm(FakeArm):
     frame = 'ft_face'
 
     def send_parts(self, stamp, parts):
-        names = ['left_finger', *reversed(self.config.robot.joint_names), 'right_finger']
-        if 'joints' in parts:
-            position, effort = ([np.nan, *reversed(x), 0.04] for x in (HOME, EFFORT))
-            message = messages.joint_state_message(stamp, names, velocity=np.zeros(8))
-            message.position, message.effort = list(map(float, position)), list(map(float, effort))
-            self._joints.publish(message)
-        if 'wrench' in parts:
-            self._wrench.publish(wrench_message(stamp + LATE, self.wrench, self.frame))
+        message = messages.joint_state_message(
+            stamp, ['left_finger', *reversed(self.config.robot.joint_names), 'right_finger'],
+            velocity=np.zeros(8))
+        position, effort = ([np.nan, *reversed(x), 0.04] for x in (HOME, EFFORT))
+        message.position, message.effort = list(map(float, position)), list(map(float, effort))
+        self._joints.publish(message)
+        self._wrench.publish(wrench_message(stamp + 50_000, self.wrench, self.frame))
 
 
 @pytest.fixture
 def controller(host):
     def start(*parameters):
-        node = host.make(ControllerNode, *parameters, file=FILE)
+        node = host.make(ControllerNode, *parameters, file=config_dir() / 'controller.yaml')
         assert node.trigger_configure() == node.trigger_activate() == SUCCESS
     return start
-
-
-def report_when(arm, send, condition):
-    """Send until a report satisfies a condition; return it."""
-    seen = []
-
-    def satisfied():
-        send()
-        report = arm.newest_report()
-        seen.extend([report] if report is not None else [])
-        return report if report is not None and condition(report) else None
-
-    return wait_for(satisfied, 'such a report', lambda: seen[-1:])
 
 
 def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host, controller):
     controller(*PATIENT)
     arm = FakeArm(host)
-    parts, running = {'joints', 'wrench'}, True
+    parts, running = BOTH, True
 
     def send():
         """Send samples at their rate, with stamps of a clock of their own."""
@@ -78,10 +63,10 @@ def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host, con
             arm.send_parts(1_700_000_000 * 10 ** 9 + k * PERIOD, parts)
             time.sleep(max(0.0, start + 0.002 * k - time.monotonic()))
 
-    def report_with(reaction, cause=''):
-        return report_when(arm, lambda: None, lambda x: (
+    def supervisor_with(reaction, cause=''):
+        return arm.diagnostics(lambda x: (
             (values := x['supervisor'][2])['reaction'] == reaction
-            and cause in values.get('causes', '')))
+            and cause in values.get('causes', '')), host.pause)['supervisor']
 
     source = threading.Thread(target=send, daemon=True)
     source.start()
@@ -89,12 +74,12 @@ def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host, con
         wait_for(arm.newest_command, 'a command')  # before the first one nothing is missing
         for parts, reaction, cause in (({'joints'}, 'hold', 'wrench_stale'),
                                        ({'wrench'}, 'float', 'joints_stale')):
-            level, _, values = report_with(reaction, cause)['supervisor']
+            level, _, values = supervisor_with(reaction, cause)
             assert level == 2 and int(values[f'ticks with {reaction}']) > 0
             arm.newest_command()
             wait_for(arm.newest_command, f'commands while there is {parts}')
-            parts = {'joints', 'wrench'}
-            report_with('none')
+            parts = BOTH
+            supervisor_with('none')
     finally:
         running = False
         source.join()
@@ -104,11 +89,10 @@ def test_older_sample_is_refused_and_a_clock_that_was_set_back_is_not(host, cont
     controller(*PARAMETERS)
     arm = FakeArm(host)
     arm.connect()
-    for _ in range(30):
-        torque = arm.step()
+    torque = arm.settle(30)
 
     def send():
-        arm.send_parts((arm.k - 10) * PERIOD, {'joints', 'wrench'})
+        arm.send_parts((arm.k - 10) * PERIOD, BOTH)
         for _ in range(20):
             host.pause()  # nothing is to overtake it
 
@@ -116,8 +100,9 @@ def test_older_sample_is_refused_and_a_clock_that_was_set_back_is_not(host, cont
         send()
         before, torque = torque, arm.step()
         np.testing.assert_allclose(torque, before, atol=0.2)  # the blend at the start goes on
-    report = report_when(arm, lambda: (send(), arm.step()), lambda x: any(
-        'stamp: expected one after' in key for key in x['messages'][2]))
+    report = arm.diagnostics(lambda x: any(
+        'stamp: expected one after' in key for key in x['messages'][2]),
+        lambda: (send(), arm.step()))
     assert report['supervisor'][2].keys().isdisjoint({'ticks with hold', 'ticks with float'})
     arm.k -= 1000
     arm.connect()
@@ -131,16 +116,11 @@ def test_driver_of_another_robot_is_understood_and_a_wrong_frame_is_refused(host
     arm = StrangeArm(host, BEST_EFFORT)
     # The very first answer may go before it can be heard.
     np.testing.assert_allclose(arm.connect(), EFFORT, atol=1e-3)
-    for _ in range(20):
-        arm.step()
+    arm.settle(20)
     report = arm.diagnostics(lambda x: x['supervisor'][2]['reaction'] == 'none')
     assert int(report['messages'][2]['slow']) <= 3
-    StrangeArm.frame = 'tool0'
-    try:
-        report = arm.diagnostics(lambda x: any(
-            'header.frame_id' in key for key in x['messages'][2]))
-    finally:
-        StrangeArm.frame = 'ft_face'
+    arm.frame = 'tool0'
+    arm.diagnostics(lambda x: any('header.frame_id' in key for key in x['messages'][2]))
 
 
 @pytest.mark.parametrize(('joints', 'wrench', 'part', 'text'), [
@@ -157,28 +137,25 @@ def test_samples_that_cannot_be_used_are_named(host, controller, joints, wrench,
         arm.send_parts(arm.k * PERIOD, {'joints'})
         if wrench is not None:
             arm.send_parts(arm.k * PERIOD + wrench, {'wrench'})
-        host.pause()
 
-    assert text in report_when(arm, send, lambda x: text in x[part][1])[part][1]
+    arm.diagnostics(lambda x: text in x[part][1], send)
 
 
 @pytest.mark.parametrize('supervised', [True, False], ids=['supervised', 'bare'])
 def test_stamps_that_stand_still_are_named_and_not_answered_for_ever(
         host, controller, supervised):
     controller(f'supervised:={str(supervised).lower()}', *PARAMETERS)
-    arm = FakeArm(host)
+    arm, answers = FakeArm(host), []
     arm.connect()
-    for _ in range(10):
-        arm.step()
+    arm.settle(10)
     arm.commands()
-    answers = []
 
     def again():
-        arm.send_parts(arm.k * PERIOD, {'joints', 'wrench'})
+        arm.send_parts(arm.k * PERIOD, BOTH)
         host.pause()
         answers.extend(arm.commands())
 
-    report_when(arm, again, lambda x: 'come at inf Hz' in x['loop'][1])
+    arm.diagnostics(lambda x: 'come at inf Hz' in x['loop'][1], again)
     count = len(answers)
     for _ in range(50):
         again()
@@ -187,20 +164,18 @@ def test_stamps_that_stand_still_are_named_and_not_answered_for_ever(
     assert len(arm.step()) == 6  # goes on with the next stamp
 
 
-@pytest.mark.parametrize(('topic', 'message'), [
-    ('joint_states', JointState), ('joint_effort_command', JointState),
-    ('/bare', Float64MultiArray)])
-def test_second_node_that_publishes_joints_or_commands_is_named(
-        host, host_domain, controller, topic, message):
+def test_second_node_that_publishes_joints_or_commands_is_named(host, host_domain, controller):
     controller(*PARAMETERS, 'effort_output_topic:=/bare')
     arm = FakeArm(host)
     arm.connect()
+    topics = {'joint_states': JointState, 'joint_effort_command': JointState,
+              '/bare': Float64MultiArray}
     level, _, counts = arm.diagnostics(lambda x: 'publishers' in x)['publishers']
-    assert (level, counts[topic]) == (0, '1')
+    assert (level, [counts[topic] for topic in topics]) == (0, ['1'] * 3)
     with GuestNode('intruder', host_domain) as guest:
-        guest.node.create_publisher(message, topic, 1)
-        level, text, _ = report_when(
-            arm, arm.step, lambda x: x['publishers'][2][topic] == '2')['publishers']
+        for topic, message in topics.items():
+            guest.node.create_publisher(message, topic, 1)
+        level, text, _ = arm.diagnostics(lambda x: all(
+            x['publishers'][2][topic] == '2' for topic in topics), arm.step)['publishers']
     assert level == 1
-    assert topic in text
-    assert 'intruder' in text
+    assert all(name in text for name in ('intruder', *topics))

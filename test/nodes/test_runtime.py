@@ -1,133 +1,97 @@
-"""What a process of ROS does before it starts, and what ends it."""
+"""What a node process starts with, waits for and counts."""
 
 import os
 import re
-import signal
 import subprocess
 import sys
+import threading
+import time
 
+from lifecycle_msgs.srv import ChangeState, GetState
+from multicontact_control.errors import MessageError, RunError, ShapeError
+from multicontact_control.nodes import link
+from multicontact_control.nodes.diagnostics import LoopStatistics
+from multicontact_control.nodes.graph import Refusals
 import pytest
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import get_logger
 from ros_graph import ROOT
 
-DESTROYED_END = """
-import rclpy
-import time
-from multicontact_control.nodes import qos
-from multicontact_control.nodes.runtime import Spinner, start_ros, StopFlag
-from multicontact_control.nodes.topics import FORCE_COMMAND
-
-start_ros(None)
-node = rclpy.create_node('node')
-spinner = Spinner(node, StopFlag())
-driver = node.create_publisher(
-    FORCE_COMMAND.message, FORCE_COMMAND.name, qos.profile(1, reliable=False))
-for _ in range(5):
-    ends = [node.create_subscription(
-        FORCE_COMMAND.message, FORCE_COMMAND.name, print, FORCE_COMMAND.profile)
-            for _ in range(5)]
-    spinner.spin_once(0.0)  # it is told of one, and has the others' events
-    time.sleep(0.1)
-    for end in ends:
-        node.destroy_subscription(end)
-    for _ in range(10):
-        spinner.spin_once(0.01)
-print('went on')
-"""
+MS = 1_000_000
 
 
 @pytest.mark.ros
-def test_what_comes_for_an_end_that_is_gone_is_ignored(domain_id):
-    """An end that nobody could connect to was destroyed: the node went on with the next."""
-    script = subprocess.run(
-        [sys.executable, '-c', DESTROYED_END], capture_output=True, text=True,
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)})
-    # The middleware may have said something before, e.g. about shared memory.
-    assert (script.returncode, script.stdout.splitlines()[-1:]) == (0, ['went on']), (
-        script.stdout + script.stderr)
+def test_transition_that_takes_long_is_waited_for(domain_id, monkeypatch):
+    """The node at work answers neither this request nor the question for its state meanwhile."""
+    monkeypatch.setattr(link, 'FIRST_TIMEOUT', 0.2)
+    states = ['unconfigured']
+
+    def change(request, response):
+        response.success = (states[-1], request.transition.label) == (
+            'unconfigured', link.CONFIGURE)
+        if response.success:
+            time.sleep(0.8)
+            states.append('inactive')
+        return response
+
+    def get(_request, response):
+        response.current_state.label = states[-1]
+        return response
+
+    with link.GuestNode('slow', domain_id) as slow, link.GuestNode('asks', domain_id) as asks:
+        slow.node.create_service(GetState, '~/get_state', get)
+        slow.node.create_service(ChangeState, '~/change_state', change)
+        executor = SingleThreadedExecutor(context=slow.context)
+        executor.add_node(slow.node)
+        thread = threading.Thread(target=executor.spin)
+        thread.start()
+        try:
+            asks.change('slow', link.CONFIGURE)
+            assert states == ['unconfigured', 'inactive']
+            with pytest.raises(link.TransitionError):
+                asks.change('slow', link.ACTIVATE)
+        finally:
+            executor.shutdown()
+            thread.join()
 
 
-TRANSPORT = """
-from pathlib import Path
-import rclpy
-from multicontact_control.nodes.runtime import start_ros
-from std_msgs.msg import String
-
-start_ros(None)
-node = rclpy.create_node('node')
-node.create_subscription(String, 'heard', print, 1)
-print(*[line for line in Path('/proc/self/maps').read_text().splitlines() if '_port' in line])
-"""
-
-
-@pytest.mark.ros
-def test_process_is_reached_without_shared_memory(domain_id):
-    """A process that is killed leaves a port behind, and the next was out of reach for ever."""
-    environment = {name: value for name, value in os.environ.items()
-                   if name != 'FASTRTPS_DEFAULT_PROFILES_FILE'}
-    script = subprocess.run(
-        [sys.executable, '-c', TRANSPORT], capture_output=True, text=True,
-        env={**environment, 'ROS_DOMAIN_ID': str(domain_id)})
-    assert (script.returncode, script.stdout.splitlines()[-1:]) == (0, ['']), (
-        script.stdout + script.stderr)
+def test_loop_statistics_are_those_since_the_last_report():
+    watch = LoopStatistics(500.0)
+    for k in range(101):
+        watch.add_period(1 + k * 2 * MS + (k % 2) * MS // 10)  # 0.1 ms early and late in turn
+        watch.latencies.add(300_000 + k * 1000)
+    watch.missed = 3
+    values = watch.report()
+    assert [values[key] for key in ('jitter_us_p50', 'latency_us_p50', 'latency_us_max')] == (
+        pytest.approx([100.0, 350.0, 400.0]))
+    assert values['deadline_misses'] == 3
+    values = watch.report()
+    assert (values['deadline_misses'], values['latency_us_p50']) == (0, None)
 
 
-STOPPED_LATE = """
-import os
-import re
-import signal
-import sys
-
-from multicontact_control.nodes.runtime import run_node
-from rclpy.node import Node
-
-
-class Idle(Node):
-    def run(self, spinner):
-        os.kill(os.getpid(), signal.SIGINT)
-        while not spinner.stop:
-            spinner.spin_once(0.1)
-
-    def close(self):
-        print('closed', flush=True)
-
-
-class TakenApart:
-    # Python has put its handlers of signals away by then.
-    def __del__(self, kill=os.kill, pid=os.getpid(), number=int(sys.argv[1])):
-        kill(pid, number)
-
-
-sys.last = TakenApart()
-sys.exit(run_node(lambda: Idle('idle')))
-"""
-
-
-@pytest.mark.ros
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_node_that_has_closed_is_not_ended_by_a_signal(domain_id, number):
-    """A controller that waited 5 s for a reader that was dead ended with -15."""
-    script = subprocess.run(
-        [sys.executable, '-c', STOPPED_LATE, str(int(number))], capture_output=True, text=True,
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)})
-    assert (script.returncode, script.stdout.splitlines()[-1:]) == (0, ['closed']), (
-        script.stdout + script.stderr)
+@pytest.mark.parametrize('make', [
+    lambda k: ShapeError('q', 'shape (6,)', (k,)), lambda k: RunError(f'x: expected 1, found {k}'),
+    lambda k: MessageError('effort', 'finite numbers', [float(k)])])
+def test_refusals_count_a_cause_as_one_whatever_was_found(make):
+    refusals = Refusals(get_logger('test'))
+    for source, k in (('~/tare', 1), ('~/tare', 2), ('~/tare', 3), ('~/hold', 1)):
+        refusals.refuse(source, make(k))
+    assert sorted(refusals.counts.values()) == [1, 3]
 
 
 NODE = ('multicontact_control.nodes.noise_estimator_node', '--ros-args', '--params-file', 'ä')
 TOPICS = ('multicontact_control.cli', 'topic', 'list', '--wait', '0')
 ASCII = {'LC_ALL': 'C', 'PYTHONUTF8': '0', 'PYTHONCOERCECLOCALE': '0'}
-NO_RMW = {'RMW_IMPLEMENTATION': 'rmw_nothing'}
 OTHER_ROS = {'ROS_DISTRO': 'humble', 'AMENT_PREFIX_PATH': '/opt/ros/humble', 'PYTHONPATH': 'other'}
 
 
 @pytest.mark.ros
 @pytest.mark.parametrize(('command', 'changes', 'code', 'text'), [
-    (TOPICS, {'HOME': ''}, 0, ''), (TOPICS, {'AMENT_PREFIX_PATH': '/opt/ros/humble'}, 0, ''),
+    (TOPICS, {'HOME': '', 'AMENT_PREFIX_PATH': '/opt/ros/humble'}, 0, ''),
     (TOPICS, {'HOME': '', 'ROS_LOG_DIR': '/proc/x'}, 1, 'cannot be started: .*logging'),
-    (TOPICS, NO_RMW, 1, 'RMW_IMPLEMENTATION'), (NODE, NO_RMW, 1, 'RMW_IMPLEMENTATION'),
+    (NODE, {'RMW_IMPLEMENTATION': 'rmw_nothing'}, 1, 'RMW_IMPLEMENTATION'),
     (TOPICS, OTHER_ROS, 1, 'found: humble'), (NODE, OTHER_ROS, 1, 'found: humble'),
-    (NODE, ASCII, 2, '--ros-args: expected .*UTF-8'),
-    (('multicontact_control.cli', 'run', '--namespace', 'ä'), ASCII, 2, "found 'ä'")])
+    (NODE, ASCII, 2, '--ros-args: expected .*UTF-8')])
 def test_odd_environment_does_no_harm_or_is_named_in_one_line(
         domain_id, tmp_path, command, changes, code, text):
     (tmp_path / 'rclpy').mkdir()
