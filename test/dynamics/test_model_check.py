@@ -2,13 +2,7 @@
 
 from xml.etree import ElementTree
 
-from arms import (
-    controller_config,
-    run_loop,
-    seven_joint_config,
-    seven_joint_loop,
-    seven_joint_urdf,
-)
+from arms import controller_config, seven_joint_config, seven_joint_urdf
 from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.errors import ConfigError
 from multicontact_control.loop import ControlLoop
@@ -75,14 +69,14 @@ def complaints(config, folder):
         return [str(each) for each in error.errors]
 
 
-def damaged(urdf, whole, random, choices=2):
-    """Write a URDF with one link (or joint) spoiled; return the names of the link and joint."""
+def damaged(urdf, whole, random):
+    """Write a URDF with one link or joint spoiled; return the names of the link and joint."""
     root = ElementTree.fromstring(whole)
     joints = [joint for joint in root.findall('joint') if joint.get('type') == 'revolute']
     joint = joints[random.integers(len(joints))]
     child = joint.find('child').get('link')
     link = next(link for link in root.findall('link') if link.get('name') == child)
-    element, kinds = ((link, OF_LINKS), (joint, OF_JOINTS))[random.integers(choices)]
+    element, kinds = ((link, OF_LINKS), (joint, OF_JOINTS))[random.integers(2)]
     spoil, factors = kinds[random.integers(len(kinds))]
     spoil(element, random.choice(factors))
     urdf.write_text(ElementTree.tostring(root, encoding='unicode'))
@@ -90,7 +84,7 @@ def damaged(urdf, whole, random, choices=2):
 
 
 @pytest.mark.parametrize('make', [make_seven, make_puma])
-def test_damaged_urdf_is_named_or_does_no_harm(tmp_path, make):
+def test_model_check_names_each_damage_or_it_does_no_harm(tmp_path, make):
     """
     No harm: the torque that carries the true arm is right to 3 % of the limits.
 
@@ -119,28 +113,12 @@ def test_damaged_urdf_is_named_or_does_no_harm(tmp_path, make):
     assert harmless < 24
 
 
-def test_arm_that_is_not_refused_is_safe_in_motion(tmp_path):
-    """It seeks a wall and presses; unchecked, 18 of 60 damages made it faster than 0.25 rad/s."""
-    whole, random, speeds = seven_joint_urdf(tmp_path).read_text(), np.random.default_rng(1), []
-    while len(speeds) < 10:
-        arm, loop = seven_joint_loop(tmp_path)
-        damaged(tmp_path / 'seven.urdf', whole, random, choices=1)
-        try:
-            loop = ControlLoop(loop.config, None, CommandLimits(), tmp_path)
-        except ConfigError:
-            continue
-        run_loop(arm, loop, 0.1)
-        loop.set_forces({'wall': 10.0})
-        speeds.append(run_loop(arm, loop, 0.3, 50, lambda arm=arm: np.abs(arm.v).max()).max())
-    assert max(speeds) < 0.25
-
-
 @pytest.mark.parametrize(('spoil', 'factor', 'words'), [
     (scale(MASS, 'value'), 1e3, ('masses in g',)),
     (scale(COM, 'xyz'), 1e3, ('l0', 'l3', 'l6', 'mm?')),
     (scale(INERTIA, *MOMENTS), 1e9, ('l0', 'l3', 'l6', 'g mm^2')),
     (without('inertial'), 0.0, ('l0', 'l3', 'l6', 'mass'))])
-def test_loop_refuses_an_impossible_arm_naming_all_links(tmp_path, spoil, factor, words):
+def test_loop_refuses_an_impossible_arm_and_names_all_links(tmp_path, spoil, factor, words):
     urdf, config = make_seven(tmp_path)
     root = ElementTree.fromstring(urdf.read_text())
     for link in root.findall('link'):
@@ -152,7 +130,7 @@ def test_loop_refuses_an_impossible_arm_naming_all_links(tmp_path, spoil, factor
     assert all(word in str(caught.value) for word in words)
 
 
-def test_limits_in_degrees_and_a_missing_torque_are_warned_of(tmp_path):
+def test_model_warns_of_limits_in_degrees_and_of_a_missing_torque(tmp_path):
     urdf, config = make_seven(tmp_path)
     root = ElementTree.fromstring(urdf.read_text())
     joints = root.findall('joint')
@@ -164,7 +142,7 @@ def test_limits_in_degrees_and_a_missing_torque_are_warned_of(tmp_path):
     assert RobotModel(config.robot, tmp_path).warnings([100.0] * 7) == (degrees,)
 
 
-def test_cross_of_two_axes_needs_no_mass(tmp_path):
+def test_model_needs_no_mass_between_crossing_axes(tmp_path):
     """But a link between two places does, and so does the last one."""
     root = ElementTree.fromstring(seven_joint_urdf(tmp_path).read_text())
     link, joint = root.findall('link')[4], root.findall('joint')[4]

@@ -4,18 +4,10 @@ from arms import controller_config, HOME, seven_joint_config, seven_joint_urdf
 import equations
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.law import control_law, OK
-from multicontact_control.dynamics.operational_space import task_inertia
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.errors import SingularTaskError
 from multicontact_control.paths import config_dir
 from multicontact_control.records import CONTACT, CONTROL, FORCE_LAW, LAW
 import numpy as np
-import pytest
-
-
-@pytest.fixture
-def puma():
-    return RobotModel(controller_config().robot, config_dir())
 
 
 def _acceleration(state, torque):
@@ -39,9 +31,9 @@ def torque_for(model, q, v, acceleration, **nullspace):
     return arm.joints['torque'].copy()
 
 
-def test_operational_force_gives_the_commanded_acceleration(puma):
+def test_operational_force_gives_the_commanded_acceleration():
     """F = Lambda a + mu + p makes the operational point accelerate by a (P04 eqs 24-25)."""
-    rng = np.random.default_rng(1)
+    puma, rng = RobotModel(controller_config().robot, config_dir()), np.random.default_rng(1)
     for _ in range(10):
         q, v, a = HOME + 0.3 * rng.standard_normal(6), *rng.standard_normal((2, 6))
         torque = torque_for(puma, q, v, a)
@@ -86,20 +78,3 @@ def test_posture_moves_the_arm_and_not_its_operational_point(tmp_path):
         np.testing.assert_allclose(torque, equations.joint_torque(
             space.Lambda @ a + space.mu + space.p, state, space, 10.0, equations.posture_pull(
                 q, posture, wanted['lower'], wanted['upper'], 5.0, 0.1)), atol=1e-8)
-
-
-def test_armature_is_in_the_task_inertia(puma):
-    state = puma.update(HOME, np.zeros(6))
-    bare = RobotModel(
-        controller_config(robot={'armature': []}).robot, config_dir()).update(HOME, np.zeros(6))
-    with_rotors = np.diag(task_inertia(state.mass_matrix, state.jacobian))
-    without = np.diag(task_inertia(bare.mass_matrix, bare.jacobian))
-    assert (with_rotors > 1.2 * without).all()
-
-
-def test_task_inertia_refuses_a_singular_posture(puma):
-    straight = HOME.copy()
-    straight[4] = 0.0
-    state = puma.update(straight, np.zeros(6))
-    with pytest.raises(SingularTaskError, match='condition number below 1e'):
-        task_inertia(state.mass_matrix, state.jacobian)

@@ -1,15 +1,19 @@
-"""The robot model against roboticstoolbox's published values and finite differences."""
+"""The robot model against roboticstoolbox, finite differences and scipy's rotations."""
 
 import json
 from pathlib import Path
 from xml.etree import ElementTree
 
 from arms import controller_config, seven_joint_config, seven_joint_urdf
+from hypothesis import given
+from hypothesis import strategies as st
 from multicontact_control.dynamics.robot import load_model, RobotModel
+from multicontact_control.dynamics.rotations import Pose, rotation_vector
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from sim_bridge.robots import find_robot
 
 REFERENCE = json.loads(
@@ -42,27 +46,34 @@ def test_dynamics_agree_with_roboticstoolbox(puma, sample):
     np.testing.assert_allclose(state.pose.rotation_world, pose[:3, :3], atol=1e-9)
 
 
-def _twist_by_differences(model, q, v, step=1e-6):
-    ahead, behind = model.update(q + step * v, v), model.update(q - step * v, v)
-    linear = (ahead.pose.position_world - behind.pose.position_world) / (2 * step)
-    turn = (ahead.pose.rotation_world - behind.pose.rotation_world) / (2 * step)
-    skew = turn @ model.update(q, v).pose.rotation_world.T
-    return np.concatenate([linear, [skew[2, 1], skew[0, 2], skew[1, 0]]])
-
-
 def test_jacobian_and_drift_agree_with_finite_differences(tmp_path):
-    path = seven_joint_urdf(tmp_path)
-    model = RobotModel(seven_joint_config(path), tmp_path)
-    rng = np.random.default_rng(0)
+    model = RobotModel(seven_joint_config(seven_joint_urdf(tmp_path)), tmp_path)
+    rng, h = np.random.default_rng(0), 1e-6
     for _ in range(5):
         q, v = rng.standard_normal((2, 7))
-        state = model.update(q, v)
+        state, ahead, behind = (model.update(each, v) for each in (q, q + h * v, q - h * v))
+        linear, turn = (
+            (getattr(ahead.pose, name) - getattr(behind.pose, name)) / (2 * h)
+            for name in ('position_world', 'rotation_world'))
+        skew = turn @ state.pose.rotation_world.T
         np.testing.assert_allclose(state.twist_world, state.jacobian @ v, atol=1e-13)
-        np.testing.assert_allclose(state.twist_world, _twist_by_differences(model, q, v),
-                                   atol=1e-7)
-        h = 1e-6
-        rate = (model.update(q + h * v, v).jacobian - model.update(q - h * v, v).jacobian) @ v
+        np.testing.assert_allclose(
+            state.twist_world, [*linear, skew[2, 1], skew[0, 2], skew[1, 0]], atol=1e-7)
+        rate = (ahead.jacobian - behind.jacobian) @ v
         np.testing.assert_allclose(state.jacobian_drift, rate / (2 * h), atol=1e-6)
+
+
+@given(st.integers(0, 2 ** 32 - 1), st.floats(0.0, 1.8))
+def test_rotation_error_is_scipys_rotation_vector(seed, size):
+    a, b = size * np.random.default_rng(seed).uniform(-1.0, 1.0, (2, 3))
+    R_des, R = Rotation.from_rotvec(a).as_matrix(), Rotation.from_rotvec(b).as_matrix()
+    error = np.empty(3)
+    rotation_vector(R_des, R, error)
+    np.testing.assert_allclose(Rotation.from_rotvec(error).as_matrix() @ R, R_des, atol=1e-7)
+    assert np.linalg.norm(error) <= np.pi + 1e-9
+    pose = Pose(a, R)
+    again = Pose.from_quaternion(a, 2.0 * pose.quaternion_xyzw)
+    np.testing.assert_allclose(again.rotation_world, R, atol=1e-12)
 
 
 @pytest.mark.parametrize(('change', 'message'), [
@@ -79,7 +90,7 @@ def test_model_refuses_names_that_do_not_match(change, message):
         RobotModel(config, config_dir())
 
 
-def test_a_vendors_urdf_with_fingers_and_endless_joints_is_the_arm_alone(tmp_path):
+def test_model_of_a_vendors_urdf_locks_fingers_and_takes_endless_joints(tmp_path):
     arm = seven_joint_urdf(tmp_path).read_text()
     finger = ''.join(
         f'<link name="{name}"><inertial><origin xyz="0 0 0.02"/><mass value="0.3"/><inertia '
