@@ -1,18 +1,23 @@
 """The active observer against its equations, and what it promises."""
 
 import equations
-from force_loop import ActiveObserver, design_force_loop
+from force_loop import ActiveObserver, design_force_loop, observer_of
 from multicontact_control.force.observer import (
     command,
     continue_at,
+    correct,
     design_observer,
     make_observers,
     observe,
+    predict,
     rescale,
 )
-from multicontact_control.records import CONTACT
+from multicontact_control.records import CONTACT, MAX_ORDER
+from numba import njit
 import numpy as np
 import pytest
+
+OPTIONS = {'process_noise': 2e-3, 'initial_covariance': 5e-3}
 
 
 @pytest.fixture
@@ -20,21 +25,25 @@ def loop():
     return design_force_loop()
 
 
-def _simulate(loop, observer, disturbance):
-    """Run an observer on the plant it models; return the last true force."""
-    x = np.zeros(5)
+def equations_of(loop, order):
+    return equations.Observer(
+        loop.plant.Phi, loop.plant.Gamma, loop.L, order=order, **OPTIONS)
+
+
+def force_error(loop, order, disturbance):
+    """Return the last error of the force where an observer holds 10 N, and its estimates."""
+    observer, x = ActiveObserver(loop, order=order), np.zeros(5)
     for each in disturbance:
         observer.update(x[0], 0.6)
         x = loop.plant.Phi @ x + loop.plant.Gamma * (observer.command(10.0) + each)
-    return x[0]
+    return abs(x[0] - 10.0), observer.x_est
 
 
 @pytest.mark.parametrize('order', [0, 1, 2, 3])
 def test_observer_is_equations_34_to_41_in_full_matrices(loop, order):
     """Over 200 samples with a variance that jumps, from a start at rest."""
-    options = {'order': order, 'process_noise': 2e-3, 'initial_covariance': 5e-3}
-    observer = ActiveObserver(loop, **options)
-    literal = equations.Observer(loop.plant.Phi, loop.plant.Gamma, loop.L, **options)
+    observer = ActiveObserver(loop, order=order, **OPTIONS)
+    literal = equations_of(loop, order)
     random = np.random.default_rng(4)
     for each in (observer, literal):
         each.reset(1.0)
@@ -48,19 +57,39 @@ def test_observer_is_equations_34_to_41_in_full_matrices(loop, order):
         assert observer.command(force_des) == pytest.approx(literal.command(force_des), rel=1e-8)
 
 
-def test_active_state_finds_a_constant_disturbance(loop):
-    """No error at rest with it (P04 sec. 4); order 0 is plain pole placement."""
-    observer = ActiveObserver(loop)
-    assert _simulate(loop, observer, np.full(1500, 0.05)) == pytest.approx(10.0, abs=1e-6)
-    assert observer.x_est[-1] == pytest.approx(0.05, rel=1e-4)
-    assert abs(_simulate(loop, ActiveObserver(loop, order=0), np.full(1500, 0.05)) - 10.0) > 0.5
+@njit
+def update_covariance(observers, variances):
+    """Let the covariance of an observer, which no measurement changes, go on."""
+    for variance in variances:
+        predict(observers[0])
+        correct(observers[0], 0.0, variance)
 
 
-def test_second_order_active_state_tracks_a_ramp(loop):
-    """p_k = 2 p_k-1 - p_k-2 follows a ramp without error (paper notes, active state)."""
-    errors = [abs(_simulate(loop, ActiveObserver(loop, order=order), 1e-4 * np.arange(3000))
-                  - 10.0) for order in (1, 2)]
-    assert errors[1] < 0.05 * errors[0]
+@pytest.mark.parametrize('damping_rate', [0.0, 20.0])
+@pytest.mark.parametrize('order', range(MAX_ORDER + 1))
+def test_covariance_stays_symmetric_positive_and_right_over_hours(order, damping_rate):
+    """R jumps between floor and ceiling: every tick, at random times and every 20 000 ticks."""
+    random, third = np.random.default_rng(11), 100_000
+    high = np.concatenate([np.arange(third) % 2, np.cumsum(random.random(third) < 0.01) % 2,
+                           np.arange(third) // 20_000 % 2])
+    observer, fresh = (observer_of(order, damping_rate) for _ in range(2))
+    for variances in np.split(np.where(high, 1e6, 1e-3), 300):
+        update_covariance(observer.records, variances)
+        np.testing.assert_array_equal(observer.P, observer.P.T)
+        sizes = np.sqrt(np.diag(observer.P))
+        assert np.linalg.eigvalsh(observer.P / np.outer(sizes, sizes))[0] > 1e-9
+    for each in (observer, fresh):
+        update_covariance(each.records, np.full(20_000, 0.6))
+    np.testing.assert_allclose(observer.P, fresh.P, rtol=1e-6, atol=1e-15)
+
+
+def test_active_state_compensates_a_constant_disturbance_and_a_ramp(loop):
+    """p_k = p_k-1 leaves no error at rest, p_k = 2 p_k-1 - p_k-2 none in a ramp (P04 sec. 4)."""
+    constant, ramp = np.full(1500, 0.05), 1e-4 * np.arange(3000)
+    assert force_error(loop, 0, constant)[0] > 0.5
+    error, x_est = force_error(loop, 1, constant)
+    assert error < 1e-6 and x_est[-1] == pytest.approx(0.05, rel=1e-4)
+    assert force_error(loop, 2, ramp)[0] < 0.05 * force_error(loop, 1, ramp)[0]
 
 
 def test_continue_from_predicts_with_the_input_that_acts(loop):
@@ -81,9 +110,8 @@ def test_continue_from_predicts_with_the_input_that_acts(loop):
 
 def test_observer_without_a_new_wrench_predicts_only(loop):
     """As with a measurement of infinite variance, every third time."""
-    options = {'order': 1, 'process_noise': 2e-3, 'initial_covariance': 5e-3}
-    observers = make_observers([design_observer(loop, **options)])
-    literal = equations.Observer(loop.plant.Phi, loop.plant.Gamma, loop.L, **options)
+    observers = make_observers([design_observer(loop, order=1, **OPTIONS)])
+    literal = equations_of(loop, 1)
     contact, random = np.zeros(1, dtype=CONTACT)[0], np.random.default_rng(6)
     contact['alpha_meas'], contact['noise_variance'] = 4.0, 0.6
     literal.reset(4.0)
@@ -110,7 +138,7 @@ def test_rescaled_observer_is_the_one_designed_for_the_other_stiffness(order):
         np.testing.assert_allclose(observers[name], wanted[name], atol=1e-9 * scale)
 
 
-def test_observer_that_goes_on_knows_its_disturbance_and_the_others_begin_anew(loop):
+def test_observer_that_continues_knows_its_disturbance_and_others_begin_anew(loop):
     observers = make_observers([design_observer(loop)] * 2)
     observers['running'] = True
     observers['x_est'][:, :6] = [8.0, 3.0, 0.1, 0.2, 0.3, 0.7]
