@@ -15,7 +15,7 @@ import time
 from typing import Any, TypeVar
 
 from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.experiment.graph.node_process import NodeProcess
+from multicontact_control.experiment.graph.node_process import start_node
 from multicontact_control.nodes.link import GuestNode
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -49,15 +49,10 @@ run_graph(GraphSpec(
 
 @contextmanager
 def own_domain() -> Iterator[int]:
-    """Reserve a domain that the environment does not choose."""
-    saved = os.environ.pop('ROS_DOMAIN_ID', None)
+    """Reserve a domain that nothing else on this machine uses."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    try:
-        with reserve_domain() as number:
-            yield number
-    finally:
-        if saved is not None:
-            os.environ['ROS_DOMAIN_ID'] = saved
+    with reserve_domain() as number:
+        yield number
 
 
 def start_graph(
@@ -110,15 +105,36 @@ def end_of(process: subprocess.Popen[str] | StartedNode) -> tuple[str, str]:
     return process.communicate(timeout=PATIENCE)
 
 
-class StartedNode(NodeProcess):
-    """A node in a process of its own, with what it writes."""
+class StartedNode:
+    """A node in a process of its own, as `subprocess.Popen` has it, with what it writes."""
 
     def __init__(self, module: str, arguments: list[str]) -> None:
         file, name = tempfile.mkstemp()
         os.close(file)
-        self._log = Path(name)
-        super().__init__(module, [sys.executable, '-m', module, *arguments],
-                         dict(os.environ), self._log)
+        self.args, self._log = [module, *arguments], Path(name)
+        self._process = start_node(module, arguments, os.environ, self._log)
+        self.terminate, self.kill = self._process.terminate, self._process.kill
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    @property
+    def returncode(self) -> int | None:
+        return self._process.exitcode
+
+    def poll(self) -> int | None:
+        return self.returncode
+
+    def send_signal(self, number: int) -> None:
+        if self.returncode is None:
+            os.kill(self.pid, number)
+
+    def wait(self, timeout: float | None = None) -> int:
+        self._process.join(timeout)
+        if self.returncode is None:
+            raise subprocess.TimeoutExpired(self.args, timeout)
+        return self.returncode
 
     def communicate(self, timeout: float | None = None) -> tuple[str, str]:
         """Wait for its end; return what it wrote to stdout and stderr, twice."""

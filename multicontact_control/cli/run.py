@@ -41,6 +41,7 @@ def run(
         help='With --external: time without a sample after which the robot counts as gone '
         '[s].')] = 5.0,
     domain_id: Annotated[int | None, typer.Option(
+        envvar='ROS_DOMAIN_ID', min=0, max=101,
         help='ROS_DOMAIN_ID of the graph; that of the environment, or the first one that is free '
         'on this machine (0 with --external), if not given.')] = None,
     namespace: Annotated[str, typer.Option(
@@ -78,14 +79,14 @@ def run(
         setup = replace(options.setup(), commanded_by_topic=commanded)
         folder = options.folder(setup)
     # Only now: bad input is refused before the simulator is loaded.
-    from multicontact_control.experiment.run import GraphOptions, run_external, run_real_time
+    from multicontact_control.experiment.run import GraphOptions, run_external, run_on_graph
 
     graph = GraphOptions(
         free_running=free_running, speed=speed, domain_id=domain_id, namespace=namespace,
         realtime=realtime, endless=commanded and options.duration is None)
     summary, interrupted = run_external(
         resolved, folder, graph, robot_timeout=robot_timeout, supervised=not options.bare,
-    ) if external else run_real_time(setup, folder, graph, supervised=not options.bare)
+    ) if external else run_on_graph(setup, folder, graph, supervised=not options.bare)
     if interrupted is not None:
         raise typer.Exit(EXIT_SIGNAL + interrupted)
     if summary is None:

@@ -42,14 +42,13 @@ from multicontact_control.files import finite, write_json
 from rich.console import Console
 
 if TYPE_CHECKING:
-    from multicontact_control.experiment.graph.run import GraphResult, GraphSpec
+    from multicontact_control.experiment.graph.robot import Robot
+    from multicontact_control.experiment.graph.run import GraphResult
+    from multicontact_control.experiment.graph.spec import GraphSpec
 
 # Periods: a robot moves on while its samples are late, the simulated one has stood still, and a
 # busy machine is no fault of its sensors.
 SIMULATION_PATIENCE = 25.0
-# What of the timing only a plant of this package can tell.
-OF_THE_PLANT = ('deadline_misses', 'pace_slips', 'command_timeouts', 'latency_us', 'plant_us',
-                'latency_histogram', 'realtime_factor')
 UNANSWERED = 'ended before any sample was answered: there is nothing to report'
 
 
@@ -96,11 +95,11 @@ class GraphOptions:
     speed
         Simulated time per wall time at most; 0 for as fast as it goes.
     domain_id, namespace
-        ROS_DOMAIN_ID, by default that of the environment or a free one, and namespace.
+        ROS_DOMAIN_ID, by default a free one, or 0 with a robot behind the topics; and namespace.
     realtime
         Whether to ask for real-time priority, processors and memory.
     endless
-        Whether a simulated arm goes on until a signal ends it, whatever its scenario says.
+        Whether it goes on until a signal ends it, whatever the scenario says.
 
     """
 
@@ -112,7 +111,7 @@ class GraphOptions:
     endless: bool = False
 
 
-def run_real_time(
+def run_on_graph(
     setup: Setup, folder: Path, options: GraphOptions = GraphOptions(), *,
     supervised: bool = True, console: Console | None = None,
 ) -> tuple[dict[str, Any] | None, int | None]:
@@ -129,8 +128,8 @@ def run_real_time(
     Returns
     -------
     tuple
-        The content of ``summary.json``, None if a signal came before any sample was answered, and
-        the signal that ended the run early, if one did: a run without an end is ended by one.
+        The content of ``summary.json``, None if no sample was answered, and the signal that ended
+        the run early, if one did: a run without an end is ended by one.
 
     Raises
     ------
@@ -140,48 +139,9 @@ def run_real_time(
         If ROS cannot be loaded or a node dies; what was recorded stays in the folder.
 
     """
-    console = console or terminal()
-    from multicontact_control.experiment.graph.run import GraphSpec
-
-    config = folder / CONFIG_FOLDER
     refuse_push_test(setup)
-    ensure_compiled(console)
-    spec = GraphSpec(
-        out=folder, ticks=0 if options.endless else setup.ticks, rate=setup.controller.rate,
-        free_running=options.free_running, speed=options.speed, seed=setup.seed,
-        domain_id=options.domain_id,
-        reference_file=None if setup.commanded_by_topic else config / 'reference.yaml',
-        namespace=options.namespace, extra_parameters={'controller_node': {
-            'supervised': supervised, 'patience': SIMULATION_PATIENCE}},
-        parameter_files=setup.write(config), realtime=options.realtime)
-    result = _run_graph(spec, setup, options, console)
-    if options.realtime:
-        for name, node in result.timing.items():
-            console.print(f'{name}: {node.get("scheduling", "ended without a word")}',
-                          highlight=False)
-    if not result.controlled:
-        console.print(UNANSWERED, highlight=False, soft_wrap=True)
-        return None, result.interrupted
-    content = read_bag(result.bag, setup.controller, commanded=setup.commanded_by_topic)
-    interrupted = None if options.endless else result.interrupted
-    if options.endless:
-        setup = as_long_as(content.data, setup, config)
-    events = result.timing.get('controller_node', {}).get('events', [])
-    summary = summarise(
-        content.data, setup, mode=REAL_TIME if options.free_running else LOCKSTEP,
-        timing=graph_timing(result.timing, content),
-        ended_early='' if interrupted is None else INTERRUPTED,
-        events=events if supervised else None)
-    summary |= {'ros_domain_id': result.domain_id, 'remarks': content.told}
-    return _finish(content.data, setup, folder, summary, console), interrupted
-
-
-def as_long_as(data: RunData, setup: Setup, config: Path) -> Setup:
-    """Return a setup that lasts as long as a run without an end has, and leave it in its files."""
-    scenario = setup.scenario.model_copy(update={'duration': data.ticks / data.rate})
-    setup = replace(setup, scenario=scenario)
-    setup.write(config)
-    return setup
+    return _run(setup, folder, options, supervised, console or terminal(),
+                {'patience': SIMULATION_PATIENCE})
 
 
 def run_external(
@@ -189,128 +149,111 @@ def run_external(
     robot_timeout: float = 5.0, supervised: bool = True, console: Console | None = None,
 ) -> tuple[dict[str, Any] | None, int | None]:
     """
-    Run controller, estimator and recorder on a robot of somebody else, and leave the results.
+    Run controller, estimator and recorder on the user's own robot, and leave the results.
+
+    Parameters, return value and errors are those of `run_on_graph`, and:
 
     Parameters
     ----------
     external
         Configuration, and what is to be done for how long.
-    folder, supervised, console
-        As for `run_real_time`.
-    options
-        How to run the graph; its domain is that of the environment, or 0, if none is given.
     robot_timeout
         Time without a message after which the robot counts as gone [s].
-
-    Returns
-    -------
-    tuple
-        The content of ``summary.json``, None if no sample was answered, and the signal that ended
-        the run early, if one did: a run without an end is ended by one.
 
     Raises
     ------
     ConfigError
         If a parameter of the controller's node is not acceptable.
-    RunError
-        If ROS cannot be loaded or a node dies; what was recorded stays in the folder.
 
     """
-    console = console or terminal()
-    from multicontact_control.experiment.graph.domain import shared_domain
-    from multicontact_control.experiment.graph.external import Robot, run_external_graph
-    from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
+    from multicontact_control.experiment.graph.robot import Robot
     from multicontact_control.nodes.controller_config import ControllerNodeConfig
 
-    setup, config = external.setup, folder / CONFIG_FOLDER
+    setup = external.setup
     if not setup.commanded_by_topic:
         refuse_push_test(setup)
     node = validate(ControllerNodeConfig, external.node, 'controller_node')
-    ensure_compiled(console)
-    spec = GraphSpec(
-        out=folder, ticks=0, rate=setup.controller.rate, external=True,
-        reference_file=None if setup.commanded_by_topic else config / 'reference.yaml',
-        domain_id=shared_domain(options.domain_id), namespace=options.namespace,
-        extra_parameters={CONTROLLER: {**dotted(external.node), 'supervised': supervised}},
-        parameter_files=setup.write(config), realtime=options.realtime)
     robot = Robot(setup.controller.robot.joint_names, setup.controller.wrench_input,
                   node.pair_tolerance * setup.controller.period, node.effort_output_topic,
                   robot_timeout, external.duration)
+    options = replace(options, domain_id=options.domain_id or 0,
+                      endless=external.duration is None)
+    return _run(setup, folder, options, supervised, console or terminal(), dotted(external.node),
+                robot)
 
-    def tell(text: str) -> None:
-        console.print(text, highlight=False, markup=False, soft_wrap=True)
 
-    with progress_bar(f'run {setup.scenario.name}', external.duration, console,
-                      'starting the nodes') as show:
-        result = run_external_graph(
-            spec, robot, lambda progress: show(progress.time, progress.forces),
-            on_domain=lambda number: tell(f'ROS domain {number}, shared with the robot'),
-            tell=tell)
-    if result.ended:
-        tell(f'ended: {result.ended}')
+def _run(
+    setup: Setup, folder: Path, options: GraphOptions, supervised: bool, console: Console,
+    parameters: Mapping[str, Any], robot: Robot | None = None,
+) -> tuple[dict[str, Any] | None, int | None]:
+    """Run a graph whose controller's node has some parameters of its own, and report it."""
+    from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
+
+    ensure_compiled(console)
+    config = folder / CONFIG_FOLDER
+    result = _show_graph(GraphSpec(
+        out=folder, ticks=0 if options.endless else setup.ticks, rate=setup.controller.rate,
+        free_running=options.free_running, speed=options.speed, seed=setup.seed,
+        domain_id=options.domain_id, namespace=options.namespace, realtime=options.realtime,
+        reference_file=None if setup.commanded_by_topic else config / 'reference.yaml',
+        parameter_files=setup.write(config), robot=robot,
+        extra_parameters={CONTROLLER: {**parameters, 'supervised': supervised}}),
+        setup, options, console)
     if not result.controlled:
-        tell(UNANSWERED)
+        console.print(UNANSWERED, highlight=False, soft_wrap=True)
         return None, result.interrupted
-    return _report_external(external, folder, result, options.namespace, supervised, console)
-
-
-def _report_external(
-    external: External, folder: Path, result: GraphResult, namespace: str, supervised: bool,
-    console: Console,
-) -> tuple[dict[str, Any], int | None]:
-    """Leave the results of a run on a robot of somebody else."""
-    interrupted = None if external.duration is None else result.interrupted
-    setup = external.setup
-    content = answered(read_bag(
-        result.bag, setup.controller, namespace=namespace, commanded=setup.commanded_by_topic))
+    content = read_bag(result.bag, setup.controller, namespace=options.namespace,
+                       commanded=setup.commanded_by_topic)
+    if robot is not None:
+        content = answered(content)
     data = content.data
-    if external.duration is None:
-        setup = as_long_as(data, setup, folder / CONFIG_FOLDER)
-    timing = {name: value for name, value in graph_timing(result.timing, content).items()
-              if name not in OF_THE_PLANT}
-    events = result.timing.get('controller_node', {}).get('events', [])
+    interrupted = None if options.endless else result.interrupted
+    if options.endless:  # it lasts as long as it has, in the files, too
+        scenario = setup.scenario.model_copy(update={'duration': data.ticks / data.rate})
+        setup = replace(setup, scenario=scenario)
+        setup.write(config)
+    simulated = REAL_TIME if options.free_running else LOCKSTEP
     summary = summarise(
-        data, setup, mode=EXTERNAL_RUN, timing=timing, events=events if supervised else None,
-        ended_early=result.ended or (INTERRUPTED if interrupted else ''))
+        data, setup, mode=simulated if robot is None else EXTERNAL_RUN,
+        timing=graph_timing(result.timing, content),
+        ended_early=result.ended or (INTERRUPTED if interrupted else ''),
+        events=result.timing[CONTROLLER].get('events', []) if supervised else None)
     summary |= {'ros_domain_id': result.domain_id, 'remarks': content.told}
     return _finish(data, setup, folder, summary, console), interrupted
 
 
-def _run_graph(
+def _show_graph(
     spec: GraphSpec, setup: Setup, options: GraphOptions, console: Console,
 ) -> GraphResult:
     """Run the graph and show how far it is."""
     from multicontact_control.experiment.graph.run import run_graph
+
+    def tell(text: str) -> None:
+        console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     duration = None if options.endless else setup.scenario.duration
     with progress_bar(
             f'run {setup.scenario.name}', duration, console, 'starting the nodes') as show:
         result = run_graph(
             spec, lambda progress: show(
-                progress.time, progress.forces, progress.realtime_factor),
-            on_wait=lambda text: console.print(
-                text, highlight=False, markup=False, soft_wrap=True),
-            on_domain=lambda number: console.print(
-                f'ROS domain {number}: ROS_DOMAIN_ID={number} multicontact topic list',
-                highlight=False))
-        if result.interrupted is None:
-            show(setup.scenario.duration, {})
+                progress.time, progress.forces, progress.realtime_factor), tell=tell,
+            on_domain=lambda number: tell(
+                f'ROS domain {number}: ROS_DOMAIN_ID={number} multicontact topic list'))
+        if duration is not None and result.interrupted is None:
+            show(duration, {})
+    if options.realtime:
+        for name, node in result.timing.items():
+            tell(f'{name}: {node.get("scheduling", "not known")}')
+    if result.ended:
+        tell(f'ended: {result.ended}')
     return result
 
 
 def refuse_push_test(setup: Setup) -> None:
-    """
-    Check that the scenario can begin by itself.
-
-    Raises
-    ------
-    ConfigError
-        If a push test comes first, for which nobody is there.
-
-    """
+    """Check that the scenario can begin without a push test; ConfigError if it cannot."""
     if setup.controller.sensor.require_push_test:
-        raise ConfigError('sensor.require_push_test', 'false in a scenario: nobody is there to '
-                          'push the tool', True)
+        raise ConfigError('sensor.require_push_test',
+                          'false in a scenario, which begins without a push on the tool', True)
 
 
 def graph_timing(
@@ -318,26 +261,25 @@ def graph_timing(
 ) -> dict[str, Any]:
     """Return the `timing` of ``summary.json`` from what the nodes and the bag say."""
     sim, controller = timing.get('sim_node', {}), timing.get('controller_node', {})
-    recorder = timing.get('recorder_node', {})
-    sim_time = content.data.ticks / content.data.rate
-    wall = sim.get('wall_s') or 0.0
+    recorder, data = timing.get('recorder_node', {}), content.data
     # What the simulator took along when it ended is in no gap that the recorder could count.
-    never_came = max(0, sim.get('ticks', 0) - content.data.ticks)
-    return {
-        'deadline_misses': sim.get('deadline_misses', 0),
-        'pace_slips': sim.get('pace_slips', 0),
-        'command_timeouts': sim.get('command_timeouts', 0),
+    never_came = max(0, sim.get('ticks', 0) - data.ticks)
+    found = {
         'lost_messages': recorder['lost'] + never_came if 'lost' in recorder else None,
         'unanswered_samples': content.missing['joint_effort_command'],
         'kernels_compiled': sum(node.get('kernels_compiled', 0) for node in timing.values()),
-        'tick_us': controller.get('tick_us'), 'latency_us': sim.get('latency_us'),
-        'latency_histogram': sim.get('latency_histogram'), 'plant_us': sim.get('plant_us'),
+        'tick_us': controller.get('tick_us'),
         'scheduling': {name: node['scheduling'] for name, node in timing.items()
                        if 'scheduling' in node},
-        'realtime_factor': sim_time / wall if wall else None,
-        'on_time_share': sim.get('on_time_share'),
         'topic_rates_hz': {topic: round(rate, 3)
                            for topic, rate in sorted(content.topic_rates.items())}}
+    if sim:
+        found |= {name: sim[name] for name in (
+            'deadline_misses', 'pace_slips', 'command_timeouts', 'latency_us',
+            'latency_histogram', 'plant_us')}
+        found['realtime_factor'] = data.ticks / data.rate / sim['wall_s'] if (
+            sim['wall_s']) else None
+    return found
 
 
 def _finish(

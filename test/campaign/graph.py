@@ -7,6 +7,7 @@ Nodes are processes and time is real. The operator presses on every contact and 
 from collections import deque, namedtuple
 from itertools import takewhile
 import math
+import os
 from pathlib import Path
 import signal
 import subprocess
@@ -25,7 +26,7 @@ from multicontact_control.experiment.graph import spec
 from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.nodes import link, messages, qos, topics
 from multicontact_control.nodes.graph import create_publisher, ignore, take
-from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM
+from multicontact_control.nodes.topics import CONTROLLER, RECORDER, SIM
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.reactions import SEVERITY
 import numpy as np
@@ -68,7 +69,6 @@ class Graph(link.GuestNode):
             remappings={CONTROLLER: {x.name: PREFIX + x.name for x in INPUTS.values()}},
             extra_parameters={x: {'startup_peers': [], **(PATIENT if x == CONTROLLER else {})}
                               for x in spec.START_ORDER})
-        self.spec.logs.mkdir(parents=True, exist_ok=True)
         self.processes = NodeProcesses(self.spec, domain_id)
         self.wanted = dict.fromkeys(setup.controller.contact_names, WANTED_FORCE)
         self._subscriptions = {
@@ -86,21 +86,22 @@ class Graph(link.GuestNode):
         """Start all nodes, and bring every contact to its force."""
         self._relay = subprocess.Popen(
             [sys.executable, str(Path(__file__).with_name('relay.py'))],
-            env=spec.node_environment(self.spec, self.spec.domain_id),
+            env={**os.environ, 'ROS_DOMAIN_ID': str(self.spec.domain_id)},
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.processes.start_all()
         self.recover()
 
     def close(self):
-        self.processes.stop(abort=True)
+        self.processes.stop(hurry=True)
         self._relay.communicate()
         self._driver.close()
         super().close()
 
     def end_all(self):
         """End every node as at the end of a run; return which of them failed."""
-        codes = {x: self.processes.end(x) for x in (SIM, CONTROLLER, ESTIMATOR, RECORDER)}
-        return [f'{name} ended with {code}' for name, code in codes.items() if code]
+        self.processes.stop()
+        return [f'{name} ended with {process.exitcode}'
+                for name, process in self.processes.running.items() if process.exitcode]
 
     def poll(self):
         """Take in what has come, and command the motion of now."""
@@ -117,7 +118,7 @@ class Graph(link.GuestNode):
                 else:
                     self.heard[topic].append((sent, dict(zip(message.name, message.effort))))
         self._command_motion()
-        self.processes.raise_if_ended()
+        self.processes.check_running()
 
     def since(self, topic, start):
         """Return when [s] and what was sent on a topic from a time on."""
@@ -191,15 +192,17 @@ class Graph(link.GuestNode):
             self.spin(duration)
             self._distort('')
         elif action.steps == KILL:
-            self.processes.kill(fault.input)
+            process = self.processes.running.pop(fault.input)
+            process.kill()
+            process.join()
             self.spin(float(random.uniform(*OUTAGE)))
             # What the killed one has recorded is not overwritten.
             bag = {'folder': str((self.spec.out / f'bag-{time.time_ns()}').resolve())}
             self.processes.start(fault.input, bag if fault.input == RECORDER else {})
         elif action.steps == HALT:
-            self.processes.signal(fault.input, signal.SIGSTOP)
+            os.kill(self.processes.running[fault.input].pid, signal.SIGSTOP)
             self.spin(float(random.uniform(*HALT_TIME)))
-            self.processes.signal(fault.input, signal.SIGCONT)
+            os.kill(self.processes.running[fault.input].pid, signal.SIGCONT)
         else:
             for step in action.steps:
                 self._driver.change(fault.input, step)

@@ -19,68 +19,28 @@ PARTICIPANTS, PORTS_PER_PARTICIPANT = 32, 2
 
 
 @contextlib.contextmanager
-def reserve_domain(wanted: int | None = None) -> Iterator[int]:
+def reserve_domain(domain_id: int | None = None) -> Iterator[int]:
     """
-    Hold a ROS domain for the time of a run.
+    Hold a ROS domain for the time of a run, and yield it.
 
-    Parameters
-    ----------
-    wanted
-        The domain; None for that of ``ROS_DOMAIN_ID``, and if that is not set, the first one
-        without a participant, so that runs side by side don't hear each other.
-
-    Yields
-    ------
-    int
-        The domain.
-
-    Raises
-    ------
-    ConfigError
-        If the domain is not a number from 0 to 101.
-    RunError
-        If no domain is free.
-
+    Without a number it is the first domain without a participant, so that runs side by side do not
+    hear each other. Raises RunError if no domain is free.
     """
-    if wanted is None and os.environ.get('ROS_DOMAIN_ID'):
-        wanted = _from_environment(os.environ['ROS_DOMAIN_ID'])
-    if wanted is not None:
-        _check(wanted, str(wanted))
-        yield wanted
+    if domain_id is not None:
+        yield domain_id
         return
-    for domain_id in range(LARGEST_DOMAIN + 1):
-        # Between being chosen and being used a domain looks free: the lock says it is not.
-        with _locked(domain_id) as mine:
-            if mine and not domain_in_use(domain_id):
-                yield domain_id
+    for number in range(LARGEST_DOMAIN + 1):
+        # Between the choice and the first participant a domain looks free: the lock says it is
+        # not.
+        with _locked(number) as mine:
+            if mine and not domain_in_use(number):
+                yield number
                 return
     raise RunError(f'no ROS domain from 0 to {LARGEST_DOMAIN} is free on this machine')
 
 
-def shared_domain(wanted: int | None) -> int | None:
-    """Return the domain of a graph that joins nodes of others: as ROS has it, 0 by default."""
-    return 0 if wanted is None and not os.environ.get('ROS_DOMAIN_ID') else wanted
-
-
-def _from_environment(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise ConfigError(
-            'ROS_DOMAIN_ID', f'a number from 0 to {LARGEST_DOMAIN}', f"'{text}'") from None
-
-
-def _check(domain_id: int, found: str) -> None:
-    if not 0 <= domain_id <= LARGEST_DOMAIN:
-        raise ConfigError('ROS_DOMAIN_ID', f'a number from 0 to {LARGEST_DOMAIN}', found)
-
-
 def domain_in_use(domain_id: int) -> bool:
-    """
-    Return whether a participant listens on a port that DDS gives the first ones.
-
-    Not only the very first: it may have left, and others stayed.
-    """
+    """Return whether a participant listens on a port that DDS gives the first ones of a domain."""
     first = PORT_BASE + PORTS_PER_DOMAIN * domain_id + FIRST_PARTICIPANT_OFFSET
     ports = range(first, first + PORTS_PER_PARTICIPANT * PARTICIPANTS, PORTS_PER_PARTICIPANT)
     return any(_is_bound(port) for port in ports)

@@ -1,123 +1,81 @@
 """
-Nodes as processes that start at once: forked from one that has loaded their modules already.
+Nodes as processes, forked from one that has loaded their modules already.
 
-Loading its modules takes a node one to three seconds of a processor. The process that
-`multiprocessing` forks from loads them once. What runs is the `main` of the node's module, as by
-its own command; a process is listed by that command, too.
+Loading its modules takes a node one to three seconds of a processor; the fork server of
+`multiprocessing` loads them once. A process runs the `main` of its node's module, as the node's
+own command does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-import contextlib
-import ctypes
 from importlib import import_module
 import multiprocessing
 from multiprocessing import forkserver
+from multiprocessing.process import BaseProcess
 import os
 from pathlib import Path
 import signal
-import subprocess
 import sys
 import threading
 
 from multicontact_control.process import limit_threads
 
-PRELOAD = 'multicontact_control.experiment.graph.preload'
-# The command line that a node is listed by fits in the room of its server's environment.
-ROOM = 'MULTICONTACT_ROOM'
+MODULES = {
+    'recorder_node': 'multicontact_control.nodes.recorder_node',
+    'noise_estimator_node': 'multicontact_control.nodes.noise_estimator_node',
+    'controller_node': 'multicontact_control.nodes.controller_node',
+    'sim_node': 'sim_bridge.sim_node'}
 CONTEXT = multiprocessing.get_context('forkserver')
 
 
 def prepare_nodes() -> None:
-    """Begin to load what every node needs, in another process; of use before anything heavy."""
+    """Begin to load the nodes' modules in the fork server; call it in the main thread."""
     limit_threads()
-    root = Path(__file__).resolve().parents[3]
-    if (root / 'package.xml').is_file():
-        # A checkout that is run without being installed.
-        paths = [str(root), *filter(None, os.environ.get('PYTHONPATH', '').split(os.pathsep))]
-        os.environ['PYTHONPATH'] = os.pathsep.join(dict.fromkeys(paths))
-    CONTEXT.set_forkserver_preload([PRELOAD])
-    os.environ[ROOM] = ' ' * 4096
+    CONTEXT.set_forkserver_preload(list(MODULES.values()))
+    # Inherited by the server: a run stops its nodes in order, also when its terminal closes.
+    handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     forkserver.ensure_running()
-    del os.environ[ROOM]
+    signal.signal(signal.SIGHUP, handler)
 
 
-class NodeProcess:
+def start_node(
+    module: str, arguments: Sequence[str], environment: Mapping[str, str], log: Path,
+    title: str = '',
+) -> BaseProcess:
     """
-    A node in a process of its own, as `subprocess.Popen` has it.
+    Start a node in a process of its own, and return that.
 
     Parameters
     ----------
     module
-        Whose `main` it runs; its exit code is what that returns.
-    command
-        Command line that does the same: what it is listed by.
+        Module whose `main` it runs; the exit code is what that returns.
+    arguments
+        Command line of the node, without its name.
     environment
-        The whole of it.
+        All environment variables.
     log
-        File that it writes to.
+        File that its output goes to.
+    title
+        What the process is listed by, after the name of the node.
 
     """
-
-    def __init__(
-        self, module: str, command: Sequence[str], environment: Mapping[str, str], log: Path,
-    ) -> None:
-        prepare_nodes()
-        self.args = list(command)
-        self._process = CONTEXT.Process(
-            target=_run, args=(module, self.args, dict(environment), str(log)), daemon=True)
-        self._process.start()
-
-    @property
-    def pid(self) -> int:
-        """Return its number."""
-        return int(self._process.pid or 0)
-
-    @property
-    def returncode(self) -> int | None:
-        """Return its exit code, or the negative number of a signal; None while it runs."""
-        return self._process.exitcode
-
-    def poll(self) -> int | None:
-        """Return the same."""
-        return self.returncode
-
-    def wait(self, timeout: float | None = None) -> int:
-        """
-        Return its exit code once it has ended.
-
-        Raises
-        ------
-        subprocess.TimeoutExpired
-            If it has not after a time [s].
-
-        """
-        self._process.join(timeout)
-        if self._process.exitcode is None:
-            raise subprocess.TimeoutExpired(self.args, timeout or 0.0)
-        return int(self._process.exitcode)
-
-    def send_signal(self, number: signal.Signals) -> None:
-        """Send it a signal, unless it has ended."""
-        if self.returncode is None:
-            os.kill(self.pid, number)
-
-    def terminate(self) -> None:
-        """Ask it to end."""
-        self.send_signal(signal.SIGTERM)
-
-    def kill(self) -> None:
-        """End it at once."""
-        self.send_signal(signal.SIGKILL)
+    prepare_nodes()
+    process = CONTEXT.Process(
+        target=_run, args=(module, list(arguments), dict(environment), str(log), title),
+        daemon=True)
+    process.start()
+    return process
 
 
-def _run(module: str, command: list[str], environment: dict[str, str], log: str) -> None:
-    """Be the node that a command starts."""
-    from setproctitle import setproctitle, setthreadtitle
+def _run(
+    module: str, arguments: list[str], environment: dict[str, str], log: str, title: str,
+) -> None:
+    from setproctitle import setproctitle
 
-    os.setsid()
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    name = module.rpartition('.')[2]
+    setproctitle(f'{name} {title}'.strip())  # before the environment is another
+    os.setsid()  # a Ctrl-C in the terminal is for the process that runs the graph
     output = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
     for stream in (1, 2):
         os.dup2(output, stream)
@@ -126,20 +84,8 @@ def _run(module: str, command: list[str], environment: dict[str, str], log: str)
     os.environ.clear()
     os.environ.update(environment)
     threading.Thread(target=_follow_parent, daemon=True).start()
-    name = Path(command[0]).name if command[0] != sys.executable else command[2].rpartition('.')[2]
-    sys.argv = [name, *command[1 if command[0] != sys.executable else 3:]]
-    setproctitle(' '.join(command))
-    setthreadtitle(name)
-    _name_logs(name)
+    sys.argv = [name, *arguments]
     sys.exit(import_module(module).main())
-
-
-def _name_logs(name: str) -> None:
-    """Let ROS call the file of its log by a name: what it reads has just been written over."""
-    libc = ctypes.CDLL(None)
-    libc.strdup.restype = ctypes.c_void_p
-    with contextlib.suppress(ValueError):  # not every C library has it
-        ctypes.c_void_p.in_dll(libc, 'program_invocation_name').value = libc.strdup(name.encode())
 
 
 def _follow_parent() -> None:

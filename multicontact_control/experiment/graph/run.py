@@ -1,34 +1,74 @@
 """
-Running the ROS 2 graph: plain processes, started in order, watched, and stopped together.
+Running a graph: its nodes are started in order, watched, and stopped together.
 
-The controller and the estimator are configured and activated from here; the others have nothing
-to configure. There is one time limit for the start, kept here: no node has one of its own. The
-end of the simulator ends the run. The others are then stopped from the source downwards, the
-recorder last, so that every message that was sent is in the bag when it closes.
+The controller and the estimator are configured and activated from here. With a simulated plant the
+end of the simulator ends the run. The user's own robot is waited for before the controller is
+activated; the run ends after its time, or when the robot is silent, and the controller is then
+deactivated first, so that the robot gets the declared safe behaviour before it gets nothing. If
+this process is killed, the controller does that by itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+import contextlib
 from dataclasses import dataclass
-from functools import partial
+import math
+import os
 from pathlib import Path
+import signal
+import sys
+import time
+from types import FrameType
 from typing import Any
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.experiment.graph.processes import NodeEndedError, NodeProcesses
-from multicontact_control.experiment.graph.progress import GraphProgress, ProgressListener
-from multicontact_control.experiment.graph.spec import GraphSpec, SIM
-from multicontact_control.experiment.graph.watching import (
-    bring_up,
-    collected_signals,
-    InterruptedRunError,
-    SAMPLES,
-    StartSupervision,
-    Tell,
-    watch,
+from multicontact_control.experiment.graph.processes import NodeProcesses
+from multicontact_control.experiment.graph.robot import RobotWatch
+from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec, MANAGED, SIM
+from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes.controller_config import SAFE_TIME
+from multicontact_control.nodes.graph import ignore, take
+from multicontact_control.nodes.link import (
+    ACTIVATE,
+    CONFIGURE,
+    DEACTIVATE,
+    GuestNode,
+    TransitionError,
 )
+
+WATCH_PERIOD, PROGRESS_PERIOD = 0.05, 0.2  # s
+TELL_PERIOD = 5.0  # s, between two lines on what is waited for
+DEACTIVATION_TIMEOUT = 5.0  # s
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+Tell = Callable[[str], None]
+
+
+class InterruptedRunError(Exception):
+    """A signal came while a graph was started."""
+
+
+@dataclass(frozen=True)
+class GraphProgress:
+    """
+    Where a run is.
+
+    Attributes
+    ----------
+    time
+        Time since the first sample that was seen [s].
+    forces
+        Measured force per contact [N].
+    realtime_factor
+        Simulated time over wall time since then.
+
+    """
+
+    time: float
+    forces: Mapping[str, float]
+    realtime_factor: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -43,11 +83,11 @@ class GraphResult:
     timing
         Counts and times that each node wrote at its end, by node name.
     domain_id
-        ROS domain it ran in.
+        ROS domain it ran in; None if a signal ended its start.
     interrupted
         Signal that ended it early, None if it ran to its end.
     ended
-        What ended it early on the side of a robot that is not this package's; empty if nothing.
+        What ended it early on the side of the user's own robot; empty if nothing.
     controlled
         Whether any sample was answered.
 
@@ -55,19 +95,151 @@ class GraphResult:
 
     bag: Path
     timing: Mapping[str, Mapping[str, Any]]
-    domain_id: int
-    interrupted: int | None
+    domain_id: int | None = None
+    interrupted: int | None = None
     ended: str = ''
     controlled: bool = True
 
 
+class ProgressListener(GuestNode):
+    """Reads the newest measured forces when asked, and takes no time in between."""
+
+    def __init__(self, domain_id: int, namespace: str = '') -> None:
+        super().__init__('run_progress', domain_id, namespace)
+        self._forces = self.node.create_subscription(
+            topics.MEASURED_FORCES.message, topics.MEASURED_FORCES.name, ignore, qos.GLANCE)
+        self._first = self._start = 0.0
+        self.heard = False  # whether anything has come yet
+
+    def newest(self) -> GraphProgress | None:
+        """Return what came last since the last call, if anything."""
+        taken = take(self._forces)
+        if taken is None:
+            return None
+        message, now = taken[0], time.monotonic()
+        stamp = 1e-9 * messages.stamp_to_ns(message.header.stamp)
+        if not self.heard:
+            self.heard, self._first, self._start = True, stamp, now
+        simulated, wall = stamp - self._first, now - self._start
+        return GraphProgress(
+            simulated, {name: force for name, force in zip(message.name, message.effort)
+                        if math.isfinite(force)}, simulated / wall if wall else 0.0)
+
+
+class RunningGraph:
+    """
+    A graph that is up; see `running_graph`.
+
+    Attributes
+    ----------
+    processes
+        Its nodes; `processes.check_running()` raises RunError if one has ended.
+    domain_id
+        ROS domain that it is in.
+    progress
+        Says where it is.
+    robot
+        Says whether the user's own robot is there; None with a simulated plant.
+
+    """
+
+    def __init__(
+        self, spec: GraphSpec, domain_id: int, keep_waiting: Callable[[str], None],
+    ) -> None:
+        self.spec, self.domain_id = spec, domain_id
+        self.processes = NodeProcesses(spec, domain_id)
+        self.progress = ProgressListener(domain_id, spec.namespace)
+        self.robot = None if spec.robot is None else RobotWatch(
+            domain_id, spec.namespace, spec.robot, spec.rate)
+        self._keep_waiting, self._activated = keep_waiting, False
+
+    def start(self) -> None:
+        """Start the nodes, wait for the robot, and activate the controller."""
+        self.processes.start_all()
+        self._lead(CONFIGURE)
+        while self.robot is not None and (missing := self.robot.missing()):
+            self._wait(missing)
+            time.sleep(WATCH_PERIOD)
+        self._activated = True  # on the way, at least
+        self._lead(ACTIVATE)
+
+    def _wait(self, what: str) -> None:
+        self.processes.check_running()
+        self._keep_waiting(what)
+
+    def _lead(self, transition: str) -> None:
+        with GuestNode('lifecycle_driver', self.domain_id, self.spec.namespace,
+                       keep_waiting=self._wait) as driver:
+            for name in MANAGED:
+                try:
+                    driver.change(name, transition)
+                except TransitionError:
+                    raise RunError(self.processes.report(name, f'cannot {transition}')) from None
+
+    def stop(self, *, hurry: bool) -> None:
+        """Stop the nodes, a robot's controller not before its safe behaviour; `hurry` to abort."""
+        if self.robot is not None and self._activated and not self.processes.ended(CONTROLLER):
+            with contextlib.suppress(RunError), GuestNode(
+                    'run_end', self.domain_id, self.spec.namespace,
+                    patience=DEACTIVATION_TIMEOUT) as driver:
+                driver.change(CONTROLLER, DEACTIVATE)
+                time.sleep(SAFE_TIME)
+        self.processes.stop(hurry=hurry)
+        self.progress.newest()
+        for guest in (self.progress, self.robot):
+            if guest is not None:
+                guest.close()
+
+
+@contextlib.contextmanager
+def running_graph(
+    spec: GraphSpec, keep_waiting: Callable[[str], None] = lambda what: None,
+    on_domain: Callable[[int], None] = lambda domain_id: None,
+) -> Iterator[RunningGraph]:
+    """
+    Start a graph and activate it, and stop it afterwards.
+
+    Without a `reference_file` the graph obeys the command topics, e.g. of a `ControllerLink` with
+    its `domain_id`. Start it in the main thread.
+
+    Parameters
+    ----------
+    spec
+        What to run.
+    keep_waiting
+        Called many times a second during the start with what is waited for; may raise.
+    on_domain
+        Called with the ROS domain before anything runs in it.
+
+    Yields
+    ------
+    RunningGraph
+        Its nodes, domain and progress.
+
+    Raises
+    ------
+    RunError
+        If a node cannot be started: its name and the end of its log.
+
+    """
+    with reserve_domain(spec.domain_id) as domain_id:
+        on_domain(domain_id)
+        graph = RunningGraph(spec, domain_id, keep_waiting)
+        hurry = True
+        try:
+            graph.start()
+            yield graph
+            hurry = False
+        finally:
+            graph.stop(hurry=hurry)
+
+
 def run_graph(
     spec: GraphSpec, on_progress: Callable[[GraphProgress], None] = lambda progress: None,
-    on_domain: Callable[[int], None] = lambda domain_id: None,
-    on_wait: Tell = lambda text: None,
+    on_domain: Callable[[int], None] = lambda domain_id: None, tell: Tell = lambda text: None,
 ) -> GraphResult:
     """
-    Run the graph to its end.
+    Run a graph to its end.
 
     SIGINT, SIGTERM and SIGHUP end it early and cleanly; call it in the main thread for that.
 
@@ -76,11 +248,11 @@ def run_graph(
     spec
         What to run.
     on_progress
-        Called about 5 times a second once samples flow.
+        Called about 5 times a second once samples are answered.
     on_domain
-        Called with the ROS domain that was chosen, before anything runs in it.
-    on_wait
-        Called every few seconds of a long start with what is waited for.
+        As for `running_graph`.
+    tell
+        Called every few seconds with what is waited for, and with what was found of a robot.
 
     Returns
     -------
@@ -90,48 +262,86 @@ def run_graph(
     Raises
     ------
     RunError
-        If a node cannot be started or dies: the name of the first one that did, how it ended and
-        the end of its log; or if the graph is not up within `START_BUDGET`.
+        If a node cannot be started or dies: its name, how it ended and the end of its log.
 
     """
-    spec.logs.mkdir(parents=True, exist_ok=True)
-    with reserve_domain(spec.domain_id) as domain_id, collected_signals() as interrupted:
-        on_domain(domain_id)
-        processes = NodeProcesses(spec, domain_id)
-        supervision = StartSupervision(processes, interrupted, on_wait)
-        with ProgressListener(domain_id, spec.namespace) as listener:
-            failed = True
-            try:
-                processes.start_all()
-                bring_up(processes, supervision, domain_id, spec.namespace)
-                watch(listener, on_progress, partial(_end, processes, supervision))
-                supervision.check()
-                failed = False
-            except InterruptedRunError:
-                failed = False
-            except NodeEndedError as error:
-                if error.node_name == SIM and error.code > 0 and listener.heard:
-                    raise RunError(f'{listener.waited_for()} does not answer; {error}') from None
-                raise
-            finally:
-                processes.stop(abort=failed)
-            listener.newest()
-            controlled = listener.heard or not interrupted
-        if controlled:  # one that is interrupted while it starts ends as it may
-            processes.raise_if_failed()
-        return GraphResult(
-            bag=spec.bag, timing=processes.timing(), domain_id=domain_id,
-            interrupted=interrupted[0] if interrupted else None, controlled=controlled)
+    remind = _Reminder(tell)
+    with collected_signals() as signals:
+        def keep_waiting(what: str) -> None:
+            if signals:
+                raise InterruptedRunError
+            remind(lambda: what)
+
+        try:
+            with running_graph(spec, keep_waiting, on_domain) as graph:
+                if graph.robot is not None:
+                    tell(f'found {graph.robot.found}')
+                ended = _watch(graph, signals, on_progress, remind)
+        except InterruptedRunError:
+            return GraphResult(spec.bag, {}, interrupted=signals[0], controlled=False)
+    graph.processes.check_codes()
+    return GraphResult(
+        spec.bag, graph.processes.timing(), graph.domain_id, signals[0] if signals else None,
+        ended, graph.progress.heard or not (signals or ended))
 
 
-def _end(
-    processes: NodeProcesses, supervision: StartSupervision, progress: GraphProgress | None,
-) -> str | None:
-    """Return '' when the simulator has ended; wait for the first sample until then."""
-    if processes.ended(SIM):
-        return ''
-    if progress is None:
-        supervision.wait(SAMPLES)
-    else:
-        supervision.check()
-    return None
+class _Reminder:
+    """Tells every few seconds what is waited for."""
+
+    def __init__(self, tell: Tell) -> None:
+        self._tell, self._start = tell, time.monotonic()
+        self._due = self._start + TELL_PERIOD
+
+    def __call__(self, missing: Callable[[], str]) -> None:
+        if (now := time.monotonic()) > self._due:
+            self._due = now + TELL_PERIOD
+            self._tell(f'{now - self._start:.0f} s: waiting for {missing()}')
+
+
+def _watch(
+    graph: RunningGraph, signals: list[int], on_progress: Callable[[GraphProgress], None],
+    remind: _Reminder,
+) -> str:
+    """Look at a graph until it ends; return what ended it on the side of the user's robot."""
+    robot, watch = graph.spec.robot, graph.robot
+    newest: GraphProgress | None = None
+    due = 0.0
+
+    def missing() -> str:
+        return (watch.doubts() if watch else '') or 'the first answered sample'
+
+    while not signals and not graph.processes.ended(SIM):
+        graph.processes.check_running()
+        if watch is not None and (silent := watch.silent()):
+            return silent
+        if time.monotonic() >= due:
+            due = time.monotonic() + PROGRESS_PERIOD
+            if (progress := graph.progress.newest()) is not None:
+                newest = progress
+                on_progress(progress)
+        if newest is None:
+            remind(missing)
+        elif robot and robot.duration is not None and newest.time >= robot.duration:
+            break
+        time.sleep(WATCH_PERIOD)
+    graph.processes.check_running()
+    return ''
+
+
+@contextlib.contextmanager
+def collected_signals() -> Iterator[list[int]]:
+    """Collect signals that ask for an end in a list instead of dying of them."""
+    received: list[int] = []
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        received.append(number)
+        if number == signal.SIGHUP:  # the terminal is gone, and refuses output
+            sys.stdout = sys.stderr = open(os.devnull, 'w')  # noqa: SIM115
+
+    previous = {number: signal.signal(number, note) for number in ENDING
+                if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN}  # nohup
+    try:
+        yield received
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)

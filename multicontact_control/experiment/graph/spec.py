@@ -1,24 +1,18 @@
-"""What a graph of processes is made of: which nodes, with which parameters, how started."""
+"""What a graph is made of: which nodes, with which parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 import json
-import os
 from pathlib import Path
-import sys
 from typing import Any
 
+from multicontact_control.experiment.graph.robot import Robot
 from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM
 
 START_ORDER = (RECORDER, ESTIMATOR, CONTROLLER, SIM)
 MANAGED = (ESTIMATOR, CONTROLLER)  # in the order in which they are activated
-MODULES = {
-    RECORDER: 'multicontact_control.nodes.recorder_node',
-    ESTIMATOR: 'multicontact_control.nodes.noise_estimator_node',
-    CONTROLLER: 'multicontact_control.nodes.controller_node',
-    SIM: 'sim_bridge.sim_node'}
 FIFO_PRIORITY = 80  # below the kernel's own threads
 BARE_EFFORTS = 'std_msgs/msg/Float64MultiArray'
 
@@ -45,20 +39,21 @@ class GraphSpec:
     seed
         Seed of the plant.
     reference_file
-        Scenario for the controller; none lets it obey the command topics.
+        Scenario for the controller; without one it obeys the command topics.
     domain_id
-        ROS domain; by default that of the environment, else one that is free.
+        ROS domain; the first one without participants if not given.
     namespace
         Namespace of all nodes, topics and services, without a leading slash; empty for none.
     extra_parameters
         More parameters per node name, over those of its file.
     remappings
         Other names of topics per node name.
-    external
-        Whether the robot, or its simulator, is somebody else's: there is no plant among the nodes,
-        and `ticks`, `seed` and `speed` have no meaning.
     realtime
         Whether the nodes that control ask for a real-time priority and keep their memory.
+    robot
+        The robot behind the topics, or its simulator, that the graph waits for. There is then no
+        plant among the nodes, and `ticks`, `seed` and `speed` have no meaning. None for a graph
+        with a simulated plant.
 
     """
 
@@ -75,17 +70,12 @@ class GraphSpec:
     extra_parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     remappings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     realtime: bool = False
-    external: bool = False
+    robot: Robot | None = None
 
     @property
-    def node_names(self) -> tuple[str, ...]:
+    def nodes(self) -> tuple[str, ...]:
         """Names of all nodes, in the order in which they are started."""
-        return (*START_ORDER[:-1], *(() if self.external else (SIM,)))
-
-    @property
-    def peers(self) -> tuple[str, ...]:
-        """Names of the nodes that wait for each other at the start."""
-        return START_ORDER[:-1] if self.external else START_ORDER
+        return START_ORDER if self.robot is None else START_ORDER[:-1]
 
     @property
     def bag(self) -> Path:
@@ -103,33 +93,27 @@ def timing_file(spec: GraphSpec, name: str) -> Path:
     return spec.logs / f'{name}.json'
 
 
-def node_command(
+def node_arguments(
     name: str, spec: GraphSpec, overrides: Mapping[str, Any] | None = None,
 ) -> list[str]:
-    """
-    Return the command line of a node: its installed script, or its module.
-
-    `overrides` are parameters over those of the graph.
-    """
-    script = Path(sys.executable).parent / name
-    command = [str(script)] if os.access(script, os.X_OK) else (
-        [sys.executable, '-m', MODULES[name]])
-    command.append('--ros-args')
+    """Return the command line of a node; `overrides` are parameters over those of the graph."""
+    # The output is in the log of the run already.
+    arguments = ['--ros-args', '--disable-external-lib-logs']
     if spec.namespace:
-        command += ['-r', f'__ns:=/{spec.namespace}']
+        arguments += ['-r', f'__ns:=/{spec.namespace}']
     if name in spec.parameter_files:
-        command += ['--params-file', str(spec.parameter_files[name].resolve())]
+        arguments += ['--params-file', str(spec.parameter_files[name].resolve())]
     for topic, other in spec.remappings.get(name, {}).items():
-        command += ['-r', f'{topic}:={other}']
+        arguments += ['-r', f'{topic}:={other}']
     for key, value in {**node_parameters(name, spec), **(overrides or {})}.items():
-        command += ['-p', f'{key}:={json.dumps(value)}']  # JSON keeps 500.0 a double
-    return command
+        arguments += ['-p', f'{key}:={json.dumps(value)}']  # JSON keeps 500.0 a double
+    return arguments
 
 
 def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
     """Return the parameters that belong to the run, not to a file."""
     values: dict[str, Any] = {
-        'timing_file': str(timing_file(spec, name).resolve()), 'startup_peers': list(spec.peers)}
+        'timing_file': str(timing_file(spec, name).resolve()), 'startup_peers': list(spec.nodes)}
     if name == RECORDER:
         values['folder'] = str(spec.bag.resolve())
         bare = spec.extra_parameters.get(CONTROLLER, {}).get('effort_output_topic')
@@ -143,13 +127,7 @@ def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
     if name == CONTROLLER and name in spec.parameter_files:
         values['base_dir'] = str(spec.parameter_files[name].resolve().parent)
     if name in (SIM, CONTROLLER):
-        values['lockstep'] = not (spec.free_running or spec.external)
+        values['lockstep'] = not spec.free_running and spec.robot is None
     if spec.realtime and name != RECORDER:
         values |= {'fifo_priority': FIFO_PRIORITY, 'lock_memory': True}
     return {**values, **spec.extra_parameters.get(name, {})}
-
-
-def node_environment(spec: GraphSpec, domain_id: int) -> dict[str, str]:
-    """Return the environment of the nodes."""
-    return {**os.environ, 'ROS_DOMAIN_ID': str(domain_id),
-            'ROS_LOG_DIR': str((spec.logs / 'ros').resolve())}

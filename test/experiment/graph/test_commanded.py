@@ -16,8 +16,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 
 def test_a_simulated_arm_obeys_until_it_is_interrupted_and_is_judged_by_what_was_commanded(
-        tmp_path, monkeypatch):
-    monkeypatch.delenv('ROS_DOMAIN_ID', raising=False)
+        tmp_path):
     out = tmp_path / 'run'
     with reserve_domain() as domain_id:
         process = subprocess.Popen(

@@ -19,7 +19,7 @@ import sys
 from arms import seven_joint_urdf
 from external_arm import BIAS, TOOL_COM, TOOL_MASS
 from multicontact_control.client import MultiContactClient
-from multicontact_control.experiment.graph.domain import reserve_domain, shared_domain
+from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.recording import read_graph
 from multicontact_control.experiment.results import load
 from multicontact_control.nodes import messages, qos, topics
@@ -124,13 +124,6 @@ def write_controller(folder, **changes):
     return urdf
 
 
-def test_domain_is_the_one_that_the_robot_is_in(monkeypatch):
-    monkeypatch.delenv('ROS_DOMAIN_ID', raising=False)
-    assert (shared_domain(None), shared_domain(7)) == (0, 7)
-    monkeypatch.setenv('ROS_DOMAIN_ID', '5')
-    assert (shared_domain(None), shared_domain(7)) == (None, 7)  # None: as the environment says
-
-
 @pytest.mark.nightly
 def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     commands, program = documented()
@@ -144,8 +137,7 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     running = shell.multicontact(*first, log='first')
     shell.wait_for_line(running, 'first', 'waiting for /joint_states')
     arm = shell.start(ARM, str(urdf), log='arm')
-    shell.wait_for_line(running, 'first', 'found /joint_states from my_arm, /ft_sensor/wrench '
-                        'from my_arm')
+    shell.wait_for_line(running, 'first', 'found /joint_states from ')
     shell.end(shell.multicontact(*calibrate, *QUICK, log='weighing'), 'weighing')
     tool = yaml.safe_load((tmp_path / 'tool.yaml').read_text())['/**']['ros__parameters']['tool']
     assert tool['mass'] == pytest.approx(TOOL_MASS, abs=0.02)
@@ -159,7 +151,7 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     wait_for_end_of(nodes_of(weighed), 'the end of the first nodes')
     judged = running  # of which there is no need to wait for the figures
     running = shell.multicontact(*second, log='second')
-    shell.wait_for_line(running, 'second', 'found /joint_states from my_arm')
+    shell.wait_for_line(running, 'second', 'found /joint_states from ')
     text = shell.end(shell.start('-c', program, log='program'), 'program')
     assert float(re.search(r"'wall': ([\d.]+)", text)[1]) == pytest.approx(10.0, abs=1.0), text
     text = shell.end(running, 'second', signal.SIGINT)
@@ -167,10 +159,7 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     arm.kill()
     run = tmp_path / 'runs/latest'
     summary = json.loads((run / 'summary.json').read_text())
-    told = 'not judged: no ground truth; by the measured forces no limit was passed' in text
-    # A machine on which the arm was held for late samples leaves perhaps too little to judge.
-    busy = 'not judged: the machine could not keep real time' in text
-    assert told or busy and summary['timing']['late_reactions'], text
+    assert 'not judged: no ground truth; by the measured forces no limit was passed' in text
     assert (summary['truth'], summary['mode'], summary['stable']) == (False, 'external', None)
     data = load(run).data
     assert np.nanmax(data.alpha_meas) > 9.0 and np.nanmax(data.command) == 10.0
@@ -229,9 +218,9 @@ def test_robot_that_presses_is_left_with_the_safe_behaviour(shell, tmp_path):
 
 
 def nodes_of(folder):
-    """Return the processes whose command line names a log of a run."""
+    """Return the nodes of a run."""
     return [entry for entry in Path('/proc').iterdir()
-            if f'{folder}/logs/' in command_line(entry)]
+            if f'_node {folder}\0' in command_line(entry)]
 
 
 def command_line(entry):
@@ -252,7 +241,7 @@ def test_robot_that_is_gone_ends_the_run_and_is_named(shell, tmp_path):
     running = shell.multicontact(
         'run', '--external', '--controller', 'controller.yaml', '--namespace', 'left',
         '--robot-timeout', '3', '--out', 'run', log='left')
-    shell.wait_for_line(running, 'left', 'found /left/joint_states from my_arm')
+    shell.wait_for_line(running, 'left', 'found /left/joint_states from ')
     with GuestNode('listener', shell.domain_id, 'left') as listener:
         commands = listener.node.create_subscription(
             topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, ignore, qos.WATCH)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 import signal
 import socket
 import subprocess
@@ -19,6 +18,7 @@ from multicontact_control.experiment.graph.spec import (
     GraphSpec,
     RECORDER,
     SIM,
+    START_ORDER,
 )
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes.topics import (
@@ -45,12 +45,6 @@ ADAPTIVE_TOPICS = [f'/{topic.name}' for topic in (STIFFNESS, STABILITY_MARGIN)]
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
-@pytest.fixture(autouse=True)
-def free_domain(monkeypatch):
-    """Let every run choose its own domain, whatever the environment says."""
-    monkeypatch.delenv('ROS_DOMAIN_ID', raising=False)
-
-
 def make_spec(folder, *, plant='rigid', ticks=TICKS, seed=0, estimator='lead_window', preset='',
               **options):
     setup = resolve('quick', plant=plant, seed=seed, duration=ticks / 500.0,
@@ -75,16 +69,10 @@ def counts(bag):
 
 
 def node_processes(folder):
-    """Return the processes whose command line names a folder, by node name."""
-    found = {}
-    for entry in Path('/proc').iterdir():
-        try:
-            command = (entry / 'cmdline').read_bytes().decode()
-        except (OSError, UnicodeDecodeError):
-            continue
-        found |= {name: int(entry.name) for name in (RECORDER, ESTIMATOR, CONTROLLER, SIM)
-                  if f'{folder}/logs/{name}.json' in command}
-    return found
+    """Return the processes of a run in a folder, by node name, as `ps` lists them."""
+    listed = subprocess.run(['ps', '-ewwo', 'pid=,args='], capture_output=True, text=True).stdout
+    return {command: int(pid) for pid, command, *rest in map(str.split, listed.splitlines())
+            if rest == [str(folder)] and command in START_ORDER}
 
 
 def once(work):
@@ -162,15 +150,6 @@ def test_node_that_is_killed_ends_the_run_and_is_named(tmp_path, name):
         assert counts(spec.bag)[CONTROL_TOPICS[0]] > 0
 
 
-@pytest.mark.parametrize('name', [CONTROLLER, ESTIMATOR])
-def test_node_that_hangs_ends_the_run_and_is_named(tmp_path, name):
-    _, spec = make_spec(tmp_path, ticks=ENDLESS, speed=0.0)
-    halt = once(lambda: os.kill(node_processes(tmp_path)[name], signal.SIGSTOP))
-    with pytest.raises(RunError, match=f'^{name} does not answer'):
-        run_graph(spec, halt)
-    assert node_processes(tmp_path) == {}
-
-
 @pytest.mark.parametrize('name', [RECORDER, CONTROLLER])
 def test_node_that_is_killed_during_the_start_is_named(tmp_path, name):
     _, spec = make_spec(tmp_path)
@@ -213,13 +192,10 @@ def test_nodes_end_when_the_process_that_started_them_is_killed(tmp_path):
     assert wait_for(lambda: not node_processes(tmp_path / 'run'), 'nodes ended')
 
 
-def test_reserve_domain_gives_two_runs_two_domains(monkeypatch):
+def test_reserve_domain_gives_two_runs_two_domains():
     with reserve_domain() as first, reserve_domain() as second:
         assert first != second
     assert not domain_in_use(first)
-    monkeypatch.setenv('ROS_DOMAIN_ID', '37')
-    with reserve_domain() as domain_id:
-        assert domain_id == 37
 
 
 @pytest.mark.parametrize('participant', [0, 7])

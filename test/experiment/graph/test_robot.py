@@ -4,7 +4,7 @@ from contextlib import closing
 
 from fake_arm import wrench_message
 from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.experiment.graph.robot_watch import RobotWatch
+from multicontact_control.experiment.graph.robot import Robot, RobotWatch
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.link import GuestNode
 import pytest
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.ros
 JOINTS = ('a', 'b')
 
 
-class Robot(GuestNode):
+class Publisher(GuestNode):
     """A robot's node, which publishes what it is told to."""
 
     def __init__(self, domain_id):
@@ -29,23 +29,23 @@ class Robot(GuestNode):
         self.node.create_subscription(
             topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, lambda _: None, 10)
 
-    def publish(self, *, names=JOINTS, late=0, period=2_000_000):
+    def publish(self, *, names=JOINTS, positions=None, late=0, period=2_000_000):
         self._k += 1
         stamp = 1_000_000_000 + self._k * period
-        self._joints.publish(messages.joint_state_message(
-            stamp, names, position=[0.0] * len(names), velocity=[0.0] * len(names)))
+        message = messages.joint_state_message(stamp, names, position=[0.0] * len(names))
+        message.position = message.position[:positions]
+        self._joints.publish(message)
         self._wrench.publish(wrench_message(stamp + late, [0.0] * 6, 'wrist'))
 
 
 @pytest.fixture(name='domain_id')
-def fixture_domain_id(monkeypatch):
-    monkeypatch.delenv('ROS_DOMAIN_ID', raising=False)
+def fixture_domain_id():
     with reserve_domain() as number:
         yield number
 
 
 def watch_of(domain_id, **options):
-    return RobotWatch(domain_id, '', joint_names=JOINTS, rate=500.0, **options)
+    return RobotWatch(domain_id, '', Robot(JOINTS, **options), 500.0)
 
 
 def wait_until(watch, robot, condition, **published):
@@ -56,34 +56,36 @@ def wait_until(watch, robot, condition, **published):
 
 
 def test_watch_names_what_is_missing_until_nothing_is_and_what_falls_silent(domain_id):
-    with watch_of(domain_id) as watch:
+    with watch_of(domain_id, timeout=0.2) as watch:
         for topic in ('/joint_states', '/ft_sensor/wrench', '/joint_effort_command'):
             assert topic in watch.missing()
-        with closing(Robot(domain_id)) as robot, closing(Robot(domain_id)) as gripper:
+        with closing(Publisher(domain_id)) as robot, closing(Publisher(domain_id)) as gripper:
             wait_until(watch, robot, lambda it: 'joints b in' in it.missing(), names=('a', 'c'))
+            wait_until(watch, robot, lambda it: 'position of every joint' in it.missing(),
+                       positions=1)
             wait_until(watch, robot, lambda it: it.missing().startswith('a subscriber of'))
             robot.listen()
-            for _ in range(20):  # joints of others are not the robot's
+            for _ in range(20):  # joints of others are not the robot's; velocities may lack
                 gripper.publish(names=('finger',))
                 wait_until(watch, robot, lambda it: not it.missing())
-            assert watch.found.startswith('/joint_states from their_robot')
-            assert watch.silent(60.0) == ''
-            # The last messages may still be on their way.
-            wait_for(lambda: gripper.publish(names=('finger',)) or watch.silent(0.2), 'silence')
-            assert 'has not published /joint_states' in watch.silent(0.2)
+            wait_until(watch, robot, lambda it: it.found.startswith(
+                '/joint_states from their_robot'))
+            wait_for(lambda: gripper.publish(names=('finger',)) or watch.silent(), 'silence')
+            assert 'has not published /joint_states' in watch.silent()
 
 
 @pytest.mark.parametrize(('published', 'doubt'), [
     ({'late': 900_000}, 'stamps that differ by at most 0.8 ms'),
     ({'period': 10_000_000}, 'its stamps come at 100 Hz')])
 def test_samples_that_cannot_be_answered_are_doubted(domain_id, published, doubt):
-    with watch_of(domain_id, pair_tolerance=8e-4) as watch, closing(Robot(domain_id)) as robot:
+    with watch_of(domain_id, pair_tolerance=8e-4) as watch, closing(
+            Publisher(domain_id)) as robot:
         wait_until(watch, robot, lambda it: doubt in it.doubts(), **published)
 
 
 def test_robot_without_a_wrist_sensor_needs_none(domain_id):
-    with watch_of(domain_id, wrench=None) as watch, closing(Robot(domain_id)) as robot:
+    with watch_of(domain_id, wrench_input='momentum') as watch, closing(
+            Publisher(domain_id)) as robot:
         assert 'wrench' not in watch.missing()
         robot.listen()
         wait_until(watch, robot, lambda it: not it.missing())
-        assert watch.found == '/joint_states from their_robot'

@@ -1,0 +1,179 @@
+"""The robot behind the topics, or its simulator: whether it is there, and what is missing."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+import contextlib
+from dataclasses import dataclass
+from statistics import median
+import time
+from typing import Any
+
+from multicontact_control.errors import MessageError
+from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes.graph import ignore, take
+from multicontact_control.nodes.link import GuestNode
+import numpy as np
+
+OURS = (topics.CONTROLLER, topics.ESTIMATOR, topics.RECORDER)
+HEARD = 100  # samples that are looked at for a rate, and for stamps that make pairs
+SILENCE = 2.0  # s without a message, after which a robot that is waited for is silent
+UNNAMED = '_NODE_NAME_UNKNOWN_'  # of a topic's end, until its node is known, too
+RATE_BAND = 1.5  # rates beyond 1 / this to this times the right one are doubted
+
+
+@dataclass(frozen=True)
+class Robot:
+    """
+    What is expected behind the topics, and for how long.
+
+    Attributes
+    ----------
+    joint_names
+        Joints that it has, among others.
+    wrench_input
+        Which wrench the controller reads: ``raw`` or ``filtered``; or ``momentum`` for none.
+    pair_tolerance
+        By how much the stamps of a pair of joints and wrench may differ [s].
+    effort_output_topic
+        Topic that it may take efforts from instead of ``joint_effort_command``; empty for none.
+    timeout
+        Time without a message after which it counts as gone [s].
+    duration
+        Length of the run in the time of its samples [s]; None until a signal comes.
+
+    """
+
+    joint_names: Sequence[str]
+    wrench_input: str = 'raw'
+    pair_tolerance: float = 0.0
+    effort_output_topic: str = ''
+    timeout: float = 5.0
+    duration: float | None = None
+
+
+class _Stream:
+    """What has come on one topic; of joint states, those without the robot's joints are apart."""
+
+    def __init__(self, subscription: Any, joints: Sequence[str]) -> None:
+        self.subscription, self._joints = subscription, joints
+        self.stamps: deque[int] = deque(maxlen=HEARD)
+        self.newest: Any = None
+        self.other: Any = None  # the newest message, if it lacks joints
+        self.at = time.monotonic()  # of the newest
+        self.publisher = 'the robot'  # its node, once it is known
+
+    def lacking(self, message: Any) -> list[str]:
+        return [name for name in self._joints if name not in message.name]
+
+    def poll(self) -> None:
+        while (taken := take(self.subscription)) is not None:
+            if self.lacking(taken[0]):
+                self.other = taken[0]
+                continue
+            self.newest, self.other, self.at = taken[0], None, time.monotonic()
+            with contextlib.suppress(MessageError):  # the controller refuses and counts it
+                self.stamps.append(messages.stamp_to_ns(self.newest.header.stamp))
+
+    @property
+    def age(self) -> float:
+        """Time since the newest message [s]."""
+        return time.monotonic() - self.at
+
+
+class RobotWatch(GuestNode):
+    """Listens to the topics of a `robot` that is to publish at a `rate` [Hz]."""
+
+    def __init__(self, domain_id: int, namespace: str, robot: Robot, rate: float) -> None:
+        super().__init__('robot_watch', domain_id, namespace)
+        self._robot, self._rate = robot, rate
+        self._streams = {topic: _Stream(
+            self.node.create_subscription(topic.message, topic.name, ignore, qos.WATCH),
+            robot.joint_names if topic is topics.JOINT_STATES else ())
+            for topic in (topics.JOINT_STATES, topics.WRENCHES.get(robot.wrench_input)) if topic}
+
+    def poll(self) -> None:
+        """Take what has come."""
+        for topic, stream in self._streams.items():
+            stream.poll()
+            if stream.newest and stream.publisher == 'the robot' and (
+                    names := self._publishers(topic)):
+                stream.publisher = names
+
+    def _full(self, name: str) -> str:
+        return self.node.resolve_topic_name(name)
+
+    def _publishers(self, topic: topics.Topic) -> str:
+        """Return the names of the nodes that publish a topic, as far as they are known yet."""
+        found = self.node.get_publishers_info_by_topic(self._full(topic.name))
+        return ', '.join(sorted({info.node_name for info in found} - {UNNAMED}))
+
+    def missing(self) -> str:
+        """Return what is missing of the robot and from whom, in one line; empty if nothing is."""
+        self.poll()
+        lines = [self._missing_of(topic, stream) for topic, stream in self._streams.items()]
+        if not any(lines):
+            lines.append(self._missing_values())
+        efforts = [self._full(name) for name in (
+            topics.EFFORT_COMMAND.name, self._robot.effort_output_topic) if name]
+        readers = {info.node_name for name in efforts
+                   for info in self.node.get_subscriptions_info_by_topic(name)}
+        if not readers - {*OURS, UNNAMED}:
+            lines.append(f'a subscriber of {" or ".join(efforts)} (the robot is to apply these '
+                         'efforts)')
+        return '; '.join(filter(None, lines))
+
+    def _missing_of(self, topic: topics.Topic, stream: _Stream) -> str:
+        name = self._full(topic.name)
+        if stream.newest is not None:
+            return '' if stream.age < SILENCE else (
+                f'{name}, silent for {stream.age:.0f} s, from {stream.publisher}')
+        if stream.other is not None:
+            return (f'the joints {", ".join(stream.lacking(stream.other))} in {name}, which has '
+                    f'{", ".join(stream.other.name) or "no names"}')
+        if publishers := self._publishers(topic):
+            return f'{name} from {publishers}, which publishes nothing yet'
+        return f'{name} ({topic.type_name}) from the robot: it has no publisher'
+
+    def _missing_values(self) -> str:
+        message = self._streams[topics.JOINT_STATES].newest
+        names, positions, velocities = map(
+            len, (message.name, message.position, message.velocity))
+        return '' if names == positions and velocities in (0, names) else (
+            f'the position of every joint in joint_states, and all velocities or none; it has '
+            f'{names} names, {positions} positions and {velocities} velocities')
+
+    def doubts(self) -> str:
+        """Return what keeps the controller from answering samples; empty if nothing."""
+        self.poll()
+        stamps = [np.array(stream.stamps) for stream in self._streams.values()]
+        if min(map(len, stamps)) < HEARD:
+            return ''
+        apart = 1e-9 * np.abs(np.subtract.outer(stamps[0], stamps[-1])).min()
+        if apart > self._robot.pair_tolerance:
+            return (f'joint_states and wrench with stamps that differ by at most '
+                    f'{1e3 * self._robot.pair_tolerance:g} ms; the newest are {stamps[0][-1]} '
+                    f'and {stamps[-1][-1]} ns')
+        period = 1e-9 * median(np.diff(stamps[0]))  # a few may have been lost on the way here
+        rate = 1.0 / period if period > 0.0 else 0.0
+        if not self._rate / RATE_BAND < rate < self._rate * RATE_BAND:
+            return (f'joint_states at {self._rate:g} Hz, the rate of the controller; its stamps '
+                    f'come at {rate:.4g} Hz')
+        return ''
+
+    def silent(self) -> str:
+        """Return which topic has not come for the robot's `timeout`, and from whom, or empty."""
+        self.poll()
+        for topic, stream in self._streams.items():
+            if stream.age > self._robot.timeout:
+                of = '' if stream.other is None else ' of its joints'
+                return (f'{stream.publisher} has not published {self._full(topic.name)}{of} for '
+                        f'{stream.age:.1f} s')
+        return ''
+
+    @property
+    def found(self) -> str:
+        """Say which nodes publish the robot's topics."""
+        return ', '.join(f'{self._full(topic.name)} from {stream.publisher}'
+                         for topic, stream in self._streams.items())
