@@ -33,7 +33,6 @@ import yaml
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 ARM = str(ROOT / 'test/external_arm.py')
-SECTION = '## Your own robot or simulator, step by step'
 # What a test has no time for, and what a busy machine may be late by.
 QUICK = ['--move-time', '0.5', '--tilt', '15']
 NODE = {'patience': 50.0, 'push_test': {'timeout': 1.0},
@@ -43,12 +42,11 @@ WATCHDOG = {'joint_max_age': 100.0, 'wrench_max_age': 100.0, 'variance_max_age':
 
 
 def documented():
-    """Return the commands and the program of the section, as they stand there."""
+    """Return the commands and the program of the page, as they stand there."""
     text = (ROOT / 'docs/your_robot.md').read_text(encoding='utf-8')
-    section = text.split(SECTION)[1].split('\n## ')[0]
-    lines = [line.split('#')[0].strip() for block in re.findall(r'```sh\n(.*?)```', section, re.S)
+    lines = [line.split('#')[0].strip() for block in re.findall(r'```sh\n(.*?)```', text, re.S)
              for line in block.splitlines()]
-    program, = re.findall(r'```python\n(.*?)```', section, re.S)
+    program, = re.findall(r'```python\n(.*?)```', text, re.S)
     program, count = re.subn(r'timeout=[\d.]+', f'timeout={PATIENCE}', program)
     assert count == 1
     return [shlex.split(line)[1:] for line in lines if line.startswith('multicontact ')], program
