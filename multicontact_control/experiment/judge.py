@@ -1,11 +1,10 @@
 """
-The verdict on a run: against what the scenario asked for, with what help, on what machine.
+The verdict on a run: against what the scenario asks for, and with what help of the supervisor.
 
 *Not stable* is a run with anything of `findings`. *Held by the supervisor* is one without, in
-which the supervisor had to step in again and again. *Not judged* is a free run that did not keep
-real time (1 % of its deadlines); and, if nothing speaks against it, one that was interrupted, or
-never under load, or in which a force is known for less than half of the time under load. All
-others are *stable*.
+which the supervisor had to step in again and again. *Not judged* is a run without findings that
+was interrupted, or never under load, or in which a force is known for less than half of the time
+under load. All others are *stable*.
 
 Without the true force of a contact, as on a robot, all this is judged by that measured; what
 would be stable is *not judged* then.
@@ -53,12 +52,7 @@ import numpy as np
 
 STABLE, HELD, NOT_STABLE, UNJUDGED = (
     'stable', 'held by the supervisor', 'not stable', 'not judged')
-# Why a run is not judged.
-BUSY = 'the machine could not keep real time'
-INTERRUPTED = 'interrupted by a signal'  # that somebody sent: no failure of the run
-UNLOADED = 'never under load'
-UNFELT = 'neither true nor measured forces'
-# Of a run without ground truth, after what else is said of it.
+INTERRUPTED = 'interrupted by a signal'  # no failure of the run
 BY_MEASUREMENT = 'by the measured forces'
 
 LONGEST_LOSS = 0.1  # s, of contact or to saturation: five time constants of the designed loop
@@ -72,21 +66,16 @@ IMPACT_SHARE = 0.5  # 30 N of 60 N
 # within 10 s. One surface that goes away makes one loss, and a bounce or two when it is back.
 AGAIN = 5
 AGAIN_TIME = 10.0  # s
-# % of its largest step, from which on a stable force is said not to follow its command: no limit
-# of stability, but nobody is to read `stable` alone.
-LARGEST_OVERSHOOT = 50.0
+LARGEST_OVERSHOOT = 50.0  # % of the largest step, that a verdict `stable` mentions
 LARGEST_HELD_SHARE = 0.05  # of the time under load, in which reactions replace the control law
 
 TRUE, MEASURED, UNKNOWN = 'true', 'measured', 'unknown'  # forces that a run is judged by
 
 WHOLE = (NAMES[IMPACT], NAMES[HOLDING])
 GONE = tuple(NAMES[code] for code in (LOST, RETRACTING, GIVEN_UP))
-
-REAL_TIME = 'free_running'  # the mode with deadlines
-LOCKSTEP = 'lockstep'  # the simulator waits
-EXTERNAL_RUN, RECORDED = 'external', 'recorded'  # on a robot of others; what anybody recorded
-WITH_DEADLINES = (REAL_TIME, EXTERNAL_RUN, RECORDED)
-LARGEST_MISS = 0.01  # share of deadlines missed, or samples unanswered, that is still real time
+# Modes of a run: the simulator waits; it does not; a robot of others; a recording.
+LOCKSTEP, REAL_TIME, EXTERNAL_RUN, RECORDED = (
+    'lockstep', 'free_running', 'external', 'recorded')
 # Share of the time under load, for which every force is known in a run called stable.
 LEAST_JUDGED = 0.5
 
@@ -118,7 +107,6 @@ class Finding:
 
     text: str
     time: float | None = None  # when [s]; None for what was missed throughout the run
-    always: bool = False  # however many deadlines were missed
 
 
 @dataclass(frozen=True)
@@ -128,7 +116,6 @@ class Verdict:
     name: str  # `STABLE`, `HELD`, `NOT_STABLE` or `UNJUDGED`
     reasons: tuple[str, ...]  # of a run that is not judged, what was seen all the same
     unstable_at: float | None  # of `findings` alone: the first that has a time [s], if any
-    kept_real_time: bool | None  # None for a run without deadlines
     unjudged: str = ''  # why it is not judged, if it is not
 
 
@@ -143,57 +130,43 @@ def verdict_text(summary: Mapping[str, Any]) -> str:
         return f'{name} {BY_MEASUREMENT}: {reasons}'
     if name != STABLE:
         return f'{name}: {reasons}'
-    return STABLE + _overshoots(summary)
-
-
-def _overshoots(summary: Mapping[str, Any]) -> str:
-    """Return which forces overshoot their largest steps far, for behind a verdict, or nothing."""
-    found = {name: contact.get('step_overshoot_percent')
-             for name, contact in summary.get('contacts', {}).items()}
-    far = [f'{name} {percent:.0f} %' for name, percent in found.items()
-           if percent is not None and percent > LARGEST_OVERSHOOT]
-    return f', but overshoots a step: {", ".join(far)}' if far else ''
+    far = [f'{contact} {percent:.0f} %' for contact, numbers in summary.get('contacts', {}).items()
+           if (percent := numbers.get('step_overshoot_percent') or 0.0) > LARGEST_OVERSHOOT]
+    return f'{STABLE}, but overshoots a step: {", ".join(far)}' if far else STABLE
 
 
 def judge(
-    data: RunData, setup: Setup, *, mode: str = 'in_process',
-    timing: Mapping[str, Any] | None = None, ended_early: str = '', events: Sequence[Event] = (),
+    data: RunData, setup: Setup, *, mode: str = 'in_process', ended_early: str = '',
+    events: Sequence[Event] = (),
 ) -> Verdict:
     """
-    Judge a run; `mode` and `timing` are those of ``summary.json``.
+    Judge a run; `mode` is that of ``summary.json``.
 
-    Where real time was not kept (`kept_real_time`) the run is not judged: commands that come late
-    act as another delay; only an early end and numbers that are not finite count. What would be
-    stable is not judged either if too little of it is known (`_doubt`).
     `ended_early` is why it ended before its time; `INTERRUPTED` speaks neither for nor against it.
     """
-    timely = kept_real_time(data, mode, timing or {})
     found = findings(data, setup, ended_early)
-    missing = _missing(data)
-    if mode not in WITH_DEADLINES and missing > LARGEST_GAP:
+    missing = max(float(np.isnan(values).any(axis=1).mean()) for values in (
+        data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas))
+    if mode in ('in_process', LOCKSTEP) and missing > LARGEST_GAP:
         found.append(Finding(f'{100.0 * missing:.1f} % of the samples were not answered'))
     helped = interventions(data, setup, events)
     name = NOT_STABLE if found else HELD if helped else STABLE
-    unjudged = ''
-    if timely is False and not any(finding.always for finding in found):
-        unjudged = BUSY
-    elif name == STABLE:
-        unjudged = _doubt(data, setup, ended_early)
+    unjudged = _doubt(data, setup, ended_early) if name == STABLE else ''
     times = [finding.time for finding in found if finding.time is not None]
     return Verdict(
         UNJUDGED if unjudged else name, tuple(finding.text for finding in found + helped),
-        min(times, default=None), timely, unjudged)
+        min(times, default=None), unjudged)
 
 
 def _doubt(data: RunData, setup: Setup, ended_early: str) -> str:
-    """Return why a run that nothing speaks against is not called stable; empty if it is."""
+    """Return why a run without findings is not called stable; empty if it is."""
     forces = judged_force(data, setup)
     if ended_early == INTERRUPTED:
         return INTERRUPTED
     if not np.isfinite(forces).any():
-        return UNFELT
+        return 'neither true nor measured forces'
     if not judged_windows(data, setup).loaded.any():
-        return UNLOADED
+        return 'never under load'
     for contact, name in enumerate(data.contact_names):
         felt = known_share(data, forces[:, contact], under_load(data, setup, contact))
         if felt < LEAST_JUDGED:
@@ -214,12 +187,12 @@ def findings(data: RunData, setup: Setup, ended_early: str = '') -> list[Finding
     judged as forces are, while their contact is pressed.
     """
     interrupted = ended_early == INTERRUPTED
-    found = [Finding(ended_early, float(data.time[-1]), always=True)] if (
+    found = [Finding(ended_early, float(data.time[-1]))] if (
         ended_early and not interrupted) else []
     series = (data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas)
     infinite = np.any([np.isinf(values).any(axis=1) for values in series], axis=0)
     if infinite.any():
-        found.append(Finding('a number is not finite', _first(data, infinite), always=True))
+        found.append(Finding('a number is not finite', _first(data, infinite)))
     saturated = saturation(data, setup)
     of_drives = saturated & (least_torque_limit(setup) < torque_limit(setup))
     found += _lasting(data, 'torque saturated' + (
@@ -249,7 +222,13 @@ def _contact_findings(
     again = None if couple else again_at(data.time[begins])
     if again is not None:
         found.append(Finding(f'{lost} {len(begins)} times', again))
-    found += _oscillations(data, setup, contact, loaded)
+    oscillating = force_oscillations(data, setup, contact, loaded)
+    if oscillating:
+        worst = max(oscillating, key=lambda oscillation: oscillation.rms)
+        total = sum(oscillation.duration for oscillation in oscillating)
+        found.append(Finding(
+            f'oscillates at {worst.frequency:.0f} Hz with {worst.rms:.2g} N rms for {total:.1f} s',
+            oscillating[0].known))
     force = judged_force(data, setup)[:, contact]
     # A couple may be of either sign; a pull is no pressure that is too large.
     size, asked = (np.abs(force), np.abs(command)) if couple else (force, command)
@@ -261,18 +240,6 @@ def _contact_findings(
             f'{"couple" if couple else "force"} of {force[worst_at]:.0f} N at a command of '
             f'{command[worst_at]:.3g} N', _first(data, beyond)))
     return found
-
-
-def _oscillations(data: RunData, setup: Setup, contact: int, judged: Mask) -> list[Finding]:
-    """Return that a force or a couple oscillates, if it does."""
-    oscillating = force_oscillations(data, setup, contact, judged)
-    if not oscillating:
-        return []
-    worst = max(oscillating, key=lambda oscillation: oscillation.rms)
-    total = sum(oscillation.duration for oscillation in oscillating)
-    return [Finding(
-        f'oscillates at {worst.frequency:.0f} Hz with {worst.rms:.2g} N rms for {total:.1f} s',
-        oscillating[0].known)]
 
 
 def interventions(
@@ -318,8 +285,7 @@ def _steps_in(before: Event, event: Event) -> bool:
     reacts = replaces(event.reaction) and not replaces(before.reaction)
     loses = any(was in WHOLE and now in GONE
                 for was, now in zip(before.contact_states, event.contact_states))
-    limits = set(event.limits) - set(before.limits) - {'reference'}
-    return reacts or loses or bool(limits)
+    return reacts or loses or bool(set(event.limits) - set(before.limits) - {'reference'})
 
 
 def again_at(times: Vector) -> float | None:
@@ -346,22 +312,6 @@ def _lasting(
     return [Finding(f'{what} for {longest:.2f} s', float(data.time[long[0][0] + lasting - 1]))]
 
 
-def _missing(data: RunData) -> float:
-    """Return the largest share of samples that a series lacks."""
-    return max(float(np.isnan(values).any(axis=1).mean()) for values in (
-        data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas))
-
-
 def replaces(reaction: str) -> bool:
     """Return whether a reaction is there instead of the control law; a larger R is not."""
     return reaction not in (NONE, INFLATE)
-
-
-def kept_real_time(data: RunData, mode: str, timing: Mapping[str, Any]) -> bool | None:
-    """Return whether at most 1 % of the deadlines were missed, and of the samples not answered."""
-    missing = np.isnan(data.torque).any(axis=1)
-    # Of a recording without commands it is not known.
-    if mode not in WITH_DEADLINES or mode == RECORDED and missing.all():
-        return None
-    misses = int(timing.get('deadline_misses') or 0)
-    return bool(max(misses, missing.sum()) <= LARGEST_MISS * data.ticks)

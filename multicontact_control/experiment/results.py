@@ -143,7 +143,7 @@ def summarise(
     """
     # What the supervisor did after the run is not part of it.
     during = [(time, what) for time, what in events or () if time < data.ticks / data.rate]
-    verdict = judge(data, setup, mode=mode, timing=timing, ended_early=ended_early,
+    verdict = judge(data, setup, mode=mode, ended_early=ended_early,
                     events=[read_event(*event) for event in during])
     without = without_truth(data, setup)
     truth = bool(data.contact_names) and not without
@@ -159,7 +159,7 @@ def summarise(
         'stable': None if verdict.unjudged else verdict.name == STABLE,
         'verdict': verdict.name, 'unjudged': verdict.unjudged or None,
         'instabilities': list(verdict.reasons), 'unstable_at_s': verdict.unstable_at,
-        'ended_early': ended_early or None, 'kept_real_time': verdict.kept_real_time, 'claims': [],
+        'ended_early': ended_early or None, 'claims': [],
         'truth': truth, 'without_truth': without, 'forces': TRUE if truth else known,
         'commanded_by_topic': setup.commanded_by_topic,
         'supervised': events is not None} | (
