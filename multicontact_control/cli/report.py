@@ -31,15 +31,18 @@ def report(
     """
     from multicontact_control.experiment.report import write_report
     from multicontact_control.experiment.results import is_whole_run, load, report_folder
-    from multicontact_control.experiment.study.presets.compare.results import read_comparison
+    from multicontact_control.experiment.study.presets.compare.results import (
+        claim_rows,
+        read_comparison,
+    )
 
     if all(map(is_whole_run, runs)):
         options.refuse_options(
             options.given_options(context), ('controller', 'namespace'),
             'runs of this package, which know their own')
-    content = read_comparison(comparison) if comparison is not None else None
+    rows = claim_rows(read_comparison(comparison)['rows']) if comparison is not None else ()
     loaded = [load(path, controller or (), namespace) for path in runs]
-    paths = write_report(loaded, out or report_folder(runs[0]), content)
+    paths = write_report(loaded, out or report_folder(runs[0]), rows)
     for run in loaded:
         for remark in run.summary.get('remarks', ()):
             typer.echo(f'{run.folder}: {remark}')

@@ -1,11 +1,11 @@
-"""What a person sees on the terminal while a run goes on, and after it."""
+"""What is shown of a run on the terminal: its progress, then its table and verdict."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from multicontact_control.errors import counted
 from multicontact_control.experiment.judge import (
@@ -40,16 +40,20 @@ from rich.progress import (
 from rich.table import Table
 
 COLOURS = {STABLE: 'green', HELD: 'yellow', UNJUDGED: 'yellow', NOT_STABLE: 'red'}
+# Of a contact: in a window of the run, or of its largest step; label, and digits.
+NUMBERS = (
+    ('', 'step_rise_63_s', 'step rise 63 % [s]', 3),
+    ('', 'step_overshoot_percent', 'overshoot [%]', 0),
+    *((window, key, f'{window}: {label}', digits) for window in ('rest', 'moving')
+      for key, label, digits in (
+          ('true_error_rms_n', 'true error rms [N]', 2),
+          ('measured_error_rms_n', 'measured error rms [N]', 2),
+          ('estimate_error_rms_n', 'estimate error rms [N]', 2),
+          ('noise_variance_median_n2', 'noise variance [N²]', 2),
+          ('contact_loss_fraction', 'contact lost [share]', 4))))
 
-
-class ShowProgress(Protocol):
-    """Takes the time into a run [s], the measured forces [N] and the real-time factor."""
-
-    def __call__(
-        self, time: float, forces: Mapping[str, float], realtime_factor: float = 0.0,
-    ) -> None:
-        """Show them."""
-        ...
+# Takes the time into a run [s], the measured forces [N] by contact, and the real-time factor.
+ShowProgress = Callable[..., None]
 
 
 @contextmanager
@@ -96,80 +100,62 @@ def headline(summary: Mapping[str, Any]) -> str:
     return text + (f', {unknown}: forces as measured' if unknown else '')
 
 
+def summary_rows(summary: Mapping[str, Any]) -> list[list[str]]:
+    """Return the numbers of the contacts with their labels, as far as they are known."""
+    contacts, without = summary['contacts'].values(), summary['without_truth']
+    left_out = {'true_error_rms_n'} if len(without) == len(contacts) else set()
+    left_out |= set() if without else {'measured_error_rms_n'}
+    return [[label, *(_number((contact[window] if window else contact)[key], digits)
+                      for contact in contacts)]
+            for window, key, label, digits in NUMBERS if key not in left_out]
+
+
 def summary_table(summary: Mapping[str, Any]) -> Table:
     """Return the short table a run ends with."""
     table = Table(title=escape(headline(summary)))
     table.add_column('')
     for name in summary['contacts']:
         table.add_column(name, justify='right')
-    contacts = summary['contacts'].values()
-    for key, label, digits in (('step_rise_63_s', 'step rise 63 % [s]', 3),
-                               ('step_overshoot_percent', 'overshoot [%]', 0)):
-        table.add_row(escape(label), *(_number(c[key], digits) for c in contacts))
-    without = summary['without_truth']
-    left_out = {'true_error_rms_n'} if len(without) == len(contacts) else set()
-    left_out |= set() if without else {'measured_error_rms_n'}
-    for window in ('rest', 'moving'):
-        for key, label, digits in (
-                ('true_error_rms_n', 'true error rms [N]', 2),
-                ('measured_error_rms_n', 'measured error rms [N]', 2),
-                ('estimate_error_rms_n', 'estimate error rms [N]', 2),
-                ('noise_variance_median_n2', 'noise variance [N²]', 2),
-                ('contact_loss_fraction', 'contact lost [share]', 4)):
-            if key not in left_out:
-                values = [_number(contact[window][key], digits) for contact in contacts]
-                table.add_row(escape(f'{window}: {label}'), *values)
+    for row in summary_rows(summary):
+        table.add_row(*map(escape, row))
     return table
+
+
+def achievement(summary: Mapping[str, Any]) -> str:
+    """Return how well the motion was tracked, and the largest torque, in one line."""
+    motion, share = summary['motion'], summary['torque']['max_fraction_of_limit']
+    return (f"motion error {_number(motion['moving_position_rms_m'], 5)} m rms, "
+            f"{_number(motion['orientation_max_rad'], 4)} rad at most; torque at most "
+            f"{'-' if share is None else f'{100.0 * share:.0f} %'} of its limit")
 
 
 def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
     """Return what is said below the table: verdict, warnings, where the results are."""
-    motion, torque, timing = summary['motion'], summary['torque'], summary['timing']
-    lines = [
-        f"motion error {_number(motion['moving_position_rms_m'], 5)} m rms, "
-        f"{_number(motion['orientation_max_rad'], 4)} rad at most; torque at most "
-        f"{_percent(torque['max_fraction_of_limit'])} of its limit"]
-    text = verdict_text(summary)
+    timing, text = summary['timing'], verdict_text(summary)
     colour = COLOURS[HELD if summary['stable'] and text != STABLE else summary['verdict']]
-    lines.append(f'[{colour}]{escape(text)}[/{colour}]')
-    lines += _timeliness_lines(summary)
-    lost = timing.get('lost_messages', 0)
-    if lost:
-        lines.append(f'[yellow]warning: {lost} messages lost[/yellow]')
+    lines = [achievement(summary), f'[{colour}]{escape(text)}[/{colour}]']
+    if summary['mode'] == REAL_TIME:
+        p99 = (timing['latency_us'] or {}).get('p99')
+        lines.append(f'free-running: {timing["deadline_misses"]} of {summary["ticks"]} deadlines '
+                     f'missed, latency p99 {_number(p99, 0)} us')
+    elif timing.get('realtime_factor') and summary['mode'] == LOCKSTEP:
+        lines.append(f"{timing['realtime_factor']:.2f} times real time")
+    for name, what, event in (('unanswered_samples', 'samples', 'not answered'),
+                              ('lost_messages', 'messages', 'lost')):
+        if timing.get(name):
+            lines.append(f'[yellow]warning: {counted(timing[name], what)} {event}[/yellow]')
     lines += [f'[yellow]{escape(text)}[/yellow]' for text in summary.get('remarks', ())]
-    lines.append(f'results in {folder}')
-    return lines
+    return [*lines, f'results in {folder}']
 
 
 def next_lines(folder: Path) -> list[str]:
     """Return what to open next of a run: the pictures, the replay, the numbers."""
     report, bag = folder / REPORT_FILE, folder / BAG_FOLDER
-    pictures = report if report.is_file() else folder / FIGURE_FOLDER
     rows = [
-        ('figures', str(pictures)),
+        ('figures', str(report if report.is_file() else folder / FIGURE_FOLDER)),
         ('bag' if bag.is_dir() else 'replay', f'multicontact view {folder}'),
         ('numbers', str(folder / SUMMARY_FILE))]
     return ['open next:', *(f'  {name:<8} {what}' for name, what in rows)]
-
-
-def _timeliness_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Return how real time was kept, as far as it is known."""
-    timing, ticks = summary['timing'], summary['ticks']
-    unanswered = timing.get('unanswered_samples', 0)
-    lines = []
-    if summary['mode'] == REAL_TIME:
-        misses, p99 = timing['deadline_misses'], (timing['latency_us'] or {}).get('p99')
-        lines.append(f'free-running: {misses} of {ticks} deadlines missed, latency p99 '
-                     f'{_number(p99, 0)} us')
-    elif timing.get('realtime_factor') and summary['mode'] == LOCKSTEP:
-        lines.append(f"{timing['realtime_factor']:.2f} times real time")
-    if unanswered:
-        lines.append(f"[yellow]warning: {counted(unanswered, 'samples')} not answered[/yellow]")
-    return lines
-
-
-def _percent(share: float | None) -> str:
-    return '-' if share is None else f'{100.0 * share:.0f} %'
 
 
 def _number(value: float | None, digits: int) -> str:

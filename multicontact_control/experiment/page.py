@@ -20,7 +20,8 @@ ASSETS = Path(__file__).parent / 'page_assets'
 LONGEST = 2000  # samples of a curve
 HEIGHT = 300  # px, without title and legend
 HELP = ('<p class=note>Drag over a figure to zoom into all of them, double click to see all '
-        'again; click a name to hide its curve.</p>')
+        'again; click a name to hide its curve. Of a long run the smallest and the largest of '
+        'every few samples are drawn.</p>')
 MEASURED, ESTIMATED, COMMANDED, TRUE = '#4c78a8', '#54a24b', '#222222', '#e45756'
 WINDOW = '#f2f2f2'
 # Of lines that have none of their own.
@@ -32,6 +33,7 @@ STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1180px;
        margin: 2em auto; padding: 0 1em; }
 h1 { font-size: 1.5em; } h2 { font-size: 1.2em; margin-top: 2em; }
+.verdict { font-size: 17px; }
 table { border-collapse: collapse; margin: .6em 0; font-size: 13px; }
 th, td { border-bottom: 1px solid #ddd; padding: .25em .6em; text-align: left;
          vertical-align: top; }
@@ -67,7 +69,6 @@ class Panel(NamedTuple):
     traces: Sequence[Trace]
     limits: tuple[float, float] | None = None  # those of the data if not given
     levels: Sequence[tuple[float, str]] = ()  # horizontal lines and what they stand for
-    height: float = 1.0  # relative to the other panels
     logarithmic: bool = False
 
     @property
@@ -144,11 +145,8 @@ def figure(name: str, plots: Sequence[dict[str, Any]] = ()) -> str:
     """Return the HTML of plots below each other; `name` must be the only one on its page."""
     content = (f'<script type="application/json">{script_json(list(plots))}</script>'
                if plots else '')
-    thinned = max((each['thinned'] for each in plots), default=1)
-    note = '' if thinned == 1 else (
-        f'<p class=note>Drawn are the smallest and the largest of every {thinned} samples.</p>')
     return (f'<div class="figure" id="{escape(name)}"><noscript>Its curves need JavaScript.'
-            f'</noscript>{content}</div>{note}')
+            f'</noscript>{content}</div>')
 
 
 def script_json(value: Any) -> str:
@@ -214,9 +212,9 @@ def claims_over_damping(claims: Sequence[ClaimOverDamping]) -> str:
 def claims_table(claims: Sequence[Claim]) -> str:
     """Return the table of the paper's claims."""
     return table(
-        ('claim', 'in the paper', 'measured', 'verdict', 'why'),
-        [(escape(claim.claim), escape(claim.paper), escape(claim.measured),
-          VERDICTS[claim.holds], escape(claim.why)) for claim in claims], numbers_from=9)
+        ('claim', 'in the paper', 'verdict', 'measured', 'expected'),
+        [(escape(claim.claim), escape(claim.paper), VERDICTS[claim.holds],
+          escape(claim.measured), escape(claim.why)) for claim in claims], numbers_from=9)
 
 
 def image(path: Path, alt: str) -> str:

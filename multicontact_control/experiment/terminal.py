@@ -7,6 +7,7 @@ where NO_COLOR is set (https://no-color.org).
 
 from __future__ import annotations
 
+from datetime import timedelta
 import os
 from typing import Any
 
@@ -34,34 +35,20 @@ def moving_bar(
 
 
 class CountBar(Progress):
-    """A bar that counts; where it is not shown, a line tells the state once a minute."""
+    """A bar that counts; where it is not shown, a line has the state once a minute."""
 
-    told_every = 60.0  # s
-
-    def __init__(self, *columns: ProgressColumn, **options: Any) -> None:
-        super().__init__(*columns, **options)
-        self._told = self.get_time()
+    interval = 60.0  # s
+    _printed = 0.0
 
     def advance(self, task_id: TaskID, advance: float = 1) -> None:
-        """Count on."""
+        """Count on, and print the line when its time has come."""
         self.update(task_id, advance=advance)
-
-    def update(self, task_id: TaskID, *args: Any, **changes: Any) -> None:
-        """Update the bar, or print the line when its time has come."""
-        super().update(task_id, *args, **changes)
         task, now = self._tasks[task_id], self.get_time()
-        if not self.disable or task.total is None or now - self._told < self.told_every:
+        if not self.disable or now - (self._printed or task.start_time or now) < self.interval:
             return
-        self._told = now
+        self._printed = now
         left = task.time_remaining
         self.console.print(
             f'{task.description}: {task.completed:.0f} of {task.total:.0f}'
-            + (f', about {_duration(left)} left' if left and not task.finished else ''),
+            + (f', about {timedelta(seconds=round(left))} left' if left else ''),
             highlight=False, markup=False, soft_wrap=True)
-
-
-def _duration(seconds: float) -> str:
-    """Return a duration in the unit that suits it."""
-    if seconds < 90.0:
-        return f'{seconds:.0f} s'
-    return f'{seconds / 60.0:.1f} min' if seconds < 5400.0 else f'{seconds / 3600.0:.1f} h'

@@ -68,9 +68,10 @@ def test_report_in_a_browser(chromium, tmp_path, monkeypatch):
     tab.wait_for_function('() => [...document.querySelectorAll(".figure")].every('
                           'place => place.dataset.state == "drawn")')
     names = [place.get_attribute('id') for place in tab.query_selector_all('.figure')]
-    assert names == [f'run0-{name}' for name in ('force0', 'force1', 'motion', 'variance')]
+    assert names == [f'run0-{name}' for name in (
+        'fig3_force_table', 'fig4_force_board', 'fig5_motion', 'fig6_noise_variance')]
     inks = opened.ink('.figure canvas')
-    assert len(inks) == 4 and all(0.01 < ink < 0.99 for ink in inks)
+    assert len(inks) == 7 and all(0.01 < ink < 0.99 for ink in inks)
     whole = tab.evaluate(RANGES)
     over = tab.locator('.u-over').first
     over.scroll_into_view_if_needed()

@@ -7,7 +7,7 @@ import re
 from multicontact_control.cli import app
 from multicontact_control.errors import RunError
 from multicontact_control.experiment import report
-from multicontact_control.experiment.claims import evidence_of
+from multicontact_control.experiment.claims import evidence_of, STATEMENTS
 from multicontact_control.experiment.display import verdict_lines
 from multicontact_control.experiment.report import run_claims
 from multicontact_control.experiment.results import load_run, LoadedRun, summarise
@@ -21,8 +21,7 @@ from typer.testing import CliRunner
 # What the text of every report may name: figures and sections of the paper, its numbers, units
 # and definitions, and the limits that its claims are judged by.
 PAPER = {'3', '4', '5', '6', '4.2', '5.2', '195', '205', '217', '6000', '0.02', '0.6', '100'}
-DEFINITIONS = {'63'}  # % of a step
-LIMITS = {'2', '3', '5', '20', '40', '0.02'}
+DEFINITIONS = {'63', '2', '3'}  # % of a step, a factor, s
 
 
 @pytest.fixture(scope='module')
@@ -125,6 +124,13 @@ def test_report_has_only_numbers_of_the_run_its_configuration_and_the_paper(
     page = report.write_report([LoadedRun(tmp_path, setup, data, summary)], tmp_path)[0]
     shown, configuration = text_of(page.read_text(encoding='utf-8'))
     numbers = numbers_of(shown + '\n'.join(verdict_lines(summary, 'there')))
-    own = rounded(values_in([summary, evidence_of(data, setup, summary)]))
+    evidence = evidence_of(data, setup, summary)
+    ratios = [value / other for contact in evidence['contacts'].values() for value, other in (
+        *((rise, evidence['designed_rise_s']) for rise in contact['rises_s']),
+        (contact['start_peak_n'], contact['rest_std_n']),
+        (contact['moving_rms_n'], contact['moving_command_n']),
+        (contact['rest_mean_error_n'], contact['rest_command_n'])) if value]
+    own = rounded(values_in([summary, evidence, ratios]))
     left = numbers - own - numbers_of(configuration)
-    assert len(numbers) > 40 and left <= PAPER | DEFINITIONS | LIMITS
+    limits = numbers_of(' '.join(claim.bound for claim in STATEMENTS))
+    assert len(numbers) > 40 and left <= PAPER | DEFINITIONS | limits
