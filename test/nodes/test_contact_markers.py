@@ -47,12 +47,9 @@ def test_arrows_are_as_long_as_their_forces_and_the_measured_end_at_the_tips():
         _, tip = ends(found[k])
         np.testing.assert_allclose(tip, POSE.position_world + POSE.rotation_world @ (
             CONFIG.contacts[name].point_operational))
+    assert sum(markers.due(tick) for tick in range(500)) == 25  # a second
 
 
 def test_number_that_is_not_finite_is_not_drawn():
     with pytest.raises(MessageError):
         arrows_of(np.nan * FORCES, [True, True], ContactMarkers(CONFIG))
-
-
-def test_markers_are_due_25_times_a_second():
-    assert sum(ContactMarkers(CONFIG).due(tick) for tick in range(500)) == 25

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from builtin_interfaces.msg import Duration
 from fake_arm import FakeArm, PARAMETERS
 from geometry_msgs.msg import Transform
-from multicontact_control.nodes import qos, topics
-from multicontact_control.nodes.graph import ignore, take
-from multicontact_control.nodes.status import ControllerStatus
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
@@ -33,20 +29,15 @@ def arm(module_middleware):
     arm.connect()
     for publisher in (arm.force_command, arm.motion_command):
         wait_for(publisher.get_subscription_count, 'commands connected')
-    arm.statuses = module_middleware.node.create_subscription(
-        topics.STATUS.message, topics.STATUS.name, ignore, qos.STREAM)
-    wait_for(lambda: take(arm.statuses), 'a status')
     arm.settle()
     return arm
 
 
-def send_forces(arm, names, efforts, identifier=''):
-    message = JointState(name=names, effort=[float(x) for x in efforts])
-    message.header.frame_id = identifier
-    arm.force_command.publish(message)
+def send_forces(arm, **forces):
+    arm.force_command.publish(JointState(name=list(forces), effort=map(float, forces.values())))
 
 
-def send_position(arm, move=(0.0, 0.0, 0.0), identifier=0):
+def send_position(arm, move=(0.0, 0.0, 0.0)):
     """Command a position this far from where the arm is [m]."""
     pose = Transform()
     for part, names, values in (
@@ -54,19 +45,18 @@ def send_position(arm, move=(0.0, 0.0, 0.0), identifier=0):
             (pose.rotation, 'xyzw', arm.state.pose.quaternion_xyzw)):
         for name, value in zip(names, values):
             setattr(part, name, float(value))
-    arm.motion_command.publish(MultiDOFJointTrajectoryPoint(
-        transforms=[pose], time_from_start=Duration(sec=identifier)))
+    arm.motion_command.publish(MultiDOFJointTrajectoryPoint(transforms=[pose]))
 
 
 def command(arm, **forces):
     """Command forces, press so, and wait until they are desired; the others are 0."""
-    send_forces(arm, list(forces), forces.values())
+    send_forces(arm, **forces)
     arm.press(**(NO_FORCE | forces))
     wait_for(lambda: arm.step() is not None and arm.desired() == NO_FORCE | forces,
              f'forces {forces}')
 
 
-def test_gains_change_live_without_a_bump(arm, driver):
+def test_gains_change_live_and_hold_begins_without_a_bump(arm, driver):
     command(arm, table=3.0)
     for name, value in (('force.time_constant', 0.05), ('motion.natural_frequency', 10.0),
                         ('force.damping_rate', 30.0), ('force.time_constant', 0.02),
@@ -77,6 +67,14 @@ def test_gains_change_live_without_a_bump(arm, driver):
         assert set_parameter(driver, NAME, name, value).successful
         assert get_parameter(driver, NAME, name) == value
         np.testing.assert_array_equal(arm.step(), before)
+    assert driver.call(NAME, SetBool, 'hold', SetBool.Request(data=True)).success
+    np.testing.assert_array_equal(arm.step(), before)
+    send_forces(arm, table=8.0)
+    report = arm.diagnostics(lambda x: any('~/hold' in key for key in x['messages'][2]))
+    assert report['contacts'][2]['held'] == 'True'
+    arm.step()
+    assert arm.desired() == NO_FORCE | {'table': 3.0}
+    assert driver.call(NAME, SetBool, 'hold', SetBool.Request(data=False)).success
     command(arm, table=0.0)
 
 
@@ -105,7 +103,7 @@ def test_set_points_are_obeyed_and_the_limits_can_be_moved(arm, driver):
     send_position(arm)
     wait_for(lambda: np.abs(arm.step() - before).max() < 1e-6, 'return')
     command(arm, board=4.0)
-    send_forces(arm, ['board'], [31.0])  # beyond the ceiling
+    send_forces(arm, board=31.0)  # beyond the ceiling
     assert set_parameter(driver, NAME, 'command.force_ceiling', 40.0).successful
     command(arm, table=31.0, board=0.0)
     command(arm, table=0.0)
@@ -114,11 +112,11 @@ def test_set_points_are_obeyed_and_the_limits_can_be_moved(arm, driver):
 
 def test_refused_commands_change_nothing_and_are_counted_by_cause(arm):
     before = arm.settle()
-    for _ in range(3):
-        send_forces(arm, ['wall'], [1.0])
-        send_forces(arm, ['table'], [float('nan')])
-        send_forces(arm, ['table'], [99.0])
-        send_position(arm, [5.0, 0.0, 0.0])
+    for k in range(3):  # a cause is one, whatever was found
+        send_forces(arm, wall=1.0)
+        send_forces(arm, table=np.nan)
+        send_forces(arm, table=99.0 + k)
+        send_position(arm, [5.0 + k, 0.0, 0.0])
         send_position(arm, [np.nan, 0.0, 0.0])
 
     def counts(report):
@@ -130,44 +128,6 @@ def test_refused_commands_change_nothing_and_are_counted_by_cause(arm):
     arm.diagnostics(lambda report: counts(report) == [3] * 5)
     np.testing.assert_allclose(arm.settle(), before, atol=1e-6)
     assert arm.desired() == NO_FORCE
-
-
-def answers(arm, last):
-    """Return command, event and text of each answer on ~/status up to that for a command."""
-    heard = []
-
-    def complete():
-        while (taken := take(arm.statuses)) is not None:
-            status = ControllerStatus.of(taken[0])
-            if status.event != 'state':
-                heard.append((status.command, status.event, status.text))
-        return heard and heard[-1][0] == last
-
-    wait_for(complete, f'an answer to {last}', lambda: heard)
-    return heard
-
-
-def test_commands_are_answered_by_identifier_and_without_one_if_refused(arm):
-    while take(arm.statuses) is not None:
-        pass
-    send_forces(arm, ['table'], [0.0])
-    send_forces(arm, ['table'], [0.0], 'first, of "α" ')
-    send_forces(arm, ['table'], [99.0], 'second')
-    send_forces(arm, ['wall'], [1.0])
-    send_forces(arm, ['board'], [0.0], 'third')
-    heard = answers(arm, 'third')
-    assert [x[:2] for x in heard] == [
-        ('first, of "α" ', 'accepted'), ('second', 'refused'), ('', 'refused'),
-        ('third', 'accepted')]
-    assert 'force on table: expected 0 or 3 to 30 N' in heard[1][2]
-    for _ in range(20):  # equal answers follow each other at 10 Hz at most
-        send_position(arm, identifier=7)
-    send_position(arm)
-    send_position(arm, [5.0, 0.0, 0.0], 7)
-    send_position(arm, identifier=2**31 - 1)
-    heard = [x[:2] for x in answers(arm, str(2**31 - 1))]
-    assert len(heard) < 10 and list(dict.fromkeys(heard)) == [
-        ('7', 'accepted'), ('7', 'refused'), (str(2**31 - 1), 'accepted')]
 
 
 def test_tare_makes_the_compensated_wrench_zero_and_is_refused_under_force_control(arm, driver):
@@ -191,26 +151,12 @@ def test_tare_makes_the_compensated_wrench_zero_and_is_refused_under_force_contr
     command(arm, table=0.0)
 
 
-def test_hold_keeps_what_is_until_it_is_released(arm, driver):
-    command(arm, table=5.0)
-    before = arm.step()
-    assert driver.call(NAME, SetBool, 'hold', SetBool.Request(data=True)).success
-    np.testing.assert_array_equal(arm.step(), before)
-    send_forces(arm, ['table'], [5.0])
-    report = arm.diagnostics(lambda x: any('~/hold' in key for key in x['messages'][2]))
-    assert report['contacts'][2]['held'] == 'True'
-    arm.step()
-    assert arm.desired() == NO_FORCE | {'table': 5.0}
-    assert driver.call(NAME, SetBool, 'hold', SetBool.Request(data=False)).success
-    command(arm, table=0.0)
-
-
 def test_diagnostics_report_loop_inputs_and_contacts(arm):
-    report = arm.diagnostics(lambda x: float(x['loop'][2]['rate_hz']) > 1.0)
+    report = arm.diagnostics(lambda x: x['contacts'][2]['table'] == 'free' and float(
+        x['loop'][2]['rate_hz']) > 1.0)
     assert report['life cycle'][2]['state'] == 'active'
     loop = report['loop'][2]
     assert 0.0 < float(loop['latency_us_p50']) <= float(loop['latency_us_p99'])
-    assert report['contacts'][2]['table'] == 'free'
     level, text, values = report['inputs']
     assert (level, values['age_s contact_forces/noise_variance']) == (1, 'none')
     assert 'contact_forces/noise_variance' in text

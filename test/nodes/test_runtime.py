@@ -1,4 +1,4 @@
-"""What a node process starts with, waits for and counts."""
+"""The environment of a node's process, and transitions that take long."""
 
 import os
 import re
@@ -8,19 +8,12 @@ import threading
 import time
 
 from lifecycle_msgs.srv import ChangeState, GetState
-from multicontact_control.errors import MessageError, RunError, ShapeError
 from multicontact_control.nodes import link
-from multicontact_control.nodes.diagnostics import LoopStatistics
-from multicontact_control.nodes.graph import Refusals
 import pytest
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.logging import get_logger
 from ros_graph import ROOT
 
-MS = 1_000_000
-
-
-@pytest.mark.ros
+pytestmark = pytest.mark.ros
 def test_transition_that_takes_long_is_waited_for(domain_id, monkeypatch):
     """The node at work answers neither this request nor the question for its state meanwhile."""
     monkeypatch.setattr(link, 'FIRST_TIMEOUT', 0.2)
@@ -55,37 +48,12 @@ def test_transition_that_takes_long_is_waited_for(domain_id, monkeypatch):
             thread.join()
 
 
-def test_loop_statistics_are_those_since_the_last_report():
-    watch = LoopStatistics(500.0)
-    for k in range(101):
-        watch.add_period(1 + k * 2 * MS + (k % 2) * MS // 10)  # 0.1 ms early and late in turn
-        watch.latencies.add(300_000 + k * 1000)
-    watch.missed = 3
-    values = watch.report()
-    assert [values[key] for key in ('jitter_us_p50', 'latency_us_p50', 'latency_us_max')] == (
-        pytest.approx([100.0, 350.0, 400.0]))
-    assert values['deadline_misses'] == 3
-    values = watch.report()
-    assert (values['deadline_misses'], values['latency_us_p50']) == (0, None)
-
-
-@pytest.mark.parametrize('make', [
-    lambda k: ShapeError('q', 'shape (6,)', (k,)), lambda k: RunError(f'x: expected 1, found {k}'),
-    lambda k: MessageError('effort', 'finite numbers', [float(k)])])
-def test_refusals_count_a_cause_as_one_whatever_was_found(make):
-    refusals = Refusals(get_logger('test'))
-    for source, k in (('~/tare', 1), ('~/tare', 2), ('~/tare', 3), ('~/hold', 1)):
-        refusals.refuse(source, make(k))
-    assert sorted(refusals.counts.values()) == [1, 3]
-
-
 NODE = ('multicontact_control.nodes.noise_estimator_node', '--ros-args', '--params-file', 'ä')
 TOPICS = ('multicontact_control.cli', 'topic', 'list', '--wait', '0')
 ASCII = {'LC_ALL': 'C', 'PYTHONUTF8': '0', 'PYTHONCOERCECLOCALE': '0'}
 OTHER_ROS = {'ROS_DISTRO': 'humble', 'AMENT_PREFIX_PATH': '/opt/ros/humble', 'PYTHONPATH': 'other'}
 
 
-@pytest.mark.ros
 @pytest.mark.parametrize(('command', 'changes', 'code', 'text'), [
     (TOPICS, {'HOME': '', 'AMENT_PREFIX_PATH': '/opt/ros/humble'}, 0, ''),
     (TOPICS, {'HOME': '', 'ROS_LOG_DIR': '/proc/x'}, 1, 'cannot be started: .*logging'),
