@@ -46,9 +46,11 @@ class SurfaceConfig(Config):
         'that gives way nowhere.', unit='kg', ge=0.0)
     mount_stiffness: Real = parameter(1000.0, 'Of that spring.', unit='N/m', ge=0.0)
     mount_damping: Real = parameter(100.0, 'Of that spring.', unit='N s/m', ge=0.0)
-    stiffness: Real = parameter(6000.0, 'Contact stiffness.', unit='N/m', gt=0.0)
+    stiffness: Real = parameter(
+        6000.0, 'Contact stiffness.', unit='N/m', live=True, gt=0.0)
     damping: Real = parameter(30.0, 'Contact damping.', unit='N s/m', ge=0.0)
-    friction: Real = parameter(0.1, 'Coulomb friction coefficient.', ge=0.0, le=2.0)
+    friction: Real = parameter(
+        0.1, 'Coulomb friction coefficient.', live=True, ge=0.0, le=2.0)
     slip_speed: Real = parameter(
         5e-3, 'Sliding speed at which friction reaches 71 % of its value.', unit='m/s', gt=0.0)
     roughness_std: Real = parameter(

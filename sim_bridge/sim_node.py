@@ -15,12 +15,13 @@ more than `MAX_LATE_PERIODS`, the deadlines are moved back; such a slip is count
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 import sys
 import time
 from typing import Any
 
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.config import parameter, Real
 from multicontact_control.errors import MessageError, RunError
@@ -39,7 +40,7 @@ from multicontact_control.nodes.graph import (
     StartupConfig,
     StartupGate,
 )
-from multicontact_control.nodes.parameters import load_parameters
+from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import named_reader, NamedReading, StreamPublisher
 from multicontact_control.sampling import NANOSECONDS
@@ -61,6 +62,8 @@ ANSWER_TIMEOUT = 3.0  # s, longest wait for a command in lockstep
 RESENDS = 5  # times that a sample is sent in lockstep within that
 WAIT_FRACTION = 0.5  # of a period: time for the command of a sample before the plant moves on
 COMMAND_TIMEOUT = 0.05  # s without a command, free-running; then the drives hold their position
+PUSH_TIME = 0.8  # s, longer than a push test holds
+TOOL = 'tool'
 EDGES = np.logspace(1.0, 5.0, 41)  # us, of the latencies: ten per decade, 10 us to 100 ms
 REMEMBERED = 1024  # samples whose time of publication is known
 
@@ -91,8 +94,10 @@ class SimNode(Node):
         super().__init__(topics.SIM)
         plant_config: PlantConfig
         config: SimNodeConfig
-        plant_config, config = load_parameters(self, PlantConfig, SimNodeConfig)
-        self._config = config
+        parameters = ParameterSet(self, PlantConfig, SimNodeConfig)
+        plant_config, config = parameters.configurations()
+        self._plant_config, self._config = plant_config, config
+        parameters.lock(self._change_surfaces)
         self._plant = Plant(plant_config, rate=config.rate, seed=config.seed)
         # The first step ever takes many times as long as all others: not in the run.
         self._plant.step(self._plant.initial_torque)
@@ -121,6 +126,8 @@ class SimNode(Node):
         self.create_subscription(
             topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, self._on_command, qos.INPUT,
             raw=True)
+        self.create_subscription(
+            topics.PUSH.message, topics.PUSH.name, self._on_push, topics.PUSH.profile)
         self._watch = LoopStatistics(config.rate)
         self._inputs = Inputs(self, config.rate, topics.EFFORT_COMMAND)
         self._diagnostics = Diagnostics(self, self._statuses)
@@ -356,6 +363,26 @@ class SimNode(Node):
                     # The node may have been late itself, so that nobody saw the deadline pass.
                     if tick == self._tick and latency > self._period:
                         self._miss()
+
+    def _on_push(self, message: Vector3Stamped) -> None:
+        with self._refusals.guard(topics.PUSH):
+            place, force = message.header.frame_id, message.vector
+            if place not in ('', TOOL):
+                raise MessageError('header.frame_id', f"'{TOOL}', or none", f"'{place}'")
+            self._plant.push(messages.finite_array([force.x, force.y, force.z], 3, 'vector'),
+                             PUSH_TIME, tool=place == TOOL)
+
+    def _change_surfaces(self, configurations: Sequence[Any]) -> None:
+        """Give the surfaces other stiffness and friction; ConfigError with native contacts."""
+        config: PlantConfig = configurations[0]
+        contacts, before = self._plant.contacts, self._plant_config.surfaces
+        for number, name in enumerate(config.met):
+            old, new = before[name], config.surfaces[name]
+            if new.stiffness != old.stiffness:
+                contacts.scale_stiffness(number, new.stiffness / old.stiffness)
+            if new.friction != old.friction:
+                contacts.set_friction(number, new.friction)
+        self._plant_config = config
 
     def _statuses(self) -> list[Status]:
         loop = {**self._watch.report(), 'ticks': self._tick + 1, 'pace_slips': self._slips,

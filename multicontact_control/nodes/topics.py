@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, Vector3Stamped, WrenchStamped
 from multicontact_control.nodes import qos
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
@@ -102,6 +102,11 @@ MOTION_COMMAND = Topic(
     'One transform: pose of the operational point in world axes, with a quaternion of unit '
     'length. Its twist and acceleration may be left empty: 0. time_from_start.sec = a number as '
     'identifier, 0 for none.')
+PUSH = Topic(
+    f'{SIM}/push', Vector3Stamped, USER, (RECORDER,), qos.EVENT, 'event',
+    '`~/push` of the simulator: a force in world axes [N] that pushes the arm for 0.8 s. '
+    'header.frame_id = `tool` to push the tool beyond the wrist sensor, empty for the operational '
+    'point.')
 STATUS = Topic(
     f'{CONTROLLER}/status', DiagnosticStatus, CONTROLLER, (RECORDER,), qos.EVENT, 'event',
     '`~/status` of the controller: whether each command with an identifier is accepted, why one '

@@ -11,6 +11,7 @@ from multicontact_control.paths import config_dir
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from ros_graph import own_domain
 from sim_bridge.sim_node import SimNode
@@ -59,6 +60,9 @@ def test_plant_waits_for_commands_in_lockstep_only(controller, tmp_path, lockste
                domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = SimNode()
+        live, locked = node.set_parameters([
+            Parameter('surfaces.table.stiffness', value=9000.0), Parameter('rate', value=400.0)])
+        assert live.successful and not locked.successful, (live.reason, locked.reason)
         spinner = Spinner(node, StopFlag())
         node.run(spinner)
         spinner.close()
