@@ -63,24 +63,21 @@ def calibrate(
         raise ConfigError('out', 'a folder without a tool.yaml, or --overwrite', out)
     title, files = 'tool', controller or []
     if from_bag is not None:
-        weighed = weighing.weigh_recording(from_bag, files, namespace)
+        result = calibration.Calibration(
+            weighing.weigh_recording(from_bag, files, namespace, typer.echo), None)
     elif external:
-        weighed = weighing.weigh_running(
+        result = calibration.Calibration(weighing.weigh_running(
             files, namespace=namespace or '', domain_id=domain_id, tilt=math.radians(tilt),
-            move_time=move_time, tell=typer.echo)
+            move_time=move_time, tell=typer.echo), None)
     else:
         setup = calibration.sensor_setup(plant, seed, robot)
-        result = calibration.calibrate(setup, calibration.calibration_config(setup.plant.robot))
+        result = calibration.calibrate(setup)
         title = f'tool of {setup.plant_name}, seed {seed}'
-    if from_bag is not None or external:
-        for remark in weighed.remarks:
-            typer.echo(remark)
-        result = calibration.Calibration(weighed.found, None)
-    calibration.write_tool(out, result)
+    calibration.write_tool(out, result.found)
     terminal().print(calibration.calibration_table(result, title))
     show(result)
     typer.echo(f'written to {target}')
-    if result.truth is not None and not result.good:
+    if not result.good:
         raise typer.Exit(EXIT_FAILED)
 
 
@@ -89,7 +86,7 @@ def show(result: Calibration) -> None:
     found = result.found
     typer.echo(f'{found.poses} poses, condition {found.condition:.3g}, residual '
                f'{found.force_residual:.3g} N and {found.torque_residual:.3g} N m rms')
-    if result.truth is not None:
+    if result.errors is not None:
         mass, com, bias = result.errors
         typer.echo(
             f'mass {100.0 * mass:.3f} %, centre of mass {1e3 * com:.3f} mm, force bias '

@@ -28,20 +28,16 @@ def push_test(
 
     Exit code 0: passed; 1: failed, with the cause; 2: bad input.
     """
+    from multicontact_control.experiment import push_test as test
+
     given = options.given_options(context)
     if external:
         options.refuse_options(given, ('robot', 'plant', 'seed', 'fault'), '--external')
-        from multicontact_control.experiment.push_running import push_running
-
-        passed = push_running(
-            namespace=namespace or '', domain_id=domain_id, on_instruction=typer.echo)
+        passed = test.push_running(typer.echo, namespace=namespace or '', domain_id=domain_id)
     else:
         options.refuse_options(given, ('domain_id', 'namespace'), 'a simulated plant')
-        from multicontact_control.experiment import push_trial
-
-        config = push_trial.PushTestConfig()
-        setup = push_trial.push_setup(
-            plant, seed, config, push_trial.fault_mounting(fault, seed), robot)
-        passed = push_trial.run_push_test(setup, config, on_instruction=typer.echo).passed
+        config = test.PushTestConfig()
+        setup = test.push_setup(plant, seed, config, test.fault_mounting(fault, seed), robot)
+        passed = test.push_simulated(setup, config, typer.echo).passed
     if not passed:
         raise typer.Exit(EXIT_FAILED)

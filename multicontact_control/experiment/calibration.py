@@ -1,96 +1,65 @@
-"""Weighing the tool in simulation, where the truth is known; what was found, as file and table."""
+"""The weight of the tool: found on a simulated arm, where the truth is known, as file and table."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from multicontact_control.arrays import Vector as Array
-from multicontact_control.config import (
-    Config,
-    parameter,
-    Real,
-    ToolConfig,
-    Vector,
-)
-from multicontact_control.errors import CalibrationError
+from multicontact_control.arrays import Matrix
+from multicontact_control.config import ToolConfig
+from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.experiment.scenario import plant_source, resolve, Setup
-from multicontact_control.sensor.tool import (
-    Identification,
-    IdentificationConfig,
-    identify_tool,
-    PoseReading,
-)
+from multicontact_control.sensor.tool import Identification, identify_tool, PoseReading
 import numpy as np
 from rich.table import Table
-from sim_bridge.robots import DEFAULT, find_robot
-
-if TYPE_CHECKING:
-    from multicontact_control.experiment.position_controlled_plant import ServoedPlant
+from sim_bridge.plant import Plant
+from sim_bridge.position_hold import PositionHold
+from sim_bridge.robots import find_robot
 
 TOOL_FILE = 'tool.yaml'
-# What has to be met in simulation, where the truth is known.
+# What is met in simulation, where the truth is known.
 MASS_TOLERANCE, COM_TOLERANCE, BIAS_TOLERANCE = 0.02, 3e-3, 0.1  # share, m, N
 BIAS_RANGE = np.repeat([5.0, 0.2], 3)  # N, N m
-
-
-class CalibrationConfig(Config):
-    """The poses in which a simulated arm weighs its tool."""
-
-    poses: tuple[Vector, ...] = parameter(
-        ..., 'Joint angles of each pose; the arm starts in the first.', unit='rad', min_length=1)
-    move_time: Real = parameter(1.5, 'Time from pose to pose.', unit='s', gt=0.0)
-    settle_time: Real = parameter(0.5, 'Rest before the readings.', unit='s', ge=0.0)
-    average_time: Real = parameter(0.5, 'Time over which readings are averaged.', unit='s', gt=0.0)
-    identification: IdentificationConfig = IdentificationConfig()
+SETTLE_TIME, AVERAGE_TIME = 0.5, 0.5  # s, in each pose
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a weighing found, and what there was to find; nobody knows that of a robot."""
+    """The tool that was found, and the true one; None of a robot, where it is not known."""
 
     found: Identification
     truth: ToolConfig | None
 
     @property
-    def errors(self) -> tuple[float, float, float]:
+    def errors(self) -> tuple[float, float, float] | None:
         """Relative error of the mass, distance of the coms [m], largest force bias error [N]."""
         found, truth = self.found, self.truth
-        if truth is None:
-            raise CalibrationError('errors: expected a tool that is known, found that of a robot')
-        bias = found.bias_sensor[:3] - np.array(truth.bias_sensor[:3])
-        return (abs(found.mass / truth.mass - 1.0),
-                float(np.linalg.norm(found.com_sensor - np.array(truth.com_sensor))),
-                float(np.max(np.abs(bias))))
+        return None if truth is None else (
+            abs(found.mass / truth.mass - 1.0),
+            float(np.linalg.norm(found.com_sensor - np.array(truth.com_sensor))),
+            float(np.abs(found.bias_sensor[:3] - np.array(truth.bias_sensor[:3])).max()))
 
     @property
     def good(self) -> bool:
-        """Whether mass, centre of mass and force bias are within their tolerances."""
-        return all(error <= limit for error, limit in zip(
+        """Whether mass, centre of mass and force bias are within their tolerances, where known."""
+        return self.errors is None or all(error <= limit for error, limit in zip(
             self.errors, (MASS_TOLERANCE, COM_TOLERANCE, BIAS_TOLERANCE)))
-
-
-def calibration_config(robot: str = '') -> CalibrationConfig:
-    """Return the poses of a robot, the default one if none is named."""
-    chosen = find_robot(robot or DEFAULT)
-    return CalibrationConfig(poses=chosen.weighing_poses())
 
 
 def sensor_setup(
     plant: str, seed: int, robot: str = '', **plant_overrides: object,
 ) -> Setup:
     """
-    Resolve a run of the sensor's front end: a plant in the first pose, with a bias to be found.
+    Resolve a plant in the first weighing pose of its robot, with a bias to be found.
 
     The bias is drawn from the seed, up to 5 N and 0.2 N m per axis, unless the plant's parameter
     file has one of its own.
     """
     # The scenario only carries the configuration; nothing of it is run.
-    source = plant_source(plant, robot)
-    setup = resolve('quick', plant=plant, robot=robot, seed=seed, plant_overrides={
-        'home': calibration_config(source.robot.name).poses[0], **plant_overrides})
+    home = plant_source(plant, robot).robot.weighing_poses()[0]
+    setup = resolve('quick', plant=plant, robot=robot, seed=seed,
+                    plant_overrides={'home': home, **plant_overrides})
     sensor = setup.plant.sensor
     if not any(sensor.bias):
         bias = np.random.default_rng(seed).uniform(-1.0, 1.0, 6) * BIAS_RANGE
@@ -98,42 +67,45 @@ def sensor_setup(
     return replace(setup, plant=setup.plant.model_copy(update={'sensor': sensor}))
 
 
-def calibrate(setup: Setup, config: CalibrationConfig) -> Calibration:
-    """Weigh the tool of a `sensor_setup`; CalibrationError if the readings do not tell."""
-    # Only now: the simulator is not loaded for the sake of an error.
+def calibrate(
+    setup: Setup, *, settle_time: float = SETTLE_TIME, average_time: float = AVERAGE_TIME,
+) -> Calibration:
+    """
+    Weigh the tool of a `sensor_setup`, whose drives hold the weighing poses of its robot.
+
+    `settle_time` and `average_time` are those of rest before the readings and of the readings [s].
+    Raises CalibrationError if the readings do not tell.
+    """
     from multicontact_control.experiment.compilation import ensure_compiled
-    from multicontact_control.experiment.position_controlled_plant import ServoedPlant
 
     ensure_compiled()
-    arm = ServoedPlant(setup)
-    try:
-        readings = [_reading(arm, np.array(pose), config) for pose in config.poses]
-    finally:
-        arm.close()
-    gravity = np.array(setup.controller.robot.gravity_world)
-    return Calibration(
-        identify_tool(readings, gravity, config.identification), true_tool(setup))
+    robot, controller = find_robot(setup.plant.robot), setup.controller
+    model, readings = RobotModel(controller.robot, setup.urdf_dir), []
+    settle, average = (round(x * controller.rate) for x in (settle_time, average_time))
+    for number, pose in enumerate(robot.weighing_poses()):
+        plant = Plant(setup.plant.model_copy(update={'home': tuple(pose)}),
+                      rate=controller.rate, seed=setup.seed + number)
+        hold, samples = PositionHold(plant.model), [plant.reset()]
+        for _ in range(settle + average):
+            samples.append(plant.step(hold.torque(samples[-1].q, samples[-1].qd)))
+        plant.close()
+        readings.append(mean_reading(model, *(
+            np.array([getattr(sample, name) for sample in samples[-average:]])
+            for name in ('q', 'wrench'))))
+    # The moving half of the sensor's face hangs on it, too.
+    truth = ToolConfig(mass=robot.arm.carried_mass, com_sensor=robot.arm.carried_com,
+                       bias_sensor=setup.plant.sensor.bias)
+    return Calibration(identify_tool(readings, np.array(controller.robot.gravity_world)), truth)
 
 
-def _reading(arm: ServoedPlant, pose: Array, config: CalibrationConfig) -> PoseReading:
-    arm.move(pose, config.move_time)
-    arm.hold(config.settle_time)
-    samples = arm.hold(config.average_time)
-    return PoseReading(
-        rotation_world=samples[-1][1].sensor_pose.rotation_world,
-        wrench_sensor=np.mean([sample.wrench for sample, _ in samples], axis=0))
+def mean_reading(robot: RobotModel, q: Matrix, wrenches: Matrix) -> PoseReading:
+    """Return what a sensor reads at rest from m samples, shapes (m, n) [rad] and (m, 6)."""
+    pose = robot.update(q.mean(axis=0), np.zeros(robot.joint_count)).sensor_pose
+    return PoseReading(pose.rotation_world, wrenches.mean(axis=0))
 
 
-def true_tool(setup: Setup) -> ToolConfig:
-    """Return what really hangs on the simulated sensor, the moving half of its face included."""
-    arm = find_robot(setup.plant.robot).arm
-    return ToolConfig(mass=arm.carried_mass, com_sensor=arm.carried_com,
-                      bias_sensor=setup.plant.sensor.bias)
-
-
-def write_tool(folder: Path, calibration: Calibration) -> Path:
-    """Write what was found as a parameter file to lay over the controller's, and return it."""
-    found = calibration.found
+def write_tool(folder: Path, found: Identification) -> Path:
+    """Write a tool as a parameter file to lay over the controller's, and return it."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / TOOL_FILE
     write_parameters(
@@ -147,22 +119,20 @@ def write_tool(folder: Path, calibration: Calibration) -> Path:
 def calibration_table(calibration: Calibration, title: str) -> Table:
     """Return found and true values side by side, as far as there are true ones."""
     found, truth = calibration.found, calibration.truth
-    known = truth or found.tool()
     table = Table(title=title)
-    names = ('truth', 'error') if truth is not None else ()
-    for name in ('', 'identified', *names, 'std. error'):
+    for name in ('', 'identified', *(('truth', 'error') if truth else ()), 'std. error'):
         table.add_column(name, justify='left' if name == '' else 'right')
 
-    rows = [
-        ('mass (kg)', found.mass, known.mass, 5, found.mass_std),
-        *((f'centre of mass {axis} (mm)', 1e3 * found.com_sensor[i], 1e3 * known.com_sensor[i],
-           3, 1e3 * found.com_std[i]) for i, axis in enumerate('xyz')),
-        *((f'{what} bias {axis} ({unit})', found.bias_sensor[start + i],
-           known.bias_sensor[start + i], digits, None)
-          for what, unit, start, digits in (('force', 'N', 0, 4), ('torque', 'N m', 3, 5))
-          for i, axis in enumerate('xyz'))]
-    for name, value, true, digits, std in rows:
-        compared = (f'{true:.{digits}f}', f'{value - true:+.{digits}f}') if names else ()
-        table.add_row(name, f'{value:.{digits}f}', *compared,
-                      '' if std is None else f'{std:.{digits}f}')
+    def rows(tool: ToolConfig) -> list[float]:
+        return [tool.mass, *(1e3 * x for x in tool.com_sensor), *tool.bias_sensor]
+
+    names = ['mass (kg)', *(f'centre of mass {axis} (mm)' for axis in 'xyz'),
+             *(f'{what} bias {axis} ({unit})'
+               for what, unit in (('force', 'N'), ('torque', 'N m')) for axis in 'xyz')]
+    spread = [found.mass_std, *(1e3 * found.com_std)]
+    for i, (name, value) in enumerate(zip(names, rows(found.tool()))):
+        known = rows(truth)[i] if truth else 0.0
+        table.add_row(name, f'{value:.4f}', *(
+            (f'{known:.4f}', f'{value - known:+.4f}') if truth else ()),
+            f'{spread[i]:.4f}' if i < len(spread) else '')
     return table

@@ -9,21 +9,20 @@ import time
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.config import Config, ControllerConfig, parameter, Real
+from multicontact_control.config import ControllerConfig
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, ConfigError, RunError
 from multicontact_control.experiment.bag import (
-    BagColumns,
     describe_others,
     JOINT_STATE,
     read_messages,
     WRENCH,
 )
+from multicontact_control.experiment.calibration import mean_reading
 from multicontact_control.experiment.external import read_controller_files
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.sensor.tool import (
     Identification,
-    IdentificationConfig,
     identify_tool,
     MIN_POSES,
     MIN_SAMPLES,
@@ -35,6 +34,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 JOINTS = 'joint_states'
+# A rest: largest speed of any joint [rad/s]; its beginning that is left out, and the time over
+# which readings are averaged [s].
+SPEED, SETTLE_TIME, AVERAGE_TIME = 0.02, 0.5, 1.0
 GRID = 0.02  # s, in which a recording is looked at for rests
 LOOK = 0.1  # s, over which the speed of a joint is taken
 REACHED = 0.1  # rad, of a tilt
@@ -46,46 +48,42 @@ TILTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # about 
 Tell = Callable[[str], None]
 
 
-class RestConfig(Config):
-    """What counts as a rest of a robot that somebody leads from pose to pose."""
-
-    speed: Real = parameter(0.02, 'Largest speed of any joint.', unit='rad/s', gt=0.0)
-    settle_time: Real = parameter(0.5, 'Beginning of a rest that is left out.', unit='s', ge=0.0)
-    average_time: Real = parameter(
-        1.0, 'Least time after it, over which readings are averaged.', unit='s', gt=0.0)
-    quiet: TareConfig = TareConfig()
-    identification: IdentificationConfig = IdentificationConfig()
-
-
 class Sample(NamedTuple):
-    """What a running robot says: time [s], angles, shape (n,) [rad], and wrench, shape (6,)."""
+    """A reading of a running robot: time [s], angles, shape (n,) [rad], wrench, shape (6,)."""
 
     time: float
     q: Vector
     wrench_sensor: Vector
 
 
-class Weighed(NamedTuple):
-    """What was found, and what was done for it in words."""
-
-    found: Identification
-    remarks: tuple[str, ...]
-
-
 def weigh_recording(
     path: Path, files: Sequence[Path], namespace: str | None = None,
-    config: RestConfig | None = None,
-) -> Weighed:
+    tell: Tell = lambda text: None,
+) -> Identification:
     """
     Identify a tool from a recording of an arm that is at rest in at least four poses.
 
     Joint states and wrenches may have clocks of their own; a rest whose readings vary is left out.
-    `files` are the parameter files of the controller, for the arm and the sensor's frame;
-    `namespace` is that of the topics; if not given, the only one in the recording. Raises
-    ConfigError or RunError if a file or the recording lacks something, CalibrationError if there
-    are too few rests, or the readings do not tell.
+
+    Parameters
+    ----------
+    path
+        A bag's folder, or an MCAP file.
+    files
+        Parameter files of the controller, for the arm and the sensor's frame.
+    namespace
+        Of the topics; the only one in the recording by default.
+    tell
+        Called with each rest.
+
+    Raises
+    ------
+    ConfigError, RunError
+        If a file or the recording lacks something.
+    CalibrationError
+        If there are too few rests, or the readings do not tell.
+
     """
-    config = config or RestConfig()
     controller, robot = _arm(files)
     wrench = f'ft_sensor/{controller.wrench_series}'
     types = {JOINTS: JOINT_STATE, wrench: WRENCH}
@@ -95,51 +93,39 @@ def weigh_recording(
             text = '; '.join((f'found {describe_others(found)}', *found.unreadable))
             raise RunError(f'{path}: expected messages on {topic}, {text}')
     joints, felt = found.by_topic[JOINTS], found.by_topic[wrench]
-    q = _joints(path, joints, controller.robot.joint_names)
-    wrenches = felt.values('wrench')
+    names = controller.robot.joint_names
+    q, wrenches = joints.values('position', names), felt.values('wrench')
+    if not np.isfinite(q).all():
+        raise RunError(f'{path}: joint_states: expected positions of the joints '
+                       f'{", ".join(names)}, found {", ".join(joints.names) or "none"}')
     q_time, f_time = (1e-9 * x.stamps.astype(np.float64) for x in (joints, felt))
     if f_time[0] > q_time[-1] or q_time[0] > f_time[-1]:  # clocks of their own
         q_time, f_time = (1e-9 * x.published.astype(np.float64) for x in (joints, felt))
-    readings, remarks = [], []
-    for begin, end in find_rests(q_time, q, config):
+    readings = []
+    for begin, end in find_rests(q_time, q):
         chosen = wrenches[(f_time >= begin) & (f_time <= end)]
-        when = f'rest from {begin - q_time[0]:.1f} to {end - q_time[0]:.1f} s'
-        restless = _restless(chosen, config.quiet)
-        if restless:
-            remarks.append(f'{when} left out: {restless}')
-            continue
-        readings.append(_mean_reading(robot, q[(q_time >= begin) & (q_time <= end)], chosen))
-        remarks.append(f'{when}: {len(chosen)} readings')
+        restless = _restless(chosen)
+        tell(f'rest from {begin - q_time[0]:.1f} to {end - q_time[0]:.1f} s'
+             + (f' left out: {restless}' if restless else f': {len(chosen)} readings'))
+        if not restless:
+            readings.append(mean_reading(
+                robot, q[(q_time >= begin) & (q_time <= end)], chosen))
     if len(readings) < MIN_POSES:
-        raise CalibrationError('; '.join((
-            f'{path}: expected at least {MIN_POSES} rests of '
-            f'{config.settle_time + config.average_time:g} s, found {len(readings)}', *remarks)))
-    gravity = np.array(controller.robot.gravity_world)
-    return Weighed(identify_tool(readings, gravity, config.identification), tuple(remarks))
+        raise CalibrationError(f'{path}: expected at least {MIN_POSES} quiet rests of '
+                               f'{SETTLE_TIME + AVERAGE_TIME:g} s, found {len(readings)}')
+    return identify_tool(readings, np.array(controller.robot.gravity_world))
 
 
 def _arm(files: Sequence[Path]) -> tuple[ControllerConfig, RobotModel]:
-    if not files:
-        raise ConfigError('--controller', 'the parameter file of your controller', 'none')
     read = read_controller_files(files)
     controller = read.config()
     if controller.wrench_input == 'momentum':
-        raise ConfigError('wrench_input', 'raw or filtered: without a wrist sensor there is '
-                          'nothing to calibrate', controller.wrench_input)
+        raise ConfigError('wrench_input', 'raw or filtered: a wrist sensor that is calibrated',
+                          controller.wrench_input)
     return controller, RobotModel(controller.robot, read.urdf_dir)
 
 
-def _joints(path: Path, messages: BagColumns, names: Sequence[str]) -> Matrix:
-    """Return the angles of the joints, shape (m, n) [rad]."""
-    q = messages.values('position', names)
-    if not np.isfinite(q).all():
-        known = ', '.join(messages.names) or 'none'
-        raise RunError(f'{path}: joint_states: expected positions of the joints '
-                       f'{", ".join(names)}, found {known}')
-    return q
-
-
-def find_rests(time: Vector, q: Matrix, config: RestConfig) -> list[tuple[float, float]]:
+def find_rests(time: Vector, q: Matrix) -> list[tuple[float, float]]:
     """
     Return from when to when an arm was at rest, without the time to settle [s].
 
@@ -153,24 +139,22 @@ def find_rests(time: Vector, q: Matrix, config: RestConfig) -> list[tuple[float,
         return []
     angles = np.column_stack([np.interp(grid, time, column) for column in q.T])
     speed = np.abs(angles[width:] - angles[:-width]).max(axis=1) / LOOK
-    # A gap in the joint states says nothing of what the arm did in it.
-    gaps = np.interp(grid, time[1:], np.diff(time)) if len(time) > 1 else np.zeros(len(grid))
-    still = (speed <= config.speed) & (gaps[width:] <= LOOK)
-    rests = []
-    for begin, end in zip(*stretches(still)):
-        start, stop = grid[begin] + config.settle_time, grid[end - 1]
-        if stop - start >= config.average_time:
-            rests.append((float(start), float(stop)))
-    return rests
+    # In a gap of the joint states the arm may have moved.
+    gaps = np.interp(grid, time[1:], np.diff(time))
+    still = (speed <= SPEED) & (gaps[width:] <= LOOK)
+    rests = [(float(grid[begin]) + SETTLE_TIME, float(grid[end - 1]))
+             for begin, end in zip(*stretches(still))]
+    return [(start, stop) for start, stop in rests if stop - start >= AVERAGE_TIME]
 
 
-def _restless(wrenches: Matrix, quiet: TareConfig) -> str:
+def _restless(wrenches: Matrix) -> str:
     """Return why readings cannot be averaged; empty if they can."""
     if len(wrenches) < MIN_SAMPLES:
         return f'{len(wrenches)} readings'
     if not np.isfinite(wrenches).all():
         return 'readings that are not finite'
     force, torque = wrenches.std(axis=0).reshape(2, 3).max(axis=1)
+    quiet = TareConfig()
     if force > quiet.max_force_std or torque > quiet.max_torque_std:
         return f'readings with standard deviations of {force:.3g} N and {torque:.3g} N m'
     return ''
@@ -179,108 +163,118 @@ def _restless(wrenches: Matrix, quiet: TareConfig) -> str:
 def weigh_running(
     files: Sequence[Path], *, namespace: str = '', domain_id: int | None = None,
     tilt: float = np.deg2rad(25.0), move_time: float = 3.0, timeout: float = 10.0,
-    config: RestConfig | None = None, tell: Tell = lambda text: None,
-) -> Weighed:
+    tell: Tell = lambda text: None,
+) -> Identification:
     """
     Identify the tool of a robot by a controller that runs: it tilts the tool, and turns it back.
 
     The operational point stays where it is. No contact may be pressed meanwhile, and the bias of
-    the running controller is that of the first pose afterwards. `files` are the controller's
-    parameter files; `tilt` is the angle about world x and y, to either side [rad]; `move_time` the
-    least time from pose to pose [s]; `timeout` the longest wait for an answer or a sample [s];
-    `tell` is called with what is being done. Raises ConfigError if a parameter file is not
-    acceptable, RunError if no controller answers, a contact is pressed, or a pose is not reached,
-    CalibrationError if the readings do not tell.
+    the running controller is that of the first pose afterwards.
+
+    Parameters
+    ----------
+    files
+        Parameter files of the controller.
+    namespace, domain_id
+        Where it is.
+    tilt
+        Angle about world x and y, to either side [rad].
+    move_time
+        Least time from pose to pose [s].
+    timeout
+        Longest wait for an answer, a sample or a rest [s].
+    tell
+        Called with what is being done.
+
+    Raises
+    ------
+    ConfigError
+        If a parameter file is not acceptable.
+    RunError
+        If no controller answers, a contact is pressed, or a pose is not reached.
+    CalibrationError
+        If the readings do not tell.
+
     """
     from multicontact_control.client import MultiContactClient
     from multicontact_control.nodes import topics
     from multicontact_control.nodes.link import ControllerLink
 
-    config = config or RestConfig()
     controller, robot = _arm(files)
-    wrench = topics.WRENCHES[controller.wrench_input]
-    readings: list[PoseReading] = []
-    with MultiContactClient(namespace, domain_id=domain_id, timeout=timeout) as arm, (
-            ControllerLink((topics.JOINT_STATES, wrench), namespace=namespace,
-                           domain_id=domain_id, timeout=timeout)) as link:
-        def weigh() -> PoseReading:
-            return weigh_at_rest(lambda: _sample(
-                link.fresh(topics.JOINT_STATES, wrench), controller.robot.joint_names,
-            ), robot, config, timeout)
+    where: dict[str, Any] = {'namespace': namespace, 'domain_id': domain_id, 'timeout': timeout}
+    heard = (topics.JOINT_STATES, topics.WRENCHES[controller.wrench_input])
+    readings = []
+    with MultiContactClient(**where) as arm, ControllerLink(heard, **where) as link:
+        def sample() -> Sample:
+            return _sample(link.fresh(*heard), controller.robot.joint_names)
 
         start = arm.read()
-        pressed = [name for name, force in start.forces_desired.items() if force > 0.0]
-        if pressed:
+        if pressed := [name for name, force in start.forces_desired.items() if force > 0.0]:
             raise RunError(f'calibrate: expected free space, found {", ".join(pressed)} pressed')
-        # A weight that is not known is a pull that no surface explains: control waits for us.
+        # A weight that is not known is a pull that no surface explains: control waits for this.
         tell('tare, so that the weight is not taken for a contact')
-        _tare(arm, 2 * MIN_SAMPLES, timeout)
-        with contextlib.suppress(RunError):  # if it does not wait
-            arm.retry()
         _await_control(arm, timeout)
         # From one side to the other, well within the limit of the angular speed.
         slowest = max(move_time, PEAK * 2.0 * tilt / (SHARE * controller.limits.operational_turn))
         before = Rotation.from_quat(start.quaternion_desired)
-        poses = [Rotation.from_rotvec([tilt * x, tilt * y, 0.0]) * before for x, y in TILTS]
-        for number, pose in enumerate(poses, 1):
-            tell(f'pose {number} of {len(poses)}')
-            readings.append(_tilt(arm, start.position_desired, pose, slowest, weigh, tell))
+        for number, (x, y) in enumerate(TILTS, 1):
+            tell(f'pose {number} of {len(TILTS)}')
+            pose = Rotation.from_rotvec([tilt * x, tilt * y, 0.0]) * before
+            readings.append(_weigh_tilted(arm, start.position_desired, pose, slowest,
+                                          lambda: weigh_at_rest(sample, robot, timeout)))
         tell('back to the first pose')
         arm.move(start.position_desired, slowest, quaternion_xyzw=before.as_quat())
         tell('the running controller keeps its tare; what is found is for the next run')
-    gravity = np.array(controller.robot.gravity_world)
-    return Weighed(identify_tool(readings, gravity, config.identification), ())
+    return identify_tool(readings, np.array(controller.robot.gravity_world))
 
 
-def _tare(arm: Any, samples: int, timeout: float) -> None:
-    """Tare as soon as the arm stands still; RunError if it does not."""
+def _await_control(arm: Any, timeout: float) -> None:
+    """Tare as soon as the arm stands still, then wait until it obeys; RunError if it does not."""
     give_up = time.monotonic() + timeout
+    tared = False
     while True:
-        for _ in range(samples):  # of a controller that has just begun, or moves
+        for _ in range(2 * MIN_SAMPLES):  # of a controller that has just begun, or moves
             arm.read()
         try:
-            return arm.tare()
+            if not tared:
+                arm.tare()
+                tared = True
+                with contextlib.suppress(RunError):  # if control does not wait
+                    arm.retry()
+            status = arm.status()
+            if status is not None and status.reaction in (NONE, INFLATE):
+                return
+            raise RunError('calibrate: expected control to begin once the weight is tared away, '
+                           f'found {"no status" if status is None else status.text}')
         except RunError:
             if time.monotonic() > give_up:
                 raise
 
 
-def _await_control(arm: Any, timeout: float) -> None:
-    """Wait until the arm is controlled, and obeys; RunError if it is not."""
-    give_up = time.monotonic() + timeout
-    while (status := arm.status()) is None or status.reaction not in (NONE, INFLATE):
-        if time.monotonic() > give_up:
-            raise RunError('calibrate: expected control to begin once the weight is tared away, '
-                           f'found {"nothing said" if status is None else status.text}')
-        arm.read()
-
-
-def _tilt(
+def _weigh_tilted(
     arm: Any, position: Vector, pose: Rotation, duration: float,
-    weigh: Callable[[], PoseReading], tell: Tell,
+    weigh: Callable[[], PoseReading],
 ) -> PoseReading:
     """Turn the tool, again if the supervisor has held it meanwhile; RunError if it stays off."""
-    for attempt in range(1, ATTEMPTS + 1):
+    for _ in range(ATTEMPTS):
         arm.move(position, duration, quaternion_xyzw=pose.as_quat())
         reading = weigh()
         off = (Rotation.from_quat(arm.read().quaternion_xyzw) * pose.inv()).magnitude()
         if off <= REACHED:
             return reading
-        tell(f'{np.rad2deg(off):.0f} deg off after motion {attempt} of {ATTEMPTS}')
-        with contextlib.suppress(RunError):  # if it does not wait
+        with contextlib.suppress(RunError):  # if control does not wait
             arm.retry()
     raise RunError(
         f'calibrate: expected a tilted tool, found it {np.rad2deg(off):.0f} deg off; it may be '
-        'beyond a limit, or too heavy not to be known at all: start from another pose, tilt '
-        'less, or weigh it --from-bag')
+        'beyond a limit, or too heavy to lift unknown: start from another pose, tilt less, or '
+        'weigh it --from-bag')
 
 
 def _sample(messages: Sequence[Any], names: Sequence[str]) -> Sample:
     """Return joint state and wrench as numbers; RunError if a joint is not there."""
     joints, felt = messages
     angles, w = dict(zip(joints.name, joints.position)), felt.wrench
-    lacking = [name for name in names if name not in angles]
-    if lacking:
+    if lacking := [name for name in names if name not in angles]:
         raise RunError(f'joint_states: expected the joints {", ".join(lacking)}, found '
                        f'{", ".join(joints.name) or "none"}')
     stamp = joints.header.stamp
@@ -289,41 +283,31 @@ def _sample(messages: Sequence[Any], names: Sequence[str]) -> Sample:
         np.array([w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z]))
 
 
-def weigh_at_rest(
-    sample: Callable[[], Sample], robot: RobotModel, config: RestConfig, timeout: float,
-) -> PoseReading:
+def weigh_at_rest(sample: Callable[[], Sample], robot: RobotModel, timeout: float) -> PoseReading:
     """
-    Return the mean of the first rest from now on, in the robot's time.
+    Return the mean reading of the first rest from now on, in the robot's time.
 
     `sample` returns one that comes from now on; the rest begins within `timeout` [s]. Raises
     RunError if the robot's time does not go on, CalibrationError without a quiet rest.
     """
-    samples, look_at, length = [sample()], -np.inf, config.settle_time + config.average_time
-    rests: list[tuple[float, float]] = []
-    while not rests:
-        now, last = sample(), samples[-1].time
-        if now.time < last:
-            raise RunError(f'joint_states: expected stamps that go on, found one '
-                           f'{last - now.time:.3g} s before the last: samples begin anew')
-        samples.append(now)
-        if now.time < look_at:
-            continue
-        look_at = now.time + LOOK
-        time, q = (np.array([getattr(x, name) for x in samples]) for name in ('time', 'q'))
-        rests = find_rests(time, q, config)
-        if not rests and now.time - samples[0].time > timeout + length:
-            raise CalibrationError(
-                f'calibrate: expected an arm at rest (no joint faster than {config.speed:g} '
-                f'rad/s) for {length:g} s within {timeout:g} s, found none')
-    begin, end = rests[0]
-    chosen = [x for x in samples if begin <= x.time <= end]
-    wrenches = np.array([x.wrench_sensor for x in chosen])
-    restless = _restless(wrenches, config.quiet)
-    if restless:
+    length, waited = SETTLE_TIME + AVERAGE_TIME, 0.0
+    while waited <= timeout:
+        samples = [sample()]
+        while (passed := samples[-1].time - samples[0].time) < length:
+            samples.append(sample())
+            if samples[-1].time < samples[-2].time:
+                raise RunError('joint_states: expected stamps that go on, found one before the '
+                               'last: samples begin anew')
+        q = np.array([x.q for x in samples])
+        if np.ptp(q, axis=0).max() <= SPEED * length:
+            break
+        waited += passed
+    else:
+        raise CalibrationError(
+            f'calibrate: expected an arm at rest (no joint faster than {SPEED:g} rad/s) for '
+            f'{length:g} s within {timeout:g} s, found none')
+    settled = np.array([x.time for x in samples]) >= samples[0].time + SETTLE_TIME
+    wrenches = np.array([x.wrench_sensor for x in samples])[settled]
+    if restless := _restless(wrenches):
         raise CalibrationError(f'calibrate: expected readings at rest, found {restless}')
-    return _mean_reading(robot, np.array([x.q for x in chosen]), wrenches)
-
-
-def _mean_reading(robot: RobotModel, q: Matrix, wrenches: Matrix) -> PoseReading:
-    pose = robot.update(q.mean(axis=0), np.zeros(robot.joint_count)).sensor_pose
-    return PoseReading(pose.rotation_world, wrenches.mean(axis=0))
+    return mean_reading(robot, q[settled], wrenches)

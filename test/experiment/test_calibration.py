@@ -1,77 +1,148 @@
-"""Weighing the tool and pushing it, on the simulated arm with noise."""
+"""Weighing the tool and pushing it, on the simulated arm with noise, and from a recording."""
 
-from multicontact_control.config import ControllerConfig, merge, read_parameters, validate
-from multicontact_control.contact.wrench import contact_wrench
-from multicontact_control.errors import CalibrationError
-from multicontact_control.experiment.calibration import (
-    calibrate,
-    calibration_config,
-    sensor_setup,
-    write_tool,
+from fake_arm import wrench_message
+from foreign_bag import controller_file, JOINTS, RATE, START
+from multicontact_control.config import (
+    ControllerConfig,
+    merge,
+    read_parameters,
+    ToolConfig,
+    validate,
 )
-from multicontact_control.experiment.position_controlled_plant import ServoedPlant
-from multicontact_control.experiment.push_trial import fault_mounting, push_setup, run_push_test
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.errors import CalibrationError
+from multicontact_control.experiment.calibration import calibrate, sensor_setup, write_tool
+from multicontact_control.experiment.external import read_controller_files
+from multicontact_control.experiment.push_test import (
+    fault_mounting,
+    push_setup,
+    push_simulated,
+)
+from multicontact_control.experiment.weighing import Sample, weigh_at_rest, weigh_recording
+from multicontact_control.nodes import messages, topics
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.push_test import PushTestConfig
+from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
 
-SHORT = {'move_time': 0.8, 'settle_time': 0.3, 'average_time': 0.3}
+SHORT = {'settle_time': 0.3, 'average_time': 0.3}
+TOOL = ToolConfig(mass=1.3, com_sensor=(0.01, -0.03, 0.07),
+                  bias_sensor=(2.0, -1.0, 3.0, 0.1, -0.05, 0.02))
+POSES = np.zeros((5, 7))
+POSES[:, 3:6] = [[0.9, 0.5, -0.8], [1.4, 0.5, -0.8], [0.4, 0.5, -0.8], [0.9, 1.2, -0.2],
+                 [0.9, -0.3, -1.3]]
+REST, MOVE = 2.0, 0.8  # s
 
 
 @pytest.mark.parametrize(('plant', 'seed'), [('rigid', 1), ('puma', 2)])
 def test_calibration_finds_tool_and_bias_of_the_noisy_sensor(tmp_path, plant, seed):
     """Mass within 2 %, centre of mass within 3 mm, bias within 0.1 N; the file is laid over."""
     setup = sensor_setup(plant, seed)
-    result = calibrate(setup, calibration_config().model_copy(update=SHORT))
-    mass, com, bias = result.errors
+    result = calibrate(setup, **SHORT)
     assert setup.plant.sensor.noise and any(result.truth.bias_sensor)
-    assert (mass < 0.02, com < 3e-3, bias < 0.1) == (True, True, True), result
-    assert result.good
+    assert result.good, result
     np.testing.assert_allclose(
         result.found.bias_sensor[3:], result.truth.bias_sensor[3:], atol=5e-3)
-    assert result.found.condition < 5.0
     controller = validate(ControllerConfig, merge(
         read_parameters(config_dir() / 'controller.yaml'),
-        read_parameters(write_tool(tmp_path, result))))
+        read_parameters(write_tool(tmp_path, result.found))))
     assert controller.tool == result.found.tool()
-
-
-def test_calibration_poses_are_free_and_weigh_nothing_with_the_right_tool():
-    """The configured tool is the plant's: compensated readings vanish, up to the noise."""
-    setup = sensor_setup('rigid', 0, sensor={'noise': False, 'bias': [1.0] * 6})
-    tool = setup.controller.tool.model_copy(update={'bias_sensor': (1.0,) * 6})
-    arm = ServoedPlant(setup)
-    for pose in calibration_config().poses:
-        arm.move(np.array(pose), 0.8)
-        sample, state = arm.hold(0.4)[-1]
-        assert not sample.contact_force.any()
-        np.testing.assert_allclose(sample.q, pose, atol=0.03)
-        wrench = contact_wrench(
-            sample.wrench, state.sensor_pose, state.pose.position_world, tool,
-            np.array(setup.controller.robot.gravity_world))
-        np.testing.assert_allclose(wrench, 0.0, atol=0.03)
-    arm.close()
 
 
 def test_calibration_of_a_flipped_sensor_is_refused():
     setup = sensor_setup('rigid', 0, sensor={'mounting': [-1, 0, 0, 0, -1, 0, 0, 0, -1]})
     with pytest.raises(CalibrationError, match='sign'):
-        calibrate(setup, calibration_config().model_copy(update=SHORT))
+        calibrate(setup, **SHORT)
 
 
 @pytest.mark.parametrize(('plant', 'fault', 'seed', 'found'), [
-    ('rigid', 'none', 0, 'passed'), ('puma', 'none', 1, 'passed'),
-    ('rigid', 'sign', 0, 'sign flipped'), ('puma', 'sign', 3, 'sign flipped'),
+    ('puma', 'none', 1, 'passed'), ('puma', 'sign', 3, 'sign flipped'),
     ('rigid', 'scale', 1, 'scale 0.5'),
-    *(('rigid', 'rotate', seed, f"rotated by {degrees} deg about the sensor's {axis}")
-      for seed, (degrees, axis) in enumerate(
-          (degrees, axis) for degrees in (90, -90) for axis in 'xyz')),
+    ('rigid', 'rotate', 1, "rotated by 90 deg about the sensor's y"),
     ('puma', 'rotate', 5, "rotated by -90 deg about the sensor's z")])
 def test_push_test_names_the_fault_of_the_mounting(plant, fault, seed, found):
     """Tared first, so that nothing is wrong at rest."""
     config = PushTestConfig(settle_time=0.2, hold_time=0.2)
-    setup = push_setup(plant, seed, config, fault_mounting(fault, seed))
-    result = run_push_test(setup, config, lambda instruction: None)
+    result = push_simulated(
+        push_setup(plant, seed, config, fault_mounting(fault, seed)), config)
     assert found in result.message
     assert result.passed is (fault == 'none')
+
+
+def robot_of(file):
+    read = read_controller_files([file])
+    return RobotModel(read.config().robot, read.urdf_dir)
+
+
+def reading_at(robot, q):
+    return TOOL.bias_sensor + weight_reading(
+        robot.update(q, np.zeros(7)).sensor_pose.rotation_world, TOOL,
+        np.array([0.0, 0.0, -9.81]))
+
+
+def recorded(folder, file, poses=POSES, *, offset=700_000, touched=()):
+    """Record an arm that is led from pose to pose; its sensor has stamps of its own."""
+    robot, random = robot_of(file), np.random.default_rng(0)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        joint_states, wrenches = (writer.add_connection(
+            f'/{topic.name}', topic.type_name, typestore=store)
+            for topic in (topics.JOINT_STATES, topics.WRENCH))
+        for k in range(round(len(poses) * (REST + MOVE) * RATE)):
+            number, at = divmod(k / RATE, REST + MOVE)
+            here, there = poses[int(number)], poses[min(int(number) + 1, len(poses) - 1)]
+            q = here + max(at - REST, 0.0) / MOVE * (there - here)
+            wrench = reading_at(robot, q) + random.normal(size=6) * ([0.1] * 3 + [0.01] * 3)
+            if int(number) in touched:
+                wrench[0] += 5.0 * np.sin(7.0 * at)
+            stamp = START + round(k / RATE * 1e9)
+            writer.write(joint_states, stamp, serialize_message(messages.joint_state_message(
+                stamp, JOINTS, position=q, velocity=np.zeros(7))))
+            writer.write(wrenches, stamp + offset % 10 ** 9, serialize_message(
+                wrench_message(stamp + offset, wrench, 'wrist')))
+    return folder
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(('offset', 'touched'), [(700_000, (2,)), (3_600_000_000_700_000, ())])
+def test_tool_is_found_from_rests_whatever_the_clocks(tmp_path, offset, touched):
+    """Stamps of the sensor beside those of the joints, or an hour off; a touched tool left out."""
+    file = controller_file(tmp_path)
+    found = weigh_recording(
+        recorded(tmp_path / 'bag', file, offset=offset, touched=touched), [file])
+    assert found.poses == 5 - len(touched)
+    assert found.mass == pytest.approx(TOOL.mass, abs=0.01)
+    np.testing.assert_allclose(found.com_sensor, TOOL.com_sensor, atol=2e-3)
+    np.testing.assert_allclose(found.bias_sensor[:3], TOOL.bias_sensor[:3], atol=0.05)
+
+
+@pytest.mark.ros
+def test_too_few_rests_are_refused(tmp_path):
+    file = controller_file(tmp_path)
+    with pytest.raises(CalibrationError):
+        weigh_recording(recorded(tmp_path / 'few', file, POSES[:2]), [file])
+
+
+@pytest.mark.parametrize(('angle_at', 'rests'), [
+    (lambda t: min(0.5 * t, 0.6), True), (lambda t: 0.015 * t, True),
+    (lambda t: 0.3 * np.sin(t), False)])
+def test_running_arm_is_weighed_at_its_mean_pose_once_it_rests(tmp_path, angle_at, rests):
+    """Taken at the end, the pose of an arm that creeps would be 0.15 N off."""
+    robot, times = robot_of(controller_file(tmp_path)), iter(range(1, 10 ** 6))
+
+    def sample():
+        time = 0.01 * next(times)
+        q = POSES[0] + angle_at(time)
+        return Sample(time, q, reading_at(robot, q))
+
+    if not rests:
+        with pytest.raises(CalibrationError):
+            weigh_at_rest(sample, robot, 3.0)
+        return
+    reading = weigh_at_rest(sample, robot, 10.0)
+    np.testing.assert_allclose(reading.wrench_sensor - TOOL.bias_sensor, weight_reading(
+        reading.rotation_world, TOOL, np.array([0.0, 0.0, -9.81])), atol=0.01)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-import shutil
 import subprocess
 import sys
 
 from multicontact_control.compiled import cache_folder
-from multicontact_control.experiment.compilation import ensure_compiled, is_complete
+from multicontact_control.experiment.compilation import ensure_compiled
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -43,13 +42,3 @@ def test_commands_and_nodes_compile_nothing_after_the_compile_step(tmp_path, arg
     assert summary['timing']['kernels_compiled'] == 0
     for counts in tmp_path.glob('logs/*.json'):
         assert json.loads(counts.read_text(encoding='utf-8'))['kernels_compiled'] == 0
-
-
-def test_folder_that_lost_a_file_is_not_complete(tmp_path):
-    ensure_compiled()
-    copy = tmp_path / 'cache'
-    shutil.copytree(cache_folder(), copy)
-    assert is_complete(copy)
-    for file in copy.rglob('*.nbi'):
-        file.unlink()
-    assert not is_complete(copy)

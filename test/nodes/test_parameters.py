@@ -15,7 +15,7 @@ from multicontact_control.config import (
     Vector,
 )
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.calibration import Calibration, write_tool
+from multicontact_control.experiment.calibration import write_tool
 from multicontact_control.experiment.external import dotted, read_controller_files
 from multicontact_control.experiment.law_report import write_preset
 from multicontact_control.experiment.parameter_file import write_parameters

@@ -5,7 +5,7 @@ from contextlib import closing
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.push_trial import push_setup
+from multicontact_control.experiment.push_test import push_setup
 from multicontact_control.sensor.push_test import (
     fit_mounting,
     judge_pushes,

@@ -1,13 +1,15 @@
 """
-The push test on the simulated arm, by a scripted hand, with a sensor that may be wrong.
+The push test as a user meets it: on the simulated arm by a scripted hand, or on a running robot.
 
-Tare and test are those of the control loop, which holds the arm meanwhile.
+The simulated sensor may be wrong. Tare and test are those of the control loop, which holds the
+arm meanwhile.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+import time
 
 from multicontact_control.arrays import Matrix
 from multicontact_control.errors import ConfigError, RunError
@@ -20,6 +22,10 @@ from scipy.spatial.transform import Rotation
 
 WRONG_SCALE = 0.5
 TARE_TIME, FIRST_PUSH, GAP, MARGIN = 0.3, 1.0, 0.8, 0.2  # s
+PASSED, FAILED = 'push test passed', 'push test failed'
+POLL = 0.05  # s
+
+Tell = Callable[[str], None]
 
 
 def fault_mounting(fault: str, seed: int) -> Matrix:
@@ -45,26 +51,23 @@ def push_setup(
     """Resolve a plant whose sensor is mounted like that and which is pushed as the test asks."""
     length = config.settle_time + config.hold_time + MARGIN
     count = len(config.directions)
-    if FIRST_PUSH < TARE_TIME + config.rest_time or GAP < config.rest_time:
-        raise ConfigError('push_test.rest_time', f'at most {FIRST_PUSH - TARE_TIME:g} s in '
-                          'simulation', f'{config.rest_time:g} s')
     setup = sensor_setup(
         plant, seed, robot, sensor={'mounting': mounting.ravel().tolist()},
         tool_push_start=[FIRST_PUSH + i * (length + GAP) for i in range(count)],
         tool_push_duration=[length] * count,
         tool_push_force_world=(config.force * config.directions_world).ravel().tolist())
-    front_end = setup.controller.sensor.model_copy(update={'require_push_test': True})
-    return replace(setup, controller=setup.controller.model_copy(update={'sensor': front_end}))
+    sensor = setup.controller.sensor.model_copy(update={'require_push_test': True})
+    return replace(setup, controller=setup.controller.model_copy(update={'sensor': sensor}))
 
 
-def run_push_test(
-    setup: Setup, config: PushTestConfig, on_instruction: Callable[[str], None] | None = None,
+def push_simulated(
+    setup: Setup, config: PushTestConfig, tell: Tell = lambda text: None,
 ) -> PushTestResult:
     """
     Tare, then push and judge, for a setup of `push_setup`.
 
-    The tare hides a wrong sign at rest: only a push shows it. `on_instruction` is called with each
-    new instruction to the user. Raises RunError if the test does not come to its end,
+    The tare hides a wrong sign at rest: only a push shows it. `tell` is called with each new
+    instruction to the user. Raises RunError if the test does not come to its end,
     CalibrationError if the arm does not keep still enough for a tare.
     """
     # Only now: the simulator is not loaded for the sake of an error.
@@ -81,15 +84,51 @@ def run_push_test(
         tool = control.config.tool.model_copy(
             update={'bias_sensor': tuple(control.tare(TareConfig()).tolist())})
         control.supervisor.reconfigure(control.config.model_copy(update={'tool': tool}))
-        said = control.push_test(config, loop.plant.tool_push_point)
-        if on_instruction is not None:
-            on_instruction(said)
+        instruction = control.push_test(config, loop.plant.tool_push_point)
+        tell(instruction)
         for _ in range(round(3.0 * config.timeout * rate)):
             loop.advance()
-            if on_instruction is not None and gate.instruction != said:
-                on_instruction(said := gate.instruction)
+            if gate.instruction != instruction:
+                tell(instruction := gate.instruction)
             if gate.result is not None:
                 return gate.result
     finally:
         loop.close()
     raise RunError(f'push test: expected an end, found it waiting: {gate.instruction}')
+
+
+def push_running(
+    tell: Tell, *, namespace: str = '', domain_id: int | None = None, timeout: float = 10.0,
+) -> bool:
+    """
+    Lead the user through the push test of a running controller; return whether it was passed.
+
+    `tell` is called with what is to be done, whenever that changes, and with the verdict;
+    `timeout` is the longest wait for an answer, and without diagnostics [s]. Raises RunError if no
+    controller answers, it is not active, or it is silent.
+    """
+    from multicontact_control.nodes import topics
+    from multicontact_control.nodes.link import ControllerLink
+    from std_srvs.srv import Trigger
+
+    with ControllerLink((topics.DIAGNOSTICS,), namespace=namespace, domain_id=domain_id,
+                        timeout=timeout) as link:
+        if (state := link.state(topics.CONTROLLER)) != 'active':
+            raise RunError(f'{topics.CONTROLLER}: expected an active controller, found it {state}')
+        instruction = link.ask('push_test', Trigger, Trigger.Request())
+        tell(instruction)
+        link.queue(topics.DIAGNOSTICS)  # of before the test
+        heard = time.monotonic()
+        while time.monotonic() - heard <= timeout:
+            time.sleep(POLL)
+            for value in (value for report in link.queue(topics.DIAGNOSTICS)
+                          for status in report.status
+                          if status.name.endswith(f'{topics.CONTROLLER}: sensor')
+                          for value in status.values if value.key == 'push_test'):
+                heard = time.monotonic()
+                if value.value != instruction:
+                    tell(instruction := value.value)
+                if instruction.startswith((PASSED, FAILED)):
+                    return instruction.startswith(PASSED)
+    raise RunError(f'{topics.CONTROLLER}: expected diagnostics once a second, found none for '
+                   f'{timeout:g} s')
