@@ -1,4 +1,4 @@
-"""The weight of the tool: found on a simulated arm, where the truth is known, as file and table."""
+"""The weight of the tool: found on a simulated arm, whose tool is known, as file and table."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def tool_file(folder):
     wrenches = [np.concatenate([force := turn.T @ [0.0, 0.0, 9.81], np.cross([0, 0, 0.1], force)])
                 for turn in turns]
     tool = identify_tool([*map(PoseReading, turns, wrenches)], np.array([0.0, 0.0, -9.81]))
-    return write_tool(folder, Calibration(tool, None))
+    return write_tool(folder, tool)
 
 
 def preset_file(folder):
