@@ -14,11 +14,11 @@ import sys
 import time
 
 from campaign.graph import Graph
+from campaign.graph_faults import GRAPH_FAULTS
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.display import count_bar
-from multicontact_control.experiment.faults.fault import GRAPH
 from multicontact_control.experiment.faults.judge import FaultRow
-from multicontact_control.experiment.faults.vocabulary import CLOCK, faults_of, STREAMS
+from multicontact_control.experiment.faults.vocabulary import CLOCK, STREAMS
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.scenario import plants_of, resolve
 from multicontact_control.files import write_json
@@ -30,7 +30,7 @@ from rich.table import Table
 def quick_faults(seed):
     """Return one fault of every kind: what can befall several inputs befalls one of them."""
     by_kind = defaultdict(list)
-    for fault in faults_of(GRAPH).values():
+    for fault in GRAPH_FAULTS.values():
         kind, _, field = fault.kind.rpartition('_')
         kind = kind if field in ('q', 'qd') else fault.kind
         one = '' if fault.input in (*STREAMS, CLOCK) else fault.input  # a node is not like another
@@ -64,8 +64,8 @@ def run_faults(plant, tasks, seed, folder, busy, random=None):
                 if safe:
                     problems = ', '.join(graph.end_all())
                     safe = not problems
-                    yield FaultRow('ended', GRAPH, seed, 'none', 0.0, 0.0, 0.0, safe, plant, '',
-                                   problems, where=GRAPH)
+                    yield FaultRow('ended', 'graph', seed, 'none', 0.0, 0.0, 0.0, safe, plant, '',
+                                   problems)
         finally:
             if safe:  # bags and logs stay where something was not
                 shutil.rmtree(graph_folder)
@@ -100,7 +100,7 @@ def main(arguments=None):
                         help='a new folder (%(default)s)')
     options = parser.parse_args(arguments)
     plants, seed = options.plants[-1:] if options.quick else options.plants, options.seed
-    kinds = quick_faults(seed) if options.quick else list(faults_of(GRAPH).values())
+    kinds = quick_faults(seed) if options.quick else list(GRAPH_FAULTS.values())
     tasks = [(fault, seed) for fault in kinds]
     order, console = np.random.default_rng(seed), Console()
     rows, busy, problems = [], [], []

@@ -5,6 +5,7 @@ Nodes are processes and time is real. The operator presses on every contact and 
 """
 
 from collections import deque, namedtuple
+from dataclasses import replace
 from itertools import takewhile
 import math
 import os
@@ -14,14 +15,13 @@ import subprocess
 import sys
 import time
 
+from campaign.graph_faults import Command, HALT, KILL, NodeChange
 from campaign.relay import INPUTS, PREFIX
 from campaign.soak import oscillating
 from geometry_msgs.msg import Transform, Twist, Vector3
 from multicontact_control.control.tasks import quintic
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.faults import judge
-from multicontact_control.experiment.faults.fault import Command, GRAPH, NodeChange
-from multicontact_control.experiment.faults.vocabulary import HALT, KILL
 from multicontact_control.experiment.graph import spec
 from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.nodes import link, messages, qos, topics
@@ -42,6 +42,8 @@ RETURN_TIME, AMPLITUDE, MOTION_PERIOD = 1.0, 0.03, 3.0  # s, m, s of the motion
 END_TIME, NEAR = 1.0, 0.01  # s after a motion command that nothing follows; m
 QUIET, FAULT_TIME = (0.0, 0.3), (0.1, 0.4)  # s before a fault, and of one
 HALT_TIME, OUTAGE = (0.02, 0.2), (0.0, 0.5)  # s, of a process
+# s without a command while samples come: that counts as silence, and that no controller may take.
+SILENCE, STOPPED = 0.1, 0.3
 POLL_PERIOD, SETTLE_TIME = 0.005, 0.2  # s, the latter to average forces
 WANTED_FORCE, FORCE_TOLERANCE = 10.0, 0.25  # N at every contact, and the share that is near it
 FORCES, REST_TIME = (5.0, 20.0), 3.0  # N of a soak; s, an oscillation shows within 2
@@ -86,7 +88,8 @@ class Graph(link.GuestNode):
         """Start all nodes, and bring every contact to its force."""
         self._relay = subprocess.Popen(
             [sys.executable, str(Path(__file__).with_name('relay.py'))],
-            env={**os.environ, 'ROS_DOMAIN_ID': str(self.spec.domain_id)},
+            env={**os.environ, 'ROS_DOMAIN_ID': str(self.spec.domain_id),
+                 'PYTHONPATH': os.pathsep.join(sys.path)},
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.processes.start_all()
         self.recover()
@@ -282,8 +285,14 @@ class Graph(link.GuestNode):
                 problems += self._press_and_rest()
         except RunError as error:
             problems.append(str(error).splitlines()[0])
-        seen = self.observe(largest, begin, max(begin, end), recovered >= 0.0, problems)
-        return judge.judge(fault, seed, self.setup, seen, where=GRAPH)
+        seen, silences = self.observe(largest, begin, max(begin, end), problems)
+        seen.limited_rate = fault.input != CONTROLLER  # its first command is what the drives do
+        if fault.goes_on and any(stop - start > STOPPED for start, stop in silences):
+            seen.problems.add('commands stopped')
+        row = judge.judge(fault, seed, self.setup, seen)
+        safe = max([row.time_to_safe_s, *(round(stop, 6) for _, stop in silences)])
+        again = recovered >= 0.0 and row.time_to_safe_s >= 0.0
+        return replace(row, time_to_safe_s=safe if again else -1.0)
 
     def _press_and_rest(self):
         """Come to the wanted forces, and let the arm rest; return which of them oscillate."""
@@ -298,8 +307,8 @@ class Graph(link.GuestNode):
         return oscillating(np.array([[values[name] - force for name, force in self.wanted.items()]
                                      for _, values in found]), self.wanted, rate)
 
-    def observe(self, wanted, begin, end, recovered, problems):
-        """Return the `Observation` of a fault from `begin` to `end` [s], and of what followed."""
+    def observe(self, wanted, begin, end, problems):
+        """Return what is seen of a fault from `begin` to `end` [s] and after, and its silences."""
         heard = {topic: self.since(topic, begin) for topic in CHECKED}
         problems = {*problems, *(
             f'{topic.name} not finite' for topic, found in heard.items()
@@ -315,15 +324,14 @@ class Graph(link.GuestNode):
         # commands, on a busy machine long after.
         edges = [begin, *(sent for sent, _ in commands), min([*samples[-1:], self.polled])]
         silences = [(start, stop) for start, stop in zip(edges, edges[1:])
-                    if stop - start > judge.SILENCE and np.count_nonzero(
+                    if stop - start > SILENCE and np.count_nonzero(
                         (samples > start) & (samples < stop)) > 0.5 * (stop - start) * rate]
         return judge.Observation(
             torque=np.array([[values[name] for name in joints] for _, values in commands]).reshape(
                 -1, len(joints)),
             time=samples - begin, force=np.array([max(x.values()) for _, x in forces]),
             reaction=self._reaction(begin, end, silences, rate),
-            silences=[(start - begin, stop - begin) for start, stop in silences],
-            recovered=recovered, problems=problems)
+            problems=problems), [(start - begin, stop - begin) for start, stop in silences]
 
     def _reaction(self, begin, end, silences, rate):
         """Return the reaction that was in force for longest, by the controller's counts."""

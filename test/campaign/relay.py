@@ -8,8 +8,9 @@ from collections import deque
 import sys
 import threading
 
-from multicontact_control.experiment.faults import vocabulary
-from multicontact_control.experiment.faults.fault import Delivery, Edit, GRAPH
+from campaign.graph_faults import GRAPH_FAULTS, Resending
+from multicontact_control.experiment.faults.fault import Edit
+from multicontact_control.experiment.faults.vocabulary import CLOCK, PERIOD
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.runtime import make_executor, start_ros
 import numpy as np
@@ -64,7 +65,7 @@ class Stream:
             return [data]
         n, action = self._passed, self._fault.action
         self._passed += 1
-        if isinstance(action, Delivery):
+        if isinstance(action, Resending):
             last = len(self.history) - 1
             return [self.history[max(0, last - age)] for age in action.ages(self._random, n)]
         message = deserialize_message(data, self._message)
@@ -102,10 +103,10 @@ def main():
             if line.strip():
                 source, kind, seed = line.split()
                 hit = [streams[x] for x in (
-                    ('joints', 'wrench') if source == vocabulary.CLOCK else (source,))]
-                start = max(x.newest_stamp() for x in hit) + round(1e9 * vocabulary.PERIOD)
+                    ('joints', 'wrench') if source == CLOCK else (source,))]
+                start = max(x.newest_stamp() for x in hit) + round(1e9 * PERIOD)
                 for stream in hit:
-                    stream.begin(vocabulary.faults_of(GRAPH)[kind, source], int(seed), start)
+                    stream.begin(GRAPH_FAULTS[kind, source], int(seed), start)
             print('done', flush=True)
         ended.set()
 

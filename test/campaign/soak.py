@@ -22,11 +22,11 @@ from multicontact_control.control.tasks import MotionReading, quintic
 from multicontact_control.errors import CommandError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.display import count_bar
-from multicontact_control.experiment.faults.fault import GRAPH, PlantEdit, PROCESS
+from multicontact_control.experiment.faults.fault import PlantEdit
 from multicontact_control.experiment.faults.in_process import advance_with, Occurrence
 from multicontact_control.experiment.faults.judge import MET_FORCE, never_allowed, Observation
 from multicontact_control.experiment.faults.situation import with_obstacles
-from multicontact_control.experiment.faults.vocabulary import faults_of
+from multicontact_control.experiment.faults.vocabulary import FAULTS
 from multicontact_control.experiment.oscillation import oscillations
 from multicontact_control.experiment.scenario import plants_of
 from multicontact_control.supervision.contacts import HOLDING, NAMES
@@ -53,7 +53,7 @@ class ProcessSoak:
         self.setup = with_obstacles('quick', plant, seed)
         self.loop = ClosedLoop(self.setup, commanded=True)
         self._random = np.random.default_rng(seed)
-        self._faults = [x for x in faults_of(PROCESS).values() if not (
+        self._faults = [x for x in FAULTS if not (
             isinstance(x.action, PlantEdit) and x.action.end is None)]  # the world is as before
         config = self.setup.controller
         self._rate, self._period = config.rate, config.period
@@ -199,8 +199,9 @@ def process_episodes(plant, seed, _folder):
 def graph_episodes(plant, seed, folder):
     """Yield the lines of a soak over graphs."""
     from campaign.faults import run_faults  # needs ROS
+    from campaign.graph_faults import GRAPH_FAULTS
 
-    random, faults = np.random.default_rng(seed), list(faults_of(GRAPH).values())
+    random, faults = np.random.default_rng(seed), list(GRAPH_FAULTS.values())
     tasks = ((faults[int(random.integers(len(faults)))], k) for k in count())
     begin = time.monotonic()
     for row in run_faults(plant, tasks, seed, folder, [], random):
@@ -258,7 +259,8 @@ def main(arguments=None):
         parser.error(f'--hours: expected a number > 0, found {options.hours:g}')
     parts = max(len(options.plants), math.ceil(3600.0 * options.hours / LONGEST_PART))
     duration = 3600.0 * options.hours / parts
-    place, start = (GRAPH, graph_episodes) if options.graph else (PROCESS, process_episodes)
+    place, start = ('graph', graph_episodes) if options.graph else (
+        'process', process_episodes)
     options.out.mkdir(parents=True, exist_ok=True)
     found = {}
     with count_bar() as progress:

@@ -3,9 +3,8 @@
 import json
 
 from campaign.faults import run_faults
+from campaign.graph_faults import GRAPH_FAULTS
 from campaign.soak import process_episodes, ProcessSoak, soak
-from multicontact_control.experiment.faults.fault import GRAPH
-from multicontact_control.experiment.faults.vocabulary import faults_of
 from multicontact_control.nodes.topics import CONTROLLER
 import numpy as np
 import pytest
@@ -40,7 +39,7 @@ def test_soak_reports_an_oscillating_force():
 def test_running_graph_survives_faults(tmp_path, monkeypatch):
     monkeypatch.delenv('ROS_DOMAIN_ID', raising=False)
     chosen = [('killed', CONTROLLER), ('nan', 'variance'), ('unknown_contact', 'forces command')]
-    rows = [*run_faults('rigid', [(faults_of(GRAPH)[key], 0) for key in chosen], 0, tmp_path, [])]
+    rows = [*run_faults('rigid', [(GRAPH_FAULTS[key], 0) for key in chosen], 0, tmp_path, [])]
     assert {row.kind for row in rows} == {*(kind for kind, _ in chosen), 'ended'}
     assert {row.problems for row in rows} <= {'', 'commands stopped'}  # on a busy machine
     assert next(x for x in rows if x.kind == 'killed').reaction == 'silent'

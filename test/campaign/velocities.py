@@ -19,16 +19,15 @@ from multicontact_control.control.tasks import MotionReading, quintic
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, RunError
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.fault import PROCESS
-from multicontact_control.experiment.faults.in_process import Corruptor
-from multicontact_control.experiment.faults.vocabulary import faults_of
+from multicontact_control.experiment.faults.in_process import Occurrence
+from multicontact_control.experiment.faults.vocabulary import FAULTS as EVERY_FAULT
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-FAULTS = {f'{x.input}:{x.kind}': x for x in faults_of(PROCESS).values() if x.from_start}
+FAULTS = {f'{x.input}:{x.kind}': x for x in EVERY_FAULT if x.from_start}
 ARMS = {'puma': (6, 'rigid', {}), 'panda': (7, 'panda/rigid', {}),
         'panda-mujoco': (7, 'panda/rigid', {'engine': 'mujoco'})}
 LARGEST = {'rad/s beyond': 0.3, 'N': 20.0, 'mm': 5.0}
@@ -60,10 +59,10 @@ def run(cell):
     speeds, forces, places, corrupt = [], [0.0], [], None
     with closing(ClosedLoop(setup, commanded=True)) as loop, suppress(RunError):
         if fault:  # the middle of the share that a place has of random numbers, and a sign
-            corruptor = Corruptor(fault, fault.random(0), loop)
+            occurrence = Occurrence(fault, fault.random(0), loop)
             count = len(getattr(loop.inputs(), fault.input)[1])
-            corruptor.choice = np.array([(cell.place % count + 0.5) / count, cell.place // count])
-            corrupt = corruptor.corrupt
+            occurrence.choice = np.array([(cell.place % count + 0.5) / count, cell.place // count])
+            corrupt = occurrence.corrupt  # throughout
         home = robot.update(loop.sample.q, loop.sample.qd).pose
         for _ in range(LONG_TICKS if cell.fault.startswith('wrench') else TICKS):
             loop.advance(corrupt)  # RunError: thrown out of all numbers

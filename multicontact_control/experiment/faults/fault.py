@@ -1,4 +1,4 @@
-"""What a fault is: what is done to what, where and when, and what must follow."""
+"""What a fault is: what is done to what, when, and what must follow."""
 
 from __future__ import annotations
 
@@ -9,64 +9,32 @@ from typing import Any
 from multicontact_control.arrays import Vector
 import numpy as np
 
-PROCESS, GRAPH = 'process', 'graph'
+PROCESS = 'process'
 TWO = 'two at once'
-BOTH, IN_PROCESS, OVER_GRAPH = (PROCESS, GRAPH), (PROCESS,), (GRAPH,)
 START, APPROACH, REST, SLIDING = 'start', 'approach', 'rest', 'sliding'
 PHASES = (REST, SLIDING, APPROACH)
 
 Random = np.random.Generator
-Ages = Callable[[Random, int], tuple[int, ...]]
-Change = Callable[[Any, Vector], Any]
-PlantChange = Callable[[Any, Vector], None]  # of a plant; the relay does without the simulator
+Change = Callable[[Any, Vector], Any]  # of old values and four numbers drawn once from (0, 1)
+PlantChange = Callable[[Any, Vector], None]
 
 
 @dataclass(frozen=True)
 class Delivery:
-    """
-    Other readings than the newest.
+    """Another reading than the newest: from how many ticks ago in the n-th tick, or none."""
 
-    Attributes
-    ----------
-    ages
-        What comes instead of the n-th reading since the fault began, by how many readings ago it
-        was the newest. A tick in process takes in the last of them.
-    sampled
-        The same in process, where that is not what ticks would see.
-
-    """
-
-    ages: Ages
-    sampled: Ages | None = None
+    age: Callable[[Random, int], int | None]
 
 
 @dataclass(frozen=True)
 class Edit:
-    """
-    Other values in some fields of a reading (``q qd names wrench variance``).
-
-    Attributes
-    ----------
-    fields
-        Which.
-    change
-        Makes the new values of the old ones and of four numbers drawn once, uniform over (0, 1);
-        none keeps those of the first reading, while stamps go on.
-    source
-        The field whose values are changed into those of `fields`, in process; empty for their own.
-    age
-        In process, how many readings ago the values without a change were; 0 for those of the
-        first.
-    single
-        Whether one number of each field, in a random place, becomes other, and not all.
-
-    """
+    """Other values in some fields of a reading (``q qd wrench variance``); stamps go on."""
 
     fields: tuple[str, ...]
-    change: Change | None
-    source: str = ''
-    age: int = 0
-    single: bool = False
+    change: Change | None  # None keeps the values of the first reading
+    source: str = ''  # field whose values are changed into those of `fields`; '' for their own
+    age: int = 0  # how many readings ago the values without a change were; 0 for the first
+    single: bool = False  # one number of each field, in a random place, and not all
 
     def values(
         self, now: Mapping[str, Any], first: Mapping[str, Any], choice: Vector,
@@ -86,18 +54,9 @@ class Edit:
 
 @dataclass(frozen=True)
 class ClockShift:
-    """
-    A clock that goes wrong.
+    """A clock that goes wrong, with the stamps of the readings or without."""
 
-    Attributes
-    ----------
-    shift
-        By how much, from the time since the fault began and the time when it did [s].
-    stamps
-        Whether, in process, the stamps of the readings go with it; over the graph only they do.
-
-    """
-
+    # By how much, from the time since the fault began and the time when it did [s].
     shift: Callable[[float, float], float]
     stamps: bool = True
 
@@ -111,86 +70,35 @@ class Breakdown:
 
 @dataclass(frozen=True)
 class PlantEdit:
-    """What is done to the plant at the beginning and at the end; numbers as for `Edit`."""
+    """What is done to the plant at the beginning and at the end."""
 
     begin: PlantChange
     end: PlantChange | None = None
 
 
 @dataclass(frozen=True)
-class NodeChange:
-    """What is done to a node: ``kill``, ``halt``, or the transitions that it is led through."""
-
-    steps: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Command:
-    """
-    A command that nobody asked for: a change of a rightful message of that topic.
-
-    It is sent again and again beside those of the rightful user, or once and as the last of
-    theirs.
-    """
-
-    change: Callable[[Any], None]
-    last: bool = False
-
-
-@dataclass(frozen=True)
 class Fault:
-    """
-    One kind of fault.
-
-    Attributes
-    ----------
-    kind, input
-        Name, and what it befalls.
-    action
-        What is done.
-    declared
-        Reactions of which one must be in force two ticks after the beginning, in process; none if
-        the fault cannot be told from a good input or is bridged.
-    phases
-        Phases in which it can be told at all.
-    where
-        Where it can happen.
-    goes_on
-        Whether the controller of a graph must go on commanding meanwhile.
-    at_once
-        Whether a declared reaction may not wait until the reading has become too old.
-    ticks
-        How long it lasts in process, at least and less than.
-    from_start
-        Whether it also happens from the first sample on, and the joints' speeds are judged.
-    meets
-        Number of the obstacle that the arm meets before its wrist sensor, in process: it must
-        notice.
-    parts
-        What happens at the same time, if this is two faults.
-
-    """
+    """One kind of fault."""
 
     kind: str
     input: str  # noqa: A003
-    action: Delivery | Edit | ClockShift | Breakdown | PlantEdit | NodeChange | Command
+    action: Any  # one of the above
+    # Reactions of which one must be in force two ticks after the beginning; none if the fault
+    # cannot be told from a good input or is bridged.
     declared: tuple[str, ...] = ()
-    phases: tuple[str, ...] = PHASES
-    where: tuple[str, ...] = BOTH
-    goes_on: bool = True
-    at_once: bool = False
-    ticks: tuple[int, int] = (5, 150)
-    from_start: bool = False
-    meets: int | None = None
-    parts: tuple[Fault, ...] = ()
+    phases: tuple[str, ...] = PHASES  # in which it can be noticed at all
+    at_once: bool = False  # a declared reaction may not wait until the reading is too old
+    ticks: tuple[int, int] = (5, 150)  # how long it lasts, at least and less than
+    from_start: bool = False  # also happens from the first sample on; joint speeds are judged
+    meets: int | None = None  # obstacle that the arm meets before its sensor and must notice
+    parts: tuple[Fault, ...] = ()  # what happens at the same time, of two faults
 
     @property
     def passes(self) -> bool:
         """Whether the arm can do again what it did, once it has passed, with all its parts."""
         if self.parts:
             return all(part.passes for part in self.parts)
-        told = isinstance(self.action, Delivery) or bool(self.declared)
-        return told or isinstance(self.action, Breakdown)
+        return isinstance(self.action, (Delivery, Breakdown)) or bool(self.declared)
 
     def expected(self, phase: str) -> tuple[str, ...]:
         """Return the declared reactions in a phase."""

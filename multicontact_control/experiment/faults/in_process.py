@@ -15,7 +15,6 @@ from multicontact_control.experiment.faults.fault import (
     Edit,
     Fault,
     PlantEdit,
-    PROCESS,
     Random,
     START,
     TWO,
@@ -28,49 +27,17 @@ import numpy as np
 RUN_TICKS = 600
 
 
-class Corruptor:
-    """Does to the inputs of ticks what a fault does to readings, from this tick of a loop on."""
-
-    def __init__(self, fault: Fault, random: Random, loop: ClosedLoop) -> None:
-        self._fault, self._random = fault, random
-        self._first, self._history = loop.inputs(), list(loop.history)
-        self._passed = 0
-        self.choice: Vector = random.random(4)
-
-    def corrupt(self, inputs: TickInputs) -> TickInputs:
-        """Return what becomes of the inputs of the next tick."""
-        n, source, action = self._passed, self._fault.input, self._fault.action
-        self._passed += 1
-        self._history.append(inputs)
-        if isinstance(action, ClockShift):
-            begin = self._first.time
-            shift = action.shift(inputs.time - begin, begin)
-            stamped = ('joints', 'wrench', 'variance') if action.stamps else ()
-            return inputs._replace(time=inputs.time + shift, **{
-                name: reading._replace(stamp=reading.stamp + shift) for name in stamped
-                if (reading := getattr(inputs, name)) is not None})
-        if isinstance(action, Delivery):
-            ages = (action.sampled or action.ages)(self._random, n)
-            delivered: Any = getattr(self._history[-1 - ages[-1]], source) if ages else None
-            return inputs._replace(**{source: delivered})
-        if isinstance(action, Edit):
-            before = self._history[-1 - action.age:][0] if action.age else self._first
-            reading, first = getattr(inputs, source), getattr(before, source)
-            values = action.values(reading._asdict(), first._asdict(), self.choice)
-            return inputs._replace(**{source: reading._replace(**values)})
-        return inputs
-
-
 class Occurrence:
-    """A fault in a closed loop from its first tick on; it `lasts` some ticks."""
+    """A fault in a closed loop from its next tick on; it `lasts` some ticks."""
 
     def __init__(self, fault: Fault, random: Random, loop: ClosedLoop) -> None:
-        self._action, self._loop = fault.action, loop
-        self._corruptor = Corruptor(fault, random, loop)
+        self._fault, self._action, self._random, self._loop = fault, fault.action, random, loop
+        self._first, self._history = loop.inputs(), list(loop.history)
+        self.choice: Vector = random.random(4)
         self.lasts = int(random.integers(*fault.ticks))
         self._tick = 0
         if isinstance(self._action, PlantEdit):
-            self._action.begin(loop.plant, self._corruptor.choice)
+            self._action.begin(loop.plant, self.choice)
         if isinstance(self._action, Breakdown):
             part = self._action.part
 
@@ -85,7 +52,27 @@ class Occurrence:
 
     def corrupt(self, inputs: TickInputs) -> TickInputs:
         """Return what becomes of the inputs of a tick."""
-        return self._corruptor.corrupt(inputs) if self._tick < self.lasts else inputs
+        if self._tick >= self.lasts:
+            return inputs
+        source, action = self._fault.input, self._action
+        self._history.append(inputs)
+        if isinstance(action, ClockShift):
+            begin = self._first.time
+            shift = action.shift(inputs.time - begin, begin)
+            stamped = ('joints', 'wrench', 'variance') if action.stamps else ()
+            return inputs._replace(time=inputs.time + shift, **{
+                name: reading._replace(stamp=reading.stamp + shift) for name in stamped
+                if (reading := getattr(inputs, name)) is not None})
+        if isinstance(action, Delivery):
+            age = action.age(self._random, self._tick)
+            delivered: Any = None if age is None else getattr(self._history[-1 - age], source)
+            return inputs._replace(**{source: delivered})
+        if isinstance(action, Edit):
+            before = self._history[-1 - action.age:][0] if action.age else self._first
+            reading, first = getattr(inputs, source), getattr(before, source)
+            values = action.values(reading._asdict(), first._asdict(), self.choice)
+            return inputs._replace(**{source: reading._replace(**values)})
+        return inputs
 
     def advanced(self) -> None:
         """Take note that a tick is over; end the fault if it was the last."""
@@ -93,19 +80,14 @@ class Occurrence:
         if self._tick != self.lasts:
             return
         if isinstance(self._action, PlantEdit) and self._action.end is not None:
-            self._action.end(self._loop.plant, self._corruptor.choice)
+            self._action.end(self._loop.plant, self.choice)
         if isinstance(self._action, Breakdown):
             delattr(*self._broken(self._action.part))
 
 
 def advance_with(found: Sequence[Occurrence], loop: ClosedLoop) -> None:
     """Take a tick of a loop in which all of these happen."""
-    def corrupt(inputs: TickInputs) -> TickInputs:
-        for each in found:
-            inputs = each.corrupt(inputs)
-        return inputs
-
-    loop.advance(corrupt)
+    loop.advance(lambda inputs: reduce(lambda some, each: each.corrupt(some), found, inputs))
     for each in found:
         each.advanced()
 
@@ -135,6 +117,7 @@ def run_fault(
         found.append(Occurrence(other, other.random(seed), loop))
     lasted = max(each.lasts for each in found)
     before = loop.command.copy()
+    breaks = any(isinstance(each.action, Breakdown) for each in (fault, other) if each)
     torques, forces, met, reactions, speeds = [], [], [], [], []
     problems: set[str] = set()
 
@@ -145,18 +128,17 @@ def run_fault(
         met.append(loop.obstacle_forces)
         reactions.append(loop.status.reaction)
         speeds.append(np.abs(loop.plant.arm.qd).max())
-        if any(cause.startswith('internal') for cause in loop.status.causes) and not any(
-                isinstance(each.action, Breakdown) for each in (fault, other) if each):
+        if not breaks and any(cause.startswith('internal') for cause in loop.status.causes):
             problems.add(loop.status.causes[0])
     # At the ends of the ticks: a force above the ceiling lasts until then.
-    period = loop.setup.controller.period
-    time: Vector = period * np.arange(1.0, RUN_TICKS + 1.0)
+    time: Vector = loop.setup.controller.period * np.arange(1.0, RUN_TICKS + 1.0)
     return judge(fault if other is None else together(fault, other), seed, loop.setup, Observation(
         torque=np.array(torques), before=before, time=time, force=np.max(forces, axis=1),
         reaction=max(reactions[:lasted], key=SEVERITY.index), reactions=reactions,
-        forces=np.array(forces), wanted=loop.setup.commanded(begin * period + time),
+        forces=np.array(forces),
+        commands=loop.setup.commanded(begin * loop.setup.controller.period + time),
         met=np.array(met), noticed=bool(loop.control.events.collisions.total() > known),
-        speed=max(speeds), lasted=lasted, problems=problems), where=PROCESS, phase=phase)
+        speed=max(speeds), lasted=lasted, problems=problems), phase=phase)
 
 
 def together(fault: Fault, other: Fault) -> Fault:

@@ -54,16 +54,16 @@ def observed(setup, torque=0.0, **changes):
 @pytest.mark.parametrize('kind', [('nan', 'wrench'), ('nan_q', 'joints')])
 def test_declared_reaction_that_does_not_come_is_not_safe(world, kind):
     seen = observed(world.setup, reactions=['none'] * RUN_TICKS, lasted=100)
-    assert not judge(KINDS[kind], 1, world.setup, seen, where=PROCESS, phase=REST).safe
+    assert not judge(KINDS[kind], 1, world.setup, seen, phase=REST).safe
     seen.reactions = [*['none'] * 2, *['float'] * 598]
-    assert judge(KINDS[kind], 1, world.setup, seen, where=PROCESS, phase=REST).safe
+    assert judge(KINDS[kind], 1, world.setup, seen, phase=REST).safe
 
 
 @pytest.mark.parametrize(('speed', 'safe'), [(FASTEST - 0.1, True), (FASTEST + 0.1, False)])
 def test_joint_may_not_be_fast_while_its_speed_is_wrong(world, speed, safe):
     seen = observed(world.setup, speed=speed)
     for kind, limited in (('in_degrees_qd', True), ('nan_q', False)):
-        row = judge(KINDS[kind, 'joints'], 1, world.setup, seen, where=PROCESS)
+        row = judge(KINDS[kind, 'joints'], 1, world.setup, seen)
         assert row.safe == (safe or not limited)
 
 
@@ -76,5 +76,5 @@ def test_obstacle_may_not_be_pressed_hard_and_is_to_be_noticed_at_the_elbow(
     met[100, wall] = force
     obstacle, other = KINDS['elbow_obstacle', 'plant'], KINDS['nan', 'wrench']
     for fault in (obstacle, together(obstacle, other), together(other, obstacle)):
-        row = judge(fault, 1, world.setup, observed(world.setup, met=met), where=PROCESS)
+        row = judge(fault, 1, world.setup, observed(world.setup, met=met))
         assert (row.safe, row.peak_force_n) == (safe, force)

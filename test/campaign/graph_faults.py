@@ -1,0 +1,146 @@
+"""The faults of a running graph: of its nodes, messages and commands, beside those in process."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from multicontact_control.experiment.faults.fault import ClockShift, Edit, Fault
+from multicontact_control.experiment.faults.vocabulary import (
+    CLOCK,
+    FAULTS,
+    FLOAT,
+    INFLATE,
+    LOSS,
+    REACTIONS,
+    STOPPED,
+)
+from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM
+
+NAN, INF = math.nan, math.inf
+KILL, HALT = ('kill',), ('halt',)
+BURST = 10  # messages that come at once
+JUMP = 0.1  # m
+ONLY_IN_PROCESS = {  # a message always has six numbers; and what messages cannot tell
+    ('wrong_count', 'wrench'), ('scaled_x3', 'wrench'), ('saturated_qd', 'joints'),
+    ('frozen_q', 'joints'), ('frozen_qd', 'joints'), ('wrapped_q', 'joints'), ('nan', CLOCK),
+    ('too_slow', CLOCK), ('jump_ahead', CLOCK)}
+
+
+@dataclass(frozen=True)
+class Resending:
+    """Other messages than the n-th since the fault began, by how many messages ago they came."""
+
+    ages: Callable[[Any, int], tuple[int, ...]]
+
+
+@dataclass(frozen=True)
+class NodeChange:
+    """What is done to a node: ``kill``, ``halt``, or the transitions that it is led through."""
+
+    steps: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Command:
+    """A wrong command: a change of a rightful message, sent beside those, or as the last one."""
+
+    change: Callable[[Any], None]
+    last: bool = False
+
+
+@dataclass(frozen=True)
+class GraphFault(Fault):
+    """A fault of a graph; the controller may have to go on commanding meanwhile."""
+
+    goes_on: bool = True
+
+
+def _messages():
+    ways = {
+        'dropped': lambda random, n: (), 'delayed': lambda random, n: (10,),
+        'stuck': lambda random, n: (n + 1,), 'out_of_order': lambda random, n: (0, 25),
+        'duplicated': lambda random, n: (0, 0),
+        'reordered': lambda random, n: (0, 1) if n % 2 else (),
+        'intermittent': lambda random, n: () if random.random() < LOSS else (0,),
+        'burst': lambda random, n: tuple(range(BURST))[::-1] if n % BURST == BURST - 1 else ()}
+    names = {'wrong_names': lambda names, _: [f'other_{name}' for name in names],
+             'missing_name': lambda names, _: names[:-1],
+             'doubled_name': lambda names, _: [names[0], *names[:-1]]}
+    return [
+        *(GraphFault(kind, stream, Resending(ages)) for stream in REACTIONS
+          for kind, ages in ways.items()),
+        *(GraphFault(kind, stream, Edit(('names',), change), declared)
+          for stream, declared in (('joints', FLOAT), ('variance', INFLATE))
+          for kind, change in names.items()),
+        GraphFault('ahead', CLOCK, ClockShift(lambda since, begin: 0.1), STOPPED),
+        GraphFault('zero', CLOCK, ClockShift(lambda since, begin: -INF), STOPPED)]
+
+
+def _nodes():
+    down, twice = ('deactivate',), ('deactivate', 'activate') * 2
+    anew = ('deactivate', 'cleanup', 'configure')
+    return [GraphFault(kind, node, NodeChange(steps), goes_on=goes_on)
+            for kind, node, steps, goes_on in (
+                ('killed', ESTIMATOR, KILL, True), ('killed', CONTROLLER, KILL, False),
+                ('killed', RECORDER, KILL, True), ('halted', ESTIMATOR, HALT, True),
+                ('halted', CONTROLLER, HALT, False), ('halted', RECORDER, HALT, True),
+                ('halted', SIM, HALT, False), ('deactivated', ESTIMATOR, down, True),
+                ('deactivated', CONTROLLER, down, True), ('reactivated', CONTROLLER, twice, True),
+                ('cleaned_up', ESTIMATOR, anew, True), ('cleaned_up', CONTROLLER, anew, False))]
+
+
+def _efforts(*efforts, names=None):
+    """Return a change of a command of forces, of the first contacts or under other names."""
+    def change(message):
+        message.name = list(message.name[:max(1, len(efforts))] if names is None else names)
+        message.effort = list(efforts)
+    return change
+
+
+def _set(path, value, *, add=False):
+    """Return a change of one number of a message, by the names that lead to it."""
+    *way, last = path.split('.')
+
+    def change(message):
+        part = message
+        for name in way:
+            part = part[int(name)] if name.isdigit() else getattr(part, name)
+        setattr(part, last, value + (getattr(part, last) if add else 0.0))
+    return change
+
+
+def _poses(count):
+    def change(message):
+        message.transforms = (list(message.transforms) * count)[:count]
+    return change
+
+
+def _commands():
+    forces = {
+        'nan': _efforts(NAN, 5.0), 'infinite': _efforts(5.0, INF), 'negative': _efforts(-5.0),
+        'beyond_ceiling': _efforts(1000.0), 'wrong_count': _efforts(5.0, 5.0, names=['table']),
+        'unknown_contact': _efforts(5.0, names=['nowhere']), 'empty': _efforts(names=[])}
+    motions = {
+        'nan': _set('transforms.0.translation.x', NAN),
+        'nan_twist': _set('velocities.0.linear.y', NAN),
+        'infinite': _set('accelerations.0.linear.z', INF),
+        'no_pose': _poses(0), 'two_poses': _poses(2),
+        'no_rotation': _set('transforms.0.rotation.w', 5.0),
+        'outside_box': _set('transforms.0.translation.z', 50.0),
+        'jump': _set('transforms.0.translation.x', JUMP, add=True)}
+    # A stream of motions that ends, with the last twist in it.
+    ends = {'ends_at_speed': 0.2, 'ends_too_fast': 10.0}
+    return [GraphFault(kind, f'{topic} command', Command(change))
+            for topic, changes in (('forces', forces), ('motion', motions))
+            for kind, change in changes.items()] + [
+        GraphFault(kind, 'motion command', Command(
+            _set('velocities.0.linear.x', speed), last=True)) for kind, speed in ends.items()]
+
+
+GRAPH_FAULTS = {(fault.kind, fault.input): fault for fault in (
+    *_nodes(), *_messages(), *(
+        GraphFault(fault.kind, fault.input, fault.action, fault.declared, fault.phases)
+        for fault in FAULTS if isinstance(fault.action, (Edit, ClockShift))
+        and not fault.from_start and (fault.kind, fault.input) not in ONLY_IN_PROCESS),
+    *_commands())}
