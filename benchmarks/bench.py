@@ -36,7 +36,7 @@ import psutil
 import pybullet
 from rich.console import Console
 from rich.table import Table
-from sim_bridge.bullet_arm import BulletArm
+from sim_bridge.engines import BulletArm
 from sim_bridge.plant import Plant
 
 RATE = 500.0  # Hz

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 import math
 from typing import Literal
 
-from multicontact_control.config import Config, parameter, Real, UnitVector3, Vector, Vector3
+from multicontact_control.config import (
+    Config,
+    cross_check,
+    parameter,
+    Real,
+    UnitVector3,
+    Vector,
+    Vector3,
+)
 from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import ConfigError, counted
-from pydantic import model_validator
 
 MAX_ACTUATOR_DELAY = 5
 
@@ -83,16 +91,14 @@ class SensorConfig(Config):
     low_pass_cutoff: Real = parameter(
         125.0, 'Cut-off of the last of the cascaded low-passes.', unit='Hz', gt=0.0)
 
-    @model_validator(mode='after')
-    def _check_lengths(self) -> SensorConfig:
-        for name in ('bias', 'full_scale'):
-            if len(getattr(self, name)) != 6:
-                raise ConfigError(f'sensor.{name}', '6 values', len(getattr(self, name)))
-        if len(self.mounting) not in (0, 9):
-            raise ConfigError('sensor.mounting', '9 values or none', len(self.mounting))
+    @cross_check
+    def _check(self) -> Iterator[ConfigError]:
+        for name, counts in (('bias', (6,)), ('full_scale', (6,)), ('mounting', (0, 9))):
+            if len(getattr(self, name)) not in counts:
+                yield ConfigError(
+                    f'sensor.{name}', f'{counts[-1]} values', len(getattr(self, name)))
         if min(self.full_scale) <= 0.0:
-            raise ConfigError('sensor.full_scale', 'values above 0', min(self.full_scale))
-        return self
+            yield ConfigError('sensor.full_scale', 'values above 0', min(self.full_scale))
 
 
 class PlantConfig(Config):
@@ -141,76 +147,59 @@ class PlantConfig(Config):
     tool_push_link: str = parameter(
         'tip_board', 'URDF link, carried by the last joint, at whose origin the tool is pushed.')
 
-    @model_validator(mode='after')
-    def _check_across_fields(self) -> PlantConfig:
+    @cross_check
+    def _check(self) -> Iterator[ConfigError]:
         for field, known in (('contact_names', set(self.contacts.values())),
                              ('obstacle_names', set(self.surfaces))):
             for name in getattr(self, field):
                 if name not in known:
-                    raise ConfigError(
+                    yield ConfigError(
                         field, f'names among {", ".join(sorted(known))}', f"'{name}'")
         for names in (self.met, self.contact_names):
             if len(set(names)) != len(names):
-                raise ConfigError('contact_names', 'distinct names, obstacle_names included',
+                yield ConfigError('contact_names', 'distinct names, obstacle_names included',
                                   list(names))
-        self._check_surfaces()
-        self._check_lengths()
-        self._check_native()
-        for name in ('drive_stiffness', 'torque_limit'):
-            if min(getattr(self, name), default=1.0) <= 0.0:
-                raise ConfigError(name, 'values above 0', min(getattr(self, name)))
-        for name in ('drive_damping', 'push_duration', 'push_start', 'tool_push_duration',
-                     'tool_push_start'):
-            if min(getattr(self, name), default=0.0) < 0.0:
-                raise ConfigError(name, 'no negative value', min(getattr(self, name)))
-        return self
-
-    def _check_surfaces(self) -> None:
         for name, surface in self.surfaces.items():
-            field = f'surfaces.{name}'
-            if (surface.shape == 'plane') != (surface.radius == 0.0):
-                raise ConfigError(
-                    f'{field}.radius', '0 for a plane, and another number for what is curved',
-                    f'{surface.radius:g} of a {surface.shape}')
-            if surface.mass > 0.0 and surface.velocity != 0.0:
-                raise ConfigError(f'{field}.velocity', '0 of a body that gives way (mass)',
-                                  f'{surface.velocity:g} m/s')
-            # Springs and dampers that are not too quick for a step.
-            least = self.substep * max(surface.damping + surface.mount_damping, self.substep * (
-                surface.stiffness + surface.mount_stiffness))
-            if 0.0 < surface.mass < least:
-                raise ConfigError(
-                    f'{field}.mass', f'0 or at least {least:.2g} kg with its springs, dampers and '
-                    'this substep', surface.mass)
-
-    def _check_native(self) -> None:
-        if self.contact == 'compliant':
-            return
-        if self.engine != 'mujoco':
-            raise ConfigError('contact', 'compliant with this engine', 'native')
-        if self.drives == 'rigid' and self.joint_friction_scale > 0.0:
-            raise ConfigError('joint_friction_scale', '0 with rigid drives and native contacts',
-                              self.joint_friction_scale)
-        for name in self.met:
-            surface = self.surfaces[name]
-            if surface.shape != 'plane' or surface.moves:
-                raise ConfigError(
-                    f'surfaces.{name}', 'a plane at rest with native contacts',
-                    f'a {surface.shape} that {"moves" if surface.moves else "rests"}')
-
-    def _check_lengths(self) -> None:
-        joints, pushes = len(self.home), len(self.push_start)
-        tool_pushes = len(self.tool_push_start)
-        flexible = self.drives == 'flexible'
-        wanted = {
-            'drive_stiffness': joints, 'drive_damping': joints, 'torque_limit': joints,
-            'push_duration': pushes, 'push_force_world': 3 * pushes,
-            'tool_push_duration': tool_pushes, 'tool_push_force_world': 3 * tool_pushes}
-        for name, count in wanted.items():
-            found = len(getattr(self, name))
+            yield from self._check_surface(f'surfaces.{name}', surface)
+        joints, flexible = len(self.home), self.drives == 'flexible'
+        counts = {'drive_stiffness': joints, 'drive_damping': joints, 'torque_limit': joints}
+        for kind in ('push', 'tool_push'):
+            pushes = len(getattr(self, f'{kind}_start'))
+            counts |= {f'{kind}_duration': pushes, f'{kind}_force_world': 3 * pushes}
+        for name, count in counts.items():
+            values = getattr(self, name)
             optional = name == 'torque_limit' or (name.startswith('drive') and not flexible)
-            if found != count and not (optional and found == 0):
-                raise ConfigError(name, counted(count, 'values'), found)
+            if len(values) != count and not (optional and not values):
+                yield ConfigError(name, counted(count, 'values'), len(values))
+            least = min(values, default=1.0)
+            if name in ('drive_stiffness', 'torque_limit') and least <= 0.0:
+                yield ConfigError(name, 'values above 0', least)
+            elif not name.endswith('force_world') and least < 0.0:
+                yield ConfigError(name, 'no negative value', least)
+        if self.contact == 'native' and self.engine != 'mujoco':
+            yield ConfigError('contact', 'compliant with this engine', 'native')
+        if self.contact == 'native' and self.drives == 'rigid' and self.joint_friction_scale > 0.0:
+            yield ConfigError('joint_friction_scale', '0 with rigid drives and native contacts',
+                              self.joint_friction_scale)
+
+    def _check_surface(self, field: str, surface: SurfaceConfig) -> Iterator[ConfigError]:
+        if (surface.shape == 'plane') != (surface.radius == 0.0):
+            yield ConfigError(
+                f'{field}.radius', '0 for a plane, and another number for what is curved',
+                f'{surface.radius:g} of a {surface.shape}')
+        if surface.mass > 0.0 and surface.velocity != 0.0:
+            yield ConfigError(f'{field}.velocity', '0 of a body that gives way (mass)',
+                              f'{surface.velocity:g} m/s')
+        # Springs and dampers that are not too quick for a step.
+        least = self.substep * max(surface.damping + surface.mount_damping, self.substep * (
+            surface.stiffness + surface.mount_stiffness))
+        if 0.0 < surface.mass < least:
+            yield ConfigError(
+                f'{field}.mass', f'0 or at least {least:.2g} kg with its springs, dampers and '
+                'this substep', surface.mass)
+        if self.contact == 'native' and (surface.shape != 'plane' or surface.moves):
+            yield ConfigError(field, 'a plane at rest with native contacts',
+                              f'a {surface.shape} that {"moves" if surface.moves else "rests"}')
 
     @property
     def contacts(self) -> dict[str, str]:
@@ -266,15 +255,7 @@ class PlantConfig(Config):
         return tuple(self.columns)
 
     def substeps(self, rate: float) -> int:
-        """
-        Return the number of integration steps in one control period.
-
-        Raises
-        ------
-        ConfigError
-            If the period is not a whole number of them.
-
-        """
+        """Return the number of integration steps in a control period; ConfigError if not whole."""
         if not (math.isfinite(rate) and rate > 0.0):
             raise ConfigError('rate', 'a finite rate above 0 Hz', rate)
         ratio = 1.0 / (rate * self.substep)

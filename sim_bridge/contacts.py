@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
@@ -19,19 +20,38 @@ from sim_bridge.kinematics import (
 )
 from sim_bridge.surface import build_surfaces, move, press
 
+# What pushes the last link or the tool at one point; world axes.
+HAND = np.dtype([
+    ('force', np.float64, 3),  # [N]
+    ('local', np.float64, 3),  # the point in the last joint's frame [m]
+    ('point', np.float64, 3),  # where it is, of use while it pushes [m]
+])
+
+
+class Pushes:
+    """Forces on one point of the arm over some control periods, summed in a record of `HAND`."""
+
+    def __init__(self, hand: Any) -> None:
+        self.force_world: Vector = hand['force']
+        self._pushes: list[tuple[int, int, Vector]] = []
+
+    def add(self, first: int, end: int, force_world: Sequence[float] | Vector) -> None:
+        """Push from a control period on until before another, with a force, shape (3,) [N]."""
+        self._pushes.append((first, end, np.array(force_world, dtype=float)))
+
+    def start_period(self, tick: int) -> None:
+        """Take the forces of the control period that begins with a tick."""
+        if self._pushes:
+            self.force_world[:] = sum((force for first, end, force in self._pushes
+                                       if first <= tick < end), np.zeros(3))
+            self._pushes = [push for push in self._pushes if push[1] > tick]
+
 
 class Contacts:
     """
     The bar tips, and other points of the arm, and the surfaces they may touch.
 
-    Parameters
-    ----------
-    config
-        The plant.
-    arm, model
-        The arm, for its geometry.
-    generators
-        A source of roughness for each contact and each obstacle.
+    With a generator of roughness for each contact and each obstacle.
 
     Attributes
     ----------

@@ -1,4 +1,8 @@
-"""The drives: rotors behind springs, or rotors that turn with the links; their friction."""
+"""
+The drives: rotors behind springs, or rotors that turn with the links; their friction.
+
+Without commands they hold their position.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +24,7 @@ FRICTION = np.dtype([
     ('coulomb_negative', np.float64),  # for negative speed, >= 0 [N m]
     ('speed', np.float64),  # scale of the smoothed Coulomb friction [rad/s]
 ])
+HOLD_FREQUENCY = 20.0  # w [rad/s]
 NEWTON_STEPS = 50
 NEWTON_TOLERANCE = 1e-13
 # One drive: its rotor, over the gear, and the spring to its link.
@@ -47,22 +52,10 @@ def flexible_drives(
     inertia: Vector, stiffness: Vector, damping: Vector, friction: Records,
 ) -> Records:
     """
-    Return rotors joined to the links by springs, with friction on the rotors.
+    Return rotors joined to the links by springs, records of `DRIVE`, shape (n,).
 
-    Parameters
-    ----------
-    inertia
-        Rotor inertia, joint side, shape (n,) [kg m^2].
-    stiffness, damping
-        Of the springs, shape (n,) [N m/rad], [N m s/rad].
-    friction
-        Records of `FRICTION`, shape (n,).
-
-    Returns
-    -------
-    Records
-        Records of `DRIVE`, shape (n,).
-
+    Of rotor inertia [kg m^2], stiffness [N m/rad] and damping [N m s/rad] of the springs, joint
+    side, and `FRICTION` of the rotors, each of shape (n,).
     """
     drives = np.zeros(len(inertia), dtype=DRIVE)
     drives['inertia'], drives['friction'] = inertia, friction
@@ -77,22 +70,10 @@ def advance_drives(
     """
     Advance the rotors by one step and give what their springs do to the links.
 
-    Symplectic Euler, in step with the links: springs and dampers as at the start of the step,
-    friction as at its end (backward Euler).
-
-    Parameters
-    ----------
-    torque
-        Motor torque, joint side, shape (n,) [N m].
-    q, qd
-        Link side of the joints at the start of the step, shape (n,) [rad], [rad/s].
-    drives
-        Records of `DRIVE`, shape (n,): the rotors are moved.
-    step
-        Length of the step [s].
-    link_torque
-        Filled with the springs' torques on the links, shape (n,) [N m].
-
+    Of motor torques [N m], on the link side at angles [rad] and speeds [rad/s] at the start of the
+    step [s], shape (n,). Symplectic Euler, in step with the links: springs and dampers as at the
+    start of the step, friction as at its end (backward Euler). The springs' torques fill
+    `link_torque`, shape (n,) [N m].
     """
     for joint in range(drives.shape[0]):
         drive = drives[joint]
@@ -107,19 +88,10 @@ class RigidDrives:
     """
     The torque that makes links without rotors move as links with rotors do.
 
-    PyBullet knows no armature Ja, nor does MuJoCo here. All forces being known, the acceleration
-    with it is too (pinocchio's articulated-body algorithm), and tau - Ja qdd makes the engine
-    find the same.
-
-    Parameters
-    ----------
-    model
-        The arm with its armature.
-    friction
-        Records of `FRICTION`, shape (n,).
-    step
-        Integration step [s].
-
+    PyBullet has no armature Ja, nor does MuJoCo here. All forces are known, and so is the
+    acceleration with it (pinocchio's articulated-body algorithm): tau - Ja qdd makes the engine
+    find the same. With the model of the arm with its armature, records of `FRICTION`, shape (n,),
+    and the integration step [s].
     """
 
     def __init__(self, model: pin.Model, friction: Records, step: float) -> None:
@@ -133,20 +105,10 @@ class RigidDrives:
         self, torque: Vector, total: Vector, q: Vector, qd: Vector, link_torque: Vector,
     ) -> None:
         """
-        Work out what to apply to the links for one step.
+        Fill `link_torque` with the torque on the links for one step, shape (n,) [N m].
 
-        Parameters
-        ----------
-        torque
-            Motor torque, joint side, shape (n,) [N m].
-        total
-            The same and what everything outside the arm does to the joints, gravity apart, shape
-            (n,) [N m].
-        q, qd
-            State at the start of the step, shape (n,) [rad], [rad/s].
-        link_torque
-            Filled with the torque on the links, shape (n,) [N m].
-
+        Of motor torques, and of these together with what all but gravity does to the joints, shape
+        (n,) [N m], at the state at the start of the step, shape (n,) [rad], [rad/s].
         """
         acceleration = pin.aba(self._model, self._data, q, qd, total)
         if not self._frictionless:
@@ -158,6 +120,34 @@ class RigidDrives:
             torque = torque - inertia @ (acceleration - slowed)
             acceleration = slowed
         np.subtract(torque, self._armature * acceleration, out=link_torque)
+
+
+class PositionHold:
+    """A gravity-compensated, critically damped joint servo: M (w^2 (q_0 - q) - 2 w qd) + g."""
+
+    def __init__(self, model: pin.Model) -> None:
+        self._model, self._data = model, model.createData()  # tool and rotors included
+        self._posture: Vector | None = None
+
+    @property
+    def holding(self) -> bool:
+        """Whether it is at work."""
+        return self._posture is not None
+
+    def end(self) -> None:
+        """Let go: the next torque begins anew."""
+        self._posture = None
+
+    def torque(self, q: Vector, qd: Vector) -> Vector:
+        """Return the torque that holds the posture in which it was first asked for, (n,) [N m]."""
+        if self._posture is None:
+            self._posture = q.copy()
+        w = HOLD_FREQUENCY
+        acceleration = w * w * (self._posture - q) - 2.0 * w * qd
+        still = np.zeros_like(q)
+        gravity = pin.rnea(self._model, self._data, q, still, still)
+        torque: Vector = mass_matrix(self._model, self._data, q) @ acceleration + gravity
+        return torque
 
 
 @compiled

@@ -11,13 +11,12 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 import pinocchio as pin
-from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
+from sim_bridge.arm import OPERATIONAL_FRAME, SENSOR_FRAME, triple
 from sim_bridge.config import PlantConfig
-from sim_bridge.contacts import act_on_arm, Contacts
+from sim_bridge.contacts import act_on_arm, Contacts, HAND, Pushes
 from sim_bridge.drives import DRIVE, flexible_drives, joint_friction, RigidDrives
-from sim_bridge.engine_arm import EngineArm
+from sim_bridge.engines import make_engine
 from sim_bridge.kinematics import chain_of
-from sim_bridge.pushes import HAND, Pushes, tool_push_point
 from sim_bridge.robots import find_robot
 from sim_bridge.wrench_sensor import WrenchSensor
 
@@ -41,16 +40,7 @@ class Sample(NamedTuple):
 
 class Plant:
     """
-    A simulated arm that touches surfaces.
-
-    Parameters
-    ----------
-    config
-        The plant.
-    rate
-        Control rate [Hz].
-    seed
-        Of roughness and sensor noise.
+    A simulated arm that touches surfaces, at a control rate [Hz], with a seed of its noise.
 
     Attributes
     ----------
@@ -62,6 +52,8 @@ class Plant:
         What really goes on, for evaluation: a controller must not look.
     description
         The arm as it is simulated.
+    model
+        Its rigid-body model, with armature.
 
     Raises
     ------
@@ -78,20 +70,21 @@ class Plant:
         self._substeps = config.substeps(rate)
         self.contact_names = config.column_names
         self.joint_names = self.description.joint_names
-        self._model = self.description.model()
-        _require_fit(config, self._model)
+        self.model = self.description.model()
+        _require_fit(config, self.model)
         self._home = np.array(config.home)
-        still = np.zeros(self._model.nv)
+        still = np.zeros(self.model.nv)
         self.initial_torque: Vector = pin.rnea(
-            self._model, self._model.createData(), self._home, still, still).copy()
-        self._model.armature = np.array(self.description.armature)
+            self.model, self.model.createData(), self._home, still, still).copy()
+        self.model.armature = np.array(self.description.armature)
         self._native = config.contact == 'native'
         self._limit = np.array(config.torque_limit or self.description.torque_limit)
         self.arm = make_engine(config, self.description)
         self._hands: Any = np.zeros(2, dtype=HAND)
-        frame = self._model.frames[self._model.getFrameId(OPERATIONAL_FRAME)]
+        frame = self.model.frames[self.model.getFrameId(OPERATIONAL_FRAME)]
         self._hands['local'][0] = frame.placement.translation
-        self._hands['local'][1], self._tool_push_point = tool_push_point(config, self._model)
+        pushed = self.model.frames[self.model.getFrameId(config.tool_push_link)].placement
+        self._hands['local'][1] = pushed.translation
         self._torques = np.zeros((4, len(self._home)))
         self._motor, self.load, self._sum, self._link_side = self._torques
         self._pushes = np.zeros((len(config.met) + len(self._hands), 7))
@@ -101,10 +94,10 @@ class Plant:
             self.description, config.joint_friction_scale, config.joint_friction_speed)
         if config.drives == 'flexible':
             self._drives = flexible_drives(
-                np.array(self._model.armature), np.array(config.drive_stiffness),
+                np.array(self.model.armature), np.array(config.drive_stiffness),
                 np.array(config.drive_damping), friction)
         elif config.contact == 'compliant':  # otherwise the engine has the rotors
-            self._rigid = RigidDrives(self._model, friction, config.substep)
+            self._rigid = RigidDrives(self.model, friction, config.substep)
         motor_side = config.drives == 'flexible' and config.joint_sensing == 'motor'
         self._q, self._qd = (
             self._drives['q'], self._drives['qd']) if motor_side else self.arm.motion
@@ -112,27 +105,26 @@ class Plant:
 
     def reset(self) -> Sample:
         """
-        Start afresh at home, at rest, at time 0.
+        Start afresh at home, at rest, at time 0, and return sample 0.
 
-        Returns
-        -------
-        Sample
-            Sample 0; the same seed and torques give the same samples again, bit for bit.
-
+        The same seed and torques give the same samples again, bit for bit.
         """
         config = self.config
         sources = np.random.SeedSequence(self._seed).spawn(1 + len(config.met))
         generators = [np.random.default_rng(source) for source in sources]
         self._sensor = WrenchSensor(config.sensor, config.substep, generators[0])
-        self.contacts = Contacts(config, self.description, self._model, generators[1:])
+        self.contacts = Contacts(config, self.description, self.model, generators[1:])
         self._hands['force'] = 0.0
-        self._wrist_push = Pushes(self._hands[0], self._rate, config.push_start,
-                                  config.push_duration, config.push_force_world)
-        self._tool_push = Pushes(self._hands[1], self._rate, config.tool_push_start,
-                                 config.tool_push_duration, config.tool_push_force_world)
+        self._wrist_push, self._tool_push = (Pushes(hand) for hand in self._hands)
+        for pushes, kind in ((self._wrist_push, 'push'), (self._tool_push, 'tool_push')):
+            start, duration, force = (
+                getattr(config, f'{kind}_{name}') for name in ('start', 'duration', 'force_world'))
+            for i, (begin, length) in enumerate(zip(start, duration)):
+                pushes.add(round(begin * self._rate), round((begin + length) * self._rate),
+                           force[3 * i:3 * i + 3])
         contacts = self.contacts
         acting = (
-            self.arm.motion, self._torques, self._limit, chain_of(self._model), self._drives,
+            self.arm.motion, self._torques, self._limit, chain_of(self.model), self._drives,
             contacts.surfaces, contacts.profiles, self._hands, self._pushes, config.substep)
         self._act = partial(act_on_arm, *acting)
         self._tick = 0
@@ -146,25 +138,10 @@ class Plant:
 
     def step(self, torque: Vector) -> Sample:
         """
-        Apply joint torques for one control period.
+        Apply torques for one control period, shape (n,) [N m]; return the sample at its end.
 
-        Parameters
-        ----------
-        torque
-            Shape (n,) [N m], clipped to the limits.
-
-        Returns
-        -------
-        Sample
-            The sample at the period's end.
-
-        Raises
-        ------
-        RunError
-            If a torque is not finite.
-        ShapeError
-            If there is not one torque per joint.
-
+        They are clipped to the limits. Raises RunError if a torque is not finite, ShapeError if
+        there is not one per joint.
         """
         require_shape('torque', torque, self._limit.shape)
         self._motor[:] = torque
@@ -175,36 +152,23 @@ class Plant:
         return self._sample(self._motor.tolist() != torque.tolist())
 
     @property
-    def model(self) -> pin.Model:
-        """Return the arm's rigid-body model, as it is simulated."""
-        return self._model
-
-    @property
     def tool_push_point(self) -> Vector3:
         """Return where the tool is pushed, in the sensor's frame [m]."""
-        x, y, z = self._tool_push_point.tolist()
-        return x, y, z
+        sensor = self.model.frames[self.model.getFrameId(SENSOR_FRAME)].placement
+        return triple(sensor.actInv(self._hands['local'][1]))
 
     def scale_torque_limit(self, factor: float) -> None:
-        """Multiply what the drives can do, unknown to whoever commands them."""
+        """Multiply the torque limits of the drives, unknown to the controller."""
         self._limit *= factor
 
     def push(self, force_world: Vector, duration: float, *, tool: bool = False) -> None:
         """
-        Push the arm from the next control period on, at the operational point or at the tool.
+        Push the arm with a force, shape (3,) [N], from the next control period on, for a time [s].
 
-        Parameters
-        ----------
-        force_world
-            Shape (3,) [N].
-        duration
-            How long [s].
-        tool
-            Whether at `tool_push_link`, beyond the wrist sensor, which then reads it.
-
+        At the operational point, or at `tool_push_link`, beyond the wrist sensor, which reads it.
         """
         pushes = self._tool_push if tool else self._wrist_push
-        pushes.add(self._tick, max(1, round(duration * self._rate)), force_world)
+        pushes.add(self._tick, self._tick + max(1, round(duration * self._rate)), force_world)
 
     def close(self) -> None:
         """Give the simulator's memory back."""
@@ -230,7 +194,7 @@ class Plant:
 
     def _static_wrench(self) -> Vector:
         """Return what the sensor reads at rest at home: the weight it carries, held."""
-        model, data, arm = self._model, self._model.createData(), self.description
+        model, data, arm = self.model, self.model.createData(), self.description
         pin.framesForwardKinematics(model, data, self._home)
         rotation = data.oMf[model.getFrameId(SENSOR_FRAME)].rotation
         carried = ToolConfig(mass=arm.carried_mass, com_sensor=arm.carried_com)
@@ -243,36 +207,14 @@ class Plant:
             self._tool_push.force_world.copy())
 
 
-def make_engine(config: PlantConfig, arm: Arm) -> EngineArm:
-    """
-    Return the engine of a plant, which is loaded only where one asks for it.
-
-    Raises
-    ------
-    ConfigError
-        If it is not installed.
-
-    """
-    if config.engine == 'pybullet':
-        from sim_bridge.bullet_arm import BulletArm
-
-        return BulletArm(arm, config.gravity_world, config.substep)
-    try:
-        from sim_bridge.mujoco_arm import MujocoArm
-    except ImportError as error:
-        raise ConfigError(
-            'engine', 'pybullet, or what pip install "multicontact_control[mujoco]" brings',
-            f'mujoco ({error})') from None
-    return MujocoArm(arm, config)
-
-
 def _require_fit(config: PlantConfig, model: pin.Model) -> None:
     if len(config.home) != model.nv:
         raise ConfigError('home', f'{model.nv} values, one per joint', len(config.home))
-    links = [frame.name for frame in model.frames
-             if frame.type == pin.FrameType.BODY and frame.parentJoint > 0]
-    for name in config.met:
-        tip = config.surfaces[name].tip_link
-        if tip not in links:
-            raise ConfigError(
-                f'surfaces.{name}.tip_link', f'one of {", ".join(sorted(links))}', f"'{tip}'")
+    carriers = {frame.name: frame.parentJoint for frame in model.frames
+                if frame.type == pin.FrameType.BODY and frame.parentJoint > 0}
+    tool = [name for name, joint in carriers.items() if joint == carriers[SENSOR_FRAME]]
+    links = {f'surfaces.{name}.tip_link': (config.surfaces[name].tip_link, carriers)
+             for name in config.met}
+    for field, (link, known) in {**links, 'tool_push_link': (config.tool_push_link, tool)}.items():
+        if link not in known:
+            raise ConfigError(field, f'one of {", ".join(sorted(known))}', f"'{link}'")

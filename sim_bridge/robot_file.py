@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
-from multicontact_control.config import Config, parameter, Real, UnitVector3, Vector, Vector3
+from multicontact_control.config import (
+    Config,
+    cross_check,
+    parameter,
+    Real,
+    UnitVector3,
+    Vector,
+    Vector3,
+)
 from multicontact_control.errors import ConfigError, counted
-from pydantic import model_validator
 from sim_bridge.arm import Body, Placement
 
 
@@ -50,12 +58,6 @@ class WideConfig(Config):
         'another in the sense of a screw that goes into the surface.')
     friction_std: Real = parameter(
         3.0, 'Friction that the controller allows for.', unit='N', ge=0.0)
-
-    @model_validator(mode='after')
-    def _check(self) -> WideConfig:
-        if len(self.tips) not in (2, 4):
-            raise ConfigError('wide_contacts.tips', '2 ends or 4 corners', len(self.tips))
-        return self
 
 
 class PlantVariant(Config):
@@ -116,34 +118,32 @@ class RobotFile(Config):
     plant_aliases: dict[str, str] = parameter({}, 'Other names of these.')
     default_plant: str = parameter('rigid', 'Which of them is taken if none is named.')
 
-    @model_validator(mode='after')
-    def _check(self) -> RobotFile:
+    @cross_check
+    def _check(self) -> Iterator[ConfigError]:
         for name in () if self.controller_file else ('home', 'contacts'):
             if not getattr(self, name):
-                raise ConfigError(name, 'a value, without a controller_file', 'nothing')
-        self._check_urdf()
-        for name in (self.default_plant, *self.plant_aliases.values()):
-            if name not in self.plants:
-                raise ConfigError('plants', f"'{name}' among them", list(self.plants))
-        return self
-
-    def _check_urdf(self) -> None:
+                yield ConfigError(name, 'a value, without a controller_file', 'nothing')
         joints = len(self.joint_names)
-        for name in ('home', 'armature', 'viscous', 'coulomb', 'coulomb_negative',
-                     'torque_limit', 'speed_limit'):
-            found = len(getattr(self, name))
-            if found not in (0, joints):
-                raise ConfigError(name, f'{counted(joints, "values")}, one per joint', found)
-        if self.locked_positions and len(self.locked_positions) != len(self.locked_joints):
-            raise ConfigError('locked_positions', counted(len(self.locked_joints), 'values')
-                              + ', one per locked joint', len(self.locked_positions))
+        counts = dict.fromkeys(('home', 'armature', 'viscous', 'coulomb', 'coulomb_negative',
+                                'torque_limit', 'speed_limit'), joints)
+        for name, count in {**counts, 'locked_positions': len(self.locked_joints)}.items():
+            if len(getattr(self, name)) not in (0, count):
+                yield ConfigError(name, f'{counted(count, "values")}, one per joint',
+                                  len(getattr(self, name)))
         if self.tool is not None and self.tip_links:
-            raise ConfigError('tip_links', 'nothing with a tool of ours', list(self.tip_links))
+            yield ConfigError('tip_links', 'nothing with a tool of ours', list(self.tip_links))
         tips = self.tip_links if self.tool is None else tuple(self.tool.tips)
         for name, contact in self.contacts.items():
             if contact.tip not in tips:
-                raise ConfigError(f'contacts.{name}.tip', f'one of {", ".join(tips)}',
+                yield ConfigError(f'contacts.{name}.tip', f'one of {", ".join(tips)}',
                                   f"'{contact.tip}'")
+        for name, wide in self.wide_contacts.items():
+            if len(wide.tips) not in (2, 4):
+                yield ConfigError(
+                    f'wide_contacts.{name}.tips', '2 ends or 4 corners', len(wide.tips))
+        for name in (self.default_plant, *self.plant_aliases.values()):
+            if name not in self.plants:
+                yield ConfigError('plants', f"'{name}' among them", list(self.plants))
 
     @property
     def locked(self) -> dict[str, float]:

@@ -50,9 +50,9 @@ from rosgraph_msgs.msg import Clock
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.arm import SENSOR_FRAME
 from sim_bridge.config import PlantConfig
+from sim_bridge.drives import PositionHold
 from sim_bridge.plant import Plant, Sample
-from sim_bridge.position_hold import PositionHold
-from sim_bridge.surface_markers import SurfaceMarkers
+from sim_bridge.surface_patch import SurfaceMarkers
 from std_msgs.msg import Header, String
 
 MAX_LATE_PERIODS = 2

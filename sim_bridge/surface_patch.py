@@ -1,17 +1,24 @@
-"""What a surface looks like: a slab around a point of it, curved as it is."""
+"""What is seen of a surface: a slab around a point of it, curved as it is, and its marker."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+from geometry_msgs.msg import Point
 from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.nodes import messages, topics
 import numpy as np
-from sim_bridge.config import SurfaceConfig
+from sim_bridge.config import PlantConfig, SurfaceConfig
 from sim_bridge.surface import track_direction
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
 
 SIZE, THICKNESS = (0.70, 0.34), 0.016  # m, along the track and across it; behind the surface
 CELLS = (14, 6)  # of what is curved
 LARGEST_ANGLE = 0.9  # sine of the angle up to which what is strongly curved is drawn
+NAMESPACE = 'surfaces'
+COLOURS = ((0.77, 0.73, 0.66), (0.69, 0.75, 0.80), (0.73, 0.78, 0.71), (0.80, 0.72, 0.75))
+RATE = 25.0  # Hz, of surfaces that move
 
 
 class Patch(NamedTuple):
@@ -24,17 +31,10 @@ class Patch(NamedTuple):
 
 def surface_patch(normal_world: Vector, radius: float = 0.0, *, ball: bool = False) -> Patch:
     """
-    Return what a surface looks like.
+    Return what a surface looks like, by its unit normal INTO the surface, shape (3,).
 
-    Parameters
-    ----------
-    normal_world
-        Unit normal INTO the surface at the point, shape (3,).
-    radius
-        As of a `SurfaceConfig`: 0 for a plane, below 0 for a bowl [m].
-    ball
-        Whether it is curved all around, or along the track alone.
-
+    The radius [m] is that of a `SurfaceConfig`; a `ball` is curved all around, and not along the
+    track alone.
     """
     track = track_direction(normal_world)
     across = np.cross(normal_world, track)
@@ -78,3 +78,39 @@ def _slab(rows: int, columns: int) -> np.ndarray[tuple[int, ...], np.dtype[np.in
     after = np.roll(loop, -1)
     sides = [(loop, after, after + count), (loop, after + count, loop + count)]
     return np.concatenate([np.column_stack(face) for face in front + back + sides])
+
+
+class SurfaceMarkers:
+    """The surfaces of a plant as slabs, one for the tips of an edge or plane together."""
+
+    def __init__(self, config: PlantConfig, *, rate: float) -> None:
+        surfaces = [config.surfaces[name] for name in config.drawn.values()]
+        self._numbers = [config.met.index(name) for name in config.drawn.values()]
+        self._every = max(1, round(rate / RATE))
+        self._moving = any(surface.moves for surface in surfaces)
+        self._message = MarkerArray()
+        for number, (name, surface) in enumerate(zip(config.drawn, surfaces)):
+            patch = patch_of(surface)
+            red, green, blue = COLOURS[number % len(COLOURS)]
+            marker = Marker(
+                ns=f'{NAMESPACE}/{name}', id=number, type=Marker.TRIANGLE_LIST,
+                color=ColorRGBA(r=red, g=green, b=blue, a=1.0), points=[
+                    Point(x=x, y=y, z=z)
+                    for x, y, z in patch.vertices[patch.faces].reshape(-1, 3).tolist()])
+            marker.header.frame_id = topics.WORLD_FRAME
+            marker.pose.orientation.w = 1.0
+            marker.scale.x = marker.scale.y = marker.scale.z = 1.0
+            self._message.markers.append(marker)
+
+    def due(self, tick: int) -> bool:
+        """Return whether surfaces that move are to be shown with the sample `tick`."""
+        return self._moving and tick % self._every == 0
+
+    def message(self, stamp: int, places: Matrix) -> MarkerArray:
+        """Return the slabs at a time [ns] and points of all surfaces, shape (no, 3) [m]."""
+        time = messages.ns_to_stamp(stamp)
+        for marker, number in zip(self._message.markers, self._numbers):
+            marker.header.stamp = time
+            position = marker.pose.position
+            position.x, position.y, position.z = places[number].tolist()
+        return self._message

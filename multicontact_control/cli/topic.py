@@ -60,7 +60,7 @@ def echo(
     with GuestNode(NODE, domain_id) as guest:
         while not (publishers := guest.node.get_publishers_info_by_topic(name)) and not stop:
             if time.monotonic() > end:
-                raise RunError(f'{name}: expected a publisher within {timeout:g} s, got none '
+                raise RunError(f'{name}: expected a publisher within {timeout:g} s, found none '
                                '(`multicontact topic list` shows the topics)')
             time.sleep(POLL_PERIOD)
         if stop:

@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from sim_bridge.position_hold import PositionHold
+from sim_bridge.drives import PositionHold
 
 
 def after_a_push(plant, left_to):

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from sim_bridge.config import SurfaceConfig
 from sim_bridge.surface import build_surfaces, mean_depth
-from sim_bridge.surface_markers import SurfaceMarkers
-from sim_bridge.surface_patch import half_size, SIZE, surface_patch, THICKNESS
+from sim_bridge.surface_patch import half_size, SIZE, surface_patch, SurfaceMarkers, THICKNESS
 
 PLACE = np.array([0.3, -0.2, 0.5])
 NORMALS = [(1.0, 0.0, 0.0), (0.6, 0.0, -0.8)]

@@ -15,7 +15,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
-from sim_bridge.surface_markers import SurfaceMarkers
+from sim_bridge.surface_patch import SurfaceMarkers
 import zstandard
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
