@@ -8,70 +8,40 @@ import numpy as np
 
 class ActuatorDelay:
     """
-    A line of commands, each acting a fixed number of ticks after the sample it answers.
+    Commands that each act a fixed number of ticks after the sample they answer.
 
-    Parameters
-    ----------
-    ticks
-        Control periods from a sample to the start of the period its command acts in; 0 lets a
-        command act in the period that begins with its own sample.
-    initial
-        Torque that acts before any command does, shape (n,) [N m].
-
-    Attributes
-    ----------
-    misses
-        How many periods had to hold an older command because theirs was not there.
-
+    With 0 ticks a command acts in the period that begins with its own sample. Before any command
+    does, the `initial` torque acts, shape (n,) [N m]. `misses` counts the periods that held an
+    older command because theirs was not there.
     """
 
     def __init__(self, ticks: int, initial: Vector) -> None:
         self._ticks = ticks
         self._held: Vector = np.array(initial, dtype=float)
-        self._held_tick = -1
+        self._newest = -1  # sample whose command is held
         self._commands: dict[int, Vector] = {}
         self.misses = 0
 
     def command(self, tick: int, torque: Vector) -> None:
-        """
-        Enter the command that answers sample `tick`; a later one for it takes its place.
-
-        Parameters
-        ----------
-        tick
-            Index of the sample.
-        torque
-            Joint torque, shape (n,) [N m].
-
-        """
+        """Enter the command that answers sample `tick`, shape (n,) [N m]; the last one holds."""
         require_shape('torque', torque, self._held.shape)
         self._commands[tick] = np.array(torque, dtype=float)
 
     def missing(self, tick: int) -> bool:
         """Return whether the period from `tick` on has no command of its own yet."""
-        wanted = tick - self._ticks
-        return wanted >= 0 and wanted not in self._commands
+        return 0 <= tick - self._ticks and tick - self._ticks not in self._commands
 
     def torque_for(self, tick: int) -> Vector:
         """
         Return the torque that acts from `tick` to `tick` + 1; ask once per period, in order.
 
-        Parameters
-        ----------
-        tick
-            Index of the sample the period begins with.
-
-        Returns
-        -------
-        Vector
-            The command for sample `tick` - `ticks`, or, if that is not there, the newest one
-            that came before it, shape (n,) [N m].
-
+        The command for sample `tick` - `ticks`, or the newest one before it, shape (n,) [N m].
         """
-        if self.missing(tick):
-            self.misses += 1
-        for known in [known for known in self._commands if known <= tick - self._ticks]:
-            torque = self._commands.pop(known)
-            if known >= self._held_tick:
-                self._held, self._held_tick = torque, known
+        self.misses += self.missing(tick)
+        known = [sample for sample in self._commands if sample <= tick - self._ticks]
+        if known and max(known) >= self._newest:
+            self._newest = max(known)
+            self._held = self._commands[self._newest]
+        for sample in known:
+            del self._commands[sample]
         return self._held.copy()

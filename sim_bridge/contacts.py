@@ -106,7 +106,7 @@ class Contacts:
         return self.pressed[self._touched:].copy()
 
     def _changing(self, surface: int) -> Any:
-        """Return a surface that is to be changed; ConfigError if it is the engine's own."""
+        """Return a surface to change; ConfigError if it is the engine's own."""
         if self._native:
             raise ConfigError('contact', 'compliant, for surfaces that change', 'native')
         return self.surfaces[surface]
@@ -122,11 +122,7 @@ class Contacts:
         record['place'] = record['point'] + distance * record['normal']
 
     def scale_stiffness(self, contact: int, factor: float) -> None:
-        """
-        Make a surface stiffer by a factor without a step of the force.
-
-        A surface that is pressed on is moved such that it presses as before.
-        """
+        """Make a surface stiffer by a factor, moved such that it presses as before."""
         surface = self._changing(contact)
         depth = surface['alpha'] / surface['stiffness']
         surface['stiffness'] *= factor
@@ -147,30 +143,23 @@ def act_on_arm(
     profiles: Any, hands: Any, pushes: Matrix, step: float,
 ) -> int:
     """
-    Work out all that acts on the arm in one integration step, but for the engine's own work.
+    Work out all that acts on the arm in one integration step [s], but for the engine's own work.
+
+    Records of links, drives and surfaces are changed.
 
     Parameters
     ----------
     motion
         Joint angles and speeds, link side, at the start of the step, shape (2, n) [rad, rad/s].
     torques
-        Of the joints, shape (4, n) [N m]: of the motors, clipped here; filled in are what surfaces
-        and hands do, the sum of both, and what the drives do to the links.
-    limit
-        Largest motor torques, shape (n,) [N m].
-    links
-        Records of `LINK`, shape (n,), changed.
+        Of the joints, shape (4, n) [N m]: of the motors, clipped here to the limit; filled in are
+        what surfaces and hands do, the sum of both, and what the drives do to the links.
     drives
-        Records of `DRIVE`, shape (n,), changed; none for motors that act on the links as they are.
-    surfaces, profiles
-        See `build_surfaces`; the records are changed.
+        Records of `DRIVE`, shape (n,); none for motors that act on the links as they are.
     hands
         Records of `HAND`, shape (2,): first the one at the wrist, then the one at the tool.
     pushes
-        Filled with the forces on the arm: force and point, world axes, and the number of the
-        joint whose link is pushed, or n for the tool, shape (m, 7) [N, m].
-    step
-        Length of the step [s].
+        Filled with the forces on the arm, as `EngineArm.push` takes them, shape (m, 7) [N, m].
 
     Returns
     -------

@@ -38,15 +38,9 @@ def mass_matrix(model: pin.Model, data: pin.Data, q: Vector) -> Matrix:
 @compiled
 def forward_kinematics(q: Vector, links: Any) -> None:
     """
-    Place a chain of revolute joints, each about the z axis of its own frame.
+    Place a chain of revolute joints, each about the z axis of its own frame, at angles [rad].
 
-    Parameters
-    ----------
-    q
-        Joint angles, shape (n,) [rad].
-    links
-        Records of `LINK`, shape (n,): axis, axes and origin are filled in.
-
+    Of the records of `LINK`, shape (n,), axis, axes and origin are filled in.
     """
     for joint in range(q.shape[0]):
         link = links[joint]

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import mujoco
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Vector
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, Body, numbers, Placement, SENSOR_FRAME, TOOL_LINK
 from sim_bridge.config import PlantConfig, SurfaceConfig
 from sim_bridge.engines import EngineArm
+from sim_bridge.posture import frame_pose
 
 # Impedance of the engine's contacts. Beside the spring it makes a contact as heavy as
 # d / (1 - d) of what it meets, so it is small; spring and damper are then set by solref.
@@ -25,18 +26,7 @@ class MujocoArm(EngineArm):
     """
     One arm alone in a MuJoCo world, or before planes of the engine's own; see `EngineArm`.
 
-    Parameters
-    ----------
-    arm
-        The arm.
-    config
-        The plant: gravity, substep and, with native contacts, the surfaces.
-
-    Raises
-    ------
-    ConfigError
-        If a native contact is met by another link than a tip.
-
+    Raises ConfigError if a native contact is met by another link than a tip.
     """
 
     def __init__(self, arm: Arm, config: PlantConfig) -> None:
@@ -143,7 +133,7 @@ def mjcf_text(arm: Arm, config: PlantConfig, planes: Sequence[SurfaceConfig]) ->
     pairs = []
     if planes:
         # Each ball touches its plane with the tip itself at home.
-        turn = _sensor_axes(arm, np.array(config.home))
+        turn = frame_pose(arm.model(), np.array(config.home), SENSOR_FRAME).rotation
         for i, plane in enumerate(planes):
             centre = np.array(arm.tips[plane.tip_link]) - TIP_RADIUS * (
                 turn.T @ np.array(plane.normal_world))
@@ -166,17 +156,9 @@ def mjcf_text(arm: Arm, config: PlantConfig, planes: Sequence[SurfaceConfig]) ->
         f'cone="elliptic" impratio="{FRICTION_RATIO!r}" solver="Newton" iterations="100" '
         f'tolerance="1e-12">{flag}</option>',
         '<worldbody>', *geoms, *parts, *end, '</worldbody>',
-        '<contact>', *pairs, '</contact>' if pairs else '</contact>',
+        '<contact>', *pairs, '</contact>',
         f'<sensor><force site="{SENSOR_FRAME}"/><torque site="{SENSOR_FRAME}"/></sensor>',
         '</mujoco>'])
-
-
-def _sensor_axes(arm: Arm, home: Vector) -> Matrix:
-    """Return the sensor's axes as columns, world axes, in a posture."""
-    model = arm.model()
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, home)
-    return np.array(data.oMf[model.getFrameId(SENSOR_FRAME)].rotation)
 
 
 def _body(name: str, placement: Placement, body: Body) -> str:

@@ -27,13 +27,13 @@ import pinocchio as pin
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
 from sim_bridge.config import SurfaceConfig
 from sim_bridge.posture import frame_jacobian, frame_pose, limits_of, reach
-from sim_bridge.robot_file import PlantVariant, RobotFile
+from sim_bridge.robot_file import PlantVariant, RobotFile, WideConfig
 from sim_bridge.urdf_arm import read_arm
 
 FOLDER = 'robots'
 DEFAULT = 'puma'
 SCHEME = 'package://'
-EXTRAS = {'example-robot-data': 'robots', 'pybullet_data': ''}
+EXTRAS = {'example-robot-data': '[robots]', 'pybullet_data': ''}  # by package with URDFs
 SHARED = Path('share') / 'example-robot-data' / 'robots'
 # Of the controller's file, what belongs to another arm.
 OF_THE_ARM = ('robot', 'tool', 'contacts', 'contact_names', 'torque_limit', 'friction')
@@ -125,11 +125,8 @@ class Robot:
 
     def _wide_surfaces(self, name: str, plant: Mapping[str, Any]) -> dict[str, Any]:
         """Return the surface of each tip of an edge or face, which share its stiffness."""
-        wide, surface = self.file.wide_contacts[name], plant['surfaces']
-        like = surface.get(wide.like)
-        if like is None:
-            raise ConfigError(f'wide_contacts.{name}.like', f'one of {", ".join(surface)}',
-                              f"'{wide.like}'", self.name)
+        wide = self._wide(name, plant['surfaces'])
+        like = plant['surfaces'][wide.like]
         shared = {key: like.get(key, SurfaceConfig.model_fields[key].default) / len(wide.tips)
                   for key in ('stiffness', 'damping')}
         return {tip: {
@@ -138,15 +135,11 @@ class Robot:
 
     def _wide_contact(self, name: str, controller: Mapping[str, Any]) -> dict[str, Any]:
         """Return an edge or face as the controller has it, from where its tips are."""
-        wide = self.file.wide_contacts[name]
+        wide = self._wide(name, controller['contacts'])
+        like = controller['contacts'][wide.like]
         to_operational = self.arm.operational.se3.inverse() * self.arm.sensor.se3
-        unknown = [tip for tip in wide.tips if tip not in self.arm.tips]
-        if unknown:
-            raise ConfigError(f'wide_contacts.{name}.tips', f'of {", ".join(self.arm.tips)}',
-                              f"'{unknown[0]}'", self.name)
         tips = np.array([to_operational.act(np.array(self.arm.tips[tip])) for tip in wide.tips])
         length = np.linalg.norm(tips[1] - tips[0])
-        like = controller['contacts'][wide.like]
         size = {} if len(tips) == 2 else {
             'half_width': float(0.5 * np.linalg.norm(tips[2] - tips[1]))}
         return {**like, 'type': 'edge' if len(tips) == 2 else 'plane',
@@ -156,6 +149,15 @@ class Robot:
                 # It touches at its ends alone, unlike an edge that is stiff everywhere.
                 'couple_stiffness': like.get('stiffness', 6000.0),
                 'friction_std': wide.friction_std}
+
+    def _wide(self, name: str, contacts: Mapping[str, Any]) -> WideConfig:
+        wide = self.file.wide_contacts[name]
+        for field, names, known in (('tips', wide.tips, self.arm.tips),
+                                    ('like', (wide.like,), contacts)):
+            if unknown := set(names).difference(known):
+                raise ConfigError(f'wide_contacts.{name}.{field}', f'of {", ".join(known)}',
+                                  f"'{min(unknown)}'", self.name)
+        return wide
 
     def controller_special(self, plant: str) -> dict[str, Any]:
         """Return what the controller knows of a plant of `plant_names`; laid over a preset."""
@@ -254,15 +256,7 @@ def robot_names() -> tuple[str, ...]:
 
 
 def find_robot(name: str = DEFAULT) -> Robot:
-    """
-    Return a robot of config/robots, or of the file at a path.
-
-    Raises
-    ------
-    ConfigError
-        If there is none, or a value in its file is not acceptable.
-
-    """
+    """Return a robot of config/robots, or of the file at a path; ConfigError."""
     path = named_file('robot', FOLDER, name)
     known = path.parent == config_dir() / FOLDER
     return _robot(path.stem if known else str(path.resolve()), path, path.stat().st_mtime_ns)
@@ -275,34 +269,20 @@ def _robot(name: str, path: Path, _changed: int) -> Robot:
 
 def urdf_path(name: str, folder: Path) -> Path:
     """
-    Return the file of a URDF.
+    Return the file of a URDF; ConfigError if it is not there, with the extra that brings it.
 
-    Parameters
-    ----------
-    name
-        ``package://NAME/...`` for one that comes with a Python package, or a path.
-    folder
-        That a path is relative to.
-
-    Raises
-    ------
-    ConfigError
-        If it is not there, with the extra that brings it.
-
+    Its name is ``package://NAME/...`` for one of a Python package, or a path relative to a folder.
     """
-    if not name.startswith(SCHEME):
-        path = folder / name
-    else:
+    path = folder / name
+    if name.startswith(SCHEME):
         package, _, inside = name.removeprefix(SCHEME).partition('/')
         if package not in EXTRAS:
             raise ConfigError('urdf', f'a package among {", ".join(sorted(EXTRAS))}',
                               f"'{package}'")
-        root = _package_folder(package)
-        if root is None or not (root / inside).is_file():
-            extra = EXTRAS[package]
-            what = f'multicontact_control[{extra}]' if extra else 'multicontact_control'
+        path = (_package_folder(package) or Path()) / inside
+        if not path.is_file():
+            what = f'multicontact_control{EXTRAS[package]}'
             raise ConfigError('urdf', f'the package {package}: pip install "{what}"', name)
-        path = root / inside
     if not path.is_file():
         raise ConfigError('urdf', 'a readable URDF file', path)
     return path
@@ -327,26 +307,25 @@ def has_urdf(robot: Robot) -> bool:
 
 def _package_folder(package: str) -> Path | None:
     """Return where the URDFs of a package are, None if it is not installed."""
-    if package == 'example-robot-data':
-        # Its wheel has no module, only a folder within that of cmeel.
-        folders = [Path(path) / 'cmeel.prefix' / SHARED for path in sys.path]
-        prefixes = [sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
-        folders += [Path(prefix) / SHARED for prefix in prefixes if prefix]
-        return next((folder for folder in folders if folder.is_dir()), None)
-    spec = find_spec(package)
-    places = [] if spec is None else spec.submodule_search_locations or []
-    return next((Path(place) for place in places), None)
+    if package == 'example-robot-data':  # its wheel has no module
+        prefixes = [*(f'{path}/cmeel.prefix' for path in sys.path), sys.prefix,
+                    *filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep))]
+        folders = [Path(prefix) / SHARED for prefix in prefixes]
+    else:
+        spec = find_spec(package)
+        places = None if spec is None else spec.submodule_search_locations
+        folders = [Path(place) for place in places or ()]
+    return next((folder for folder in folders if folder.is_dir()), None)
 
 
 def _urdf_file(arm: Arm) -> Path:
     """Write the URDF of an arm where the same text is found again, and return its path."""
-    text = arm.urdf
-    stamp = hashlib.sha256(text.encode()).hexdigest()[:16]
+    stamp = hashlib.sha256(arm.urdf.encode()).hexdigest()[:16]
     folder = (cache_folder() or Path(tempfile.gettempdir())) / f'urdf-{stamp}'
     path = folder / f'{arm.name}.urdf'
-    if not path.is_file() or path.read_text(encoding='utf-8') != text:
+    if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)
-        unfinished = path.with_suffix(f'.{os.getpid()}')
-        unfinished.write_text(text, encoding='utf-8')
+        unfinished = path.with_suffix(f'.{os.getpid()}')  # others may write it, too
+        unfinished.write_text(arm.urdf, encoding='utf-8')
         unfinished.replace(path)
     return path

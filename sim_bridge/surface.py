@@ -1,7 +1,5 @@
 """
-What the bar tips meet: compliant, one-sided, rough surfaces with friction.
-
-They may be curved, and move along their normal.
+What the bar tips meet: compliant, one-sided, rough surfaces with friction, curved or moving.
 
 Forces are what the robot does to the surface, and normals point into it, so a pressing force has a
 positive normal component.
@@ -55,22 +53,10 @@ def build_surfaces(
     configs: list[SurfaceConfig], generators: list[np.random.Generator],
 ) -> tuple[Records, Matrix]:
     """
-    Lay out surfaces, each with a roughness of its own.
+    Return records of `SURFACE`, shape (nc,), each with a roughness from its own generator.
 
-    Parameters
-    ----------
-    configs
-        The surfaces, in the order of the contacts.
-    generators
-        A source of randomness for each.
-
-    Returns
-    -------
-    tuple of Records and Matrix
-        Records of `SURFACE`, shape (nc,), and their height profiles, each with its derivative
-        along the track, which repeat after the last point: positive towards the robot, shape
-        (nc, 2, m) [m].
-
+    And their height profiles, positive towards the robot, each with its derivative along the
+    track, which repeat after the last point, shape (nc, 2, m) [m].
     """
     profiles = np.zeros((len(configs), 2, PROFILE_POINTS))
     records = np.zeros(len(configs), dtype=SURFACE)
@@ -94,20 +80,8 @@ def roughness_profile(std: float, generator: np.random.Generator) -> Vector:
     Return a periodic height profile: white noise smoothed by a Gaussian.
 
     The Gaussian's standard deviation L is `POINTS_PER_LENGTH` points, so that the heights
-    correlate as exp(-(d / 2 L)^2).
-
-    Parameters
-    ----------
-    std
-        Standard deviation of the heights [m].
-    generator
-        Source of randomness.
-
-    Returns
-    -------
-    Vector
-        Heights, shape (PROFILE_POINTS,) [m], of mean 0 and exactly the standard deviation asked.
-
+    correlate as exp(-(d / 2 L)^2). They have mean 0 and exactly the standard deviation `std`,
+    shape (PROFILE_POINTS,) [m].
     """
     white = generator.standard_normal(PROFILE_POINTS)
     frequency = np.fft.rfftfreq(PROFILE_POINTS)
@@ -191,17 +165,9 @@ def press(surface: Any, velocity: Vector, profile: Matrix) -> None:
     Work out what a moving tip does to a surface.
 
     alpha = max(0, k depth + c d(depth)/dt) inside the surface, 0 outside (Kelvin-Voigt, it never
-    pulls); friction mu alpha v / sqrt(|v|^2 + v_s^2) along the sliding velocity v.
-
-    Parameters
-    ----------
-    surface
-        Record of `SURFACE` with the point filled in: force and alpha are.
-    velocity
-        Of the tip, world axes, shape (3,) [m/s].
-    profile
-        Its height profile and the derivative of that, shape (2, m) [m].
-
+    pulls); friction mu alpha v / sqrt(|v|^2 + v_s^2) along the sliding velocity v. Of a record of
+    `SURFACE` with the point filled in, force and alpha are filled in; with the velocity of the
+    tip, world axes, shape (3,) [m/s], and its height profile, shape (2, m) [m].
     """
     normal, track, force = surface.facing, surface.track, surface.force
     along = 0.0

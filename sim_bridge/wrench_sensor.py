@@ -29,29 +29,16 @@ AXIS = np.dtype([
 
 class WrenchSensor:
     """
-    A sensor that takes one reading per integration step.
+    A sensor that takes one reading per integration step, which is a period [s] long.
 
     Reading = quantise(saturate(mounting true + bias + noise)). The low-passes work on the
     readings, as the instrument's own signal processor does, and start from the first one.
-
-    Parameters
-    ----------
-    config
-        The sensor.
-    period
-        Time between readings [s].
-    generator
-        Source of the noise.
+    Raises ConfigError if their cut-off is not below half the rate of the readings.
 
     Attributes
     ----------
     reading, filtered
         The newest reading, and what the low-passes make of it, shape (6,) [N, N m].
-
-    Raises
-    ------
-    ConfigError
-        If the cut-off is not below half the rate of the readings.
 
     """
 
@@ -77,15 +64,7 @@ class WrenchSensor:
         self.filtered: Vector = self._axes['filtered']
 
     def read(self, wrenches: Matrix) -> None:
-        """
-        Take the next readings; the last one is then in `reading` and `filtered`.
-
-        Parameters
-        ----------
-        wrenches
-            True wrenches in the sensor's frame, one per reading, shape (m, 6) [N, N m].
-
-        """
+        """Read true wrenches in the sensor's frame, one after another, shape (m, 6) [N, N m]."""
         if self._mounting is not None:
             wrenches = (wrenches.reshape(-1, 2, 3) @ self._mounting.T).reshape(-1, AXES)
         count = len(wrenches)
@@ -107,27 +86,11 @@ def low_pass_stages(cutoff: float, rate: float) -> Matrix:
     """
     Return the chain of second-order Butterworth low-passes down to a cut-off.
 
-    The stages lie at 500, 125, 31.25, ... Hz as far as they are above twice the cut-off and
-    below the Nyquist frequency; the last one lies at the cut-off. The chain's gain at the cut-off
-    is -3.03 dB if the stage before it is four times as high, -3.01 dB without one.
-
-    Parameters
-    ----------
-    cutoff
-        Cut-off of the last stage [Hz].
-    rate
-        Rate of the readings [Hz].
-
-    Returns
-    -------
-    Matrix
-        b0, b1, b2, a1, a2 of each stage, shape (stages, 5).
-
-    Raises
-    ------
-    ConfigError
-        If the cut-off is not below half the rate.
-
+    The stages lie at 500, 125, 31.25, ... Hz as far as they are above twice the cut-off [Hz] and
+    below half the rate of the readings [Hz]; the last one lies at the cut-off. The gain there is
+    -3.03 dB if the stage before it is four times as high, -3.01 dB without one. Returned are b0,
+    b1, b2, a1, a2 of each, shape (stages, 5). Raises ConfigError if the cut-off is not below half
+    the rate.
     """
     nyquist = 0.5 * rate
     if cutoff >= nyquist:
