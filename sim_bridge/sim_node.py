@@ -1,16 +1,15 @@
 """
 The plant as a ROS 2 node: it waits for the controller, or runs free as a robot does.
 
-In lockstep, the default, the plant advances while the controller computes; the next sample goes
-out when the command for the last one has come, and not before its time by the wall clock (at
-`speed` times real time). A busy machine makes simulated time slow; the physics stays the same.
+In lockstep, the default, the plant advances while the controller computes; the next sample is
+published when the command for the last one has come, and not before its time by the wall clock (at
+`speed` times real time). On a busy machine simulated time is slow; the physics stays the same.
 
-Free-running, sample k is published at the absolute deadline k h of the monotonic clock. Then the
-node waits for the command that answers it, advances the plant by one period with the torque that
-was due at the deadline, and waits for the next deadline. A command that is not there one period
-after its sample is a deadline miss; the last torque is held, for `COMMAND_TIMEOUT` at most: then
-the drives hold their position by themselves, until the next command. If the node itself is late by
-more than `MAX_LATE_PERIODS`, the deadlines are moved back; such a slip is counted.
+Free-running, sample k is published at the absolute deadline k h of the monotonic clock, and the
+plant advances by one period with the torque that is due then. A command that is not there one
+period after its sample is a deadline miss: the last torque is held, for `COMMAND_TIMEOUT` at most;
+then the drives hold their position until the next command. A node that is late itself by more than
+`MAX_LATE_PERIODS` moves the deadlines back, and counts this slip.
 """
 
 from __future__ import annotations
@@ -137,7 +136,7 @@ class SimNode(Node):
         self._origin = 0  # stamp of sample 0 [ns]
 
     def _examples(self) -> dict[topics.Topic, Any]:
-        """Return a message of each topic that is published at the control rate."""
+        """Return a message of each topic at the control rate."""
         joints, contacts = self._plant.joint_names, self._plant.contact_names
         build, n = messages.joint_state_message, np.zeros(len(joints))
         wrench = WrenchStamped(header=Header(frame_id=SENSOR_FRAME))
@@ -148,15 +147,7 @@ class SimNode(Node):
             **({topics.CLOCK: Clock()} if self._config.lockstep else {})}
 
     def run(self, spinner: Spinner) -> None:
-        """
-        Run the plant until the last tick or a signal.
-
-        Raises
-        ------
-        RunError
-            In lockstep, if a command does not come.
-
-        """
+        """Run the plant until the last tick or a signal; RunError if a command does not come."""
         while not (spinner.stop or self._gate.poll()):
             spinner.spin_once(0.01)
             self._diagnostics.poll()
@@ -191,12 +182,13 @@ class SimNode(Node):
         self._publish_surfaces()
         # Behind the gate it cannot have been lost; a second copy would only be in the bag.
         resend = RESEND_PERIOD_GATED if self._config.startup_peers else RESEND_PERIOD
+        due = 0.0
         while not spinner.stop and self._answered < 0:
-            self._publish()
-            give_up = time.monotonic() + resend
-            while self._answered < 0 and time.monotonic() < give_up and not spinner.stop:
-                spinner.spin_once(0.05)
-                self._diagnostics.poll()
+            if time.monotonic() >= due:
+                self._publish()
+                due = time.monotonic() + resend
+            spinner.spin_once(0.05)
+            self._diagnostics.poll()
         self._publish_truth()
 
     @property
@@ -233,7 +225,6 @@ class SimNode(Node):
         self._spin_until(spinner, time.monotonic_ns() + NANOSECONDS // 10, answered=True)
 
     def _miss(self) -> None:
-        """Count a deadline that was missed."""
         self._misses += 1
         self._watch.missed += 1
 
@@ -299,19 +290,18 @@ class SimNode(Node):
             remaining = deadline - time.monotonic_ns()
 
     def _wait_for_answer(self, spinner: Spinner) -> None:
-        timeout = int(ANSWER_TIMEOUT * NANOSECONDS)
-        limit = time.monotonic_ns() + timeout
-        resend = time.monotonic_ns() + timeout // RESENDS
+        start, sent = time.monotonic(), 1
         while self._answered < self._tick and not spinner.stop:
             spinner.spin_once(0.1)
-            if time.monotonic_ns() > resend and self._answered < self._tick:
+            waited = time.monotonic() - start
+            if waited > sent * ANSWER_TIMEOUT / RESENDS and self._answered < self._tick:
+                if sent == RESENDS:
+                    raise RunError(
+                        f'no {topics.EFFORT_COMMAND.name} for sample {self._tick} after '
+                        f'{ANSWER_TIMEOUT:g} s: has the controller stopped?')
                 # A controller that was cleaned up and configured again has not seen it.
-                resend += timeout // RESENDS
+                sent += 1
                 self._publish()
-            if time.monotonic_ns() > limit and self._answered < self._tick:
-                raise RunError(
-                    f'no {topics.EFFORT_COMMAND.name} for sample {self._tick} after '
-                    f'{ANSWER_TIMEOUT:g} s: has the controller stopped?')
 
     def _publish(self) -> None:
         """Publish what the controller works with; the clock of the latency starts here."""
