@@ -13,8 +13,8 @@ from multicontact_control.experiment.scenario import plant_source, resolve, Setu
 from multicontact_control.sensor.tool import Identification, identify_tool, PoseReading
 import numpy as np
 from rich.table import Table
+from sim_bridge.drives import PositionHold
 from sim_bridge.plant import Plant
-from sim_bridge.position_hold import PositionHold
 from sim_bridge.robots import find_robot
 
 TOOL_FILE = 'tool.yaml'

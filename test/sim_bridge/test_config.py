@@ -11,8 +11,6 @@ import pytest
     ({'drive_damping': [-1.0] * 6}, 'drive_damping'),
     ({'torque_limit': [1.0] * 5}, 'torque_limit'),
     ({'push_start': [1.0]}, 'push_duration'),
-    ({'tool_push_start': [-1.0], 'tool_push_duration': [1.0],
-      'tool_push_force_world': [1.0, 2.0, 3.0]}, 'tool_push_start'),
     ({'sensor': {'mounting': [1.0]}}, 'sensor.mounting'),
     ({'sensor': {'bias': [0.0]}}, 'sensor.bias'),
     ({'sensor': {'full_scale': [0.0] * 6}}, 'sensor.full_scale'),
