@@ -11,11 +11,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.errors import ConfigError
 import numpy as np
 import pybullet as bullet
 from sim_bridge.arm import Arm, SENSOR_FRAME, TOOL_LINK, urdf_text
-from sim_bridge.config import PlantConfig
 
 MAX_JOINT_SPEED = 1e4
 
@@ -160,16 +158,3 @@ class BulletArm(EngineArm):
             self.body, self._links, bullet.VELOCITY_CONTROL, forces=[0.0] * len(self._links),
             physicsClientId=client)
         bullet.enableJointForceTorqueSensor(self.body, sensor, True, physicsClientId=client)
-
-
-def make_engine(config: PlantConfig, arm: Arm) -> EngineArm:
-    """Return the engine of a plant; ConfigError if it is not installed."""
-    if config.engine == 'pybullet':
-        return BulletArm(arm, config.gravity_world, config.substep)
-    try:
-        from sim_bridge.mujoco_arm import MujocoArm
-    except ImportError as error:
-        raise ConfigError(
-            'engine', 'pybullet, or what pip install "multicontact_control[mujoco]" brings',
-            f'mujoco ({error})') from None
-    return MujocoArm(arm, config)

@@ -11,11 +11,11 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 import pinocchio as pin
-from sim_bridge.arm import OPERATIONAL_FRAME, SENSOR_FRAME, triple
+from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME, triple
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import act_on_arm, Contacts, HAND, Pushes
 from sim_bridge.drives import DRIVE, flexible_drives, joint_friction, RigidDrives
-from sim_bridge.engines import make_engine
+from sim_bridge.engines import BulletArm, EngineArm
 from sim_bridge.kinematics import chain_of
 from sim_bridge.robots import find_robot
 from sim_bridge.wrench_sensor import WrenchSensor
@@ -205,6 +205,19 @@ class Plant:
             self._q.copy(), self._qd.copy(), self._motor.copy(), self._sensor.reading.copy(),
             self._sensor.filtered.copy(), self.contacts.alpha, saturated,
             self._tool_push.force_world.copy())
+
+
+def make_engine(config: PlantConfig, arm: Arm) -> EngineArm:
+    """Return the engine of a plant; ConfigError if it is not installed."""
+    if config.engine == 'pybullet':
+        return BulletArm(arm, config.gravity_world, config.substep)
+    try:
+        from sim_bridge.mujoco_arm import MujocoArm
+    except ImportError as error:
+        raise ConfigError(
+            'engine', 'pybullet, or what pip install "multicontact_control[mujoco]" brings',
+            f'mujoco ({error})') from None
+    return MujocoArm(arm, config)
 
 
 def _require_fit(config: PlantConfig, model: pin.Model) -> None:

@@ -8,8 +8,7 @@ import pytest
 from robots import ENGINES, needs_mujoco, ROBOTS
 from sim_bridge.arm import SENSOR_FRAME
 from sim_bridge.config import PlantConfig
-from sim_bridge.engines import make_engine
-from sim_bridge.plant import Plant
+from sim_bridge.plant import make_engine, Plant
 from sim_bridge.robots import find_robot
 
 STEP = 5e-4
