@@ -48,10 +48,10 @@ class Asked:
         """Return what is asked for, beside measured forces."""
         self.contacts['alpha_meas'] = alpha_meas
         self.task.ask(time)
-        wanted = self.controls['task'][0].copy()
+        task = self.controls['task'][0].copy()
         return SimpleNamespace(
-            pose=Pose(wanted['position'], wanted['rotation']), twist=wanted['twist'],
-            acceleration=wanted['acceleration'], active=self.contacts['answer']['active'].copy(),
+            pose=Pose(task['position'], task['rotation']), twist=task['twist'],
+            acceleration=task['acceleration'], active=self.contacts['answer']['active'].copy(),
             alpha_des=self.contacts['answer']['alpha_des'].copy())
 
 
@@ -65,25 +65,19 @@ def gap(pose):
     return np.concatenate([pose[0] - POSE[0], rotation_error(pose[1], POSE[1])])
 
 
-def test_pose_outside_the_box_is_not_asked_for():
-    asked = Asked(operational_speed=10.0)
-    asked.move(np.array([0.0, 5.0, -5.0]), AHEAD, np.ones(6), STILL)
+def test_task_keeps_the_pose_in_the_box_and_within_reach():
+    asked = Asked(operational_speed=10.0, operational_turn=1.0)
+    asked.move(np.array([0.0, 5.0, -5.0]), np.array([1.0, 0, 0, 0]), np.ones(6), STILL)
     asked.stay(Pose(np.array([0.0, 0.8, 0.4]), np.eye(3)))
     out = asked.ask(0.0)
     np.testing.assert_allclose(out.pose.position_world, [0.0, 0.9, 0.3])
-    np.testing.assert_array_equal(out.twist[1:3], 0.0)
-    assert out.twist[0] == 1.0
+    np.testing.assert_array_equal(out.twist[:3], [1.0, 0.0, 0.0])
+    turn = rotation_error(out.pose.rotation_world, POSE.rotation_world)
+    assert np.linalg.norm(turn) == pytest.approx(2.0 / 30.0)
     assert asked.task.limited
 
 
-def test_turn_asked_for_is_within_reach():
-    asked = Asked(operational_turn=1.0)
-    asked.move(POSE.position_world, np.array([1.0, 0, 0, 0]), STILL, STILL)
-    turn = rotation_error(asked.ask(0.0).pose.rotation_world, POSE.rotation_world)
-    assert np.linalg.norm(turn) == pytest.approx(2.0 / 30.0)
-
-
-def test_contact_that_a_hold_lets_go_is_sought_again_for_the_same_task():
+def test_contact_released_by_a_hold_is_sought_again_for_the_same_task():
     asked = Asked()
     asked.source.set_forces({'table': 5.0})
     for _ in range(2):
@@ -149,59 +143,27 @@ def test_twist_that_leads_beyond_the_limits_does_not_count(axis, lead):
         assert asked.task.limited is not counts
 
 
-def test_hold_stands_still_and_release_goes_on_where_the_scenario_was():
-    asked, other = Asked(moving(), guarded=False), moving()
+@pytest.mark.parametrize('way', ['hold', 'lock'])
+def test_task_that_is_held_or_locked_stands_still_and_then_goes_on_where_it_was(way):
+    asked, other = Asked(moving(), guarded=False, locked=way == 'lock'), moving()
     other.start(POSE, np.zeros((2, 3)))
-    for k in range(500):
-        asked.ask(k * H)
-    here = Pose(np.array([0.1, 0.2, 0.3]), np.eye(3))
-    asked.stay(here)
-    asked.task.hold(True)
-    assert asked.task.held
-    for k in range(500, 800):
-        held = asked.ask(k * H)
-        np.testing.assert_array_equal(held.pose.position_world, here.position_world)
-        assert not held.twist.any() and not held.acceleration.any()
+    begin, here = 0, POSE
+    if way == 'hold':
+        begin, here = 500, Pose(np.array([0.1, 0.2, 0.3]), np.eye(3))
+        for k in range(begin):
+            asked.ask(k * H)
+        asked.stay(here)
+        asked.task.hold(True)
+    for k in range(begin, begin + 300):
+        out = asked.ask(k * H)
+        np.testing.assert_array_equal(out.pose.position_world, here.position_world)
+        assert not any(part.any() for part in (
+            out.twist, out.acceleration, out.active, out.alpha_des))
     asked.task.hold(False)
+    if way == 'lock':  # only a hold is released
+        np.testing.assert_array_equal(
+            asked.ask(300 * H).pose.position_world, POSE.position_world)
+        asked.task.lock(False)
     np.testing.assert_allclose(
-        asked.ask(800 * H).pose.position_world, other.task(500 * H).pose_des.position_world,
-        atol=1e-12)
-
-
-def test_hold_keeps_the_desired_forces():
-    asked = Asked(guarded=False)
-    asked.source.set_forces({'table': 7.0})
-    asked.ask(0.0)
-    asked.task.hold(True)
-    asked.source.set_forces({'table': 0.0})
-    held = asked.ask(H)
-    assert held.alpha_des == pytest.approx([7.0, 0.0])
-    assert held.active.tolist() == [True, False]
-
-
-def test_a_locked_task_stands_still_until_it_is_unlocked_and_then_begins():
-    asked, other = Asked(moving(), guarded=False, locked=True), moving()
-    other.start(POSE, np.zeros((2, 3)))
-    for k in range(300):
-        task = asked.ask(k * H)
-        np.testing.assert_array_equal(task.pose.position_world, POSE.position_world)
-        assert not task.active.any() and not task.alpha_des.any()
-    asked.task.hold(False)  # only a hold is released
-    np.testing.assert_array_equal(asked.ask(300 * H).pose.position_world, POSE.position_world)
-    asked.task.lock(False)
-    np.testing.assert_allclose(
-        asked.ask(800 * H).pose.position_world, other.task(500 * H).pose_des.position_world,
-        atol=1e-12)
-
-
-def test_what_was_held_before_a_lock_is_held_after_it_without_contact():
-    asked = Asked(guarded=False)
-    asked.source.set_forces({'table': 7.0})
-    asked.ask(0.0)
-    asked.task.hold(True)
-    assert asked.ask(H).active.tolist() == [True, False]
-    for locked in (True, False):
-        asked.task.lock(locked)
-        assert asked.task.held and not asked.ask(2 * H).active.any()
-    asked.task.hold(False)
-    assert asked.ask(3 * H).active.tolist() == [True, False]
+        asked.ask(800 * H).pose.position_world,
+        other.task((800 - 300) * H).pose_des.position_world, atol=1e-12)

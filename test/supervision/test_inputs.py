@@ -1,9 +1,9 @@
 """What the input stage refuses and why, how long it bridges, its low-pass and its readings."""
 
-from arms import controller_config, HOME, Law, Measurement
+from arms import controller_config, HOME
 from multicontact_control.config import SensorFrontEndConfig
-from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.errors import ConfigError
+from multicontact_control.force.force_law import make_force_laws
 from multicontact_control.records import JOINT, MOMENTUM
 from multicontact_control.supervision.findings import explain_velocities
 from multicontact_control.supervision.inputs import (
@@ -69,13 +69,11 @@ FAULTS = [
     ('joints', put(np.nan), 'joints_invalid'), ('joints', put(2e3), 'joints_invalid'),
     ('joints', put(HOME[0] + 0.02), 'joints_jump'), ('joints', put(HOME[0] - 0.02), 'joints_jump'),
     ('wrench', put(np.nan), 'wrench_invalid'), ('wrench', put(-np.inf), 'wrench_saturated'),
-    ('wrench', put(2e6), 'wrench_saturated'), ('wrench', put(100.0), 'wrench_saturated'),
+    ('wrench', put(100.0), 'wrench_saturated'),
     ('variance', put(np.nan), 'variance_invalid'), ('variance', put(-1.0), 'variance_invalid'),
     ('joints', lambda x, s: changed(x, s, q=[0.0] * 5), 'joints_invalid'),
-    ('joints', lambda x, s: changed(x, s, qd='fast'), 'joints_invalid'),
     *((source, lambda x, s: changed(x, s, stamp=x.time + H), f'{source}_stamp')
       for source in SOURCES),
-    *((source, lambda x, s: changed(x, s, stamp=None), f'{source}_stamp') for source in SOURCES),
     *((source, lambda x, s: changed(x, s, stamp=x.time - 5 * H), f'{source}_order')
       for source in SOURCES)]
 
@@ -127,11 +125,15 @@ def test_third_identical_reading_is_frozen_and_a_wrench_is_bridged_for_one():
         inputs = changed(changed(inputs._replace(time=k * H), 'wrench', stamp=k * H),
                          'joints', stamp=k * H)
         found.append(stage.validate(inputs._replace(variance=good(k, random).variance)))
-    assert [seen.rejected for seen in found] == [()] * 2 + [
-        ('joints_frozen', 'wrench_frozen')] * 3
-    assert [seen.causes for seen in found] == [()] * 2 + [('joints_frozen',)] + [
-        ('joints_frozen', 'wrench_frozen')] * 2
+    frozen = ('joints_frozen', 'wrench_frozen')
+    assert [seen.rejected for seen in found] == [()] * 2 + [frozen] * 3
+    assert [seen.causes for seen in found] == [()] * 2 + [frozen[:1]] + [frozen] * 2
     assert stage.sensor_fault == 'frozen'
+    almost = np.ones(6) + 1e-9 * (np.arange(6) == 5)
+    signal = [np.ones(6)] * 8 + [almost] * 5
+    assert sensed(signal, frozen_ticks=5)[2] == [()] * 4 + [frozen[1:]] * 4 + [()] * 4 + [
+        frozen[1:]]
+    assert sensed(signal, frozen_ticks=0)[2] == [()] * 13
 
 
 def test_joints_are_refused_for_the_recovery_time_after_a_jump():
@@ -214,7 +216,8 @@ def test_angle_goes_on_where_it_wraps():
 
 @pytest.mark.parametrize(('times', 'causes'), [
     ((20, 19), ('clock_backwards',)), ((20, np.nan), ('clock_invalid',)),
-    ((20, 23), ()), ((20, 23, 26), ('clock_rate',)), ((20, 20.3, 20.6), ('clock_rate',))])
+    ((20, 23), ()), ((20, 23, 26), ('clock_rate',)), ((20, 20.3, 20.6), ('clock_rate',)),
+    ((20, 20), ()), ((20, 20, 20), ('clock_rate',))])
 def test_fault_of_the_clock_is_named(times, causes):
     """An odd period is one only twice in a row; joints and wrenches come in time."""
     stage, random = warm()
@@ -222,12 +225,6 @@ def test_fault_of_the_clock_is_named(times, causes):
         inputs = good(tick if np.isfinite(tick) else 21, random)
         seen = stage.validate(inputs._replace(time=tick * H))
     assert tuple(cause for cause in seen.causes if cause.startswith('clock')) == causes
-
-
-def test_clock_that_stands_still_is_a_fault_at_its_second_repetition():
-    stage, random = warm()
-    inputs = good(20, random)
-    assert [stage.validate(inputs).causes for _ in range(4)] == [()] * 2 + [('clock_rate',)] * 2
 
 
 def sensed(wrenches, **sensor):
@@ -242,30 +239,30 @@ def sensed(wrenches, **sensor):
 
 
 @pytest.mark.parametrize('order', [1, 2])
-def test_low_pass_is_scipys_butterworth(order):
+def test_low_pass_is_scipys_butterworth_from_a_settled_start(order):
+    """It settles anew after a gap and goes on behind a missing number."""
+    wrench, sensor = np.arange(1.0, 7.0), {'filter_order': order, 'filter_cutoff': 40.0}
     signal = np.random.default_rng(0).standard_normal((200, 6))
     signal[0] = 0.0
     b, a = butter(order, 40.0, fs=RATE)
-    passed = sensed(signal, filter_order=order, filter_cutoff=40.0)[1]
-    np.testing.assert_allclose(passed, lfilter(b, a, signal, axis=0), atol=1e-12)
-
-
-@pytest.mark.parametrize('order', [1, 2])
-def test_low_pass_starts_settled_and_survives_a_missing_number(order):
-    wrench = np.arange(1.0, 7.0)
+    passed = sensed(wrench + signal, **sensor)[1]
+    np.testing.assert_allclose(passed, wrench + lfilter(b, a, signal, axis=0), atol=1e-12)
     signal = np.tile(wrench, (30, 1))
     signal[20] = np.nan
-    stage, passed, _ = sensed(
-        signal, filter_order=order, filter_cutoff=40.0, frozen_ticks=0)
+    stage, passed, _ = sensed(signal, frozen_ticks=0, **sensor)
     assert np.isnan(passed[20]).all()
-    np.testing.assert_allclose(np.delete(passed, 20, axis=0), np.tile(wrench, (29, 1)), rtol=1e-12)
-    np.testing.assert_allclose(stage.wrench, wrench, rtol=1e-12)
-    stage.validate(TickInputs(1.0, wrench=WrenchInput(1.0, -wrench)))  # after a gap: settled anew
-    np.testing.assert_allclose(stage.wrench, -wrench, rtol=1e-12)
+    np.testing.assert_allclose(np.delete(passed, 20, axis=0), [wrench] * 29, rtol=1e-12)
+    filtered = []
+    for time, stamp in ((30 * H, 30 * H), (31 * H, 30 * H), (1.0, 1.0)):
+        stage.validate(TickInputs(time, wrench=WrenchInput(stamp, -wrench)))
+        filtered.append(stage.wrench.copy())
+    assert (np.abs(filtered[0]) < wrench).all()
+    np.testing.assert_array_equal(filtered[1], filtered[0])  # the same reading passes once
+    np.testing.assert_allclose(filtered[2], -wrench, rtol=1e-12)
 
 
 @pytest.mark.parametrize('order', [1, 2])
-@pytest.mark.parametrize('cutoff', [15.0, 62.5, 125.0, 240.0])
+@pytest.mark.parametrize('cutoff', [15.0, 125.0, 240.0])
 def test_filter_delay_is_the_group_delay_at_rest_and_that_of_a_ramp(order, cutoff):
     sensor = {'filter_order': order, 'filter_cutoff': cutoff}
     delay = SensorFrontEndConfig(**sensor).filter_delay(RATE)
@@ -279,54 +276,26 @@ def test_filter_delay_is_the_group_delay_at_rest_and_that_of_a_ramp(order, cutof
 def test_delay_of_the_low_pass_is_in_the_controllers_model():
     """T_d of 6 ms and 3 periods of low-pass: as many delay states as 12 ms."""
     sensor = {'filter_order': 1, 'filter_cutoff': RATE / np.pi * np.arctan(1 / 6)}
-    config = controller_config(sensor=sensor)
-    assert config.loop_delay == pytest.approx(0.006 + 3 / RATE)
-    observers = []
-    for changes in ({'sensor': sensor}, {'force': {'input_delay': 0.012}}):
-        controller = Law(controller_config(**changes), CommandedTask(('table', 'board')))
-        home = np.array([1.847, 0.871, 2.937, 0.0, -0.666, 1.847])
-        controller.step(Measurement(0.0, home, np.zeros(6), np.zeros(6)), np.full(2, 0.6))
-        observers.append(controller.laws['observer'])
-    assert observers[0]['states'].tolist() == [2 + 6 + 1] * 2
-    np.testing.assert_allclose(observers[0]['feedback'], observers[1]['feedback'], rtol=1e-6)
-
-
-@pytest.mark.parametrize(('sensor', 'message'), [
-    ({'filter_order': 2, 'filter_cutoff': 5.0},
-     r'force.input_delay and the delay of sensor.filter_cutoff: expected at most 10 periods '
-     r'\(0.02 s\), found 0.006 s \+ 0.045 s'),
-    ({'filter_order': 1, 'filter_cutoff': 250.0},
-     'sensor.filter_cutoff: expected below the Nyquist frequency 250 Hz, found 250 Hz')])
-def test_low_pass_that_does_not_fit_the_loop_is_refused(sensor, message):
-    with pytest.raises(ConfigError, match=message):
-        controller_config(sensor=sensor)
-    assert controller_config(sensor={**sensor, 'filter_order': 0}).loop_delay == 0.006
-
-
-def test_checks_are_of_the_raw_wrench_and_the_filtered_one_is_handed_over():
-    signal = np.zeros((4, 6))
-    signal[1:] = 10.0
-    signal[2] = 10.1
-    stage, passed, rejected = sensed(
-        signal, filter_order=1, filter_cutoff=10.0, full_scale=(10.0,) * 6)
-    assert rejected == [()] + [('wrench_saturated',)] * 3
-    assert stage.sensor_fault == 'saturated' and (passed[1] < 5.0).all()
-    np.testing.assert_array_equal(stage.wrench, 0.0)
-    np.testing.assert_array_equal(stage.raw, signal[-1])
+    assert controller_config(sensor=sensor).loop_delay == pytest.approx(0.006 + 3 / RATE)
+    filtered, delayed = (
+        make_force_laws(controller_config(**changes), np.full(2, 6000.0))['observer']
+        for changes in ({'sensor': sensor}, {'force': {'input_delay': 0.012}}))
+    assert filtered['states'].tolist() == [2 + 6 + 1] * 2
+    np.testing.assert_allclose(filtered['feedback'], delayed['feedback'], rtol=1e-6)
+    with pytest.raises(ConfigError, match='force.input_delay and the delay of sensor.filter_cutof'
+                       r'f: expected at most 10 periods \(0.02 s\), found 0.006 s \+ 0.045 s'):
+        controller_config(sensor={'filter_order': 2, 'filter_cutoff': 5.0})
 
 
 @pytest.mark.parametrize('axis', range(6))
 @pytest.mark.parametrize('sign', [-1.0, 1.0])
-def test_saturated_axis_is_found_where_the_full_scale_is_known(axis, sign):
+def test_saturation_is_of_the_raw_wrench_where_the_full_scale_is_known(axis, sign):
     wrench = sign * np.array(FULL_SCALE) * (np.arange(6) == axis)
-    assert sensed([wrench, 0.98 * wrench], full_scale=FULL_SCALE)[2] == [
-        ('wrench_saturated',), ()]
+    saturated = ('wrench_saturated',)
     assert sensed([1e3 * wrench])[2] == [()]
-
-
-def test_frozen_sensor_is_found_in_time_and_its_recovery():
-    almost = np.ones(6) + 1e-9 * (np.arange(6) == 5)
-    signal = [np.ones(6)] * 8 + [almost] * 5
-    frozen = ('wrench_frozen',)
-    assert sensed(signal, frozen_ticks=5)[2] == [()] * 4 + [frozen] * 4 + [()] * 4 + [frozen]
-    assert sensed(signal, frozen_ticks=0)[2] == [()] * 13
+    stage, passed, rejected = sensed([0.0 * wrench, 0.98 * wrench, wrench, wrench],
+                                     full_scale=FULL_SCALE, filter_order=1, filter_cutoff=10.0)
+    assert rejected == [()] * 2 + [saturated] * 2
+    assert stage.sensor_fault == 'saturated' and (np.abs(passed[1]) < 0.5 * np.abs(wrench)).any()
+    np.testing.assert_array_equal(stage.wrench, passed[1])
+    np.testing.assert_array_equal(stage.raw, wrench)
