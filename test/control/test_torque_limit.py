@@ -36,19 +36,13 @@ def test_torque_beyond_its_limits_keeps_its_direction(seed, size):
     assert (np.abs(found) / limit).max() == pytest.approx(1.0)
 
 
-def test_torque_beyond_the_least_share_is_cut_joint_by_joint():
-    found, _ = limited([12.0, 3.0], [11.0, 1.0], [10.0, 10.0])
-    np.testing.assert_array_equal(found, [10.0, 3.0])
-    found, _ = limited([9.0, 20.0], [1.0, 0.0], [10.0, 4.0], 0.5)
-    np.testing.assert_array_equal(found, [5.0, 4.0])
-    found, _ = limited([np.nan, 30.0], [0.0, 0.0], [10.0, 10.0])
-    assert np.isnan(found[0])
-
-
-def test_torque_limits_hold_for_command_and_added_torque_together():
-    found, was_limited = limited([20.0, 3.0], [11.0, 1.0], [10.0, 10.0], added=[5.0, 0.0])
-    np.testing.assert_allclose(found, [15.0, 1.0 + 2.0 * 4.0 / 9.0])
-    assert was_limited
-    found, was_limited = limited([14.0, -6.0], [0.0, 0.0], [10.0, 10.0], added=[5.0, 4.0])
-    np.testing.assert_array_equal(found, [14.0, -6.0])
-    assert not was_limited
+@pytest.mark.parametrize(('torque', 'priority', 'limit', 'options', 'expected'), [
+    ([12.0, 3.0], [11.0, 1.0], [10.0, 10.0], {}, [10.0, 3.0]),  # more than can be carried
+    ([9.0, 20.0], [1.0, 0.0], [10.0, 4.0], {'least_share': 0.5}, [5.0, 4.0]),
+    ([np.nan, 30.0], [0.0, 0.0], [10.0, 10.0], {}, [np.nan, 10.0]),
+    # Limits are those of command and torque that the drives add.
+    ([20.0, 3.0], [11.0, 1.0], [10.0, 10.0], {'added': [5.0, 0.0]}, [15.0, 1.0 + 8.0 / 9.0]),
+    ([14.0, -6.0], [0.0, 0.0], [10.0, 10.0], {'added': [5.0, 4.0]}, [14.0, -6.0])])
+def test_torque_beyond_its_share_is_cut_joint_by_joint(
+        torque, priority, limit, options, expected):
+    np.testing.assert_allclose(limited(torque, priority, limit, **options)[0], expected)

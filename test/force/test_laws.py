@@ -28,7 +28,7 @@ from multicontact_control.force.force_law import (
     make_force_laws,
     step_linear,
 )
-from multicontact_control.force.laws import LAWS, LinearLaw, sampled, steady_law
+from multicontact_control.force.laws import LAWS, LinearLaw, steady_law
 from multicontact_control.force.margins import spectral_radius
 from multicontact_control.force.observer import steady_gain
 from multicontact_control.force.plant import delayed_plant
@@ -36,7 +36,6 @@ from multicontact_control.paths import config_dir
 from multicontact_control.records import CONTACT, CONTROL
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete
 
 H, K, DELAY = 0.002, 6000.0, 0.006
 LINEAR = [name for name in LAWS if name != 'aob']
@@ -265,16 +264,6 @@ def test_registry_has_every_law_in_every_place():
     assert set(read_yaml(config_dir() / 'tuning.yaml')) == names
     presets = {name for name in law_presets() if name.startswith('laws/')}
     assert presets == {f'laws/{name}' for name in names - {'aob'}}  # `paper`, `best`, `adaptive`
-
-
-def test_discretisation_is_scipys():
-    random = np.random.default_rng(4)
-    for scale in np.geomspace(1e-2, 1e4, 10):
-        A, B, C, D = (random.standard_normal(shape) for shape in ((4, 4), (4, 3), (3, 4), (3, 3)))
-        law = sampled(scale * A, B, C, D, H)
-        expected = cont2discrete((scale * A, B, C, D), H, method='bilinear')
-        for found, matrix in zip((law.A, law.B, law.C, law.D), expected):
-            np.testing.assert_array_equal(found, matrix)
 
 
 @pytest.mark.parametrize('pause', [False, True], ids=['live change', 'pause'])

@@ -148,19 +148,6 @@ def test_short_dip_is_no_loss_and_a_sample_more_is_one(touched, dip, before):
     assert (surface.state, surface.contact['losses']) == (LOST, 1)
 
 
-@pytest.mark.parametrize(('pause', 'gone', 'state'), [
-    (0.0, 0.09, HOLDING), (1.0, 0.1, LOST), (0.4, 0.002, LOST)])
-def test_contact_that_rebounds_is_waited_for_once_in_half_a_second(pause, gone, state):
-    """For 0.1 s; after a pause it is thrown back for a second time."""
-    surface = holding()
-    for seconds in (pause, 0.0)[:2 if pause else 1]:
-        surface.run(0.004, alpha=1.0, speed=-0.01)
-        assert surface.state is HOLDING
-        surface.run(seconds, alpha=15.0)
-    surface.run(gone, alpha=0.0, speed=0.01)
-    assert surface.state is state
-
-
 def test_contact_does_not_chatter_with_noise_around_the_touch_threshold():
     """Between release and touch threshold nothing changes, however often."""
     surface = Surface()

@@ -136,18 +136,6 @@ def test_third_identical_reading_is_frozen_and_a_wrench_is_bridged_for_one():
     assert sensed(signal, frozen_ticks=0)[2] == [()] * 13
 
 
-def test_joints_are_refused_for_the_recovery_time_after_a_jump():
-    stage, random = warm()
-    away = np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
-    rejected = []
-    for k in range(20, 60):
-        inputs = good(k, random)
-        rejected.append(stage.validate(
-            changed(inputs, 'joints', q=inputs.joints.q + away)).rejected)
-    refused = 1 + round(CONFIG.watchdog.recovery_time / H)
-    assert rejected == [('joints_jump',)] * refused + [()] * (40 - refused)
-
-
 def swing(k):
     """Return positions and velocities of joints that swing by 0.02 rad at up to 0.2 rad/s."""
     return HOME - 0.02 * np.cos(10.0 * k * H), 0.2 * np.sin(10.0 * k * H) + np.zeros(6)

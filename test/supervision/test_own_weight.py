@@ -1,4 +1,4 @@
-"""An arm that adds gravity itself: whatever commands it, commands that much less."""
+"""An arm that adds gravity itself: everything that commands it commands that much less."""
 
 from contextlib import closing
 from xml.etree import ElementTree
@@ -50,17 +50,21 @@ class SelfCarryingLoop(ClosedLoop):
 
 
 @pytest.mark.parametrize(('with_tool', 'supervised'), [(True, True), (False, True), (True, False)])
-def test_simulated_arm_that_carries_itself_is_held_and_presses(with_tool, supervised):
-    """No sag at the start, 10 N on both contacts, and limits that are less than its weight."""
-    limit = [60.0, 25.0, 40.0, 24.2, 20.1, 21.3]
+def test_arm_that_carries_itself_is_held_and_presses(with_tool, supervised):
+    """
+    No sag at the start, 10 N on both contacts, and limits that are less than its weight.
+
+    Before its joints are known the torque is zero, which lets this arm stand.
+    """
+    limit, blind = [60.0, 25.0, 40.0, 24.2, 20.1, 21.3], 5 * (with_tool and supervised)
     assert (np.abs(gravity_of_the_arm(True)(HOME)) > limit).any()
     with closing(SelfCarryingLoop(resolve('quick', plant='rigid', controller={
             'robot': {**ADDED, 'adds_tool_gravity': with_tool}, 'torque_limit': limit}),
             with_tool=with_tool, supervised=supervised, commanded=True)) as loop:
-        for _ in range(200):
-            loop.advance()
+        for k in range(200):
+            loop.advance(lambda inputs, k=k: TickInputs(inputs.time) if k < blind else inputs)
             assert np.abs(loop.sample.q - HOME).max() < 1e-4
-            assert np.abs(loop.command).max() < 3.0
+            assert np.abs(loop.command).max() < (1e-9 if k < blind else 3.0)
         loop.control.set_forces({'table': 10.0, 'board': 10.0})
         forces = []
         for _ in range(1300 if supervised else 1):
@@ -69,12 +73,12 @@ def test_simulated_arm_that_carries_itself_is_held_and_presses(with_tool, superv
             forces.append(loop.true_forces)
         if supervised:
             np.testing.assert_allclose(np.mean(forces[-100:], axis=0), 10.0, atol=0.3)
-            assert set(loop.control.events.reactions) == {'none'}
+            assert set(loop.control.events.reactions) <= {'none', 'float'}
 
 
 @pytest.mark.parametrize('kind', ['gravity_compensation', 'hold_position', 'zero_torque'])
-def test_every_reaction_and_the_safe_behaviour_command_that_much_less(kind):
-    """Two loops are told the same; the one of an arm that adds gravity commands less by it."""
+def test_reactions_and_safe_behaviour_leave_out_gravity_that_the_arm_adds(kind):
+    """Two loops get the same inputs; the one of an arm that adds gravity commands less by it."""
     own = gravity_of_the_arm(True)
     changes = {'safe_behaviour': kind, 'torque_limit': []}
     setup = resolve('quick', plant='rigid', controller=changes)
@@ -105,14 +109,3 @@ def test_every_reaction_and_the_safe_behaviour_command_that_much_less(kind):
             np.testing.assert_allclose(less, command - own(seen), atol=0.03)
         reactions.add(plain.status.reaction)
     assert {'none', 'hold', 'float'} <= reactions
-
-
-def test_before_its_joints_are_known_nothing_is_commanded_and_no_jump_comes_of_it():
-    """Zero torque lets this arm stand; to blend from there as from a torque would drop it."""
-    setup = resolve('quick', plant='rigid', controller={'robot': ADDED})
-    loop = SelfCarryingLoop(setup)
-    for k in range(60):
-        loop.advance(lambda inputs, k=k: TickInputs(inputs.time) if k < 5 else inputs)
-        assert np.abs(loop.command).max() < (1e-9 if k < 5 else 3.0)
-    assert np.abs(loop.sample.q - HOME).max() < 1e-4
-    loop.close()

@@ -1,4 +1,4 @@
-"""Gaps are bridged, nothing alternates for ever, and what was given up comes back."""
+"""Gaps are bridged, reactions do not alternate, and contacts given up come back."""
 
 from contextlib import closing
 
@@ -58,7 +58,7 @@ def reactions_change(statuses):
 @pytest.mark.parametrize(('cause', 'soon'), [
     ('wrench_stale', 1.0), ('joints_invalid', 1.0), ('clock_rate', 1.0), ('collision_joint2', 5.0),
     ('motion_joint_speed', 5.0), ('law_not_finite', 5.0), ('wrench_sideways', 5.0)])
-def test_recovery_waits_three_times_as_long_after_each_relapse_and_latches_what_is_physical(
+def test_recovery_waits_longer_after_each_relapse_and_latches_physical_causes(
         cause, soon):
     """From 50 ms up to 2 s; a reaction is a relapse within `soon` after control has resumed."""
     recovery, tick = Recovery(WatchdogConfig().recovery_time, H), 0
@@ -99,7 +99,7 @@ def test_gaps_of_the_wrench_are_bridged_and_long_ones_held_with_the_force(plant)
 
 @on_both_plants
 @pytest.mark.parametrize('silent', [True, False])
-def test_emergency_stop_in_contact_is_got_over(plant, silent):
+def test_emergency_stop_in_contact_is_recovered_from(plant, silent):
     """Brakes hold the arm for 2 s: nothing comes of it, or its torques have no effect."""
     def stopped(inputs):
         return inputs._replace(joints=None, wrench=None) if silent else inputs._replace(
@@ -119,28 +119,9 @@ def test_emergency_stop_in_contact_is_got_over(plant, silent):
     assert np.abs(forces[-1] - 15.0).max() < 0.5 and statuses[-1].contact_states == HOLDING
 
 
-@on_both_plants
-def test_large_force_step_is_no_escape(plant):
-    with pressing(plant, force=3.0) as loop:
-        loop.control.set_forces({'table': 25.0, 'board': 25.0})
-        forces, statuses = advance(loop, 1.0)
-    assert {status.contact_states for status in statuses} == {HOLDING}
-    assert np.abs(forces[-1] - 25.0).max() < 0.5
-
-
-def test_surface_that_goes_during_a_gap_is_missed_at_its_end():
-    with pressing('rigid') as loop:
-        loop.plant.contacts.shift(1, 0.05)
-        _, during = advance(loop, 0.05, no_wrench)
-        forces, after = advance(loop, 2.0)
-    assert during[-1].contact_states == HOLDING
-    assert after[-1].contact_states[0] == 'holding' != after[-1].contact_states[1]
-    assert abs(forces[-1, 0] - 15.0) < 0.5
-
-
-@on_both_plants
-@pytest.mark.parametrize('turn', [0.9, 1.5])
-def test_turning_about_the_wrist_with_the_board_held_loses_nothing(plant, turn):
+@pytest.mark.parametrize(('plant', 'turn', 'least', 'most'), [
+    ('puma', 0.9, 4.0, 16.0), ('rigid', 1.5, 1.0, 20.0)])
+def test_turning_about_the_wrist_with_the_board_held_loses_nothing(plant, turn, least, most):
     """The speed of the tip counts, and not that of the wrist."""
     axis, w = np.array([0.0, 1.0, 0.0]), np.pi  # the normal: the tip stays on the board
     with pressing(plant, forces={'table': 0.0, 'board': 10.0}) as loop:
@@ -154,7 +135,6 @@ def test_turning_about_the_wrist_with_the_board_held_loses_nothing(plant, turn):
                 np.concatenate([np.zeros(3), turn * np.cos(w * time) * axis]), np.zeros(6)))
         forces, statuses = advance(loop, 2.0, each=rotate)  # a whole turn, to either side
     assert {status.contact_states[1] for status in statuses} == {'holding'}
-    least, most = (4.0, 16.0) if turn < 1.0 else (1.0, 20.0)
     assert least < forces[:, 1].min() and forces[:, 1].max() < most
 
 
@@ -164,7 +144,7 @@ WALL = {'obstacle_names': ['wall'], 'surfaces': {'wall': {
 
 
 @on_both_plants
-def test_side_wall_is_met_a_few_times_only_and_the_operator_can_retreat(plant):
+def test_side_wall_latches_after_a_few_relapses_and_the_operator_can_retreat(plant):
     with pressing(plant, plant_overrides=WALL) as loop:
         start = loop.control.output.pose
         forces, statuses = advance(
@@ -205,7 +185,7 @@ def test_contact_that_was_given_up_comes_back(way):
 
 
 @on_both_plants
-def test_smallest_force_that_may_be_asked_for_holds_while_sliding(plant):
+def test_smallest_force_holds_while_sliding_and_through_a_large_step(plant):
     smallest = resolve('quick', plant=plant).controller.contact_state.smallest_force
     w = 2.0 * np.pi / 4.0
     with pressing(plant, force=smallest) as loop:
@@ -213,7 +193,10 @@ def test_smallest_force_that_may_be_asked_for_holds_while_sliding(plant):
         _, statuses = advance(loop, 4.0, each=lambda time: move(  # there and back
             loop, start, [0.05 * (1.0 - np.cos(w * time)), 0.0, 0.0],
             [0.05 * w * np.sin(w * time), 0.0, 0.0]))
-    assert {status.contact_states for status in statuses} == {HOLDING}
+        loop.control.set_forces({'table': 25.0, 'board': 25.0})
+        forces, later = advance(loop, 1.0)
+    assert {status.contact_states for status in statuses + later} == {HOLDING}
+    assert np.abs(forces[-1] - 25.0).max() < 0.5
 
 
 @on_both_plants
@@ -234,7 +217,7 @@ def test_joint_at_its_limit_does_not_wind_the_observers_up(plant):
 
 
 @on_both_plants
-def test_surface_that_goes_for_a_moment_leaves_the_other_force(plant):
+def test_surface_that_vanishes_for_a_moment_leaves_the_other_force(plant):
     """In means over 12 ms."""
     with pressing(plant) as loop:
         loop.plant.contacts.shift(1, 0.05)
