@@ -4,6 +4,7 @@ from arms import run_loop, seven_joint_loop
 import numpy as np
 import pytest
 
+
 @pytest.mark.slow
 def test_pushed_elbow_comes_back_and_the_force_on_the_wall_stays(tmp_path):
     """8 N for a second left it 0.24 rad away for good, before there was a posture."""
