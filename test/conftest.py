@@ -8,13 +8,9 @@ from hypothesis import settings
 from multicontact_control.experiment.compilation import ensure_compiled
 import pytest
 
-# One after the other: two graphs in real time would take each other's processor. What makes a
-# folder among the sources, and what looks whether there is a new one.
-TOGETHER = [
-    {'test/campaign/test_campaign.py', 'test/experiment/graph/test_external.py',
-     'test/nodes/test_missing_samples.py', 'test/nodes/test_survival.py'},
-    {'test/test_colcon.py', 'test/test_packaging.py'}]
-
+# In one worker, one after the other: graphs in real time would take each other's processor.
+REAL_TIME = ('test/campaign/test_campaign.py', 'test/experiment/graph/test_external.py',
+             'test/nodes/test_survival.py')
 
 # A machine that is busy for a moment makes no example wrong.
 settings.register_profile('no deadline', deadline=None)
@@ -54,13 +50,13 @@ def pytest_collection_modifyitems(items):
     for item in items:
         weight = sum(bool(item.get_closest_marker(name)) for name in ('ros', 'slow', 'colcon'))
         weights[item.path] = max(weight, weights.get(item.path, 0))
-    items.sort(key=lambda item: (_group(item.nodeid) != min(TOGETHER[0]), -weights[item.path]))
+    items.sort(key=lambda item: (group(item.nodeid) != REAL_TIME[0], -weights[item.path]))
 
 
-def _group(nodeid):
+def group(nodeid):
     """Return what a test is run together with: its file, or the first of several."""
     path = nodeid.split('::')[0]
-    return next((min(files) for files in TOGETHER if path in files), path)
+    return REAL_TIME[0] if path in REAL_TIME else path
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -68,9 +64,6 @@ def pytest_xdist_make_scheduler(config, log):
     """Give every worker whole files, so that their fixtures are made once."""
     from xdist.scheduler import LoadScopeScheduling
 
-    class FileScheduling(LoadScopeScheduling):
-
-        def _split_scope(self, nodeid):
-            return _group(nodeid)
-
-    return FileScheduling(config, log)
+    scheduler = LoadScopeScheduling(config, log)
+    scheduler._split_scope = group
+    return scheduler

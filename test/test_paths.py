@@ -1,39 +1,55 @@
-"""Where the configuration files are found."""
+"""Where the configuration files are found, and how files are written."""
 
+import json
 from pathlib import Path
 import sys
 
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import check_all, ConfigError
+from multicontact_control.files import replacing, write_json
 from multicontact_control.paths import config_dir
 import pytest
 
 SHARE = Path('share', 'multicontact_control', 'config')
 
 
-@pytest.fixture
-def bare(monkeypatch, tmp_path):
-    """Hide the environment the tests run in."""
+def test_config_dir_is_the_checkouts_or_in_a_prefix_or_in_an_ament_prefix(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, 'prefix', str(tmp_path / 'environment'))
-    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
-    return tmp_path
-
-
-def test_config_dir_prefers_the_checkout(bare):
-    for folder in ('checkout/config', Path('environment') / SHARE, 'site-packages/config'):
-        (bare / folder).mkdir(parents=True)
-    (bare / 'checkout/package.xml').touch()
-    assert config_dir(bare / 'checkout/multicontact_control') == bare / 'checkout/config'
+    monkeypatch.setenv('AMENT_PREFIX_PATH', f'{tmp_path}/nothing:{tmp_path}/workspace')
+    (tmp_path / 'checkout/config').mkdir(parents=True)
+    (tmp_path / 'checkout/package.xml').touch()
+    assert config_dir(tmp_path / 'checkout/multicontact_control') == tmp_path / 'checkout/config'
+    package = tmp_path / 'prefix/lib/python3.11/site-packages/multicontact_control'
     # A folder of that name beside an installed package is no checkout's.
-    assert config_dir(bare / 'site-packages/multicontact_control') == (
-        bare / 'environment' / SHARE)
+    (package.parent / 'config').mkdir(parents=True)
+    with pytest.raises(ConfigError, match='/environment/share.*/workspace/share'):
+        config_dir(package)
+    for prefix in ('workspace', 'environment', 'prefix'):
+        (tmp_path / prefix / SHARE).mkdir(parents=True)
+        assert config_dir(package) == tmp_path / prefix / SHARE
     assert (config_dir() / 'scenarios').is_dir()
 
 
-def test_config_dir_is_in_the_prefix_or_in_an_ament_prefix(bare, monkeypatch):
-    package = bare / 'prefix/lib/python3.11/site-packages/multicontact_control'
-    monkeypatch.setenv('AMENT_PREFIX_PATH', f'{bare}/nothing:{bare}/workspace')
-    with pytest.raises(ConfigError, match=f'{bare}/environment/share.*{bare}/workspace/share'):
-        config_dir(package)
-    for prefix in ('workspace', 'prefix'):
-        (bare / prefix / SHARE).mkdir(parents=True)
-        assert config_dir(package) == bare / prefix / SHARE
+def test_file_is_replaced_at_once_or_not_at_all(tmp_path):
+    path = tmp_path / 'a.txt'
+    path.write_text('old')
+    with pytest.raises(KeyboardInterrupt), replacing(path) as partial:
+        partial.write_text('ha')
+        raise KeyboardInterrupt
+    assert path.read_text() == 'old'
+    write_json(path, {'x': [1.5, None]})
+    with pytest.raises(ValueError):
+        write_json(path, {'x': float('nan')})
+    assert json.loads(path.read_text()) == {'x': [1.5, None]}
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_check_all_raises_one_line_for_each_value():
+    def fail(field):
+        raise ConfigError(field, 'a number', 'x', 'a.yaml')
+
+    assert check_all(lambda: None, lambda: 2) == [None, 2]
+    with pytest.raises(ConfigError) as error:
+        check_all(lambda: fail('a'), lambda: None, lambda: fail('b'), lambda: fail('a'))
+    assert str(error.value) == (
+        'a.yaml: a: expected a number, found x\na.yaml: b: expected a number, found x')
+    assert (error.value.field, error.value.expected) == ('a', 'a number')

@@ -1,10 +1,13 @@
-"""Threads and scheduling."""
+"""Threads and scheduling, and colours where they can be seen."""
 
+import io
 import os
 import subprocess
 import sys
 
+from multicontact_control.experiment.terminal import is_lively, terminal
 from multicontact_control.process import claim_processor, limit_threads, THREAD_VARIABLES
+import pytest
 from ros_graph import ROOT
 
 THREADS = """
@@ -17,8 +20,8 @@ cpu = max(os.sched_getaffinity(0))
 assert claim_processor(cpus=(cpu,)) == []
 late = threading.Thread(target=end.wait)
 late.start()
-found = [os.sched_getaffinity(int(x)) for x in os.listdir('/proc/self/task')]
-print(len(found) >= 5 and all(each == {cpu} for each in found))
+masks = [os.sched_getaffinity(int(x)) for x in os.listdir('/proc/self/task')]
+print(len(masks) >= 5 and all(each == {cpu} for each in masks))
 end.set()
 """
 
@@ -34,10 +37,10 @@ def test_threads_are_limited_before_numpy_is_loaded(monkeypatch):
     monkeypatch.setenv('OMP_NUM_THREADS', '3')
     limit_threads()
     assert os.environ['OPENBLAS_NUM_THREADS'] == '1'
-    assert os.environ['OMP_NUM_THREADS'] == '3', 'what the user says'
+    assert os.environ['OMP_NUM_THREADS'] == '3'  # as the user has it
     heavy = ('numpy', 'numba', 'pinocchio', 'pybullet', 'rclpy', 'matplotlib')
-    code = f'import sys, multicontact_control.cli; print({heavy}, sys.modules.keys() & {heavy})'
-    assert output_of(code).endswith('set()')
+    assert output_of(f'import sys, multicontact_control.cli; print(sys.modules.keys() & {heavy})'
+                     ) == 'set()'
 
 
 def test_processor_is_claimed_for_every_thread_or_refused():
@@ -45,3 +48,19 @@ def test_processor_is_claimed_for_every_thread_or_refused():
     assert claim_processor() == []
     (problem,) = claim_processor(cpus=(4095,))
     assert 'CPU affinity [4095]' in problem and '\n' not in problem
+
+
+@pytest.mark.parametrize(('setting', 'lively'), [
+    (None, False), ({}, True), ({'NO_COLOR': '1'}, False), ({'TERM': 'dumb'}, False)])
+def test_colours_and_moving_bars_are_for_terminals(monkeypatch, setting, lively):
+    for name in ('NO_COLOR', 'FORCE_COLOR', 'TTY_COMPATIBLE'):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in {'TERM': 'xterm-256color', **(setting or {})}.items():
+        monkeypatch.setenv(name, value)
+    screen = io.StringIO()
+    screen.isatty = lambda: setting is not None
+    monkeypatch.setattr(sys, 'stdout', screen)
+    console = terminal()
+    assert is_lively(console) == lively
+    console.print('[red]warning[/red]')
+    assert ('\x1b[' in screen.getvalue()) == lively
