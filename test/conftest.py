@@ -19,11 +19,7 @@ settings.load_profile('no deadline')
 
 @pytest.fixture(scope='module')
 def chromium():
-    """
-    Start Chromium, as playwright has it; see `chromium_browser`.
-
-    For one file: while playwright is there, its event loop runs, and no other can.
-    """
+    """Start Chromium for one file: while playwright is there, no other event loop can run."""
     with chromium_browser() as browser:
         yield browser
 
@@ -35,7 +31,7 @@ def pytest_sessionstart(session):
 
 
 def pytest_configure(config):
-    """Keep the order of the files below, where there are several workers."""
+    """Keep the order of the files below with several workers, and let signals end processes."""
     # What `nohup` or a shell in the background has ignored, all processes of the tests would.
     for number, handler in ((signal.SIGINT, signal.default_int_handler),
                             (signal.SIGHUP, signal.SIG_DFL)):
@@ -46,11 +42,8 @@ def pytest_configure(config):
 
 def pytest_collection_modifyitems(items):
     """Put what takes longest first, file by file, so that no worker begins it last."""
-    weights = {}
-    for item in items:
-        weight = sum(bool(item.get_closest_marker(name)) for name in ('ros', 'slow', 'colcon'))
-        weights[item.path] = max(weight, weights.get(item.path, 0))
-    items.sort(key=lambda item: (group(item.nodeid) != REAL_TIME[0], -weights[item.path]))
+    longest = {item.path for item in items if item.get_closest_marker('slow')}
+    items.sort(key=lambda item: (group(item.nodeid) != REAL_TIME[0], item.path not in longest))
 
 
 def group(nodeid):

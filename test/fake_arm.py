@@ -7,7 +7,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.graph import ignore, take
+from multicontact_control.nodes.graph import create_publisher, ignore, take
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np
@@ -37,8 +37,7 @@ class FakeArm:
         self._middleware = middleware
         node = middleware.node
         self.config = controller_config()
-        robot = RobotModel(self.config.robot, config_dir())
-        self.state = robot.update(HOME, np.zeros(6))
+        self.state = RobotModel(self.config.robot, config_dir()).update(HOME, np.zeros(6))
         self.weight = weight_reading(
             self.state.sensor_pose.rotation_world, self.config.tool,
             np.array(self.config.robot.gravity_world))
@@ -46,15 +45,15 @@ class FakeArm:
         self.k = 0
         self._joints = node.create_publisher(JointState, 'joint_states', profile)
         self._wrench = node.create_publisher(topics.WRENCH.message, 'ft_sensor/wrench', profile)
-        self.force_command = node.create_publisher(
-            JointState, topics.FORCE_COMMAND.name, topics.FORCE_COMMAND.profile)
-        self.motion_command = node.create_publisher(
-            topics.MOTION_COMMAND.message, topics.MOTION_COMMAND.name,
-            topics.MOTION_COMMAND.profile)
-        self._commands, self._desired, self._measured, self._diagnostics = (
-            node.create_subscription(kind, name, ignore, DEPTH) for kind, name in (
-                (JointState, 'joint_effort_command'), (JointState, 'contact_forces/desired'),
-                (JointState, 'contact_forces/measured'), (DiagnosticArray, 'diagnostics')))
+        self.force_command, self.motion_command = (
+            create_publisher(node, x) for x in (topics.FORCE_COMMAND, topics.MOTION_COMMAND))
+        self._commands = node.create_subscription(
+            JointState, 'joint_effort_command', ignore, DEPTH)
+        self._forces = {kind: node.create_subscription(
+            JointState, f'contact_forces/{kind}', ignore, DEPTH) for kind in (
+                'desired', 'measured')}
+        self._diagnostics = node.create_subscription(
+            DiagnosticArray, 'diagnostics', ignore, DEPTH)
 
     def press(self, **forces):
         """Let the sensor read these contact forces [N], and nothing else but the tool."""
@@ -62,9 +61,8 @@ class FakeArm:
 
     def send(self):
         self.k += 1
-        stamp = self.k * PERIOD
-        self.send_parts(stamp, {'joints', 'wrench'})
-        return stamp
+        self.send_parts(self.k * PERIOD, {'joints', 'wrench'})
+        return self.k * PERIOD
 
     def send_parts(self, stamp, parts):
         if 'wrench' in parts:
@@ -120,15 +118,10 @@ class FakeArm:
         wait_for(answered, 'any answer')
         return answers[0]
 
-    def desired(self):
-        return self._newest(self._desired)
-
-    def measured(self):
-        return self._newest(self._measured)
-
-    def _newest(self, subscription):
-        forces = wait_for(lambda: self._middleware.take(subscription, JointState), 'forces')
-        return dict(zip(forces.name, forces.effort))
+    def forces(self, kind):
+        """Return the newest forces by contact, 'desired' or 'measured'."""
+        message = wait_for(lambda: self._middleware.take(self._forces[kind], JointState), 'forces')
+        return dict(zip(message.name, message.effort))
 
     def diagnostics(self, condition, send=None):
         """Send until a report, {part: (level, message, values)}, is as wanted; return it."""

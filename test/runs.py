@@ -20,12 +20,23 @@ from multicontact_control.experiment.study.jobs import content_key, setup_conten
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / '.pytest_cache' / 'runs'
+_memory: dict[str, LoopResult] = {}
 
 
 def run_of(setup: Setup, *, supervised: bool = True) -> LoopResult:
     """Return the result of `run_in_process`; do not change its arrays."""
     key = content_key('test', {'supervised': supervised, **setup_content(setup)})
-    return _kept(key, setup, supervised)
+    if key not in _memory:
+        FOLDER.mkdir(parents=True, exist_ok=True)
+        path = FOLDER / f'{key}.pickle'
+        with (FOLDER / f'{key}.lock').open('w') as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not path.exists():
+                partial = path.with_suffix(f'.{os.getpid()}')
+                partial.write_bytes(pickle.dumps(run_in_process(setup, supervised=supervised)))
+                partial.replace(path)
+        _memory[key] = pickle.loads(path.read_bytes())
+    return _memory[key]
 
 
 def canonical(scenario: str, *, supervised: bool = True, **resolved) -> LoopResult:
@@ -39,20 +50,3 @@ def summary_of(setup: Setup, *, supervised: bool = True) -> dict:
     return summarise(result.data, setup, mode='in_process', timing={},
                      ended_early=result.ended_early,
                      events=result.events if supervised else None)
-
-
-_memory: dict[str, LoopResult] = {}
-
-
-def _kept(key: str, setup: Setup, supervised: bool) -> LoopResult:
-    if key not in _memory:
-        FOLDER.mkdir(parents=True, exist_ok=True)
-        path = FOLDER / f'{key}.pickle'
-        with (FOLDER / f'{key}.lock').open('w') as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            if not path.exists():
-                partial = path.with_suffix(f'.{os.getpid()}')
-                partial.write_bytes(pickle.dumps(run_in_process(setup, supervised=supervised)))
-                partial.replace(path)
-        _memory[key] = pickle.loads(path.read_bytes())
-    return _memory[key]

@@ -20,31 +20,18 @@ def module_paths(root: Path) -> dict[str, Path]:
 
 def imports_of(root: Path) -> dict[str, set[str]]:
     """Return the modules that each module imports, wherever in the module it does so."""
-    modules = module_paths(root)
-    return {
-        name: _imports(path, name, path.name == '__init__.py', set(modules))
-        for name, path in modules.items()}
-
-
-def _imports(path: Path, name: str, is_package: bool, modules: set[str]) -> set[str]:
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'), str(path))):
-        if isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            base = _absolute(node, name, is_package)
-            for alias in node.names:
-                target = f'{base}.{alias.name}'
-                found.add(target if target in modules else base)
-    return found - {name}
-
-
-def _absolute(node: ast.ImportFrom, name: str, is_package: bool) -> str:
-    if node.level == 0:
-        return node.module or ''
-    parts = name.split('.')
-    parts = parts[:len(parts) - node.level + (1 if is_package else 0)]
-    return '.'.join([*parts, *([node.module] if node.module else [])])
+    modules, imports = module_paths(root), {}
+    for name, path in modules.items():
+        targets: set[str] = set()
+        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'), str(path))):
+            if isinstance(node, ast.Import):
+                targets.update(alias.name for alias in node.names)
+            elif isinstance(node, ast.ImportFrom):
+                assert node.level == 0, f'{name}: a relative import'
+                inner = {f'{node.module}.{alias.name}' for alias in node.names} & modules.keys()
+                targets.update(inner or {node.module})
+        imports[name] = targets - {name}
+    return imports
 
 
 def is_ros(module: str) -> bool:

@@ -1,28 +1,15 @@
-"""The Python client against the real graph, and against a stand-in for what a graph may lack."""
+"""The Python client against the real graph."""
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-import itertools
-import threading
 
-from geometry_msgs.msg import PoseStamped
-from multicontact_control.client import (
-    CommandRefusedError,
-    ControllerStatus,
-    MultiContactClient,
-    STATE_TOPICS,
-)
+from multicontact_control.client import CommandRefusedError, MultiContactClient
 from multicontact_control.errors import MessageError, RunError
-from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.link import CLEAN_UP, DEACTIVATE, GuestNode
-from multicontact_control.nodes.status import ACCEPTED, identifier_of
 import numpy as np
 import pytest
-from rclpy.executors import SingleThreadedExecutor
 from ros_graph import get_parameter, obedient_graph, own_domain, PATIENCE, wait_for
-from std_msgs.msg import Header
 
 pytestmark = pytest.mark.ros
 
@@ -186,47 +173,3 @@ def test_missing_controller_is_named(domain_id):
                 call()
         with pytest.raises(RunError, match='/missing/controller_node/tare: expected this service'):
             client.tare()
-
-
-@pytest.fixture
-def stand_in(domain_id):
-    """Return a node that spins in a thread, in the place of the controller."""
-    with GuestNode('controller_node', domain_id, 'stand_in') as guest:
-        executor = SingleThreadedExecutor(context=guest.context)
-        executor.add_node(guest.node)
-        thread = threading.Thread(target=executor.spin)
-        thread.start()
-        yield guest.node
-        executor.shutdown()
-        thread.join()
-
-
-def test_command_is_sent_until_it_is_answered_and_motion_ends_where_samples_begin_anew(
-        stand_in, domain_id):
-    numbers, heard = itertools.cycle(range(200)), []
-    answers = create_publisher(stand_in, topics.STATUS)
-    publishers = {topic: create_publisher(stand_in, topic) for topic in STATE_TOPICS}
-
-    def publish():
-        """Publish a sample of an arm that rests and feels nothing."""
-        stamp = 10**9 + 2_000_000 * next(numbers)
-        for topic, publisher in publishers.items():
-            publisher.publish(
-                PoseStamped(header=Header(stamp=messages.ns_to_stamp(stamp)))
-                if topic in (topics.POSE, topics.POSE_DESIRED)
-                else messages.joint_state_message(stamp, ['table'], effort=[0.0]))
-
-    def accept(command):
-        heard.append(identifier_of(command))
-        if len(heard) > 1:  # the first is lost
-            answers.publish(ControllerStatus(
-                ACCEPTED, heard[-1], 'ok', 'active', 'none', '', '', False, 0, '', {},
-            ).message('stand-in', b'\0'))
-
-    stand_in.create_subscription(topics.MOTION_COMMAND.message, topics.MOTION_COMMAND.name, accept,
-                                 topics.MOTION_COMMAND.profile)
-    stand_in.create_timer(0.005, publish)
-    with MultiContactClient('stand_in', domain_id=domain_id, timeout=PATIENCE) as client, (
-            pytest.raises(RunError, match='samples begin anew')):
-        client.move([0.0, 0.5, 0.5], 1e6)
-    assert heard[0] == heard[1] != heard[-1]

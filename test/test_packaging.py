@@ -3,7 +3,6 @@
 from importlib.util import find_spec
 from pathlib import Path
 import runpy
-import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
@@ -31,10 +30,6 @@ def keywords():
     return received
 
 
-def scripts_of(keywords):
-    return dict(line.split(' = ') for line in keywords['entry_points']['console_scripts'])
-
-
 def test_both_packages_are_installed_with_all_files(keywords):
     assert keywords['version'] == MANIFEST.findtext('version') == multicontact_control.__version__
     assert {name.split('.')[0] for name in keywords['packages']} == set(PACKAGES)
@@ -48,7 +43,7 @@ def test_both_packages_are_installed_with_all_files(keywords):
 
 
 def test_console_scripts_exist(keywords):
-    scripts = scripts_of(keywords)
+    scripts = dict(line.split(' = ') for line in keywords['entry_points']['console_scripts'])
     assert set(scripts) == NODES | {'multicontact'}
     for target in scripts.values():
         module, function = target.split(':')
@@ -66,16 +61,3 @@ def test_every_import_is_declared(keywords):
         IMPORT_NAMES.get(name, name) for name in declared}
     assert {name for name in outside if is_ros(name)} <= {
         element.text for element in MANIFEST.iter('exec_depend')}
-
-
-def test_install_data_lands_where_ros_looks(keywords, tmp_path):
-    subprocess.run(
-        [sys.executable, '-W', 'ignore', 'setup.py', '--quiet', 'install_data', '--install-dir',
-         str(tmp_path)], cwd=ROOT, check=True, capture_output=True)
-    share = tmp_path / 'share'
-    assert (share / 'ament_index/resource_index/packages/multicontact_control').is_file()
-    for source in filter(Path.is_file, (ROOT / 'config').rglob('*')):
-        copy = share / 'multicontact_control' / source.relative_to(ROOT)
-        assert copy.read_bytes() == source.read_bytes()
-    wrappers = tmp_path / 'lib/multicontact_control'
-    assert {path.name for path in wrappers.iterdir()} == set(scripts_of(keywords))

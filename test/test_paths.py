@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 import sys
 
-from multicontact_control.errors import check_all, ConfigError
+from multicontact_control.errors import ConfigError
 from multicontact_control.files import replacing, write_json
 from multicontact_control.paths import config_dir
 import pytest
@@ -41,15 +41,3 @@ def test_file_is_replaced_at_once_or_not_at_all(tmp_path):
         write_json(path, {'x': float('nan')})
     assert json.loads(path.read_text()) == {'x': [1.5, None]}
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_check_all_raises_one_line_for_each_value():
-    def fail(field):
-        raise ConfigError(field, 'a number', 'x', 'a.yaml')
-
-    assert check_all(lambda: None, lambda: 2) == [None, 2]
-    with pytest.raises(ConfigError) as error:
-        check_all(lambda: fail('a'), lambda: None, lambda: fail('b'), lambda: fail('a'))
-    assert str(error.value) == (
-        'a.yaml: a: expected a number, found x\na.yaml: b: expected a number, found x')
-    assert (error.value.field, error.value.expected) == ('a', 'a number')

@@ -1,13 +1,10 @@
-"""Threads and scheduling, and colours where they can be seen."""
+"""Threads and scheduling."""
 
-import io
 import os
 import subprocess
 import sys
 
-from multicontact_control.experiment.terminal import is_lively, terminal
 from multicontact_control.process import claim_processor, limit_threads, THREAD_VARIABLES
-import pytest
 from ros_graph import ROOT
 
 THREADS = """
@@ -48,19 +45,3 @@ def test_processor_is_claimed_for_every_thread_or_refused():
     assert claim_processor() == []
     (problem,) = claim_processor(cpus=(4095,))
     assert 'CPU affinity [4095]' in problem and '\n' not in problem
-
-
-@pytest.mark.parametrize(('setting', 'lively'), [
-    (None, False), ({}, True), ({'NO_COLOR': '1'}, False), ({'TERM': 'dumb'}, False)])
-def test_colours_and_moving_bars_are_for_terminals(monkeypatch, setting, lively):
-    for name in ('NO_COLOR', 'FORCE_COLOR', 'TTY_COMPATIBLE'):
-        monkeypatch.delenv(name, raising=False)
-    for name, value in {'TERM': 'xterm-256color', **(setting or {})}.items():
-        monkeypatch.setenv(name, value)
-    screen = io.StringIO()
-    screen.isatty = lambda: setting is not None
-    monkeypatch.setattr(sys, 'stdout', screen)
-    console = terminal()
-    assert is_lively(console) == lively
-    console.print('[red]warning[/red]')
-    assert ('\x1b[' in screen.getvalue()) == lively

@@ -14,11 +14,3 @@ spec.loader.exec_module(reference)
 def test_page_is_up_to_date(name):
     written = (reference.FOLDER / name).read_text(encoding='utf-8')
     assert written == reference.PAGES[name](), 'run `make reference`'
-
-
-def test_every_parameter_is_described_and_named_once():
-    for model in (*reference.NODES.values(), *((x,) for _, x in reference.FILES.values())):
-        entries = [entry for each in model for group in reference.groups(model)
-                   for entry in group.entries]
-        assert all(entry.field.description for entry in entries)
-        assert len({entry.name for entry in entries}) == len(entries)

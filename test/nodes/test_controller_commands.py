@@ -52,7 +52,7 @@ def command(arm, **forces):
     """Command forces, press so, and wait until they are desired; the others are 0."""
     send_forces(arm, **forces)
     arm.press(**(NO_FORCE | forces))
-    wait_for(lambda: arm.step() is not None and arm.desired() == NO_FORCE | forces,
+    wait_for(lambda: arm.step() is not None and arm.forces('desired') == NO_FORCE | forces,
              f'forces {forces}')
 
 
@@ -73,7 +73,7 @@ def test_gains_change_live_and_hold_begins_without_a_bump(arm, driver):
     report = arm.diagnostics(lambda x: any('~/hold' in key for key in x['messages'][2]))
     assert report['contacts'][2]['held'] == 'True'
     arm.step()
-    assert arm.desired() == NO_FORCE | {'table': 3.0}
+    assert arm.forces('desired') == NO_FORCE | {'table': 3.0}
     assert driver.call(NAME, SetBool, 'hold', SetBool.Request(data=False)).success
     command(arm, table=0.0)
 
@@ -127,20 +127,20 @@ def test_refused_commands_change_nothing_and_are_counted_by_cause(arm):
 
     arm.diagnostics(lambda report: counts(report) == [3] * 5)
     np.testing.assert_allclose(arm.settle(), before, atol=1e-6)
-    assert arm.desired() == NO_FORCE
+    assert arm.forces('desired') == NO_FORCE
 
 
 def test_tare_makes_the_compensated_wrench_zero_and_is_refused_under_force_control(arm, driver):
     bias = np.array([1.0, -2.0, 3.0, 0.1, 0.0, -0.1])
     arm.wrench = arm.wrench + bias
     arm.settle(120)
-    assert max(abs(x) for x in arm.measured().values()) > 1.0
+    assert max(abs(x) for x in arm.forces('measured').values()) > 1.0
     answer = driver.call(NAME, Trigger, 'tare', Trigger.Request())
     assert answer.success, answer.message
     np.testing.assert_allclose(
         get_parameter(driver, NAME, 'tool.bias_sensor'), bias, atol=1e-9)
     arm.settle()
-    np.testing.assert_allclose(list(arm.measured().values()), 0.0, atol=1e-9)
+    np.testing.assert_allclose(list(arm.forces('measured').values()), 0.0, atol=1e-9)
     arm.wrench = arm.wrench - bias
     assert set_parameter(driver, NAME, 'tool.bias_sensor', [0.0] * 6).successful
     arm.settle(120)
