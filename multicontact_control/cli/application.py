@@ -9,7 +9,6 @@ from typing import Annotated, Any
 from multicontact_control import __version__
 from multicontact_control.cli.calibrate import calibrate
 from multicontact_control.cli.compare import compare
-from multicontact_control.cli.compile_kernels import compile_kernels
 from multicontact_control.cli.design import design
 from multicontact_control.cli.exits import errors_in_one_line
 from multicontact_control.cli.faults import faults
@@ -46,7 +45,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False, rich_markup_mode=None,
     context_settings={'help_option_names': ['-h', '--help']},
     help='Press a torque-controlled arm on several surfaces at once, with a commanded force at '
-         'each contact (Park, Cortesão and Khatib, ICRA 2004).')
+         'each contact (Park, Cortesão and Khatib, ICRA 2004).',
+    epilog='Exit code 0: done; 1: failed; 2: bad input; 128 + n: ended by signal n. What a '
+           'command adds to that is in its help: multicontact COMMAND --help.')
 
 
 @app.callback(invoke_without_command=True)
@@ -59,6 +60,18 @@ def _root(
         raise typer.Exit
     if context.invoked_subcommand is None:
         typer.echo(FIRST)
+
+
+def compile_kernels() -> None:
+    """
+    Compile the numerical kernels now, in half a minute, instead of at the first run.
+
+    `make setup` calls this; every command compiles what is missing or outdated. NUMBA_CACHE_DIR
+    names the folder that keeps the kernels.
+    """
+    from multicontact_control.experiment.compilation import ensure_compiled
+
+    typer.echo(f'{ensure_compiled()} kernels compiled')
 
 
 class Command(TyperCommand):

@@ -40,14 +40,12 @@ def calibrate(
         '--overwrite', help='Replace the tool.yaml in that folder.')] = False,
 ) -> None:
     """
-    Weigh the tool: mass, centre of mass, bias of the wrist sensor.
+    Weigh the tool, and find the bias of the wrist sensor.
 
     Without --from-bag or --external a simulated arm goes through the poses of its robot, and the
     result is shown beside the truth, which includes a bias drawn from the seed. The result is
-    written to tool.yaml, a parameter file to lay over the controller's.
-
-    Exit code 0: found, in simulation within 2 % of the mass, 3 mm of the centre of mass and 0.1 N
-    of the force bias; 1: not; 2: bad input.
+    written to tool.yaml, a parameter file to lay over the controller's. In simulation the exit
+    code is 1 if it is not within 2 % of the mass, 3 mm and 0.1 N of the force bias.
     """
     from multicontact_control.experiment import calibration, weighing
 

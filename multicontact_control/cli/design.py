@@ -25,13 +25,11 @@ def design(
         help='Parameter file to write, for --preset.')] = None,
 ) -> None:
     """
-    Find the fastest stable gains of a force law for a range of surfaces.
+    Find the fastest stable gains of a force law.
 
-    With a gain margin of 2 and a delay margin of one control period on the stiffest surface, on
+    For a range of surfaces, with a gain margin of 2 and a delay margin of one period, on
     the linear model of the contact (P04 eq. 32). The file has the gains only: the stiffness of
     the model is printed as a --set option.
-
-    Exit code 0: found; 2: bad input, or no such gains.
     """
     try:
         softest, stiffest = map(float, stiffness.split(','))

@@ -23,8 +23,6 @@ def identify(
     For each contact: stiffness and damping of the surface, friction of the others, inertia of the
     tool, noise of the sensor, and the delay from a commanded torque to the motion, each with its
     standard error, by the band-pass and the regression of the on-line estimate.
-
-    Exit code 0: found; 1: no force steps, or the recording lacks something; 2: bad input.
     """
     from multicontact_control.experiment.contact_identification import (
         identify_contacts,

@@ -23,13 +23,12 @@ def new_robot(
         '--overwrite', help='Replace these files.')] = False,
 ) -> None:
     """
-    Write the files of a new robot from its URDF, and list what is missing.
+    Write the files of a new robot from its URDF.
 
-    Joints, limits and masses are those of the URDF; home is a posture with the tool straight
-    down, by inverse kinematics. `multicontact simulate --robot FILE --scenario one_contact` then
-    simulates it, and `multicontact run --external --controller FILE` runs the real arm.
-
-    Exit code 0: written; 2: bad input.
+    And list what is missing. Joints, limits and masses are those of the URDF; home is a posture
+    with the tool straight down, by inverse kinematics. `multicontact simulate --robot FILE
+    --scenario one_contact` then simulates it, and `multicontact run --external --controller FILE`
+    runs the real arm.
     """
     target = out or Path(f'{urdf.stem}.yaml')
     for name, path in (('out', target), ('controller', controller)):

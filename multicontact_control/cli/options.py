@@ -77,15 +77,18 @@ class SetupOptions:
     settings: Settings = None
     engine: Engine = ''
 
-    def arguments(self) -> dict[str, Any]:
-        """Return them as arguments of `experiment.scenario.resolve`."""
-        return {'plant': self.plant, 'robot': self.robot, 'seed': self.seed,
-                'preset': self.preset,
-                'plant_overrides': {'engine': self.engine} if self.engine else None}
+    def values(self) -> list[str]:
+        """Return all that is laid over the files, as for ``--set``."""
+        return [*([f'plant.engine={self.engine}'] if self.engine else []), *(self.settings or ())]
 
-    def setup(self) -> Setup:
+    def setup(self, **more: Any) -> Setup:
         """Return the configuration, checked; ConfigError."""
-        return resolve_settings(self.scenario, self.arguments(), self.settings)
+        from multicontact_control.experiment.overrides import resolve_with
+        from multicontact_control.experiment.scenario import resolve
+
+        return resolve_with(resolve, {
+            'scenario': self.scenario, 'robot': self.robot, 'plant': self.plant,
+            'seed': self.seed, 'preset': self.preset, **more}, self.values())
 
 
 @dataclass(frozen=True)
@@ -108,16 +111,15 @@ class RunOptions(SetupOptions):
         '--bare', help='The control law alone, without the contact states, checks, limits and '
         'gate of the supervisor.')] = False
 
-    def control(self) -> dict[str, Any]:
-        """Return the overrides of controller and noise estimator."""
-        return {
-            'duration': self.duration,
-            'noise_estimator': {'estimator': self.noise_estimator} if self.noise_estimator
-            else None, 'controller': {'force': {'law': self.law}} if self.law else None}
+    def values(self) -> list[str]:
+        """Return all that is laid over the files, as for ``--set``."""
+        chosen = {'noise_estimator.estimator': '' if self._estimator_file else
+                  self.noise_estimator, 'controller.force.law': self.law}
+        return [*(f'{name}={value}' for name, value in chosen.items() if value), *super().values()]
 
-    def arguments(self) -> dict[str, Any]:
-        """Return them as arguments of `experiment.scenario.resolve`."""
-        return {**super().arguments(), **self.control()}
+    def setup(self, **more: Any) -> Setup:
+        """Return the configuration, checked; ConfigError."""
+        return super().setup(duration=self.duration, **more)
 
     def external(self, files: Sequence[Path], given: set[str]) -> External:
         """
@@ -127,17 +129,17 @@ class RunOptions(SetupOptions):
         parameter file.
         """
         from multicontact_control.experiment.external import resolve_external
-        from multicontact_control.experiment.overrides import overridden
+        from multicontact_control.experiment.overrides import resolve_with
 
-        arguments = {
-            **self.control(), 'scenario': self.scenario if 'scenario' in given else None,
-            'preset': self.preset if 'preset' in given else ''}
-        if self.noise_estimator and Path(self.noise_estimator).suffix in ('.yaml', '.yml'):
-            arguments |= {'noise_estimator': None, 'estimator_file': Path(self.noise_estimator)}
-        resolved = resolve_external(files, **arguments)
-        if not self.settings:
-            return resolved
-        return resolve_external(files, **overridden(arguments, self.settings, resolved.setup))
+        return resolve_with(resolve_external, {
+            'files': files, 'duration': self.duration, 'estimator_file': self._estimator_file,
+            'scenario': self.scenario if 'scenario' in given else None,
+            'preset': self.preset if 'preset' in given else ''}, self.values())
+
+    @property
+    def _estimator_file(self) -> Path | None:
+        path = Path(self.noise_estimator or '')
+        return path if path.suffix in ('.yaml', '.yml') else None
 
     def folder(self, setup: Setup) -> Path:
         """Make the folder of the run and return it; ConfigError if there is a run in it."""

@@ -21,12 +21,9 @@ def push_test(
     domain_id: options.DomainId = None, namespace: options.Namespace = None,
 ) -> None:
     """
-    Push the tool to prove sign, frame and scale of the wrist sensor.
+    Prove sign, frame and scale of the wrist sensor by pushes.
 
-    In simulation a scripted hand pushes as the test asks; on a robot you do, with a spring
-    balance.
-
-    Exit code 0: passed; 1: failed, with the cause; 2: bad input.
+    In simulation a scripted hand pushes; on a robot you do, with a spring balance.
     """
     from multicontact_control.experiment import push_test as test
 

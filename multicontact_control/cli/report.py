@@ -22,12 +22,10 @@ def report(
     namespace: options.Namespace = None,
 ) -> None:
     """
-    Judge recorded runs by the claims of the paper: HTML and figures.
+    Judge recorded runs by the claims of the paper, in HTML.
 
     Of a recording without ground truth the measured forces are shown, and the run is not judged.
     Names and rate are those of the messages, or of --controller.
-
-    Exit code 0: written; 1: a recording lacks something; 2: bad input.
     """
     from multicontact_control.experiment.report import write_report
     from multicontact_control.experiment.results import is_whole_run, load, report_folder

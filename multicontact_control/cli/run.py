@@ -55,12 +55,10 @@ def run(
 
     Starts simulator, controller, noise estimator and recorder, each in a process of its own, and
     draws the figures from the recorded bag. The simulator waits for the controller: on a busy
-    machine simulated time is slow, and the forces are the same.
-
-    Exit code 0: stable, or not judged because no contact was under load or a free run missed more
-    than 1 % of its deadlines; 1: not stable, held by the supervisor, a node died, or the external
-    robot is gone; 2: bad input; 128 + n: ended by signal n. An external run has no ground truth:
-    it is not called stable, and ends with 0.
+    machine simulated time is slow, and the forces are the same. Exit code 0: stable, or not
+    judged because no contact was under load, a free run missed more than 1 % of its deadlines, or
+    an external run has no ground truth; 1: not stable, held by the supervisor, a node died, or
+    the external robot is gone.
     """
     from multicontact_control.experiment.graph.domain import check_namespace
 
@@ -98,10 +96,8 @@ def simulate(options: RunOptions) -> None:
     """
     Run a scenario in one process, without ROS, as fast as it goes.
 
-    The same seed gives the same run, bit for bit.
-
-    Exit code 0: stable, or not judged because no contact was under load; 1: not stable, or held
-    by the supervisor; 2: bad input.
+    The same seed gives the same run, bit for bit. Exit code 0: stable, or not judged because no
+    contact was under load; 1: not stable, or held by the supervisor.
     """
     setup = options.setup()
     folder = options.folder(setup)

@@ -42,12 +42,7 @@ def echo(
         help='Longest wait for a publisher [s].', min=0.0)] = 5.0,
     domain_id: DomainId = None,
 ) -> None:
-    """
-    Print the messages of a topic as YAML documents.
-
-    Ctrl-C ends it. Exit code 1: the topic has no publisher, or its message type is not installed;
-    2: there is no such field.
-    """
+    """Print the messages of a topic as YAML documents, until Ctrl-C."""
     from multicontact_control.nodes import graph, qos
     from multicontact_control.nodes.link import GuestNode
     from multicontact_control.nodes.runtime import StopFlag

@@ -74,6 +74,8 @@ def read_controller_files(files: Sequence[Path]) -> ControllerFiles:
         If one cannot be read, is no parameter file, or has a section of another node.
 
     """
+    if not files:
+        raise ConfigError('--controller', 'the parameter file of your controller', 'none')
     values: dict[str, dict[str, Any]] = {CONTROLLER: {}, ESTIMATOR: {}}
     urdf_dir = Path()
     for path in files:
@@ -143,8 +145,6 @@ def resolve_external(
         With the first value that is not acceptable.
 
     """
-    if not files:
-        raise ConfigError('--controller', 'the parameter file of your controller', 'none')
     read = read_controller_files(files)
     chosen = preset_values(preset) if preset else {}
     path, config = _scenario(scenario, duration, scenario_overrides or {})

@@ -7,15 +7,17 @@ stands for every contact: ``plant.surfaces.*.stiffness``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import json
-from typing import Any
+from typing import Any, cast, TypeVar
 
 from multicontact_control.config import merge
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.scenario import Setup
 from pydantic import BaseModel
 import yaml
+
+T = TypeVar('T')
 
 SECTIONS = ('controller', 'noise_estimator', 'plant', 'scenario')
 OVER_OTHERS = ('controller', 'noise_estimator', 'plant')  # what a scenario lays over these
@@ -174,3 +176,14 @@ def overridden(
     changed = {ARGUMENTS[section]: merge(options.get(ARGUMENTS[section]) or {}, values)
                for section, values in given.items()}
     return {**options, **changed}
+
+
+def resolve_with(
+    resolver: Callable[..., T], arguments: Mapping[str, Any], settings: Sequence[str],
+) -> T:
+    """Return what `resolve` or `resolve_external` does, ``KEY=VALUE`` texts over its files."""
+    resolved: Any = resolver(**arguments)
+    if settings:
+        setup = getattr(resolved, 'setup', resolved)
+        resolved = resolver(**overridden(arguments, settings, setup))
+    return cast(T, resolved)
