@@ -32,6 +32,7 @@ install_requires = [
     'rich>=13.9,<16',
     'matplotlib>=3.9,<4',
     'joblib>=1.4,<2',
+    'pandas>=2.2,<4',
     'pyarrow>=17,<27',
     'mcap>=1.2,<2',
     'mcap-ros2-support>=0.5.5,<0.7',

@@ -22,7 +22,7 @@ from typing import Any, Literal, NamedTuple, Union
 from multicontact_control.cli import app
 from multicontact_control.config import Config, ControllerConfig, NoiseEstimatorConfig
 from multicontact_control.experiment.scenario import ScenarioConfig
-from multicontact_control.experiment.study.presets.sweep.config import StudyConfig
+from multicontact_control.experiment.study.config import StudyConfig
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.controller_topics import SERVICES
@@ -52,7 +52,7 @@ NODES: dict[str, tuple[type[Config], ...]] = {
 FILES: dict[str, tuple[str, type[Config]]] = {
     'scenario': ('`config/scenarios`, and `--scenario FILE`', ScenarioConfig),
     'robot': ('`config/robots`, and `--robot FILE`', RobotFile),
-    'study': ('`config/studies`, and `multicontact sweep FILE`', StudyConfig)}
+    'study': ('`config/studies`, and `multicontact study FILE`', StudyConfig)}
 TYPES = {bool: 'bool', int: 'int', float: 'float', str: 'string', Any: 'any'}
 VALUES = {bool: '', int: 'INTEGER', float: 'NUMBER', str: 'TEXT', Path: 'PATH'}
 BOUNDS = {'gt': '> ', 'ge': '≥ ', 'lt': '< ', 'le': '≤ '}

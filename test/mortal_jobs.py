@@ -4,8 +4,6 @@ from dataclasses import dataclass
 import os
 import signal
 
-from multicontact_control.experiment.study.jobs import JobResult
-
 
 @dataclass(frozen=True)
 class MortalJob:
@@ -18,9 +16,7 @@ class MortalJob:
     def describe(self):
         return {'number': self.number}
 
-
-def run_mortal(job):
-    if job.deadly:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return JobResult({'process': os.getpid(), 'threads': os.environ.get('OMP_NUM_THREADS')},
-                     {}, 0.0)
+    def run(self):
+        if self.deadly:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return {'process': os.getpid(), 'threads': os.environ.get('OMP_NUM_THREADS')}

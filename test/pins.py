@@ -29,9 +29,9 @@ SETUPS = {
     for plant in ('rigid', 'puma') for supervised in (False, True)}
 SUMMARIES = [name for name in SETUPS if 'puma, supervised' in name or 'paper, rigid, b' in name]
 STUDIES = {
-    'compare': 'compare --quick --plants rigid', 'laws': 'compare --laws --quick --plants rigid',
-    'map': 'map --quick --plants rigid', 'robots': 'robots --robots panda',
-    'sweep': 'sweep stiffness --seeds 1', 'tune': 'tune pi --plants rigid',
+    'compare': 'compare --quick --plants rigid', 'laws': 'laws --quick --plants rigid',
+    'map': 'map --quick --plants rigid', 'robots': 'robots --set robot=panda',
+    'sweep': 'stiffness --seeds 1', 'tune': 'tune --law pi --plants rigid',
     'faults': 'faults --quick --plants rigid'}
 VOLATILE = ('timing', 'wall_s', 'error_at_s')
 
@@ -59,8 +59,8 @@ def study(name: str) -> dict:
     """Return the table of a small study: for each measure the count and the mean of its cells."""
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run(
-            [sys.executable, '-m', 'multicontact_control.cli', *STUDIES[name].split(), '--out',
-             folder], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+            [sys.executable, '-m', 'multicontact_control.cli', 'study', *STUDIES[name].split(),
+             '--out', folder], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
         values = defaultdict(list)
         for path in Path(folder, 'cells').glob('*.json'):
             for key, value in _numbers(json.loads(path.read_text())['metrics']):

@@ -19,7 +19,12 @@ from multicontact_control.cli.options import RunOptions
 from multicontact_control.client import ArmState, MultiContactClient
 from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, RECORDER, SIM
 from multicontact_control.experiment.results import load_run
-from multicontact_control.experiment.study.presets.sweep.config import study_path
+from multicontact_control.experiment.study.config import (
+    read_choice,
+    read_study,
+    select,
+    study_path,
+)
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.recorder_node import Bag
 import pytest
@@ -78,8 +83,9 @@ def parse(words):
         if re.fullmatch(r'[\w./-]+\.(yaml|urdf|json)|config/[\w./-]+', word):
             assert (ROOT / word).exists() or word.startswith('runs/'), word
     values = known_commands()[name].make_context(name, list(words[1 + size:])).params
-    if name == 'sweep':
-        study_path(values['study'])
+    if name == 'study' and values['name']:
+        select(read_study(study_path(values['name'])), choices=[
+            read_choice(text) for text in values['settings'] or ()])
     if 'scenario' in values and not values.get('external') and values['robot'] not in YOURS:
         RunOptions(**{field.name: values[field.name] for field in fields(RunOptions)
                       if field.name in values}).setup()

@@ -8,21 +8,16 @@ from typing import Annotated, Any
 
 from multicontact_control import __version__
 from multicontact_control.cli.calibrate import calibrate
-from multicontact_control.cli.compare import compare
 from multicontact_control.cli.design import design
 from multicontact_control.cli.exits import errors_in_one_line
-from multicontact_control.cli.faults import faults
 from multicontact_control.cli.identify import identify
 from multicontact_control.cli.new_robot import new_robot
 from multicontact_control.cli.options import flattened
 from multicontact_control.cli.push_test import push_test
 from multicontact_control.cli.report import report
-from multicontact_control.cli.robots import robots
-from multicontact_control.cli.robustness_map import robustness_map
 from multicontact_control.cli.run import run, simulate
-from multicontact_control.cli.sweep import sweep
+from multicontact_control.cli.study import study
 from multicontact_control.cli.topic import echo, list_topics
-from multicontact_control.cli.tune import tune
 from multicontact_control.cli.view import view
 from multicontact_control.process import limit_threads
 import typer
@@ -36,8 +31,7 @@ Press a simulated or a real arm on several surfaces at once. Try first:
   multicontact view runs/latest           replay the latest run
   multicontact --help                     all commands"""
 COMMANDS: dict[str, Any] = {
-    'run': run, 'simulate': simulate, 'view': view, 'report': report, 'compare': compare,
-    'tune': tune, 'map': robustness_map, 'robots': robots, 'sweep': sweep, 'faults': faults,
+    'run': run, 'simulate': simulate, 'view': view, 'report': report, 'study': study,
     'identify': identify, 'calibrate': calibrate, 'push-test': push_test, 'new-robot': new_robot,
     'design': design}
 

@@ -28,9 +28,6 @@ Plant = Annotated[str, typer.Option(
 Engine = Annotated[str, typer.Option(
     help='Physics engine: pybullet or mujoco (extra [mujoco]); the configured one, pybullet, if '
          'not given.')]
-Plants = Annotated[str, typer.Option(
-    help='Plants, with commas between: names, ROBOT/PLANT, or paths; all of the robot if not '
-         'given.')]
 Seed = Annotated[int, typer.Option(help='Seed of sensor noise and surface roughness.')]
 Preset = Annotated[str, typer.Option(
     help='Parameters laid over the files of controller and noise estimator: paper (as '
@@ -46,23 +43,6 @@ DomainId = Annotated[int | None, typer.Option(
     help='ROS_DOMAIN_ID of the graph; that of the environment, or 0, if not given.')]
 Namespace = Annotated[str | None, typer.Option(
     help='Namespace of the controller; of a recording, the only one in it if not given.')]
-
-# Of the studies.
-StudyOut = Annotated[Path | None, typer.Option(
-    help='Folder for the results; if not given runs/<command>, runs/sweep-<name> for a sweep, '
-    'runs/tune-<law>, or runs/laws with `compare --laws`. What is finished there is not run '
-    'again.')]
-Jobs = Annotated[int, typer.Option(
-    help='Jobs at once on this machine; 0 for every core.')]
-Dask = Annotated[str, typer.Option(
-    metavar='ADDRESS', help='Run on the workers of this Dask scheduler instead, e.g. '
-    'tcp://host:8786. They need this package in the same version.')]
-DryRun = Annotated[bool, typer.Option(
-    '--dry-run', help='Only say what would be run, and how much of it is finished.')]
-RunAgain = Annotated[bool, typer.Option('--overwrite', help='Run everything again.')]
-Estimators = Annotated[str, typer.Option(
-    help='Noise estimators, with commas between; `window rescaled` is `window` with the same R '
-    'at rest as `lead_window`. All if not given.')]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ def report(
     runs: Annotated[list[Path], typer.Argument(
         metavar='RUN...', help='Folders of `run` or `simulate`, bag folders, or .mcap files.')],
     comparison: Annotated[Path | None, typer.Option(
-        help='Folder of `compare`, for the claims that compare estimators.')] = None,
+        help='Folder of `study compare`, for the claims that compare estimators.')] = None,
     out: Annotated[Path | None, typer.Option(
         help='Folder for report.html and the figures; the first run, or beside the first '
         'recording, if not given.')] = None,
@@ -29,16 +29,13 @@ def report(
     """
     from multicontact_control.experiment.report import write_report
     from multicontact_control.experiment.results import is_whole_run, load, report_folder
-    from multicontact_control.experiment.study.presets.compare.results import (
-        claim_rows,
-        read_comparison,
-    )
+    from multicontact_control.experiment.study.presets.compare import read_claim_rows
 
     if all(map(is_whole_run, runs)):
         options.refuse_options(
             options.given_options(context), ('controller', 'namespace'),
             'runs of this package, which know their own')
-    rows = claim_rows(read_comparison(comparison)['rows']) if comparison is not None else ()
+    rows = read_claim_rows(comparison) if comparison is not None else ()
     loaded = [load(path, controller or (), namespace) for path in runs]
     paths = write_report(loaded, out or report_folder(runs[0]), rows)
     for run in loaded:

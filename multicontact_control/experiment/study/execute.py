@@ -3,104 +3,121 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterator, Mapping
 import concurrent.futures
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
+import json
 from pathlib import Path
 import signal
 import socket
 import threading
-from typing import Any, Generic
+import time
+from typing import Any
 
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import count_bar
-from multicontact_control.experiment.study.cache import JobCache
-from multicontact_control.experiment.study.jobs import JobResult, JobT
+from multicontact_control.experiment.study.jobs import Job
+from multicontact_control.files import finite, write_json
 from rich.console import Console
 
+CELLS = 'cells'
 WORKER_DIED = 'a worker died; the same command goes on with what is missing'
 CONNECT_TIMEOUT = 10.0  # s, until an address counts as one that does not answer
 LOST_CONNECTION = (asyncio.CancelledError, concurrent.futures.CancelledError, OSError)
 
 # The simulator and the compiled kernels are not for several threads of one process.
 _ONE_AT_A_TIME = threading.Lock()
+Outcome = tuple[str, dict[str, Any], float]  # key, what was measured, wall time [s]
 
 
-@dataclass(frozen=True)
-class JobRun(Generic[JobT]):
-    """The jobs of a study, each with the key of its result in a folder."""
+def read_cell(folder: Path, key: str) -> dict[str, Any] | None:
+    """Return what was measured in a finished job of a folder, None if it is not there or whole."""
+    try:
+        metrics = json.loads((folder / CELLS / f'{key}.json').read_text('utf-8'))['metrics']
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return metrics if isinstance(metrics, dict) else None
 
-    folder: Path
-    keys: Mapping[JobT, str]
 
-    def result(self, job: JobT) -> JobResult:
-        """Return the result of a job; RunError if it has none."""
-        cache = JobCache(self.folder)
-        result = cache.load(self.keys[job])
-        if result is None:
-            raise RunError(f'{cache.folder}/{self.keys[job]}: expected a finished job, found '
-                           'none, or a damaged one')
-        return result
+def prepare_folder(folder: Path, *, overwrite: bool, results: Collection[str] = ()) -> None:
+    """
+    Make the folder of a study, keeping its finished jobs unless they shall go.
 
-    def metrics(self, job: JobT) -> dict[str, Any]:
-        """Return what was measured in a job; RunError if it has no result."""
-        return self.result(job).metrics
+    Raises
+    ------
+    ConfigError
+        If it cannot be made, or holds other files than `results` without any ``cells/``.
+
+    """
+    cells = folder / CELLS
+    if folder.is_dir() and not cells.is_dir() and any(
+            path.name not in results for path in folder.iterdir()):
+        raise ConfigError('out', 'a new or empty folder, or one with cells/',
+                          f'{folder}, which holds other files')
+    try:
+        cells.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError('out', 'a folder that can be made',
+                          f'{folder} ({error.strerror})') from None
+    if overwrite:
+        for path in cells.glob('*.json'):
+            path.unlink()
 
 
 def run_jobs(
-    jobs: Sequence[JobT], folder: Path, task: Callable[[JobT], JobResult], *,
-    workers: int = 0, client: Any = None, console: Console | None = None, title: str = 'jobs',
-) -> JobRun[JobT]:
+    jobs: Mapping[str, Job], folder: Path, *, workers: int = 0, client: Any = None,
+    console: Console | None = None, title: str = 'runs',
+) -> dict[str, dict[str, Any]]:
     """
-    Run every job that is not finished yet, one that comes twice once.
+    Run every job without a result in a folder, and return what was measured in all, by key.
 
     Parameters
     ----------
-    jobs, folder
-        Of a study.
-    task
-        What a job is run with: an importable function.
+    jobs
+        By their keys.
+    folder
+        Of the study: results are in ``cells/<key>.json``.
     workers
         How many processes; 1 runs everything in this process, 0 takes every core.
     client
         Of a Dask cluster that runs them instead.
     console, title
-        Where the progress bar is shown, with the time left, and what is said beside it.
+        Where the progress bar is shown, with the time left, and what is beside it.
 
     Raises
     ------
-    ConfigError
-        If a job's configuration is not acceptable, before anything is run.
     RunError
         If a worker or the cluster dies; what was finished before is kept.
 
     """
-    cache = JobCache(folder)
-    keys = {job: job.key() for job in jobs}
-    todo = {key: job for job, key in keys.items() if cache.load(key) is None}
+    found = {key: read_cell(folder, key) for key in jobs}
+    todo = {key: job for key, job in jobs.items() if found[key] is None}
     if todo:
         ensure_compiled(console)  # here once, not in every worker at once
     with count_bar(console) as progress:
-        total = len(set(keys.values()))
-        bar = progress.add_task(title, total=total, completed=total - len(todo))
+        bar = progress.add_task(title, total=len(jobs), completed=len(jobs) - len(todo))
         if client is not None:
-            work = _on_cluster(task, todo, client)
+            work = _on_cluster(todo, client)
         elif len(todo) < 2 or workers_at_once(workers, None) == 1:
-            work = ((key, task(job)) for key, job in todo.items())
+            work = (_timed(key, job) for key, job in todo.items())
         else:
-            work = _in_processes(task, todo, workers)
-        with closing(work) as results:
-            for key, result in results:
-                cache.save(key, todo[key], result)
+            work = _in_processes(todo, workers)
+        with closing(work) as outcomes:
+            for key, metrics, wall_time in outcomes:
+                write_json(folder / CELLS / f'{key}.json', {
+                    'key': key, **todo[key].describe(), 'wall_s': wall_time, 'metrics': metrics})
+                found[key] = metrics
                 progress.advance(bar)
-    return JobRun(folder, keys)
+    return {key: metrics for key, metrics in found.items() if metrics is not None}
 
 
-def _in_processes(
-    task: Callable[[JobT], JobResult], todo: Mapping[str, JobT], workers: int,
-) -> Generator[tuple[str, JobResult], None, None]:
+def _timed(key: str, job: Job) -> Outcome:
+    start = time.perf_counter()
+    return key, finite(job.run()), time.perf_counter() - start
+
+
+def _in_processes(todo: Mapping[str, Job], workers: int) -> Generator[Outcome, None, None]:
     import joblib
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
@@ -110,17 +127,15 @@ def _in_processes(
                                    batch_size=1, pre_dispatch='2*n_jobs')
         try:
             yield from parallel(
-                joblib.delayed(_in_worker)(task, key, job) for key, job in todo.items())
+                joblib.delayed(_in_worker)(key, job) for key, job in todo.items())
         except TerminatedWorkerError:
             raise RunError(WORKER_DIED) from None
 
 
-def _in_worker(
-    task: Callable[[JobT], JobResult], key: str, job: JobT,
-) -> tuple[str, JobResult]:
+def _in_worker(key: str, job: Job) -> Outcome:
     # Ctrl-C reaches every process of the terminal; the one that gave out the work ends the rest.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return key, task(job)
+    return _timed(key, job)
 
 
 @contextmanager
@@ -157,14 +172,11 @@ def dask_client(address: str) -> Iterator[Any]:
         yield client
 
 
-def _on_cluster(
-    task: Callable[[JobT], JobResult], todo: Mapping[str, JobT], client: Any,
-) -> Generator[tuple[str, JobResult], None, None]:
+def _on_cluster(todo: Mapping[str, Job], client: Any) -> Generator[Outcome, None, None]:
     # Not joblib's Dask backend: it waits for ever for a job whose workers died (joblib 1.6).
     from distributed import as_completed, KilledWorker
 
-    futures = client.map(_on_dask_worker, [task] * len(todo), todo.keys(), todo.values(),
-                         pure=False, batch_size=500)
+    futures = client.map(_on_dask_worker, todo.keys(), todo.values(), pure=False, batch_size=500)
     try:
         for future in as_completed(futures, loop=client.loop):
             yield future.result()
@@ -179,14 +191,12 @@ def _on_cluster(
             client.cancel(futures)
 
 
-def _on_dask_worker(
-    task: Callable[[JobT], JobResult], key: str, job: JobT,
-) -> tuple[str, JobResult]:
+def _on_dask_worker(key: str, job: Job) -> Outcome:
     """Run a job where its key is the same, which stands for equal code and configuration."""
     with _ONE_AT_A_TIME:
         if job.key() != key:
             raise RunError('a Dask worker has other code, libraries or configuration files')
-        return key, task(job)
+        return _timed(key, job)
 
 
 def workers_at_once(workers: int, client: Any) -> int:
@@ -196,10 +206,3 @@ def workers_at_once(workers: int, client: Any) -> int:
     from joblib import effective_n_jobs
 
     return int(effective_n_jobs(workers or -1))
-
-
-def count_finished(jobs: Iterable[JobT], folder: Path) -> tuple[int, int]:
-    """Return how many different jobs there are, and how many of them have a result."""
-    keys = {job.key() for job in jobs}
-    cache = JobCache(folder)
-    return len(keys), sum(cache.load(key) is not None for key in keys)

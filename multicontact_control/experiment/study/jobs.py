@@ -1,18 +1,17 @@
-"""What a job is, what it leaves, and the key by which its result is kept."""
+"""What a job is, and the key by which its result is kept."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 import hashlib
 from importlib.metadata import PackageNotFoundError, version
 import json
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
-from multicontact_control.arrays import Matrix
 from multicontact_control.experiment.scenario import resolve, Setup
 from sim_bridge.robots import find_robot
 
@@ -30,17 +29,9 @@ class Job(Hashable, Protocol):
         """Return what a reader of the result should know, as JSON values."""
         ...
 
-
-JobT = TypeVar('JobT', bound=Job)
-
-
-@dataclass(frozen=True)
-class JobResult:
-    """What a job leaves."""
-
-    metrics: dict[str, Any]  # JSON values, the same whatever ran the job
-    traces: dict[str, Matrix]  # series by name, kept in single precision; may be empty
-    wall_time: float  # s
+    def run(self) -> dict[str, Any]:
+        """Do the work in this process; return what was measured as JSON values."""
+        ...
 
 
 @cache
@@ -75,7 +66,7 @@ def setup_content(setup: Setup) -> dict[str, Any]:
             'arm': find_robot(setup.plant.robot).arm.content(), **configurations}
 
 
-@dataclass(frozen=True, slots=True, order=True)
+@dataclass(frozen=True, slots=True)
 class RunJob:
     """One run of a scenario; made by `job_of`."""
 
@@ -84,27 +75,48 @@ class RunJob:
     seed: int
     overrides: str = '{}'  # canonical JSON of the other arguments of `resolve`
     supervised: bool = False
+    surface_gone: tuple[float, float] | None = None  # from when to when the last one is away [s]
 
     def setup(self) -> Setup:
         """Return everything the run needs, checked."""
-        return resolve(self.scenario, plant=self.plant, seed=self.seed,
-                       **json.loads(self.overrides))
+        return replace(_resolved(replace(self, seed=0)), seed=self.seed)
 
     def key(self) -> str:
         """Return the hash of all that decides the outcome; see `Job.key`."""
-        return content_key('run', {
-            'supervised': self.supervised, **setup_content(self.setup())})
+        content = _content(replace(self, seed=0))
+        return content_key('run', {**content, 'seed': self.seed, 'supervised': self.supervised,
+                                   'surface_gone': self.surface_gone})
 
     def describe(self) -> dict[str, Any]:
         """Return scenario, plant, seed and what differs from their files."""
         return {'scenario': self.scenario, 'plant': self.plant, 'seed': self.seed,
-                'overrides': json.loads(self.overrides), 'supervised': self.supervised}
+                'overrides': json.loads(self.overrides), 'supervised': self.supervised,
+                'surface_gone': self.surface_gone}
+
+    def run(self) -> dict[str, Any]:
+        """Run it and measure it; see `measure_run`."""
+        # Only here: what gives out the work to others needs neither kernels nor simulator.
+        from multicontact_control.experiment.study.measure import measure_run
+
+        return measure_run(self.setup(), self.supervised, self.surface_gone)
+
+
+# Jobs that differ in their seed only follow each other: one is remembered.
+@lru_cache(maxsize=1)
+def _resolved(job: RunJob) -> Setup:
+    return resolve(job.scenario, plant=job.plant, **json.loads(job.overrides))
+
+
+@lru_cache(maxsize=1)
+def _content(job: RunJob) -> dict[str, Any]:
+    return setup_content(_resolved(job))
 
 
 def job_of(
-    scenario: str, plant: str, seed: int, *, supervised: bool = False, **overrides: Any,
+    scenario: str, plant: str, seed: int, *, supervised: bool = False,
+    surface_gone: tuple[float, float] | None = None, **overrides: Any,
 ) -> RunJob:
-    """Return a job; the arguments are those of `resolve` and `run_in_process`."""
+    """Return a job; `overrides` are arguments of `resolve`."""
     kept = {name: value for name, value in overrides.items() if value}
-    return RunJob(scenario, plant, seed,
-                  json.dumps(kept, sort_keys=True, separators=(',', ':')), supervised)
+    return RunJob(scenario, plant, seed, json.dumps(
+        kept, sort_keys=True, separators=(',', ':')), supervised, surface_gone)

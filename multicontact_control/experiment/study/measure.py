@@ -1,105 +1,93 @@
-"""What is run and measured in a job that is one run of a scenario."""
+"""What is measured in a run of a study, and the row of the table that it makes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 import math
-from statistics import median
-import time
 from typing import Any, TYPE_CHECKING
 
 from multicontact_control.experiment.claims import evidence_of
-from multicontact_control.experiment.metrics import disturbance_summary
+from multicontact_control.experiment.metrics import (
+    disturbance_summary,
+    force_error,
+    LASTING,
+    windows,
+)
 from multicontact_control.experiment.recording import empty_run_data, RunData
 from multicontact_control.experiment.results import summarise
-from multicontact_control.experiment.study.jobs import JobResult, RunJob
-from multicontact_control.files import finite
 import numpy as np
 
 if TYPE_CHECKING:
-    from multicontact_control.experiment.closed_loop import LoopResult
+    from multicontact_control.experiment.closed_loop import ClosedLoop
     from multicontact_control.experiment.scenario import Setup
 
 LAST = 0.5  # s, the end of a run that tells whether it has settled
+SETTLED = 0.1  # of the command: with a larger error at its end a run has not settled
 SHORTEST = 2  # samples that a summary can be made of
-TRACES = {
-    'true': 'alpha_true', 'desired': 'alpha_des', 'estimated': 'alpha_est',
-    'variance': 'noise_variance'}
+AWAY = 0.05  # m, by which a surface moves away
+MEAN_TIME = 0.012  # s, over which forces of a vanishing surface's neighbour are averaged
+# Of summary.json: what stands elsewhere in the row, is no result, or depends on the machine.
+LEFT_OUT = ('claims', 'ended_early', 'instabilities', 'kept_real_time', 'mode',
+            'noise_estimator', 'plant', 'scenario', 'schema', 'seed', 'stable', 'supervised',
+            'timing', 'trajectory_sha256', 'verdict')
+Metrics = Mapping[str, Any]
 
 
-def measure_run(job: RunJob) -> JobResult:
+def measure_run(
+    setup: Setup, supervised: bool, surface_gone: tuple[float, float] | None = None,
+) -> dict[str, Any]:
     """
-    Run a job in this process and measure it.
+    Run a setup in this process and measure it; an exception is its `error`, and ends no study.
 
-    A run that cannot go on to its end counts as unstable; it does not end the study.
+    The last surface is away between the two times of `surface_gone` [s], if given.
 
     Returns
     -------
-    JobResult
-        `metrics`: the content of ``summary.json`` under `summary`, the answers to disturbances
-        under `disturbances`, what claims rest on under `evidence`, and `final_error_share`.
-        `traces`: time and the forces of every contact, shapes (m,) and (m, r).
-
-    """
-    # Only here: what gives out the work to others needs neither kernels nor simulator.
-    from multicontact_control.experiment.closed_loop import run_in_process
-
-    setup = job.setup()
-    result = long_enough(run_in_process(setup, supervised=job.supervised), setup)
-    data = result.data
-    summary = _summary(job, setup, result)
-    metrics = {
-        'summary': summary,
-        'disturbances': disturbance_summary(data, setup, summary['unstable_at_s']),
-        'evidence': evidence_of(data, setup, summary),
-        'final_error_share': final_error_share(data, setup)}
-    traces = {name: getattr(data, series) for name, series in TRACES.items()}
-    return JobResult(finite(metrics), {'time': data.time, **traces}, result.wall_time)
-
-
-def long_enough(result: LoopResult, setup: Setup) -> LoopResult:
-    """Return what a run leaves; of one that ended at once samples that were not answered."""
-    if result.data.ticks >= SHORTEST:
-        return result
-    return replace(result, data=empty_run_data(SHORTEST, setup.controller))
-
-
-def summarise_run(job: RunJob) -> JobResult:
-    """
-    Run a job in this process and summarise it, whatever happens in it.
-
-    Returns
-    -------
-    JobResult
-        `metrics`: the content of ``summary.json`` under `summary`, None if there is none, and
-        why the run ended before its time under `error`, None if it did not.
+    dict
+        The content of ``summary.json`` under `summary`, None after an exception; the answers to
+        disturbances under `disturbances`, what claims rest on under `evidence`;
+        `final_error_share`, `activity_nm`, `neighbour_n` (see `metrics_row`); `error`.
 
     """
     from multicontact_control.experiment.closed_loop import run_in_process
 
-    start = time.perf_counter()
-    summary = None
     try:
-        setup = job.setup()
-        result = run_in_process(setup, supervised=job.supervised)
-        error = result.ended_early or None
-        if result.data.ticks >= SHORTEST:
-            summary = _summary(job, setup, result)
+        result = run_in_process(
+            setup, supervised=supervised, disturb=_disturbance(setup, surface_gone))
+        if result.data.ticks < SHORTEST:  # it ended at once: samples that were not answered
+            result = replace(result, data=empty_run_data(SHORTEST, setup.controller))
+        data = result.data
+        summary = summarise(
+            data, setup, mode='in_process', timing={}, ended_early=result.ended_early,
+            events=result.events if supervised else None)
+        return {
+            'summary': summary,
+            'disturbances': disturbance_summary(data, setup, summary['unstable_at_s']),
+            'evidence': evidence_of(data, setup, summary),
+            'final_error_share': _final_error_share(data, setup),
+            'activity_nm': _activity(data, setup),
+            'neighbour_n': _neighbour_error(data, setup, surface_gone), 'error': None}
     except Exception as problem:
         # Whatever one combination does to the law or the simulator, the others shall be run.
-        error, summary = f'{type(problem).__name__}: {problem}', None
-    return JobResult(finite({'summary': summary, 'error': error}), {},
-                     time.perf_counter() - start)
+        return {'summary': None, 'error': f'{type(problem).__name__}: {problem}'}
 
 
-def _summary(job: RunJob, setup: Setup, result: LoopResult) -> dict[str, Any]:
-    return summarise(
-        result.data, setup, mode='in_process', timing={}, ended_early=result.ended_early,
-        events=result.events if job.supervised else None)
+def _disturbance(setup: Setup, gone: tuple[float, float] | None) -> Any:
+    """Return what takes the last surface away and brings it back, None if it stays."""
+    if gone is None:
+        return None
+    rate, last = setup.controller.rate, len(setup.controller.contact_names) - 1
+    moves = dict(zip((round(time * rate) for time in gone), (AWAY, -AWAY)))
+
+    def disturb(loop: ClosedLoop) -> None:
+        if loop.tick in moves:
+            loop.plant.contacts.shift(last, moves[loop.tick])
+
+    return disturb
 
 
-def final_error_share(data: RunData, setup: Setup) -> float:
+def _final_error_share(data: RunData, setup: Setup) -> float:
     """Return the largest force error of the last 0.5 s, relative to the task's command."""
     last = data.time > data.time[-1] - LAST
     desired = setup.commanded(data.time)[last]
@@ -108,28 +96,91 @@ def final_error_share(data: RunData, setup: Setup) -> float:
     return float(np.max(np.abs(data.alpha_true[last] - desired) / desired))
 
 
-def largest(values: Iterable[float | None]) -> float | None:
-    """Return the largest value, None if one is not known or there is none."""
-    known = [math.inf if value is None else value for value in values]
-    return _known(max(known, default=math.inf))
+def _activity(data: RunData, setup: Setup) -> float:
+    """Return the rms change of torque per period of the joint with the largest [N m]."""
+    judged = windows(setup.scenario.reference, data.time)
+    window = judged.moving if judged.moving.any() else judged.loaded
+    change = np.diff(data.torque, axis=0)[window[1:]]
+    return float(np.sqrt((change * change).mean(axis=0)).max()) if len(change) else math.nan
 
 
-def largest_known(values: Iterable[float | None]) -> float | None:
+def _neighbour_error(
+    data: RunData, setup: Setup, gone: tuple[float, float] | None,
+) -> float | None:
+    """Return the largest mean error over 12 ms of the first force around that time [N]."""
+    if gone is None:
+        return None
+    error = force_error(data, setup, 0)
+    window = (data.time >= gone[0]) & (data.time < gone[1] + 1.0)
+    count = round(MEAN_TIME * data.rate)
+    if window.sum() < count:  # the run ended before
+        return None
+    means = np.convolve(error[window], np.full(count, 1.0 / count), 'valid')
+    return float(np.abs(means).max())
+
+
+def metrics_row(metrics: Metrics) -> dict[str, Any]:
+    """
+    Return what `measure_run` gave as flat columns.
+
+    `rest_rms_n`, `moving_rms_n`, `moving_lost`, `rest_variance_n2`, `moving_variance_n2` are those
+    of the worst contact without pushes; `rise_s`, `overshoot_percent` of the worst step;
+    `push_peak_n`, `push_off_s` of the worst push at rest, `short_push_s`, `lasting_push_s` the
+    recovery from the pushes of each length. A time is infinite if the event never came. The
+    scalars of ``summary.json`` have dotted names.
+    """
+    summary = metrics['summary'] or {}
+    ended = summary.get('ended_early')
+    share = metrics.get('final_error_share')
+    contacts = summary.get('contacts', {}).values()
+    return {
+        'stable': bool(summary.get('stable', False)), 'verdict': summary.get('verdict'),
+        'error': metrics['error'] or ended,
+        'instabilities': '; '.join(summary.get('instabilities', ())) or None,
+        'settled': share is not None and share <= SETTLED and not ended,
+        'oscillates': any(contact['oscillation_s'] for contact in contacts),
+        **_disturbance_row(metrics.get('disturbances')),
+        'rise_s': _latest(step['rise_63_s'] for contact in contacts for step in contact['steps']),
+        'overshoot_percent': _largest(
+            step['overshoot_percent'] for contact in contacts for step in contact['steps']),
+        **{name: metrics.get(name) for name in ('activity_nm', 'neighbour_n')},
+        **dict(_flat({name: value for name, value in summary.items() if name not in LEFT_OUT})),
+        'trajectory_sha256': summary.get('trajectory_sha256')}
+
+
+def _disturbance_row(disturbances: Metrics | None) -> dict[str, Any]:
+    contacts = list(disturbances['contacts'].values()) if disturbances else []
+    pushes = [push for contact in contacts for push in contact['recoveries']
+              if not push['moving']]
+    return {
+        **{name: (disturbances or {}).get(name) for name in (
+            'unstable_after_motion_s', 'oscillation_hz')},
+        **{f'{window}_{name}': _largest(contact[window][name] for contact in contacts)
+           for window, name in (
+               ('rest', 'rms_n'), ('moving', 'rms_n'), ('moving', 'lost'),
+               ('rest', 'variance_n2'), ('moving', 'variance_n2'))},
+        'push_peak_n': _largest(push['peak'] for push in pushes),
+        'push_off_s': _latest(push['recovery'] for push in pushes),
+        'short_push_s': _latest(
+            push['recovery'] for push in pushes if push['duration'] < LASTING),
+        'lasting_push_s': _latest(
+            push['recovery'] for push in pushes if push['duration'] >= LASTING)}
+
+
+def _flat(values: Metrics, prefix: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield the scalars of nested mappings by dotted names; lists are left out."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f'{prefix}{name}.')
+        elif not isinstance(value, (list, tuple)):
+            yield f'{prefix}{name}', value
+
+
+def _largest(values: Iterable[float | None]) -> float | None:
     """Return the largest of the values that are known, None if there is none."""
     return max((value for value in values if value is not None), default=None)
 
 
-def middle(values: Iterable[float | None]) -> float | None:
-    """Return the median; what is not known counts as beyond all, None if it is the median."""
-    known = [math.inf if value is None else value for value in values]
-    return _known(median(known) if known else math.inf)
-
-
-def middle_known(values: Iterable[float | None]) -> float | None:
-    """Return the median of the values that are known, None if there is none."""
-    known = [value for value in values if value is not None]
-    return median(known) if known else None
-
-
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _latest(times: Iterable[float | None]) -> float | None:
+    """Return the largest time, infinite if an event never came, None if there are no times."""
+    return _largest(math.inf if time is None else time for time in times)

@@ -1,80 +1,58 @@
-"""The tables of a study: as files, in the terminal, and on its page."""
+"""The table of a study: its cells as a frame, and lines that stand for several of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from pathlib import Path
+import math
 from typing import Any
 
+from multicontact_control.experiment.overrides import EVERY
 from multicontact_control.experiment.page import table
-from multicontact_control.files import replacing, write_json, write_text
-import pyarrow.parquet as pq
+from multicontact_control.experiment.study.config import ColumnConfig, StudyConfig
+import numpy as np
+import pandas as pd
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape as plain
 from rich.table import Table
-import yaml
 
 WIDE = 110  # columns of a terminal that has room for every column of a table
-LONGEST = 1000  # lines of a table on a page
+NOT_FACTORS = ('part', 'plant', 'seed')
+CHOICE = (  # of columns to show
+    'contacts.*.step_rise_63_s', 'contacts.*.rest.true_error_rms_n',
+    'contacts.*.moving.true_error_rms_n')
 
 
-def write_table(content: Any, path: Path) -> Path:
-    """
-    Write a table such that a reader sees the old file or the new one, never half of one.
-
-    Parameters
-    ----------
-    content
-        A `pyarrow.Table` for ``.parquet``; JSON values for ``.json`` and ``.yaml``.
-    path
-        Its suffix says what is written.
-
-    """
-    if path.suffix == '.parquet':
-        with replacing(path) as partial:
-            pq.write_table(content, partial, compression='zstd')
-    elif path.suffix == '.yaml':
-        write_text(path, yaml.safe_dump(content, sort_keys=False))
-    else:
-        write_json(path, content)
-    return path
+def columns_of(frame: pd.DataFrame, value: str) -> list[str]:
+    """Return the columns of numbers that a name stands for, with ``*`` for one part of it."""
+    head, star, tail = value.partition(EVERY)
+    names = [value] if not star else [
+        name for name in frame.columns if name.startswith(head) and name.endswith(tail)
+        and EVERY not in name and '.' not in name[len(head):len(name) - len(tail)]]
+    return [name for name in names if name in frame.columns
+            and pd.api.types.is_numeric_dtype(frame[name])]
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of what is shown."""
-
-    head: str  # on the page
-    short: str | None = None  # in the terminal; the head if None
-    number: bool = True  # set to the right
-    spare: bool = False  # a narrow terminal does without it
+def worst(frame: pd.DataFrame, value: str) -> pd.Series:
+    """Return a column, with ``*`` in its name the largest of all; NaN if there is none."""
+    names = columns_of(frame, value)
+    return frame[names].astype(float).max(axis=1) if names else pd.Series(np.nan, frame.index)
 
 
-@dataclass(frozen=True)
-class Line:
-    """A line of what is shown."""
-
-    cells: Sequence[str]  # plain text
-    good: bool | None = None  # colours the cell that says so
-    group: str = ''  # stands above the first of the lines that have it in common
-    html_attributes: str = ''
+def judged(frame: pd.DataFrame, study: StudyConfig) -> pd.DataFrame:
+    """Return the cells that the statistics of a study are of."""
+    return frame if study.medians == 'all' else frame[frame[study.truth]]
 
 
-@dataclass(frozen=True)
-class Listing:
-    """A table to be looked at."""
-
-    columns: Sequence[Column]
-    lines: Sequence[Line]
-    verdict: int = 1  # place of the cell that says whether a line is good
-    caption: str = ''  # below it in the terminal
-
-
-def format_number(value: float | None, digits: int, scale: float = 1.0) -> str:
-    """Return a number times a scale for a cell, a dash for one that is not known."""
-    return '-' if value is None else f'{scale * value:.{digits}f}'
+def table_columns(frame: pd.DataFrame, study: StudyConfig) -> list[ColumnConfig]:
+    """Return the columns of a study's table, a choice if it has none."""
+    columns = study.columns or [ColumnConfig(name=name) for name in (study.truth, *(
+        name for name in CHOICE if worst(frame, name).notna().any()))]
+    return [column if column.value else column.model_copy(update={
+        'value': column.name, 'name': column.name.rpartition(f'{EVERY}.')[2],
+        'aggregate': 'share' if column.name == study.truth else column.aggregate})
+        for column in columns]
 
 
 def short_names(names: Sequence[str], separator: str = '.') -> list[str]:
@@ -88,49 +66,146 @@ def short_names(names: Sequence[str], separator: str = '.') -> list[str]:
     return short
 
 
-def terminal_table(title: str, listing: Listing, width: int) -> Table:
-    """Return a listing for a terminal of some width; a narrow one does without some columns."""
-    shown = [i for i, column in enumerate(listing.columns) if width >= WIDE or not column.spare]
-    found = Table(title=plain(title), box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
-                  caption=plain(listing.caption) or None)
-    for i in shown:
-        column = listing.columns[i]
-        found.add_column(plain(column.head if column.short is None else column.short),
-                         justify='right' if column.number else 'left', overflow='fold',
-                         no_wrap=column.number and column.short is not None)
-    group = ''
-    for line in listing.lines:
-        if line.group != group:
-            group = line.group
-            found.add_section()
-            found.add_row(f'[bold]{plain(group)}[/bold]')
-        cells = [plain(cell) for cell in line.cells]
-        if line.good is not None:
-            colour = 'green' if line.good else 'red'
-            cells[listing.verdict] = f'[{colour}]{cells[listing.verdict]}[/{colour}]'
-        found.add_row(*(cells[i] for i in shown))
-    return found
+@dataclass(frozen=True)
+class Listing:
+    """A table to be looked at."""
+
+    heads: Sequence[str]
+    sections: Sequence[tuple[str, Sequence[Sequence[str]], Sequence[bool]]]  # lines, good ones
+    labels: int  # columns at the left that are no numbers
+    wide: frozenset[int] = frozenset()  # columns that a narrow terminal does without
+
+
+def listing_of(frame: pd.DataFrame, study: StudyConfig) -> Listing:
+    """Return the table of a study: a line for each value of its factors, from all seeds."""
+    columns = table_columns(frame, study)
+    lines = list(study.lines) or [name for name in frame.attrs['factors']
+                                  if name not in (*NOT_FACTORS, *study.sections)]
+    lines = [name for name in lines if len(frame) and frame[name].astype(str).ne('').any()]
+    by = [name for name in study.sections if frame[name].nunique() > 1]
+    sections = []
+    for title, section in _groups(frame, by):
+        rows = [(group, [*map(show, label),
+                         *(_cell(column, group, study) for column in columns)])
+                for label, group in _groups(section, lines)]
+        sections.append((', '.join(filter(None, map(str, title))), [row for _, row in rows],
+                         [bool(group[study.truth].all()) for group, _ in rows]))
+    units = frame.attrs['units']
+    heads = [f'{short} [{units[name]}]' if name in units else short.replace('_', ' ')
+             for name, short in zip(lines, short_names(lines))]
+    return Listing(
+        [*heads, *(column.name for column in columns)], sections, len(lines),
+        frozenset(len(lines) + i for i, column in enumerate(columns) if column.wide))
+
+
+def _groups(frame: pd.DataFrame, by: Sequence[str]) -> list[tuple[tuple[Any, ...], pd.DataFrame]]:
+    """Return the rows of each combination of values, in the order in which they come first."""
+    if not by:
+        return [((), frame)]
+    return [(key, group) for key, group in frame.groupby(list(by), sort=False, dropna=False)]
+
+
+def show(value: Any) -> str:
+    """Return a value as the text of a cell: four significant digits, a dash for no value."""
+    if value is None or value != value:
+        return '-'
+    if isinstance(value, (bool, np.bool_)):
+        return 'yes' if value else 'no'
+    return f'{value:.4g}' if isinstance(value, float) else str(value)
+
+
+def _number(values: pd.Series, column: ColumnConfig) -> str:
+    """Return a statistic of the values that are known; infinite stands for a time of no event."""
+    known = values.dropna()
+    if known.empty:
+        return '-'
+    value = float(known.max() if column.aggregate == 'max' else known.median())
+    if math.isinf(value):
+        return 'never'
+    value *= column.scale
+    return show(value) if column.digits is None else f'{value:.{column.digits}f}'
+
+
+def _cell(column: ColumnConfig, group: pd.DataFrame, study: StudyConfig) -> str:
+    cells = group if not column.part else group[group['part'] == column.part]
+    if column.aggregate == 'count':
+        return str(len(cells))
+    if column.aggregate in ('survived', 'stable_range'):
+        function = survived if column.aggregate == 'survived' else stable_range
+        return function(cells, column.value, study.truth)
+    if column.aggregate in ('median', 'max'):
+        cells = judged(cells, study)
+        if column.each:
+            return ' / '.join(_number(cells[name].astype(float), column)
+                              for name in columns_of(cells, column.value)
+                              if cells[name].notna().any()) or '-'
+        return _number(worst(cells, column.value), column)
+    values = cells.get(column.value, pd.Series(dtype=float)).dropna()
+    if column.aggregate == 'share':
+        return f'{int(values.sum())}/{len(values)}'
+    if column.aggregate == 'true':
+        return str(int(values.sum())) if values.any() else '-'
+    if column.aggregate == 'set':
+        return ', '.join(sorted(set(map(str, values)))) or '-'
+    return times_text(values)
+
+
+def times_text(times: pd.Series) -> str:
+    """Return the first and the last of times from the start of the motion, or ``rest``."""
+    known = times.dropna()
+    moving = known[known >= 0.0]
+    texts = ['rest'] if len(moving) < len(known) else []
+    if len(moving):
+        texts += dict.fromkeys(f'{value:.1f}' for value in (moving.min(), moving.max()))
+    return '-'.join(texts)
+
+
+def survived(frame: pd.DataFrame, factor: str, truth: str) -> str:
+    """Return the values of a factor at which all are good; in brackets where none oscillates."""
+    texts = []
+    for value, group in frame.groupby(factor):
+        if group[truth].all():
+            texts.append(f'{value:g}')
+        elif not group['oscillates'].any():
+            texts.append(f'({value:g})')
+    return ' '.join(texts) or ('none' if len(frame) else '-')
+
+
+def stable_range(frame: pd.DataFrame, factor: str, truth: str) -> str:
+    """Return the smallest and largest value around 1 from which to which all are good."""
+    good = frame.groupby(factor)[truth].all()
+    middle = int(np.argmin(np.abs(np.log(good.index.to_numpy(float)))))
+    if not good.iloc[middle]:
+        return 'none'
+    bad = np.flatnonzero(~good.to_numpy(bool))
+    low = max((place + 1 for place in bad if place < middle), default=0)
+    high = min((place - 1 for place in bad if place > middle), default=len(good) - 1)
+    return f'{good.index[low]:g} - {good.index[high]:g}'
+
+
+def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
+    """Return the sections for a terminal of some width; a narrow one lacks some columns."""
+    shown = [i for i in range(len(listing.heads)) if width >= WIDE or i not in listing.wide]
+    tables = []
+    for section, lines, good in listing.sections:
+        found = Table(title=plain(section or title), title_justify='left', box=SIMPLE_HEAD,
+                      padding=(0, 1, 0, 0), pad_edge=False)
+        for i in shown:
+            found.add_column(plain(listing.heads[i]), overflow='fold',
+                             justify='left' if i < listing.labels else 'right')
+        for line, fine in zip(lines, good):
+            found.add_row(*(plain(line[i]) for i in shown), style=None if fine else 'red')
+        tables.append(found)
+    return tables
 
 
 def html_table(listing: Listing) -> str:
-    """Return a listing as HTML; of a very long one the beginning."""
-    rows: list[list[str]] = []
-    attributes: list[str] = []
-    group = ''
-    for line in listing.lines[:LONGEST]:
-        if line.group != group:
-            group = line.group
-            rows.append([f'<b>{escape(group)}</b>', *[''] * (len(listing.columns) - 1)])
-            attributes.append('')
-        cells = [escape(cell) for cell in line.cells]
-        if line.good is not None:
-            colour = 'yes' if line.good else 'no'
-            cells[listing.verdict] = f'<b class={colour}>{cells[listing.verdict]}</b>'
-        rows.append(cells)
-        attributes.append(line.html_attributes)
-    numbers = [i for i, column in enumerate(listing.columns) if column.number]
-    text = table([escape(column.head) for column in listing.columns], rows,
-                 numbers_from=numbers[0] if numbers else len(listing.columns),
-                 row_attributes=attributes)
-    left = len(listing.lines) - LONGEST
-    return text + (f'<p class=note>{left} more lines are left out.</p>' if left > 0 else '')
+    """Return a listing as HTML."""
+    rows = []
+    for section, lines, good in listing.sections:
+        if section:
+            rows.append([f'<b>{escape(section)}</b>', *[''] * (len(listing.heads) - 1)])
+        for line, fine in zip(lines, good):
+            cells = [escape(cell) for cell in line]
+            rows.append(cells if fine else [f'<span class=no>{cell}</span>' for cell in cells])
+    return table([escape(head) for head in listing.heads], rows, numbers_from=listing.labels)

@@ -7,7 +7,7 @@ from multicontact_control.experiment.faults.in_process import RUN_TICKS, togethe
 from multicontact_control.experiment.faults.judge import FASTEST, judge, MET_FORCE, Observation
 from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import ELBOW_WALL, faults_of, SIDE_WALL
-from multicontact_control.experiment.study.presets.faults.jobs import in_fork
+from multicontact_control.experiment.study.presets.faults import in_fork
 import numpy as np
 import pytest
 

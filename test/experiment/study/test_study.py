@@ -1,68 +1,152 @@
-"""What all studies have in common: options, dry run, resuming, the same files."""
+"""Studies from the file to the table, its lines and its page."""
 
 import io
 import json
 
-from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.study.presets.compare.study import ComparisonStudy
-from multicontact_control.experiment.study.presets.faults.study import FaultStudy
-from multicontact_control.experiment.study.presets.laws.study import LawStudy
-from multicontact_control.experiment.study.presets.robots.study import RobotStudy
-from multicontact_control.experiment.study.presets.robustness.study import RobustnessStudy
-from multicontact_control.experiment.study.presets.sweep.study import sweep_study
-from multicontact_control.experiment.study.presets.tune.study import TuneStudy
-from multicontact_control.experiment.study.study import run_study, StudyOptions
+from multicontact_control.experiment import closed_loop
+from multicontact_control.experiment.study.config import read_study, select, StudyConfig
+from multicontact_control.experiment.study.measure import metrics_row
+from multicontact_control.experiment.study.study import (
+    read_results,
+    run_study,
+    study_of,
+    StudyOptions,
+)
+from multicontact_control.experiment.study.table import (
+    listing_of,
+    stable_range,
+    survived,
+    worst,
+)
+import numpy as np
+import pandas as pd
 import pytest
 from rich.console import Console
+import yaml
 
-SMALL = RobustnessStudy(('rigid',), ('fixed',), (1.0, 20.0), (1,))
+RISE = 'contacts.*.step_rise_63_s'
+STUDY = {
+    'name': 'small', 'scenario': 'step', 'plants': ['rigid'], 'seeds': 2, 'duration': 1.6,
+    'factors': {'plant.surfaces.*.stiffness': [600.0, 6.0e5],
+                'noise_estimator.estimator': ['fixed']}}
+FILES = {'cells', 'study.json', 'study.csv', 'study.parquet', 'study.png', 'study.html'}
 
 
-def shown_of(study, options):
-    shown = io.StringIO()
-    run_study(study, options, Console(file=shown, width=160))
-    return shown.getvalue()
+def frame_of(**columns):
+    frame = pd.DataFrame({'part': '', 'plant': 'rigid', **columns})
+    frame.attrs = {'factors': ['part', 'plant', 'k', 'seed'], 'units': {'k': 'N/m'}}
+    return frame
 
 
-@pytest.mark.parametrize(('study', 'jobs', 'grid'), [
-    (ComparisonStudy(('rigid',), ('fixed',), 2), 20, '  estimators: fixed\n'),
-    (SMALL, 2, '  delays: 1\n'),
-    (sweep_study('delay', seeds=(0,)), None, '  plants: '),
-    (RobotStudy(('puma', 'iiwa'), ('pybullet', 'mujoco-native'), ('quick', 'curved')), 6,
-     '  engines: pybullet, mujoco-native\n'),
-    (LawStudy(('rigid',), ('best',), 1, quick=True), 5, '  seeds: 1\n'),
-    (TuneStudy('feedforward', ('rigid',)), 4, '  plants: rigid\n'),
-    (FaultStudy(7, quick=True), None, '  seeds: 7, 8, 9, 10, 11, 12\n')],
-    ids=lambda value: getattr(value, 'title', ''))
-def test_dry_run_lists_the_grid_and_leaves_nothing(tmp_path, study, jobs, grid):
-    text = shown_of(study, StudyOptions(tmp_path / 'out', jobs=2, dry_run=True))
-    assert grid in text
-    assert f'{jobs or len(study.jobs())} {study.unit}, 0 of them finished' in text
-    assert not (tmp_path / 'out').exists()
+@pytest.fixture(name='frame')
+def fixture_frame():
+    """Return two combinations with three seeds, of which the last is not stable."""
+    return frame_of(
+        k=[600.0] * 3 + [6e4] * 3, seed=[0, 1, 2] * 2, stable=[True] * 5 + [False],
+        error=[None] * 6, late=[0.25, np.inf, np.inf, np.nan, 0.125, 0.5],
+        **{'contacts.table.step_rise_63_s': [0.0, 1.0, 2.0, 3.0, 4.0, 5.0],
+           'contacts.board.step_rise_63_s': [np.nan, 9.0, 0.5, 0.5, 0.5, 0.5],
+           'contacts.board.rest.true_error_rms_n': [0.1] * 6})
+
+
+def cells_of(frame, **study):
+    config = StudyConfig(name='s', scenario='step', **study)
+    listing = listing_of(frame, config)
+    return list(listing.heads), [list(line) for _, lines, _ in listing.sections for line in lines]
+
+
+def test_star_is_the_worst_contact(frame):
+    np.testing.assert_array_equal(worst(frame, RISE), [0.0, 9.0, 2.0, 3.0, 4.0, 5.0])
+    assert worst(frame, 'contacts.*.none').isna().all() and worst(frame, 'error').isna().all()
+
+
+def test_lines_are_statistics_over_the_seeds(frame):
+    assert cells_of(frame) == (
+        ['k [N/m]', 'stable', 'step_rise_63_s', 'rest.true_error_rms_n'],
+        [['600', '3/3', '2', '0.1'], ['6e+04', '2/3', '3.5', '0.1']])
+    columns = [
+        {'name': 'n', 'value': 'stable', 'aggregate': 'count'},
+        {'name': 'ms', 'value': 'late', 'scale': 1000.0, 'digits': 0},
+        {'name': 'most', 'value': RISE, 'aggregate': 'max', 'digits': 1},
+        {'name': 'all', 'value': 'contacts.*.step_rise_63_s', 'each': True}]
+    assert cells_of(frame, columns=columns, medians='all')[1] == [
+        ['600', '3', 'never', '9.0', '1 / 4.75'], ['6e+04', '3', '312', '5.0', '4 / 0.5']]
+
+
+def test_ranges_of_a_factor_are_where_all_runs_are_good():
+    def frame(*good, oscillates=False):
+        return pd.DataFrame({'k': (0.1, 0.5, 1.0, 2.0, 5.0), 'stable': good,
+                             'oscillates': oscillates})
+
+    yes, no = True, False
+    for stable, found in (((yes, no, yes, yes, no), '1 - 2'), ((yes, yes, no, yes, yes), 'none'),
+                          ((yes,) * 5, '0.1 - 5')):
+        assert stable_range(frame(*stable), 'k', 'stable') == found
+    assert survived(frame(yes, no, no, yes, yes), 'k', 'stable') == '0.1 (0.5) (1) 2 5'
+    assert survived(frame(*[no] * 5, oscillates=True), 'k', 'stable') == 'none'
+
+
+def test_row_has_the_worst_contact_and_infinite_times_of_what_never_came():
+    push = {'moving': False, 'duration': 0.1, 'peak': 1.0, 'recovery': 0.2}
+    disturbances = {'unstable_after_motion_s': None, 'oscillation_hz': None, 'contacts': {
+        name: {**dict.fromkeys(('rest', 'moving'), {
+            'rms_n': rms, 'lost': lost, 'variance_n2': None}), 'recoveries': [
+                push, {**push, 'duration': 1.0, 'recovery': recovery},
+                {**push, 'moving': True, 'recovery': 9.0}]}
+        for name, rms, lost, recovery in (('a', 0.1, 0.0, 0.3), ('b', 0.2, None, None))}}
+    summary = {'stable': False, 'verdict': 'not stable', 'instabilities': ['a: b', 'c'],
+               'ended_early': '', 'ticks': 50, 'timing': {'tick_us': 3.0}, 'contacts': {'a': {
+                   'oscillation_s': 2.0, 'rest': {'true_error_rms_n': 0.1}, 'steps': [
+                       {'rise_63_s': None, 'overshoot_percent': 3.0},
+                       {'rise_63_s': 0.1, 'overshoot_percent': 1.0}]}}}
+    row = metrics_row({'summary': summary, 'disturbances': disturbances, 'error': None,
+                       'final_error_share': 0.05})
+    expected = {
+        'stable': False, 'settled': True, 'oscillates': True, 'instabilities': 'a: b; c',
+        'rest_rms_n': 0.2, 'moving_lost': 0.0, 'rest_variance_n2': None, 'push_peak_n': 1.0,
+        'short_push_s': 0.2, 'lasting_push_s': np.inf, 'push_off_s': np.inf, 'rise_s': np.inf,
+        'overshoot_percent': 3.0, 'ticks': 50, 'contacts.a.rest.true_error_rms_n': 0.1}
+    assert {name: row[name] for name in expected} == expected
+    assert not [name for name in row if 'timing' in name or 'steps' in name]
+    failed = metrics_row({'summary': None, 'error': 'ZeroDivisionError: x'})
+    assert failed['error'] == 'ZeroDivisionError: x' and not failed['stable']
 
 
 @pytest.mark.slow
-def test_second_start_takes_what_is_kept_and_writes_the_same_files(tmp_path):
-    options = StudyOptions(tmp_path, jobs=1)
-    assert '2 runs, 0 of them finished' in shown_of(SMALL, options)
-    content = (tmp_path / 'robustness.json').read_bytes()
-    ages = {path: path.stat().st_mtime_ns for path in tmp_path.glob('cells/*')}
-    assert len(ages) == 4  # and their traces
-    assert '2 runs, 2 of them finished' in shown_of(SMALL, options)
-    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob('cells/*')} == ages
-    assert (tmp_path / 'robustness.json').read_bytes() == content
-    points = json.loads(content)['points']
-    assert [(point['ratio'], point['stable']) for point in points] == [(1.0, True), (20.0, False)]
-    for name in ('robustness.png', 'robustness.html'):
-        assert (tmp_path / name).stat().st_size > 10000
-    anew = StudyOptions(tmp_path, jobs=1, dry_run=True, overwrite=True)
-    assert '2 runs, 0 of them finished' in shown_of(SMALL, anew)
-    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob('cells/*')} == ages
+def test_changed_study_runs_what_is_missing_and_failures_are_rows(tmp_path, monkeypatch):
+    path, out = tmp_path / 'small.yaml', tmp_path / 'out'
+    real = closed_loop.run_in_process
 
+    def fail(setup, **options):
+        if setup.plant.surfaces['table'].stiffness == 6.0e5:
+            raise ZeroDivisionError('in the law')
+        return real(setup, **options)
 
-def test_all_bad_values_are_named_before_the_folder_is_made(tmp_path):
-    with pytest.raises(ConfigError) as error:
-        run_study(ComparisonStudy(('ur5',), ('kalman',)), StudyOptions(
-            tmp_path / 'out', jobs=2, dask='tcp://127.0.0.1:1'), Console(quiet=True))
-    assert [each.field for each in error.value.errors] == ['jobs', 'plant', 'estimators']
-    assert not (tmp_path / 'out').exists()
+    def run(seeds, **options):
+        path.write_text(yaml.safe_dump({**STUDY, 'seeds': seeds}))
+        shown = io.StringIO()
+        run_study(study_of(select(read_study(path))), StudyOptions(out, jobs=1, **options),
+                  Console(file=shown, width=160))
+        return shown.getvalue()
+
+    monkeypatch.setattr(closed_loop, 'run_in_process', fail)
+    assert 'seed: 0' in run(1, dry_run=True) and not out.exists()
+    assert '2 jobs, 0 of them finished' in run(1)
+    frame = pd.read_parquet(out / 'study.parquet')
+    assert frame['error'].fillna('').tolist() == ['', 'ZeroDivisionError: in the law']
+    assert frame['stable'].tolist() == [True, False]
+    assert frame.attrs['units']['plant.surfaces.*.stiffness'] == 'N/m'
+    ages = {each: each.stat().st_mtime_ns for each in out.glob('cells/*')}
+    text = run(2)
+    assert '4 jobs, 2 of them finished' in text and 'in the law' in text
+    assert all(each.stat().st_mtime_ns == age for each, age in ages.items())
+    table = (out / 'study.csv').read_bytes(), (out / 'study.parquet').read_bytes()
+    assert '4 jobs, 4 of them finished' in run(2)
+    assert table == ((out / 'study.csv').read_bytes(), (out / 'study.parquet').read_bytes())
+    assert {each.name for each in out.iterdir()} == FILES
+    assert '0 of them finished' in run(2, dry_run=True, overwrite=True)
+    study, results = read_results(out)
+    assert study.config.name == 'small' and len(results.frame) == len(results.metrics) == 4
+    assert results.frame['trajectory_sha256'].nunique() == 2
+    cell = json.loads((out / 'cells' / f'{results.frame["key"][0]}.json').read_text())
+    assert cell['metrics'] == results.metrics[0]

@@ -1,1 +1,1 @@
-"""What `multicontact` can study: one folder for each."""
+"""What kinds of studies have beside their file: findings, figures, jobs of their own."""

@@ -1,0 +1,110 @@
+"""`multicontact study`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from multicontact_control.cli import options
+from multicontact_control.cli.exits import EXIT_FAILED, resumable
+from multicontact_control.errors import check_all, ConfigError
+import typer
+
+
+def study(
+    name: Annotated[str, typer.Argument(
+        metavar='[STUDY]', help='A name from config/studies, or the path of a YAML file; the '
+        'names are listed if not given.')] = '',
+    robot: options.Robot = '',
+    plants: Annotated[str, typer.Option(
+        help="Plants, with commas between: names, ROBOT/PLANT, or paths; the study's own if not "
+        'given.')] = '',
+    seeds: Annotated[str, typer.Option(
+        help="How many seeds, from the study's first one, or a list with commas; the study's own "
+        'if not given.')] = '',
+    settings: Annotated[list[str] | None, typer.Option(
+        '--set', metavar='FACTOR=VALUES', help='Values, or labels, with commas between, of a '
+        'factor of the study, or of a parameter that becomes one; may be repeated.')] = None,
+    law: Annotated[str, typer.Option(
+        help='Force law whose gains `tune` tries: aob, pi, dob, lqg, admittance, impedance or '
+        'feedforward.')] = '',
+    quick: Annotated[bool, typer.Option(
+        '--quick', help='The reduced form of the study, with one seed.')] = False,
+    jobs: Annotated[int, typer.Option(
+        help='Jobs at once on this machine; 0 for every core.')] = 0,
+    dask: Annotated[str, typer.Option(
+        metavar='ADDRESS', help='Run on the workers of this Dask scheduler instead, e.g. '
+        'tcp://host:8786. They need this package in the same version.')] = '',
+    out: Annotated[Path | None, typer.Option(
+        help='Folder for the results, runs/<name of the study> if not given. What is finished '
+        'there is not run again.')] = None,
+    dry_run: Annotated[bool, typer.Option(
+        '--dry-run', help='List the factors, and how much of the study is finished.')] = False,
+    overwrite: Annotated[bool, typer.Option(
+        '--overwrite', help='Run everything again.')] = False,
+) -> None:
+    """
+    Run a study: factors times plants times seeds, measured into one table and one page.
+
+    compare: the noise estimators on the paper's disturbances. laws: force laws raced. map: how
+    wrong stiffness and delay may be. robots: robots, engines and scenarios. tune: the gains of a
+    force law, by trying them. faults: broken inputs and plants. stiffness, delay: sweeps.
+
+    A study of your own is a YAML file:
+
+      name: stiffness
+      scenario: step
+      plants: [rigid, puma]
+      seeds: 4   # 0 to 3; or a list
+      factors:   # every combination; * is every contact
+        noise_estimator.estimator: [lead_window, fixed]
+        plant.surfaces.*.stiffness:
+          {start: 600, stop: 60000, count: 5, spacing: log}
+
+    Writes study.csv and study.parquet (a row for each run, also for those that failed),
+    study.html and study.png. Ctrl-C keeps what is finished; the same command goes on from there.
+    Exit code 0, whatever came out; 1: a worker died, or a fault of `faults` is not safe; 2: bad
+    input; 130: interrupted.
+    """
+    with resumable():
+        # Only now: what is heavy is not loaded for the sake of an error.
+        from multicontact_control.experiment.study.config import (
+            read_choice,
+            read_study,
+            select,
+            study_names,
+            study_path,
+        )
+
+        if not name:
+            for each in study_names():
+                about = read_study(study_path(each)).description.partition(': ')[0]
+                typer.echo(f'{each:<10} {about}')
+            return
+        from multicontact_control.experiment.study.study import run_study, study_of, StudyOptions
+
+        asked = StudyOptions(out, jobs, dask, dry_run, overwrite)
+        config, count, choices, _ = check_all(
+            lambda: read_study(study_path(name)), lambda: _seeds(seeds),
+            lambda: [read_choice(text) for text in settings or ()], asked.check)
+        chosen = select(config, quick=quick, robot=robot, plants=options.split_list(plants),
+                        seeds=count, choices=choices)
+        if law and chosen.kind != 'tune':
+            raise ConfigError('law', 'nothing for other studies than tune', law)
+        one = study_of(chosen.model_copy(update={'law': law}))
+        results = run_study(one, asked)
+    if results is not None and not one.succeeded(results):
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _seeds(text: str) -> tuple[int, ...] | int | None:
+    """Return a number of seeds, or the seeds of a list; None for nothing."""
+    if not text:
+        return None
+    try:
+        numbers = [int(part) for part in options.split_list(text)]
+    except ValueError:
+        numbers = []
+    if not numbers or min(numbers) < 0 or (',' not in text and numbers[0] < 1):
+        raise ConfigError('seeds', 'a number of seeds, or seeds with commas between', f"'{text}'")
+    return tuple(numbers) if ',' in text else numbers[0]

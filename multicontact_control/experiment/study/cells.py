@@ -1,0 +1,151 @@
+"""The cells of a study: every combination of its factors with its plants and seeds, as jobs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from itertools import product
+from typing import Any, NamedTuple
+
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.overrides import (
+    ARGUMENTS,
+    EVERY,
+    overrides_of,
+    paths_of,
+    SECTIONS,
+    unit_of,
+    value_of,
+)
+from multicontact_control.experiment.scenario import plant_source, resolve, Setup
+from multicontact_control.experiment.study.config import (
+    ConditionConfig,
+    PartConfig,
+    StudyConfig,
+)
+from multicontact_control.experiment.study.jobs import Job, job_of, RunJob
+
+CHOSEN = ('robot', 'scenario', 'preset')  # factors that choose files
+
+
+class Cell(NamedTuple):
+    """A job, and what of the factors it stands for; several cells may have the same job."""
+
+    factors: Mapping[str, Any]  # with part, plant and seed
+    job: Job
+    key: str
+
+
+def run_cells(study: StudyConfig) -> list[Cell]:
+    """
+    Return the runs of a study by part, plant, combination and seed.
+
+    A parameter that is no factor of a part has the value of its files there; other factors are
+    empty, or 1 if they are multiples.
+
+    Raises
+    ------
+    ConfigError
+        With the first parameter or value that is not acceptable.
+
+    """
+    absent = {name: 1.0 if factor.multiples_of else ''
+              for part in study.parts.values() for name, factor in part.factors.items()}
+    cells = []
+    for title, part in study.parts.items():
+        for plant in part.plants:
+            for chosen in product(*(
+                    [(name, *setting) for setting in factor.settings(name)]
+                    for name, factor in part.factors.items())):
+                job = _job(study, part, plant, chosen)
+                if job is None:
+                    continue
+                setup = _checked(job, title, chosen)
+                factors = {'part': title, 'plant': setup.plant_name, **absent,
+                           **{name: value for name, value, _ in chosen},
+                           **{name: value_of(name, setup) for name in absent
+                              if is_parameter(name)}}
+                for seed in part.seeds:
+                    seeded = replace(job, seed=seed)
+                    cells.append(Cell({**factors, 'seed': seed}, seeded, seeded.key()))
+    if not cells:
+        raise ConfigError('parts', 'at least one run', 'none that fulfils the conditions')
+    return cells
+
+
+def is_parameter(name: str) -> bool:
+    """Return whether the name of a factor is that of a parameter."""
+    return '.' in name and name.partition('.')[0] in SECTIONS
+
+
+def _job(
+    study: StudyConfig, part: PartConfig, plant: str,
+    chosen: Sequence[tuple[str, Any, Mapping[str, Any]]],
+) -> RunJob | None:
+    """Return the run of a combination, None where the part's conditions are not fulfilled."""
+    settings = {name: value for _, _, values in chosen for name, value in values.items()}
+    files = {'preset': part.preset, 'scenario': part.scenario,
+             **{name: settings.pop(name) for name in CHOSEN if name in settings}}
+    scenario, robot = files.pop('scenario'), files.pop('robot', '')
+    name = plant_source(plant.rpartition('/')[2], robot).name if robot else plant
+    base = _base(scenario, name, part.duration, files['preset'])
+    if not _fulfilled(part, base):
+        return None
+    values = dict(part.fixed)
+    for adjustment in study.adjustments:
+        if _fulfilled(adjustment, base):
+            values |= adjustment.values
+    for factor in part.factors.values():
+        if factor.multiples_of:
+            settings |= _multiples(factor.sets, settings.pop(factor.sets),
+                                   factor.multiples_of, base)
+    overrides = overrides_of({**values, **settings}, base, 'factors')
+    return job_of(
+        scenario, base.plant_name, part.seeds[0], supervised=part.supervised,
+        surface_gone=part.surface_gone, duration=part.duration, **files,
+        **{ARGUMENTS[section]: nested for section, nested in overrides.items()})
+
+
+@lru_cache(maxsize=64)
+def _base(scenario: str, plant: str, duration: float | None, preset: str) -> Setup:
+    return resolve(scenario, plant=plant, duration=duration, preset=preset)
+
+
+def _fulfilled(condition: ConditionConfig, setup: Setup) -> bool:
+    return all(value_of(name, setup) == value for name, value in condition.where.items()) and all(
+        value_of(name, setup) != value for name, value in condition.unless.items())
+
+
+def _multiples(name: str, factor: float, of: str, setup: Setup) -> dict[str, float]:
+    """Return a multiple of another parameter's value, for each contact where there is a ``*``."""
+    star = name.split('.').index(EVERY) if EVERY in name else None
+    return {'.'.join(place): factor * value_of(
+        of if star is None else of.replace(EVERY, place[star]), setup)
+        for place in paths_of(name, setup, 'factors')}
+
+
+def _checked(
+    job: RunJob, title: str, chosen: Sequence[tuple[str, Any, Mapping[str, Any]]],
+) -> Setup:
+    """Return what a job resolves to; ConfigError with the combination that is not acceptable."""
+    try:
+        return job.setup()
+    except ConfigError as error:
+        where = ', '.join(f'{name} = {value}' for name, value, _ in chosen)
+        field = f'{title} ({where}): {error.field}'.strip() if where else error.field
+        raise ConfigError(field, error.expected, error.found) from None
+
+
+def units_of(cells: Sequence[Cell]) -> dict[str, str]:
+    """Return the unit of every factor that is a parameter."""
+    return dict(_units(cells))
+
+
+def _units(cells: Sequence[Cell]) -> Iterator[tuple[str, str]]:
+    job = cells[0].job
+    if isinstance(job, RunJob):
+        setup = job.setup()
+        for name in cells[0].factors:
+            if is_parameter(name) and (unit := unit_of(name, setup)):
+                yield name, unit

@@ -1,0 +1,122 @@
+"""
+The boundaries of the linear force loops over stiffness and delay.
+
+The linear loop is that of `force.margins`, with the mobility of this arm at its home. The
+plant of the paper's eq. 32 leaves out that the contact force moves the arm, that the surface
+damps, and that the sensor weighs the tool's inertia.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import math
+
+from multicontact_control.arrays import Matrix
+from multicontact_control.contact.geometry import loop_stiffnesses, normal_space
+from multicontact_control.control.controller import Controller
+from multicontact_control.dynamics.operational_space import task_inertia
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.scenario import Setup
+from multicontact_control.force.force_law import design_law, loop_model
+from multicontact_control.force.laws import steady_law
+from multicontact_control.force.margins import (
+    closed_loop,
+    last_stable,
+    LinearArmPlant,
+    spectral_radius,
+)
+from multicontact_control.force.observer import ObserverDesign, steady_gain
+import numpy as np
+
+# Where boundaries are looked for, upwards: of the arm in steps of 10 %, of eq. 32 of 5 %.
+ARM_RATIOS = tuple(np.geomspace(0.1, 100.0, 73).tolist())
+PAPER_RATIOS = tuple(np.cumprod([1.0, *[1.05] * 94]).tolist())
+
+
+@dataclass(frozen=True)
+class ArmLoop:
+    """The linear force loops of a setup at its home."""
+
+    setup: Setup  # where stiffness, damping, delay and controller come from
+    observer: ObserverDesign  # of the first contact; the others have the same model
+    mobility: Matrix  # as in `LinearArmPlant`
+    tool_inertia: Matrix
+
+    @property
+    def delay(self) -> float:
+        """Return the delay the loop really has: of actuators and sensor's low-pass [s]."""
+        controller = self.setup.controller
+        return (self.setup.plant.actuator_delay_ticks * controller.period
+                + controller.sensor.filter_delay(controller.rate))
+
+    @property
+    def fed_share(self) -> float:
+        """Return the share of the desired force in what is fed forward, of the first contact."""
+        controller = self.setup.controller
+        force, name = controller.force, controller.contact_names[0]
+        mixed = force.damping_rate ** 2 / (
+            2.0 * controller.contacts[name].stiffness * self.mobility[0, 0])
+        return {'estimate': 0.0, 'measured': 0.0, 'desired': 1.0, 'mixed': min(mixed, 1.0)}[
+            force.fed_forward]
+
+    def radius(self, noise_variance: float, *, paper: bool = False) -> Callable[[float], float]:
+        """
+        Return the spectral radius of the closed loops as a function of the stiffness ratio.
+
+        With R held at `noise_variance` [N^2], on the arm, or on the plant of eq. 32 if `paper`.
+        """
+        controller, names = self.setup.controller, self.setup.controller.contact_names
+        law = steady_law(self.observer, steady_gain(self.observer, noise_variance))
+        stiffness = np.array([controller.contacts[name].stiffness for name in names])
+        damping = np.array([self.setup.plant.surfaces[name].damping for name in names])
+        none = np.zeros((1, 1))
+
+        def spectral_radius_at(ratio: float) -> float:
+            if paper:
+                plant = LinearArmPlant(none, ratio * stiffness[:1], none[0], none, self.delay,
+                                       controller.force.damping_rate)
+            else:  # where the real delay counts in whole periods
+                plant = LinearArmPlant(
+                    self.mobility, ratio * stiffness, damping, self.tool_inertia,
+                    round(self.delay * controller.rate) * controller.period)
+            return spectral_radius(closed_loop(
+                plant, law, 0.0 if paper else controller.force.damping_rate, controller.period,
+                fed_share=0.0 if paper else self.fed_share))
+
+        return spectral_radius_at
+
+    def boundary(self, noise_variance: float) -> float:
+        """Return the largest ratio up to which the loops are stable, 0 for none; infinity."""
+        radius = self.radius(noise_variance)
+        return math.sqrt(math.prod(
+            last_stable(lambda ratio: radius(ratio) < 1.0, ARM_RATIOS, 1e-7)))
+
+    def paper_boundary(self, noise_variance: float) -> float:
+        """Return the largest ratio up to which eq. 32 is stable, 0 for none; infinity."""
+        radius = self.radius(noise_variance, paper=True)
+        return last_stable(lambda ratio: radius(ratio) < 1.0, PAPER_RATIOS, 1e-4)[0]
+
+
+def arm_loop(setup: Setup) -> ArmLoop:
+    """Return the linear force loops of a setup at its plant's home, for `decoupled` allocation."""
+    config = setup.controller
+    controller = Controller(config, RobotModel(config.robot, setup.urdf_dir))
+    robot = controller.robot
+    state = robot.update(np.array(setup.plant.home), np.zeros(robot.joint_count))
+    N = normal_space(controller.contacts, state.pose.rotation_world)
+    mobility = N.T @ np.linalg.solve(task_inertia(state.mass_matrix, state.jacobian), N)
+    com = (state.sensor_pose.rotation_world @ np.array(config.tool.com_sensor)
+           + state.sensor_pose.position_world - state.pose.position_world)
+    x, y, z = com
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    inertia = config.tool.mass * np.block(
+        [[np.eye(3), -cross], [cross, -cross @ cross]])  # of a point mass at its centre
+    stiffness = float(loop_stiffnesses(config, state.pose.rotation_world)[0])
+    observer = design_law(
+        config.law_of(config.contact_names[0]), config.force, loop_model(config, stiffness))
+    if not isinstance(observer, ObserverDesign):
+        raise ConfigError('force.law', 'aob, for the linear loops', config.force.law)
+    tool_inertia = np.linalg.pinv(N) @ inertia @ N @ np.linalg.inv(N.T @ N)
+    return ArmLoop(setup, observer, mobility, tool_inertia)

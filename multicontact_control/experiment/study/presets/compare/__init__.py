@@ -1,1 +1,0 @@
-"""`multicontact compare`: every noise estimator on the disturbances of the paper."""

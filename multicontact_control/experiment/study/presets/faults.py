@@ -1,0 +1,203 @@
+"""Faults as jobs: a few in one situation, each in a copy of a process that has got there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+import math
+from multiprocessing.connection import Pipe
+import os
+import signal
+import traceback
+from typing import Any
+
+from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.faults.fault import (
+    APPROACH,
+    Fault,
+    PHASES,
+    PROCESS,
+    REST,
+    SLIDING,
+    START,
+    TWO,
+)
+from multicontact_control.experiment.faults.in_process import run_fault, together
+from multicontact_control.experiment.faults.judge import FaultRow
+from multicontact_control.experiment.faults.situation import with_obstacles
+from multicontact_control.experiment.faults.vocabulary import faults_of, pairs_of_faults
+from multicontact_control.experiment.scenario import Setup
+from multicontact_control.experiment.study.cells import Cell
+from multicontact_control.experiment.study.jobs import content_key, setup_content
+from multicontact_control.experiment.study.study import Metrics, Results, Study
+import numpy as np
+import pandas as pd
+
+PHASE_TIMES = {START: 0.0, APPROACH: 0.65, REST: 4.9, SLIDING: 8.2}  # s
+FAULT_TIMEOUT = 60.0  # s
+FAULTS_PER_JOB = 12
+
+
+@dataclass(frozen=True)
+class FaultJob:
+    """Some faults in one situation."""
+
+    scenario: str
+    plant: str
+    phase: str
+    first_seed: int  # of the plant
+    # Kind, input and seed of each, and kind and input of another at the same time, if any.
+    faults: tuple[tuple[Any, ...], ...]
+
+    def setup(self) -> Setup:
+        """Return the scenario in which they happen."""
+        return with_obstacles(self.scenario, self.plant, self.first_seed)
+
+    def key(self) -> str:
+        """Return the hash of all that decides the outcome; see `Job.key`."""
+        return content_key('faults', {
+            **self.describe(), **setup_content(self.setup()), 'time': PHASE_TIMES[self.phase]})
+
+    def describe(self) -> dict[str, Any]:
+        """Return the situation and the faults."""
+        return {'plant': self.plant, 'phase': self.phase, 'first_seed': self.first_seed,
+                'faults': [list(fault) for fault in self.faults]}
+
+    def run(self) -> dict[str, Any]:
+        """Run the faults; a row for each is under `rows`."""
+        known = faults_of(PROCESS)
+        world = _world_at(self)
+        return {'rows': [
+            asdict(in_fork(world, known[kind, source], seed, self.phase, known.get(tuple(other))))
+            for kind, source, seed, *other in self.faults]}
+
+
+# The worlds of this process by plant: faults happen in copies of them, so that a later phase
+# goes on from an earlier one.
+_WORLDS: dict[str, ClosedLoop] = {}
+
+
+def _world_at(job: FaultJob) -> ClosedLoop:
+    setup = job.setup()
+    tick = round(PHASE_TIMES[job.phase] * setup.controller.rate)
+    world = _WORLDS.get(job.plant)
+    if world is None or world.tick > tick or world.setup != setup:
+        if world is not None:
+            world.plant.close()
+        world = _WORLDS[job.plant] = ClosedLoop(setup)
+    while world.tick < tick:
+        world.advance()
+    return world
+
+
+def in_fork(
+    world: ClosedLoop, fault: Fault, seed: int, phase: str, other: Fault | None = None,
+) -> FaultRow:
+    """Run one fault, or two, in a copy of this process; a copy that hangs or dies is not safe."""
+    ours, theirs = Pipe(duplex=False)
+    # By hand: a worker of Dask is not allowed to have children of `multiprocessing`.
+    child = os.fork()
+    if not child:
+        try:
+            theirs.send(run_fault(world, fault, seed, phase, other))
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(0)  # at once: what this process would end is its parent's
+    theirs.close()
+    try:
+        if ours.poll(FAULT_TIMEOUT):
+            row: FaultRow = ours.recv()
+            return row
+        problem = 'hang'
+    except EOFError:
+        problem = 'died'
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        ours.close()
+    named = fault if other is None else together(fault, other)
+    return FaultRow(named.kind, named.input, seed, problem, -1.0, -1.0, -1.0, False,
+                    world.setup.plant_name, phase, problem)
+
+
+def situation(
+    number: int, plants: Sequence[str], phases: Sequence[str] = PHASES,
+) -> tuple[str, str]:
+    """Return plant and phase of the number-th seed of a kind: all pairs in turn."""
+    return plants[number % len(plants)], phases[number // len(plants) % len(phases)]
+
+
+class FaultsStudy(Study):
+    """Kinds of faults and seeds, in the situations in turn, and pairs of faults."""
+
+    def cells(self) -> list[Cell]:
+        """
+        Return the faults, up to 12 in a job, early phases first.
+
+        In this order a worker that has got to one phase only has to go on to the next. A single
+        seed stands for one fault of each kind, spread over the situations.
+        """
+        part, = self.config.parts.values()
+        plants, seeds = part.plants, part.seeds
+        spread = len(plants) * len(PHASES)
+        places: dict[tuple[str, str], list[tuple[Any, ...]]] = {
+            (plant, phase): [] for phase in sorted(PHASE_TIMES, key=PHASE_TIMES.__getitem__)
+            for plant in plants}
+        for index, (name, fault) in enumerate(faults_of(PROCESS).items()):
+            phases = (START, *PHASES) if fault.from_start else PHASES
+            numbers = [(index % spread, seeds[0] + index % spread)] if len(seeds) == 1 else (
+                enumerate(seeds))
+            for number, seed in numbers:
+                places[situation(number, plants, phases)].append((*name, seed))
+        pairs = pairs_of_faults(self.config.fault_pairs, seeds[0])
+        for number, (one, other) in enumerate(pairs):
+            places[situation(number, plants)].append(
+                (one.kind, one.input, seeds[0] + number, other.kind, other.input))
+        jobs = [FaultJob(part.scenario, plant, phase, seeds[0],
+                         tuple(faults[i:i + FAULTS_PER_JOB]))
+                for (plant, phase), faults in places.items()
+                for i in range(0, len(faults), FAULTS_PER_JOB)]
+        return [Cell({'plant': job.plant, 'phase': job.phase}, job, job.key()) for job in jobs]
+
+    def rows(self, metrics: Metrics) -> list[dict[str, Any]]:
+        """Return a row for each fault; what never came is infinite, what is not known is none."""
+        return [{**row, 'error': None, 'short': bool(row['shortfalls']),
+                 'input': '' if row['kind'] == TWO else row['input'],
+                 'inputs': row['input'],
+                 'time_to_safe_s': math.inf if row['time_to_safe_s'] < 0.0 else (
+                     row['time_to_safe_s']),
+                 'off_command_s': None if row['off_command_s'] < 0.0 else row['off_command_s']}
+                for row in metrics['rows']]
+
+    def complete(self, frame: pd.DataFrame) -> pd.DataFrame:
+        """Return the rows by kind and seed."""
+        order = {name: i for i, name in enumerate(faults_of(PROCESS))}
+        places = [order.get(name, len(order)) for name in zip(frame['kind'], frame['inputs'])]
+        frame.attrs['factors'] = ['input', 'kind', 'plant', 'phase', 'seed']
+        return frame.assign(place=places).sort_values(
+            ['place', 'seed'], kind='stable', ignore_index=True).drop(columns='place')
+
+    def warnings(self, results: Results) -> list[str]:
+        """Return every fault that was not safe, or short."""
+        return [f'{what}: {row.plant}, {row.phase}, {row.inputs} {row.kind}, seed {row.seed}: '
+                f'{why}' for row in results.frame.itertuples()
+                for what, why in (('not safe', row.problems), ('short', row.shortfalls)) if why]
+
+    def findings(self, results: Results) -> list[str]:
+        """Return how many were safe, and for how long forces were off their commands."""
+        frame = results.frame
+        kinds = frame[['inputs', 'kind']].drop_duplicates()
+        text = (f'{int(frame["safe"].sum())} of {len(frame)} faults of {len(kinds)} kinds are '
+                f'safe; after {int(frame["short"].sum())} the task is not taken up in time')
+        times = 1e3 * frame['off_command_s'].dropna()
+        if len(times):
+            p50, p90, p99 = np.percentile(times, [50.0, 90.0, 99.0])
+            text += (f'; off command in {100.0 * (times > 0.0).mean():.0f} % of them, for '
+                     f'{p50:.0f} / {p90:.0f} / {p99:.0f} / {times.max():.0f} ms (p50, p90, p99, '
+                     'largest)')
+        return [f'{text}.']
+
+    def succeeded(self, results: Results) -> bool:
+        """Return whether every fault was safe."""
+        return bool(results.frame['safe'].all())

@@ -1,1 +1,0 @@
-"""`multicontact faults`: every kind of fault in every situation."""

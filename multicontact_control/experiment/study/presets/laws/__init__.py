@@ -1,1 +1,0 @@
-"""`multicontact compare --laws`: force laws raced in everything that a contact may meet."""

@@ -1,1 +1,0 @@
-"""Robots, engines and scenarios."""

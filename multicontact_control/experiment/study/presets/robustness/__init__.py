@@ -1,1 +1,0 @@
-"""`multicontact map`: how wrong stiffness and delay may be."""

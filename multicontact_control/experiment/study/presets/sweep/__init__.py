@@ -1,1 +1,0 @@
-"""Parameters times seeds: from a study's file to a table of summaries."""

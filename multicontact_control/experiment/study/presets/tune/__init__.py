@@ -1,1 +1,0 @@
-"""`multicontact tune`: a force law's gains, by trying a declared grid of them."""

@@ -1,0 +1,82 @@
+"""`multicontact study` as users start it: bad input, Ctrl-C, rows that are runs."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pandas as pd
+import pytest
+from ros_graph import end_of, ROOT, wait_for
+
+STUDY = """
+name: small
+scenario: step
+plants: [rigid]
+duration: 1.7
+seeds: 4
+factors: {noise_estimator.estimator: [fixed, lead_window]}
+"""
+
+
+@pytest.mark.parametrize(('arguments', 'fields'), [
+    (('compare', '--plants', 'ur5'), ['plant']), (('compare', '--seeds', '0'), ['seeds', 'jobs']),
+    (('map', '--set', 'estimator=kalman'), ['estimator']),
+    (('stifness', '--seeds', 'x', '--set', 'x'), ['study', 'seeds', '--set', 'jobs']),
+    (('tune', '--law', 'pid'), ['law']), (('laws', '--law', 'pi'), ['law']),
+    (('robots', '--set', 'robot=robbie'), ['robot']), (('faults', '--dask', 'nowhere'), ['dask'])])
+def test_bad_options_are_all_named_and_leave_nothing(multicontact, tmp_path, arguments, fields):
+    done = multicontact('study', *arguments, *(['--jobs', '-1'] if 'jobs' in fields else []),
+                        cwd=tmp_path)
+    assert done.returncode == 2
+    lines = done.stderr.removeprefix('multicontact: ').splitlines()
+    assert {line.split(': ')[0] for line in lines} == {*fields}
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_studies_are_listed(multicontact):
+    listed = multicontact('study').stdout
+    for name in ('compare', 'laws', 'map', 'robots', 'tune', 'faults', 'stiffness', 'delay'):
+        assert f'{name} ' in listed
+        assert f'{name}: ' in (text := multicontact('study', '--help').stdout) or name in text
+
+
+def interrupt(process):
+    os.killpg(process.pid, signal.SIGINT)  # Ctrl-C reaches the workers, too
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('end', 'code'), [
+    (interrupt, 130), pytest.param(subprocess.Popen.terminate, 143, marks=pytest.mark.nightly)])
+def test_ended_study_goes_on_where_it_was(multicontact, tmp_path, end, code):
+    study, out = tmp_path / 'small.yaml', tmp_path / 'out'
+    study.write_text(STUDY)
+    # In a group of its own, as a terminal does.
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'multicontact_control.cli', 'study', str(study), '--jobs', '2',
+         '--out', str(out)], cwd=ROOT, start_new_session=True, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True,
+        # A test in the background ignores Ctrl-C, and so would all that it starts.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
+    wait_for(lambda: process.poll() is not None or len(list(out.glob('cells/*.json'))) >= 2,
+             'two finished runs')
+    end(process)
+    _, errors = end_of(process)
+    assert process.returncode == code, errors
+    assert 'the same command goes on' in errors and 'Traceback' not in errors
+    finished = {path: path.stat().st_mtime_ns for path in out.glob('cells/*.json')}
+    assert 2 <= len(finished) < 8
+    assert not (out / 'study.parquet').exists()
+    again = multicontact('study', str(study), '--jobs', '1', '--out', str(out))
+    assert again.returncode == 0, again.stderr
+    assert f'8 jobs, {len(finished)} of them' in ' '.join(again.stdout.split())
+    assert all(path.stat().st_mtime_ns == age for path, age in finished.items())
+    assert len(pd.read_parquet(out / 'study.parquet')) == 8
+    multicontact('simulate', '--scenario', 'step', '--plant', 'rigid', '--duration', '1.7',
+                 '--seed', '3', '--noise-estimator', 'fixed', '--out', str(tmp_path / 'run'))
+    summary = json.loads((tmp_path / 'run' / 'summary.json').read_text())
+    row = pd.read_csv(out / 'study.csv').query(
+        'seed == 3 and `noise_estimator.estimator` == "fixed"').iloc[0]
+    assert row['trajectory_sha256'] == summary['trajectory_sha256']
+    assert row['torque.max_fraction_of_limit'] == summary['torque']['max_fraction_of_limit']

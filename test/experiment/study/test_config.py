@@ -1,0 +1,214 @@
+"""A study's file: what it may say, what a user chooses of it, and the runs it makes."""
+
+from multicontact_control.config import NoiseEstimatorConfig, read_yaml
+from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.overrides import overrides_of, unit_of, value_of
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.experiment.study.cells import run_cells
+from multicontact_control.experiment.study.config import (
+    FactorConfig,
+    read_choice,
+    read_study,
+    select,
+    study_names,
+    study_path,
+)
+from multicontact_control.experiment.study.study import study_of
+from multicontact_control.force.laws import LAWS
+from multicontact_control.force.noise import lead_filter
+from multicontact_control.paths import config_dir
+import pytest
+import yaml
+
+STIFFNESS, DELAY = 'plant.surfaces.*.stiffness', 'plant.actuator_delay_ticks'
+ESTIMATOR, DAMPING = 'noise_estimator.estimator', 'controller.force.damping_rate'
+STUDY = {'name': 'one', 'scenario': 'step', 'plants': ['rigid'], 'seeds': 2, 'factors': {
+    DELAY: [0, 2], ESTIMATOR: ['fixed', 'lead_window']}}
+
+
+@pytest.fixture(name='read')
+def fixture_read(tmp_path):
+    """Return what reads a study with some changes from its file."""
+    def read(**changes):
+        path = tmp_path / 'study.yaml'
+        path.write_text(yaml.safe_dump({**STUDY, **changes}, sort_keys=False))
+        return read_study(path)
+    return read
+
+
+@pytest.fixture(name='preset', scope='module')
+def fixture_preset():
+    """Return what gives a study of config/studies with some choices."""
+    def preset(name, **choices):
+        return study_of(select(read_study(study_path(name)), **choices))
+    return preset
+
+
+def test_ranges_are_even_and_levels_keep_their_labels(read):
+    factors = read(factors={
+        'a': {'start': 0.1, 'stop': 0.5, 'count': 5}, 'e': [True, 'x'],
+        'c': {'start': 1.0, 'stop': 1000.0, 'count': 4, 'spacing': 'log'},
+        'ratio': {'values': {'start': 1, 'stop': 2, 'count': 2}, 'sets': 'p', 'multiples_of': 'q'},
+        'level': {'plain': {}, 'soft': {'a.b': 1}}}).parts[''].factors
+    assert [factors[name].values for name in ('a', 'c', 'e', 'ratio')] == [
+        (0.1, 0.2, 0.3, 0.4, 0.5), (1.0, 10.0, 100.0, 1000.0), (True, 'x'), (1.0, 2.0)]
+    assert factors['ratio'].settings('ratio') == [(1.0, {'p': 1.0}), (2.0, {'p': 2.0})]
+    assert factors['level'].settings('level') == [('plain', {}), ('soft', {'a.b': 1})]
+
+
+@pytest.mark.parametrize(('changes', 'field'), [
+    ({'name': 'a/b'}, 'name'), ({'plants': []}, 'plants'), ({'plants': ['x', 'x']}, 'plants'),
+    ({'seeds': 0}, 'seeds'), ({'duration': 0.0}, 'duration'), ({'repeats': 3}, 'repeats'),
+    ({'factors': 'all'}, 'factors'), ({'factors': {'a.b': 3}}, 'factors.a.b'),
+    ({'factors': {'a.b': {'start': 1.0, 'stop': 2.0}}}, 'factors.a.b.count'),
+    ({'factors': {'a.b': {'start': 0, 'stop': 2, 'count': 3, 'spacing': 'log'}}},
+     'factors.a.b.start'),
+    ({'fixed': {'a.b': 1}, 'factors': {'a.b': [2]}}, 'fixed.a.b'),
+    ({'columns': [{'aggregate': 'mean', 'name': 'x'}]}, 'columns.0.aggregate')])
+def test_bad_file_is_refused_by_its_field(read, changes, field):
+    with pytest.raises(ConfigError, match=f'study.yaml: {field}: expected ') as caught:
+        read(**changes)
+    assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize(('changes', 'field'), [
+    ({'scenario': 'papper'}, 'scenario'), ({'plants': ['x']}, 'plant'),
+    ({'factors': {'controller.farce.x': [1]}}, 'factors.controller.farce.x'),
+    ({'fixed': {'plant.x': 1}}, 'factors.plant.x'),
+    ({'factors': {DAMPING: [20.0, -1.0]}}, rf'\({DAMPING} = -1.0\): force.damping_rate'),
+    ({'factors': {'noise_estimator.rate': [250.0]}}, r'\(.*\): noise_estimator.rate')])
+def test_bad_parameter_or_value_is_refused_before_anything_runs(read, changes, field):
+    with pytest.raises(ConfigError, match=f'{field}: expected ') as caught:
+        run_cells(select(read(**changes)))
+    assert '\n' not in str(caught.value)
+
+
+def test_cells_are_every_combination_with_every_seed_on_every_plant(read):
+    cells = run_cells(select(read(plants=['rigid', 'puma'])))
+    assert [(cell.factors['plant'], cell.factors[DELAY], cell.factors[ESTIMATOR], cell.job.seed)
+            for cell in cells] == [
+        (plant, ticks, estimator, seed) for plant in ('rigid', 'puma') for ticks in (0, 2)
+        for estimator in ('fixed', 'lead_window') for seed in (0, 1)]
+    assert len({cell.key for cell in cells}) == 16
+    assert all(cell.key == cell.job.key() for cell in cells)
+    setup = cells[5].job.setup()
+    assert (setup.plant.actuator_delay_ticks, setup.noise_estimator.estimator, setup.seed) == (
+        2, 'fixed', 1)
+
+
+def test_parts_have_what_the_study_has_and_the_values_of_the_files_for_the_rest(read):
+    study = read(parts={
+        'grid': {}, 'one': {'factors': {DAMPING: [30.0], DELAY: [3]}, 'seeds': [7]},
+        'never': {'where': {'plant.drives': 'flexible'}},
+        'soft': {'factors': {'ratio': {'values': [0.5], 'sets': STIFFNESS, 'multiples_of':
+                                       'controller.contacts.*.stiffness'}}}})
+    cells = run_cells(select(study, seeds=1, choices=[read_choice(f'{ESTIMATOR}=fixed')]))
+    found = [(*(cell.factors[name] for name in ('part', DELAY, DAMPING, 'ratio')), cell.job.seed)
+             for cell in cells]
+    assert found == [('grid', 0, 100.0, 1.0, 0), ('grid', 2, 100.0, 1.0, 0),
+                     ('one', 3, 30.0, 1.0, 7), ('soft', 0, 100.0, 0.5, 0),
+                     ('soft', 2, 100.0, 0.5, 0)]
+    soft = cells[-1].job.setup()
+    assert {surface.stiffness for surface in soft.plant.surfaces.values()} == {3000.0}
+    assert {contact.stiffness for contact in soft.controller.contacts.values()} == {6000.0}
+
+
+def test_adjustment_holds_where_its_condition_does(read):
+    cells = run_cells(select(read(plants=['rigid', 'puma'], factors={}, seeds=1, adjustments=[
+        {'where': {'plant.drives': 'rigid'}, 'values': {DAMPING: 30.0}}])))
+    assert [cell.job.setup().controller.force.damping_rate for cell in cells] == [30.0, 100.0]
+
+
+def test_user_chooses_plants_seeds_and_values(read):
+    study = read(factors={'level': {'a': {DELAY: 0}, 'b': {DELAY: 2}}})
+    chosen = select(study, robot='panda', seeds=(5,), choices=[
+        read_choice('level=b'), read_choice(f'{DAMPING}=20, 60')])
+    cells = run_cells(chosen)
+    assert [(cell.factors['level'], cell.factors[DAMPING]) for cell in cells] == [
+        ('b', 20.0), ('b', 60.0)]
+    assert {(cell.job.plant, cell.job.seed) for cell in cells} == {('panda/rigid', 5)}
+    with pytest.raises(ConfigError, match='^level: expected some of a, b, found'):
+        select(study, choices=[('level', FactorConfig(values=('c',)))])
+    for text in ('level', '=3', 'level=', 'level=]'):
+        with pytest.raises(ConfigError, match='^--set: '):
+            read_choice(text)
+
+
+def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter(preset):
+    names = study_names()
+    assert {'compare', 'laws', 'map', 'robots', 'tune', 'faults', 'delay', 'stiffness'} <= {*names}
+    for name in names:
+        study = read_study(study_path(name))
+        assert study.name == name and ': ' in study.description
+    counts = [{cell.key for cell in preset(name, robot='', plants=('rigid',), quick=True).cells()}
+              for name in ('compare', 'laws', 'map', 'delay', 'faults')]
+    assert [len(keys) for keys in counts] == [18, 45, 64, 14, 12]
+    with pytest.raises(ConfigError, match=rf"^study: expected one of {', '.join(names)}"):
+        study_path('stifness')
+
+
+def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_filter(preset):
+    cells = preset('compare', plants=('puma',), seeds=1).cells()
+    setups = {(cell.factors['part'], cell.factors['estimator']): cell.job.setup()
+              for cell in cells}
+    labels = {label for part, label in setups if part == 'active state'}
+    kinds = NoiseEstimatorConfig.model_fields['estimator'].annotation.__args__
+    assert labels == {*kinds, 'window rescaled', 'innovation matched'}
+    for label in kinds:
+        assert setups['active state', label].noise_estimator.estimator == label
+        assert setups['active state', label].controller.force.active_state_order == 1
+        assert setups['no active state', label].controller.force.active_state_order == 0
+    usual = setups['active state', 'lead_window']
+    config = usual.noise_estimator
+    gain = lead_filter(config.zero_frequency, config.pole_frequency, config.rate).variance_factor()
+    rescaled, matched = (setups['active state', label]
+                         for label in ('window rescaled', 'innovation matched'))
+    assert rescaled.noise_estimator.variance_scale == pytest.approx(gain, rel=1e-12)
+    assert matched.controller.force.process_noise == pytest.approx(
+        usual.controller.force.process_noise / gain, rel=1e-12)
+    assert usual.controller.friction.coulomb
+    rigid = preset('compare', plants=('rigid',), seeds=1, quick=True).cells()[0].job.setup()
+    assert not rigid.controller.friction.coulomb
+
+
+def test_race_has_every_law_in_every_situation_and_friction_where_there_is_some(preset):
+    cells = preset('laws').cells()
+    others = {f'laws/{path.stem}' for path in (config_dir() / 'presets/laws').glob('*.yaml')}
+    assert {cell.factors['preset'] for cell in cells} == {'paper', 'best', 'adaptive', *others}
+    assert len({cell.key for cell in cells}) == 9 * 3 * (2 * (2 + 8 + 3) + 3)
+    assert {cell.job.seed for cell in cells} == {1, 2, 3}  # tuned on 0
+    assert {cell.job.plant for cell in cells if cell.factors['part'] == 'friction'} == {'puma'}
+    rough = next(cell for cell in cells if cell.factors['joint friction x'] == 4.0).job.setup()
+    assert rough.plant.joint_friction_scale == 4.0 * resolve(
+        'quick', plant='puma').plant.joint_friction_scale
+
+
+def test_every_law_has_ranges_whose_ends_are_acceptable(preset):
+    declared = read_yaml(config_dir() / 'tuning.yaml')
+    assert set(declared) == set(LAWS)
+    for law, ranges in declared.items():
+        study = read_study(study_path('tune')).model_copy(update={'law': law})
+        ends = [(name, FactorConfig(values=(values[0], values[-1])))
+                for name, values in ranges.items()]
+        cells = study_of(select(study)).cells() if len(ranges) == 1 else run_cells(select(
+            study, choices=ends))
+        assert {cell.job.seed for cell in cells} == {0}
+
+
+@pytest.fixture(name='setup', scope='module')
+def fixture_setup():
+    return resolve('step', plant='rigid')
+
+
+@pytest.mark.parametrize(('name', 'value', 'unit'), [
+    ('controller.force.input_delay', 0.006, 's'), (ESTIMATOR, 'lead_window', ''),
+    ('scenario.reference.approach.speed', 0.02, 'm/s')])
+def test_parameter_is_found_by_its_dotted_name(setup, name, value, unit):
+    assert (value_of(name, setup), unit_of(name, setup)) == (value, unit)
+
+
+def test_star_stands_for_every_contact(setup):
+    assert overrides_of({
+        STIFFNESS: 5.0, 'plant.surfaces.board.stiffness': 7.0, DAMPING: 30.0}, setup, 'x') == {
+            'plant': {'surfaces': {'table': {'stiffness': 5.0}, 'board': {'stiffness': 7.0}}},
+            'controller': {'force': {'damping_rate': 30.0}}}
