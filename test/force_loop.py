@@ -1,11 +1,10 @@
 """One force loop in simulation: the plant, an observer on it, and the estimator that feeds it."""
 
-from __future__ import annotations
-
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.force import observer as aob
 from multicontact_control.force.noise import Innovation, make_noise_estimator
 from multicontact_control.force.plant import delayed_plant, place_poles
+from multicontact_control.records import CONTACT
 import numpy as np
 
 H = 0.002
@@ -29,44 +28,22 @@ class ActiveObserver:
 
     def __init__(self, loop, **options):
         self.design = aob.design_observer(loop, **options)
-        self.records = aob.make_observers([self.design])
-        self.n = len(self.design.Gamma)
-        self.reset()
+        self.records, self.contact = aob.make_observers([self.design]), np.zeros(1, CONTACT)
+        n = len(self.design.Gamma)
+        self.x_est, self.P = self.records['x_est'][0, :n], self.records['P'][0, :n, :n]
 
-    def __getattr__(self, name):
-        return getattr(self.design, name)
-
-    @property
-    def x_est(self):
-        return self.records['x_est'][0, :self.n]
-
-    @property
-    def P(self):
-        return self.records['P'][0, :self.n, :self.n]
-
-    def reset(self, force=0.0):
-        self.records['x_est'], self.records['P'] = 0.0, 0.0
-        self.records['x_est'][0, 0] = force
-        self.P[:] = self.design.P_0 * np.eye(self.n)
-        self.records['running'], self.records['command'] = False, 0.0
-        self.innovation = self.prior_variance = self.variance_used = 0.0
-
-    def update(self, force, noise_variance):
-        observer = self.records[0]
-        if not observer['running']:
-            observer['running'] = True
-            return
-        aob.predict(observer)
-        self.prior_variance = self.P[0, 0]
-        self.innovation = force - observer['x_1'][0]
-        self.variance_used = noise_variance
-        aob.correct(observer, self.innovation, noise_variance)
+    def update(self, force, noise_variance, measured=True):
+        self.contact['alpha_meas'], self.contact['noise_variance'] = force, noise_variance
+        aob.observe(self.records[0], self.contact[0], measured, 0.0)
 
     def command(self, force_des):
         return aob.command(self.records[0], force_des)
 
-    def continue_from(self, other):
-        aob.continue_from(self.records, other.records)
+    @property
+    def innovation(self):
+        """What a noise estimator gets, arrays of one contact."""
+        return Innovation(*(self.contact['answer'][name] for name in (
+            'innovation', 'prior_variance', 'variance_used')))
 
 
 def observer_of(order=1, damping_rate=20.0):
@@ -82,14 +59,10 @@ def run_force_loop(estimator, noise=0.0, leak=0.0, command=10.0):
     """
     observer, plant, x = observer_of(), delayed_plant(6000.0, 20.0, 0.006, H), np.zeros(5)
     x[0] = command
-    observer.reset(command)
     variances = [0.6]
     for each in np.asarray(noise) + leak:
-        measured = x[0] + each
-        observer.update(measured, variances[-1])
+        observer.update(x[0] + each, variances[-1])
         u = observer.command(command)
-        variances.append(estimator.update(np.array([measured]), Innovation(*(
-            np.array([value]) for value in (
-                observer.innovation, observer.prior_variance, observer.variance_used))))[0])
+        variances.append(estimator.update(observer.contact['alpha_meas'], observer.innovation)[0])
         x = plant.Phi @ x + plant.Gamma * u
     return np.array(variances[1:])

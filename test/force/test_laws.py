@@ -115,7 +115,7 @@ def test_settled_observer_is_a_linear_law(order):
     observer = observer_of(order)
     for _ in range(5000):
         observer.update(0.0, 0.6)
-    law = steady_law(observer.design, steady_gain(observer, 0.6))
+    law = steady_law(observer.design, steady_gain(observer.design, 0.6))
     x = np.zeros(law.states)
     for alpha in series()[0]:
         observer.update(alpha, 0.6)

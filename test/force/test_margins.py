@@ -17,7 +17,7 @@ DELAY_TICKS = 3
 
 
 def law_of(observer, variance):
-    return steady_law(observer.design, steady_gain(observer, variance))
+    return steady_law(observer.design, steady_gain(observer.design, variance))
 
 
 def loop_of(law, ratio=1.0, damping_rate=20.0, delay=DELAY_TICKS * H):
@@ -42,18 +42,19 @@ def test_steady_gain_is_where_the_observer_settles(order, variance):
     for _ in range(4000):  # of 1900, in the slowest case, to 1e-7
         observer.update(0.0, variance)
     settled = observer.P[:, 0] / variance  # K = P C^T / R
-    np.testing.assert_allclose(steady_gain(observer, variance), settled, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        steady_gain(observer.design, variance), settled, rtol=1e-6, atol=1e-12)
 
 
 @pytest.mark.parametrize('order', range(4))
 def test_closed_loop_with_the_right_model_separates(order):
     """Its eigenvalues are those of the feedback, of the filter, (1 - K C) Phi_n, and of y."""
     observer = observer_of(order)
-    gain, matrix = steady_gain(observer, 0.6), loop_of(law_of(observer, 0.6))
-    n = observer.Phi_n.shape[0]
+    gain, matrix = steady_gain(observer.design, 0.6), loop_of(law_of(observer, 0.6))
+    n = observer.design.Phi_n.shape[0]
     correction = np.eye(n) - np.outer(gain, np.eye(n)[0])
     expected = np.polymul(
-        np.poly(observer.loop.closed_loop), np.poly(correction @ observer.Phi_n))
+        np.poly(observer.design.loop.closed_loop), np.poly(correction @ observer.design.Phi_n))
     np.testing.assert_allclose(np.poly(matrix), np.append(expected, 0.0), atol=1e-6)
     assert spectral_radius(matrix) < 1.0
 
@@ -86,7 +87,7 @@ def test_boundary_shrinks_with_a_delay_that_the_model_does_not_have():
 def test_loop_is_the_observer_on_coupled_contacts_in_time(delay):
     """One period of the matrix is one tick of the AOBs on a finely integrated plant."""
     k, c, tool, own, aob = 1.5 * K, 30.0, 0.5, 5.0, observer_of()
-    B, gain = np.array([[0.3, 0.1], [0.1, 0.2]]), steady_gain(aob, 0.6)
+    B, gain = np.array([[0.3, 0.1], [0.1, 0.2]]), steady_gain(aob.design, 0.6)
     plant = LinearArmPlant(B, np.full(2, k), np.full(2, c), tool * np.eye(2), delay * H, own)
     matrix = closed_loop(plant, steady_law(aob.design, gain), 20.0, H)
     state, under_way = np.random.default_rng(3).standard_normal(len(matrix)), int(np.ceil(delay))
@@ -95,7 +96,7 @@ def test_loop_is_the_observer_on_coupled_contacts_in_time(delay):
     x, line = x[:4], list(x[4:].reshape(-1, 2))
     predicted = predicted.reshape(2, -1)
     estimates = predicted + np.outer(measured - predicted[:, 0], gain)
-    line.append(-estimates @ aob.feedback - 20.0 * x[2:] + B @ estimates[:, 0])
+    line.append(-estimates @ aob.design.feedback - 20.0 * x[2:] + B @ estimates[:, 0])
     late = delay - under_way + 1 if under_way else 1.0  # share of the period of the oldest input
 
     def motion(x, acting):
@@ -107,7 +108,7 @@ def test_loop_is_the_observer_on_coupled_contacts_in_time(delay):
         acting = line[0] if step < late * steps else line[1]
         x = x + H / steps * motion(x + 0.5 * H / steps * motion(x, acting), acting)
     force = k * x[:2] + c * x[2:] + tool * motion(x, acting)[2:]
-    predicted = estimates @ aob.Phi_c.T
+    predicted = estimates @ aob.design.Phi_c.T
     np.testing.assert_allclose(
         matrix @ state, np.concatenate([x, *line[1:], force, predicted.ravel()]), rtol=1e-6,
         atol=1e-9)

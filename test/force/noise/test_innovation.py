@@ -1,5 +1,7 @@
 """Estimators that work on innovations: their formulas, and what they find in a force loop."""
 
+from dataclasses import astuple
+
 from force_loop import estimator_of, observer_of, run_force_loop
 from multicontact_control.force.noise import Innovation
 import numpy as np
@@ -22,8 +24,7 @@ def test_innovation_gives_the_observers_residual_and_posterior_variance():
         force, variance = rng.standard_normal(), 10.0 ** rng.uniform(-3, 3)
         observer.update(force, variance)
         observer.command(1.0)
-    innovation = Innovation(*(np.array([value, 0.0]) for value in (
-        observer.innovation, observer.prior_variance, observer.variance_used)))
+    innovation = Innovation(*(np.append(each, 0.0) for each in astuple(observer.innovation)))
     np.testing.assert_array_equal(innovation.valid, [True, False])
     np.testing.assert_allclose(
         innovation.residual, [force - observer.x_est[0], 0.0], rtol=1e-9)
@@ -89,8 +90,7 @@ def test_estimators_leave_out_an_inactive_contact(name):
     both, alone = estimator_of(name, contacts=2), estimator_of(name)
     for innovation in _innovations(200, rng, contacts=2):
         there = rng.random() < 0.5
-        values = np.array([innovation.innovation, innovation.prior_variance,
-                           innovation.variance_used])
+        values = np.array(astuple(innovation))
         before = both.update(np.zeros(2))
         R = both.update(np.zeros(2), Innovation(*(values * [1.0, there])))
         if there:
