@@ -56,12 +56,10 @@ def test_couple_column_is_a_difference_of_forces_at_both_ends():
     for column, direction in ((1, along), (2, across)):
         ends = [point_column(POINT + side * HALF * direction) for side in (1.0, -1.0)]
         np.testing.assert_allclose(N[:, column], 0.5 * (ends[0] - ends[1]), atol=1e-15)
-
-
-def test_measured_couple_is_that_of_forces_at_the_ends():
-    records, forces = columns([FORCE, ALONG]), (4.0, 9.0)
-    wrench = sum(force * point_column(POINT + side * HALF * np.array([0.0, 1.0, 0.0]))
-                 for side, force in zip((-1.0, 1.0), forces))
+    # Forces at both ends are read as their sum and their difference.
+    records = columns([FORCE, ALONG])
+    wrench = sum(force * point_column(POINT + side * HALF * along)
+                 for side, force in ((-1.0, 4.0), (1.0, 9.0)))
     assert measure_contacts(control(wrench), records)
     np.testing.assert_allclose(records['alpha_meas'], [13.0, 5.0], atol=1e-12)
 
@@ -106,13 +104,10 @@ def test_measured_forces_are_generalised_least_squares():
         atol=1e-12)
 
 
-def corners(count):
-    places = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])[:count] * HALF
-    return POINT + places @ np.array([[0.0, 1.0, 0.0], np.cross(NORMAL, [0.0, 1.0, 0.0])])
-
-
 def test_columns_that_depend_are_refused():
-    records = columns([FORCE] * 4, points=corners(4))
+    side, across = np.array([0.0, 1.0, 0.0]), np.cross(NORMAL, [0.0, 1.0, 0.0])
+    records = columns([FORCE] * 4, points=POINT + HALF * np.array(
+        [-side - across, side - across, side + across, across - side]))
     check_columns(['a', 'b', 'c'], records[:3])
     with pytest.raises(ConfigError, match='a, b, c, d'):
         check_columns(['a', 'b', 'c', 'd'], records)

@@ -1,4 +1,4 @@
-"""The control law: physics, the same in plain numpy on random states, refusals."""
+"""The control law: physics, the same in plain numpy on random states, limits and refusals."""
 
 from arms import (
     controller_config,
@@ -10,13 +10,18 @@ from arms import (
     seven_joint_urdf,
 )
 import equations
+from hypothesis import given
+from hypothesis import strategies as st
 from multicontact_control.contact.geometry import misread_friction
+from multicontact_control.control.law import finish_torque
 from multicontact_control.control.tasks import CommandedTask, MotionReading, Task
+from multicontact_control.dynamics.operational_space import mobility_and_inertia
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ContactGeometryError, ShapeError, SingularTaskError
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.paths import config_dir
+from multicontact_control.records import JOINT, LAW
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 import pytest
@@ -226,3 +231,108 @@ def test_controller_refuses_impossible_samples(monkeypatch):
     monkeypatch.setattr('multicontact_control.control.controller.SINGULAR_MOBILITY', 0.0)
     with pytest.raises(SingularTaskError, match='condition number'):
         step(np.zeros(6))
+
+
+H = 0.002
+
+
+class Follow:
+    """Asks for the pose the arm is in, a little beside it, and for the speed it has."""
+
+    contact_state = {}
+
+    def __init__(self, offset):
+        self.offset = np.array(offset)
+
+    def start(self, pose, normals_world):
+        pass
+
+    def task(self, time, alpha_meas=None):
+        pose, twist = self.now
+        beside = type(pose)(pose.position_world + self.offset, pose.rotation_world)
+        return Task(beside, twist, np.zeros(6), np.zeros(2, dtype=bool), np.zeros(2))
+
+
+def torques(joint, start, end, offset, seconds=1.0, **limits):
+    """Return torque over limit along a path of one joint, with its gravity share."""
+    config = controller_config(torque_limit=[], limits={'torque_rate': [], **limits})
+    robot = RobotModel(config.robot, config_dir())
+    follow = Follow(offset)
+    controller = Law(config, follow)
+    speed = np.zeros(6)
+    speed[joint] = (end - start) / seconds
+    limit = np.array(controller_config().torque_limit)
+    found, gravity = [], []
+    for k in range(round(seconds / H) + 1):
+        q = HOME.copy()
+        q[joint] = start + speed[joint] * k * H
+        state = robot.update(q, speed)
+        follow.now = state.pose, state.twist_world
+        found.append(controller.step(
+            Measurement(k * H, q, speed, np.zeros(6)), np.full(2, 0.6)).torque / limit)
+        gravity.append((state.gravity + state.coriolis) / limit)
+    return np.array(found), np.array(gravity)
+
+
+@pytest.mark.parametrize('offset', [(1e-3, 0, 0), (0, 1e-3, 0), (0, 0, 1e-3), (0, 0, 0)])
+@pytest.mark.parametrize(('joint', 'start', 'end'), [(4, -0.5, 0.5), (2, 2.2, 1.0)])
+def test_no_spike_on_the_way_through_wrist_and_elbow_singularity(joint, start, end, offset):
+    """Within 40 % of the limits beside gravity, and no more than 2 % of them from tick to tick."""
+    found, gravity = torques(joint, start, end, offset)
+    assert np.isfinite(found).all()
+    assert np.abs(found - gravity).max() < 0.4
+    assert np.abs(np.diff(found, axis=0)).max() < 0.02
+
+
+def test_damping_is_smooth_bounded_and_absent_away_from_singularities():
+    """Lambda = 1 / (e + d): at most 2 / e_0; d and its slope go to zero at e_0."""
+    e = np.linspace(0.0, 0.02, 2001)
+    damped, room = np.empty_like(e), [np.empty((6, 6)) for _ in range(4)]
+    for i, smallest in enumerate(e):
+        J = np.diag(np.sqrt([smallest, 1.0, 1.0, 1.0, 1.0, 1.0]))
+        assert mobility_and_inertia(
+            np.asfortranarray(np.eye(6)), np.asfortranarray(J), 0.01, *room) >= 0.0
+        damped[i] = 1.0 / room[3][0, 0]
+    assert (1.0 / damped).max() <= 2.0 / 0.01 + 1e-9
+    np.testing.assert_allclose(damped[e >= 0.01], e[e >= 0.01], rtol=1e-12)
+    assert np.abs(np.diff(damped, 2)).max() < 2e-8
+
+
+def limited(torque, priority, limit, least_share=0.0, added=0.0):
+    joints = np.zeros(len(torque), dtype=JOINT)
+    joints['torque'], joints['priority'], joints['torque_limit'] = torque, priority, limit
+    joints['added'] = added
+    law = np.zeros(1, dtype=LAW)
+    law['least_share'] = least_share
+    was_limited = finish_torque(law[0], joints)
+    return joints['torque'], was_limited
+
+
+@given(seed=st.integers(0, 2 ** 32 - 1), size=st.floats(0.1, 30.0))
+def test_torque_beyond_its_limits_keeps_its_direction(seed, size):
+    random = np.random.default_rng(seed)
+    limit = random.uniform(5.0, 20.0, 6)
+    priority = random.uniform(-0.9, 0.9, 6) * limit
+    torque = priority + size * random.normal(size=6)
+    found, was_limited = limited(torque, priority, limit)
+    assert was_limited == bool((np.abs(torque) > limit).any())
+    if not was_limited:
+        np.testing.assert_array_equal(found, torque)
+        return
+    assert (np.abs(found) <= limit).all()
+    share = (found - priority) / (torque - priority)
+    np.testing.assert_allclose(share, share[0], atol=1e-9)
+    assert 0.0 <= share[0] < 1.0
+    assert (np.abs(found) / limit).max() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(('torque', 'priority', 'limit', 'options', 'expected'), [
+    ([12.0, 3.0], [11.0, 1.0], [10.0, 10.0], {}, [10.0, 3.0]),  # more than can be carried
+    ([9.0, 20.0], [1.0, 0.0], [10.0, 4.0], {'least_share': 0.5}, [5.0, 4.0]),
+    ([np.nan, 30.0], [0.0, 0.0], [10.0, 10.0], {}, [np.nan, 10.0]),
+    # Limits are those of command and torque that the drives add.
+    ([20.0, 3.0], [11.0, 1.0], [10.0, 10.0], {'added': [5.0, 0.0]}, [15.0, 1.0 + 8.0 / 9.0]),
+    ([14.0, -6.0], [0.0, 0.0], [10.0, 10.0], {'added': [5.0, 4.0]}, [14.0, -6.0])])
+def test_torque_beyond_its_share_is_cut_joint_by_joint(
+        torque, priority, limit, options, expected):
+    np.testing.assert_allclose(limited(torque, priority, limit, **options)[0], expected)
