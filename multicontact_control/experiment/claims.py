@@ -13,23 +13,13 @@ import math
 from statistics import median
 from typing import Any, NamedTuple
 
-from multicontact_control.arrays import Mask
 from multicontact_control.config import ForceConfig
 from multicontact_control.experiment.judge import HELD
 from multicontact_control.experiment.metrics import (
-    after_motion,
-    force_error,
     LASTING,
-    lost_share,
-    mean_in,
-    median_in,
-    motion_start,
-    motion_summary,
-    quiet_windows,
     rms_in,
+    RunMetrics,
     SETTLE_AFTER_START,
-    step_responses,
-    torque_summary,
     value_in,
 )
 from multicontact_control.experiment.recording import RunData
@@ -187,7 +177,7 @@ def designed_rise(force: ForceConfig) -> float:
 
 def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the claims rest on, of a run and its summary, as JSON values."""
-    force = setup.controller.force
+    force, run = setup.controller.force, RunMetrics(data, setup)
     return {
         'scenario': setup.scenario.name, 'plant': setup.plant_name, 'seed': setup.seed,
         'drives': setup.plant.drives, 'estimator': setup.noise_estimator.estimator,
@@ -197,48 +187,41 @@ def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict
             'verdict', 'instabilities', 'unjudged', 'unstable_at_s')},
         # What the supervisor holds tells nothing of what the law alone would do.
         'stable': None if summary['verdict'] == HELD else summary['stable'],
-        'unstable_after_motion_s': after_motion(setup, summary['unstable_at_s']),
-        'ran_in_motion': float(data.time[-1]) > motion_start(setup) + SETTLE_AFTER_START,
+        'unstable_after_motion_s': run.after_motion(summary['unstable_at_s']),
+        'ran_in_motion': float(data.time[-1]) > run.motion_start + SETTLE_AFTER_START,
         # The paper speaks of normal forces; couples may well be 0, or of either sign.
-        'contacts': {data.contact_names[i]: _contact_evidence(data, setup, i)
+        'contacts': {data.contact_names[i]: _contact_evidence(run, i)
                      for i in setup.controller.leaders},
-        'motion': motion_summary(data, setup), 'torque': torque_summary(data, setup)}
+        'motion': run.motion_summary(), 'torque': run.torque_summary()}
 
 
-def _contact_evidence(data: RunData, setup: Setup, i: int) -> dict[str, Any]:
-    rest, moving = quiet_windows(data, setup)
-    error, command = force_error(data, setup, i), setup.commanded(data.time)[:, i]
-    variance = data.noise_variance[:, i]
-    steps = [step for step in step_responses(data, setup, i) if step.size > 0.0]
-    ratios = [setup.plant.stiffness_of(column.name) / column.stiffness
-              for column in setup.controller.columns if column.leader == i]
-    start = motion_start(setup)
+def _contact_evidence(run: RunMetrics, i: int) -> dict[str, Any]:
+    plant, (rest, moving), start = run.setup.plant, run.quiet, run.motion_start
+    error, variance = run.error[:, i], run.data.noise_variance[:, i]
+    command = run.setup.commanded(run.data.time)[:, i]
+    steps = [step for step in run.step_responses(i) if step.size > 0.0]
+    ratios = [plant.stiffness_of(column.name) / column.stiffness
+              for column in run.setup.controller.columns if column.leader == i]
+    pushed = np.zeros(run.data.ticks, dtype=bool)
+    for begin, duration in zip(plant.push_start, plant.push_duration):
+        if begin < start:
+            end = min(begin + duration + AFTER_PUSH, start)
+            pushed |= (run.data.time >= begin) & (run.data.time < end)
     return {
         'stiffness_ratio': max(ratios, key=lambda ratio: abs(ratio - 1.0)),
-        'variance_rest_n2': median_in(rest, variance),
-        'variance_moving_n2': median_in(moving, variance),
+        'variance_rest_n2': value_in(rest, variance, np.median),
+        'variance_moving_n2': value_in(moving, variance, np.median),
         'rises_s': [step.rise_63 for step in steps],
         'overshoot_percent': max((step.overshoot_percent for step in steps), default=None),
-        'rest_command_n': median_in(rest, command),
-        'rest_mean_error_n': mean_in(rest, error), 'rest_std_n': value_in(rest, error, np.std),
-        'moving_command_n': median_in(moving, command),
+        'rest_command_n': value_in(rest, command, np.median),
+        'rest_mean_error_n': value_in(rest, error), 'rest_std_n': value_in(rest, error, np.std),
+        'moving_command_n': value_in(moving, command, np.median),
         'moving_rms_n': rms_in(moving, error),
-        'moving_lost': lost_share(data, setup, i, moving),
+        'moving_lost': run.lost_share(i, moving),
         'start_peak_n': value_in(
-            (data.time >= start) & (data.time - start < SETTLE_AFTER_START), np.abs(error),
-            np.max),
-        'variance_peak_n2': value_in(_pushed_at_rest(data, setup), variance, np.max)}
-
-
-def _pushed_at_rest(data: RunData, setup: Setup) -> Mask:
-    """Return the samples of the pushes at rest and of 0.5 s after each."""
-    until = motion_start(setup)
-    mask = np.zeros(data.ticks, dtype=bool)
-    for start, duration in zip(setup.plant.push_start, setup.plant.push_duration):
-        if start < until:
-            end = min(start + duration + AFTER_PUSH, until)
-            mask |= (data.time >= start) & (data.time < end)
-    return mask
+            (run.data.time >= start) & (run.data.time - start < SETTLE_AFTER_START),
+            np.abs(error), np.max),
+        'variance_peak_n2': value_in(pushed, variance, np.max)}
 
 
 def this_run(rows: Rows) -> Rows:

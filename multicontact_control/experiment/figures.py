@@ -13,15 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.judge import STABLE
-from multicontact_control.experiment.metrics import (
-    has_truth,
-    judged_force,
-    judged_windows,
-    NO_TRUTH,
-    step_responses,
-    truth_lacking,
-    without_truth,
-)
+from multicontact_control.experiment.metrics import NO_TRUTH, RunMetrics, truth_lacking
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.page import (
     COLOURS,
@@ -60,7 +52,7 @@ class RunFigure(NamedTuple):
 
 def run_figures(data: RunData, setup: Setup) -> list[RunFigure]:
     """Return the figures of a run: 3 and 4 for each contact, 5, 6, and the stiffness found."""
-    forces = [_force(data, i, truth) for i, truth in enumerate(has_truth(data, setup))]
+    forces = [_force(data, i, truth) for i, truth in enumerate(RunMetrics(data, setup).truth)]
     figures = []
     for drawn in [*forces, _motion(data, setup), _noise_variance(data), _stiffness(data)]:
         # What was not recorded is not drawn.
@@ -151,7 +143,7 @@ def draw_figures(
     plant, seed = (f'plant {setup.plant_name}', f', seed {setup.seed}') if setup.simulated else (
         setup.plant_name, '')
     title = f'{setup.scenario.name}, {plant}, {setup.noise_estimator.estimator}{seed}'
-    unknown = truth_lacking(without_truth(data, setup), data.contact_names)
+    unknown = truth_lacking(RunMetrics(data, setup).without_truth(), data.contact_names)
     if unknown:
         title += f', {unknown}: errors are of the measured forces'
     if verdict != STABLE:
@@ -180,17 +172,17 @@ def draw_side_by_side(runs: Sequence[tuple[str, RunData, Setup]], path: Path) ->
     grid = sheet.subplots(count + 1, len(runs), squeeze=False, sharey='row')
     for column, (label, data, setup) in zip(grid.T, runs):
         column[0].set_title(label, fontsize=11)
-        forces = judged_force(data, setup)
+        run = RunMetrics(data, setup)
         for i, (name, axes) in enumerate(zip(data.contact_names, column)):
             _draw_panel(axes, Panel(f'{name} [N]', (
                 Trace('measured', data.alpha_meas[:, i], width=0.4),
                 Trace('commanded', data.alpha_des[:, i], COMMANDED, 1.0, dashed=True))),
                 data.time, ())
         last = max((step.time for i in range(len(data.contact_names))
-                    for step in step_responses(data, setup, i)), default=0.0)
+                    for step in run.step_responses(i)), default=0.0)
         shown = (data.time >= last - STEP_SHOWN[0]) & (data.time < last + STEP_SHOWN[1])
         _draw_panel(column[count], Panel('force [N]', [
-            *(Trace(name, forces[shown, i], COLOURS[i % len(COLOURS)], 1.2)
+            *(Trace(name, run.force[shown, i], COLOURS[i % len(COLOURS)], 1.2)
               for i, name in enumerate(data.contact_names)),
             *(Trace('commanded', desired, COMMANDED, 1.0, dashed=True)
               for desired in data.alpha_des[shown].T[:1])]), 1e3 * (data.time[shown] - last), ())
@@ -225,7 +217,7 @@ def draw_latency(summary: Mapping[str, Any], folder: Path) -> Path:
 
 def _judged(data: RunData, setup: Setup) -> list[Span]:
     """Return the windows that the summary is of, without the pauses between setpoints."""
-    judged = judged_windows(data, setup)
+    judged = RunMetrics(data, setup).windows
     closing = np.ones(round(PAUSE * data.rate), dtype=bool)
     return [Span(name, float(data.time[begin]), float(data.time[end - 1]))
             for name, mask in (('rest', judged.rest), ('moving', judged.moving))

@@ -19,20 +19,10 @@ from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.experiment.metrics import (
-    commanded,
-    force_oscillations,
-    is_couple,
-    judged_force,
-    judged_windows,
-    known_share,
     least_torque_limit,
-    losses,
-    pressing,
-    saturation,
+    RunMetrics,
     torque_limit,
     truth_lacking,
-    under_load,
-    without_truth,
 )
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.recording import RunData
@@ -101,8 +91,7 @@ def read_event(time: float, what: str) -> Event:
         tuple(name for name in names if name in LIMITS), tuple(states.split(', ')))
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(NamedTuple):
     """A limit that was passed: which one, and by how much."""
 
     text: str
@@ -144,39 +133,39 @@ def judge(
 
     `ended_early` is why it ended before its time; `INTERRUPTED` speaks neither for nor against it.
     """
-    found = findings(data, setup, ended_early)
+    run = RunMetrics(data, setup)
+    found = findings(run, ended_early)
     missing = max(float(np.isnan(values).any(axis=1).mean()) for values in (
         data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas))
     if mode in ('in_process', LOCKSTEP) and missing > LARGEST_GAP:
         found.append(Finding(f'{100.0 * missing:.1f} % of the samples were not answered'))
-    helped = interventions(data, setup, events)
+    helped = interventions(run, events)
     name = NOT_STABLE if found else HELD if helped else STABLE
-    unjudged = _doubt(data, setup, ended_early) if name == STABLE else ''
+    unjudged = _doubt(run, ended_early) if name == STABLE else ''
     times = [finding.time for finding in found if finding.time is not None]
     return Verdict(
         UNJUDGED if unjudged else name, tuple(finding.text for finding in found + helped),
         min(times, default=None), unjudged)
 
 
-def _doubt(data: RunData, setup: Setup, ended_early: str) -> str:
+def _doubt(run: RunMetrics, ended_early: str) -> str:
     """Return why a run without findings is not called stable; empty if it is."""
-    forces = judged_force(data, setup)
     if ended_early == INTERRUPTED:
         return INTERRUPTED
-    if not np.isfinite(forces).any():
+    if not np.isfinite(run.force).any():
         return 'neither true nor measured forces'
-    if not judged_windows(data, setup).loaded.any():
+    if not run.windows.loaded.any():
         return 'never under load'
-    for contact, name in enumerate(data.contact_names):
-        felt = known_share(data, forces[:, contact], under_load(data, setup, contact))
+    for i, name in enumerate(run.data.contact_names):
+        felt = run.known_share(i, run.force)
         if felt < LEAST_JUDGED:
             return (f'{name}: its force could be judged for {100.0 * felt:.0f} % of the time '
                     'under load')
-    unknown = truth_lacking(without_truth(data, setup), data.contact_names)
+    unknown = truth_lacking(run.without_truth(), run.data.contact_names)
     return f'{unknown}; {BY_MEASUREMENT} no limit was passed' if unknown else ''
 
 
-def findings(data: RunData, setup: Setup, ended_early: str = '') -> list[Finding]:
+def findings(run: RunMetrics, ended_early: str = '') -> list[Finding]:
     """
     Return the limits that a run has passed.
 
@@ -186,53 +175,50 @@ def findings(data: RunData, setup: Setup, ended_early: str = '') -> list[Finding
     (`oscillation`); no force beyond 5 times its command and half the force ceiling. Couples are
     judged as forces are, while their contact is pressed.
     """
-    interrupted = ended_early == INTERRUPTED
+    data, setup, interrupted = run.data, run.setup, ended_early == INTERRUPTED
     found = [Finding(ended_early, float(data.time[-1]))] if (
         ended_early and not interrupted) else []
     series = (data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas)
     infinite = np.any([np.isinf(values).any(axis=1) for values in series], axis=0)
     if infinite.any():
         found.append(Finding('a number is not finite', _first(data, infinite)))
-    saturated = saturation(data, setup)
+    saturated = run.saturation()
     of_drives = saturated & (least_torque_limit(setup) < torque_limit(setup))
     found += _lasting(data, 'torque saturated' + (
         ' at the limit of the simulated drives' if of_drives.any() else ''),
         *stretches(np.asarray(saturated.any(axis=1))))
-    for contact, name in enumerate(data.contact_names):
-        found += [Finding(f'{name}: {finding.text}', finding.time)
-                  for finding in _contact_findings(data, setup, contact, interrupted)]
+    for i, name in enumerate(data.contact_names):
+        desired, pressed = data.alpha_des[:, i], run.pressing[:, i] > 0.0
+        idle = setup.commanded_by_topic and not pressed.any()
+        made = run.couples[i] or idle or (desired > 0.0).any() or not np.isfinite(desired).any()
+        if made:
+            found += [Finding(f'{name}: {text}', time)
+                      for text, time in _contact_findings(run, i, run.windows.loaded & pressed)]
+        elif not interrupted:
+            found.append(Finding(f'{name}: no contact was made'))
     return found
 
 
-def _contact_findings(
-    data: RunData, setup: Setup, contact: int, interrupted: bool,
-) -> list[Finding]:
-    couple = is_couple(setup, contact)
-    wanted, commands = data.alpha_des[:, contact], commanded(data, setup)
-    command = commands[:, contact]
-    pressed = pressing(data, setup, contact) > 0.0
-    idle = setup.commanded_by_topic and not pressed.any()
-    if not (couple or idle or (wanted > 0.0).any()) and np.isfinite(wanted).any():
-        return [] if interrupted else [Finding('no contact was made')]
-    loaded = judged_windows(data, setup).loaded & pressed
-    begins, ends = losses(data, setup, contact, loaded)
+def _contact_findings(run: RunMetrics, i: int, loaded: Mask) -> list[Finding]:
+    data, couple = run.data, run.couples[i]
+    begins, ends = run.losses(i, loaded)
     lost = 'contact lost at one end' if couple else 'contact lost'
     found = _lasting(data, lost, begins, ends)
     # An end is near being lost wherever the centre of pressure is asked to be: noise will do.
     again = None if couple else again_at(data.time[begins])
     if again is not None:
         found.append(Finding(f'{lost} {len(begins)} times', again))
-    oscillating = force_oscillations(data, setup, contact, loaded)
+    oscillating = run.oscillations(i, loaded)
     if oscillating:
         worst = max(oscillating, key=lambda oscillation: oscillation.rms)
         total = sum(oscillation.duration for oscillation in oscillating)
         found.append(Finding(
             f'oscillates at {worst.frequency:.0f} Hz with {worst.rms:.2g} N rms for {total:.1f} s',
             oscillating[0].known))
-    force = judged_force(data, setup)[:, contact]
+    force, command = run.force[:, i], run.command[:, i]
     # A couple may be of either sign; a pull is no pressure that is too large.
     size, asked = (np.abs(force), np.abs(command)) if couple else (force, command)
-    ceiling = setup.controller.contact_state.force_ceiling
+    ceiling = run.setup.controller.contact_state.force_ceiling
     beyond = size > np.maximum(LARGEST_FORCE * asked, IMPACT_SHARE * ceiling)
     if beyond.any():
         worst_at = int(np.argmax(np.where(beyond, size, 0.0)))
@@ -242,16 +228,14 @@ def _contact_findings(
     return found
 
 
-def interventions(
-    data: RunData, setup: Setup, events: Sequence[Event],
-) -> list[Finding]:
+def interventions(run: RunMetrics, events: Sequence[Event]) -> list[Finding]:
     """
     Return whether a supervisor stepped in again and again, or for long, under load.
 
     It steps in when a reaction replaces the control law, when a contact leaves the force law
     (lost, retracting, given up), and when the last gate begins to enforce a limit.
     """
-    loaded = judged_windows(data, setup).loaded
+    data, loaded = run.data, run.windows.loaded
     if not loaded.any():
         return []
     full = len(events) == CAPACITY

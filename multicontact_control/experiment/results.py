@@ -31,13 +31,7 @@ from multicontact_control.experiment.judge import (
     TRUE,
     UNKNOWN,
 )
-from multicontact_control.experiment.metrics import (
-    contact_summary,
-    judged_force,
-    motion_summary,
-    torque_summary,
-    without_truth,
-)
+from multicontact_control.experiment.metrics import RunMetrics
 from multicontact_control.experiment.recording import (
     answered,
     content_of,
@@ -145,17 +139,17 @@ def summarise(
     during = [(time, what) for time, what in events or () if time < data.ticks / data.rate]
     verdict = judge(data, setup, mode=mode, ended_early=ended_early,
                     events=[read_event(*event) for event in during])
-    without = without_truth(data, setup)
+    run = RunMetrics(data, setup)
+    without = run.without_truth()
     truth = bool(data.contact_names) and not without
-    known = MEASURED if np.isfinite(judged_force(data, setup)).any() else UNKNOWN
+    known = MEASURED if np.isfinite(run.force).any() else UNKNOWN
     return {
         'schema': 1, 'scenario': setup.scenario.name, 'plant': setup.plant_name,
         'noise_estimator': setup.noise_estimator.estimator, 'mode': mode, 'seed': setup.seed,
         'ticks': data.ticks, 'rate_hz': data.rate,
         'trajectory_sha256': data.trajectory_sha256(), 'timing': timing,
-        'contacts': {name: contact_summary(data, setup, i)
-                     for i, name in enumerate(data.contact_names)},
-        'motion': motion_summary(data, setup), 'torque': torque_summary(data, setup),
+        'contacts': {name: run.contact_summary(i) for i, name in enumerate(data.contact_names)},
+        'motion': run.motion_summary(), 'torque': run.torque_summary(),
         'stable': None if verdict.unjudged else verdict.name == STABLE,
         'verdict': verdict.name, 'unjudged': verdict.unjudged or None,
         'instabilities': list(verdict.reasons), 'unstable_at_s': verdict.unstable_at,

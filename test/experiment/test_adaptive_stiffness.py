@@ -1,7 +1,7 @@
 """The presets `best` and `adaptive` on surfaces whose stiffness the controller is not told."""
 
 from multicontact_control.experiment.closed_loop import run_in_process
-from multicontact_control.experiment.metrics import disturbance_summary, step_responses, windows
+from multicontact_control.experiment.metrics import disturbance_summary, RunMetrics, windows
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_adaptive_steps_are_the_same_on_every_surface(plant, stiffness):
     setup = setup_of(plant, stiffness, seed=31)
     data = run_of(setup).data
     for contact, name in enumerate(data.contact_names):
-        first, second = step_responses(data, setup, contact)
+        first, second = RunMetrics(data, setup).step_responses(contact)
         assert second.rise_63 <= (0.13 if stiffness < 1000.0 else 0.07)
         assert second.overshoot_percent < 15.0
         assert first.rise_63 < 0.3
@@ -90,7 +90,7 @@ def test_best_is_quick_and_quiet_on_flexible_drives():
     moving = judged.moving & (np.abs(data.time - 13.5) > 1.5)
     for contact in (0, 1):
         error = data.alpha_true[:, contact] - setup.commanded(data.time)[:, contact]
-        for step in step_responses(data, setup, contact):
+        for step in RunMetrics(data, setup).step_responses(contact):
             assert 0.025 <= step.rise_63 <= 0.06
             answer = (data.time >= step.time) & (data.time < step.time + 0.8)
             assert error[answer].max() < 0.1 * step.size

@@ -2,7 +2,7 @@
 
 from multicontact_control.experiment.closed_loop import ClosedLoop, run_in_process
 from multicontact_control.experiment.judge import judge, NOT_STABLE
-from multicontact_control.experiment.metrics import contact_summary
+from multicontact_control.experiment.metrics import RunMetrics
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.force.noise.base import VARIANCE_CEILING, VARIANCE_FLOOR
@@ -47,7 +47,7 @@ def test_quick_is_stable_and_holds_its_forces(plant):
     setup, result = resolve('quick', plant=plant), canonical('quick', plant=plant)
     assert judge(result.data, setup, ended_early=result.ended_early).reasons == ()
     for i in range(2):
-        summary = contact_summary(result.data, setup, i)
+        summary = RunMetrics(result.data, setup).contact_summary(i)
         assert summary['rest']['true_error_rms_n'] < 1.0
         assert summary['moving']['true_error_rms_n'] < 3.0
         assert summary['moving']['contact_loss_fraction'] == 0.0

@@ -3,7 +3,7 @@
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.judge import judge, STABLE
-from multicontact_control.experiment.metrics import force_error, losses, rms_in, windows
+from multicontact_control.experiment.metrics import force_error, rms_in, RunMetrics, windows
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.loop import ControlLoop
 from multicontact_control.supervision.command_limits import CommandLimits
@@ -28,7 +28,7 @@ def test_forces_and_couples_are_kept_at_rest_and_while_sliding(scenario, plant, 
         error = force_error(data, setup, i)
         assert rms_in(window.rest, error) < 0.2, name
         assert rms_in(window.moving, error) < bound, name
-        assert losses(data, setup, i, window.loaded) == ([], [])
+        assert RunMetrics(data, setup).losses(i, window.loaded) == ([], [])
     # the couple of 3 N has moved the centre of pressure: a fifth of the half length
     held = (data.time > 6.5) & (data.time < 7.5)
     assert data.alpha_true[held, 1].mean() == pytest.approx(3.0, abs=0.1)
