@@ -91,7 +91,7 @@ def test_limited_slew_of_the_variance_leaves_a_force_step_its_speed():
     for slew_time in (0.0, 0.03):
         setup = resolve('quick', plant='puma', duration=6.5, preset='paper',
                         noise_estimator={'slew_time': slew_time})
-        steps = contact_summary(run_of(setup).data, setup, 1)['steps']
+        steps = RunMetrics(run_of(setup).data, setup).contact_summary(1)['steps']
         rises.append([step['rise_63_s'] for step in steps])
     assert min(rises[0]) > 0.08
     assert max(rises[1]) < 0.08
