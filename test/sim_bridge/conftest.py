@@ -1,6 +1,7 @@
 """What the tests of the plant share."""
 
 from arms import plant_config
+from multicontact_control.config import merge
 import numpy as np
 import pytest
 from sim_bridge.plant import Plant
@@ -25,18 +26,13 @@ def rng():
 
 @pytest.fixture
 def make_plant():
-    """Build plants from a preset with nested changes, and close them afterwards."""
+    """Build plants of the PUMA from a preset with nested changes, and close them afterwards."""
     plants = []
 
-    def make(preset='rigid', *, seed=0, surfaces=None, sensor=None, **changes):
-        config = plant_config(preset)
-        if surfaces is not None:
-            changes['surfaces'] = {
-                name: surface.model_copy(update=surfaces)
-                for name, surface in config.surfaces.items()}
-        if sensor is not None:
-            changes['sensor'] = config.sensor.model_copy(update=sensor)
-        plants.append(Plant(config.model_copy(update=changes), rate=500.0, seed=seed))
+    def make(preset='rigid', *, seed=0, surfaces=None, **changes):
+        both = {'surfaces': dict.fromkeys(('table', 'board'), surfaces or {})}
+        plants.append(Plant(
+            plant_config(preset, **merge(both, changes)), rate=500.0, seed=seed))
         return plants[-1]
 
     yield make

@@ -9,6 +9,7 @@ from robots import ENGINES, needs_mujoco, ROBOTS
 from sim_bridge.arm import SENSOR_FRAME
 from sim_bridge.config import PlantConfig
 from sim_bridge.plant import make_engine, Plant
+from sim_bridge.posture import frame_jacobian, frame_pose
 from sim_bridge.robots import find_robot
 
 STEP = 5e-4
@@ -16,8 +17,7 @@ IDEAL = {'noise': False, 'quantise': False, 'saturate': False, 'low_pass': False
 
 
 def plant_config(name, **changes):
-    robot = find_robot(name)
-    plant = validate(PlantConfig, robot.plant_values('rigid'))
+    plant = validate(PlantConfig, find_robot(name).plant_values('rigid'))
     sensor = plant.sensor.model_copy(update=IDEAL)
     return plant.model_copy(update={'substep': STEP, 'sensor': sensor, **changes})
 
@@ -36,13 +36,10 @@ def test_steps_are_those_of_pinocchio_and_so_is_the_wrench(name, engine, rng):
     """Twenty steps from rest, alone and pushed: ABA, symplectic Euler, Newton and Euler."""
     arm = find_robot(name).arm
     model, data = arm.model(), arm.model().createData()
-    n, tip = model.nv, list(arm.tips)[-1]
+    n, tip, elbow = model.nv, list(arm.tips)[-1], (model.nv + 1) // 2
     body = make_engine(plant_config(name, engine=engine), arm)
-    elbow = (n + 1) // 2
-    frames = [model.getFrameId(frame) for frame in (
-        tip, 'wrist_point', SENSOR_FRAME, f'link{elbow}')]
-    face = model.frames[frames[2]].placement
-    fastest = 0.0
+    places = {tip: n, 'wrist_point': n - 1, f'link{elbow}': elbow - 1}
+    face = model.frames[model.getFrameId(SENSOR_FRAME)].placement
     for largest_push in (0.0, 1.0):
         # PyBullet takes a pushed link for where it was a step before, and leaves a term of the
         # order of m w^2 r out of the wrench.
@@ -51,33 +48,27 @@ def test_steps_are_those_of_pinocchio_and_so_is_the_wrench(name, engine, rng):
         body.reset(q)
         for _ in range(20):
             torque = 0.02 * np.array(arm.torque_limit) * rng.uniform(-1.0, 1.0, n)
-            force, push = largest_push * rng.uniform(-1.0, 1.0, (2, 3))
-            pin.computeJointJacobians(model, data, q)
-            pin.updateFramePlacements(model, data)
-            points = [data.oMf[frame].translation.copy() for frame in frames]
-            levers = [pin.getFrameJacobian(
-                model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3].copy() for frame in frames]
+            forces = dict(zip(places, largest_push * rng.uniform(-1.0, 1.0, (3, 3))))
+            points = {name: frame_pose(model, q, name).translation for name in places}
+            load = torque + sum(
+                frame_jacobian(model, q, name)[:3].T @ forces[name] for name in places)
             if largest_push:
-                body.push([[*force, *points[0], n], [*push, *points[1], n - 1],
-                           [*force, *points[3], elbow - 1]])
+                body.push([[*forces[name], *points[name], places[name]] for name in places])
             wrench = np.array(body.step(torque))
-            qdd = pin.aba(model, data, q, qd, torque + (
-                levers[0] + levers[3]).T @ force + levers[1].T @ push)
+            qdd = pin.aba(model, data, q, qd, load)
             pin.forwardKinematics(model, data, q, qd, qdd)
-            pin.updateFramePlacements(model, data)
-            pose, inertia = data.oMf[frames[2]], carried(arm)
+            pose, inertia = data.oMi[n] * face, carried(arm)
             speed, acceleration = face.actInv(data.v[n]), face.actInv(data.a[n])
             acceleration.linear -= pose.rotation.T @ model.gravity.linear
             expected = (inertia * acceleration + speed.cross(inertia * speed)).vector.copy()
-            local = pose.rotation.T @ force
-            expected -= np.concatenate((local, np.cross(pose.actInv(points[0]), local)))
+            local = pose.rotation.T @ forces[tip]
+            expected -= np.concatenate((local, np.cross(pose.actInv(points[tip]), local)))
             np.testing.assert_allclose(wrench, expected, atol=1e-8 if engine == 'mujoco' else 0.1)
             qd = qd + STEP * qdd
             q = q + STEP * qd
             np.testing.assert_allclose(body.qd, qd, atol=1e-9 if exact else 2e-4)
             np.testing.assert_allclose(body.q, q, atol=1e-11 if exact else 1e-6)
-        fastest = max(fastest, np.abs(qd).max())
-    assert fastest > 0.05
+    assert np.abs(qd).max() > 0.01
     body.close()
 
 
@@ -109,14 +100,11 @@ def test_contact_is_as_stiff_as_the_surface_is_configured(name, engine, contact)
     surface = config.surfaces['table'].model_copy(update={'friction': 0.0, 'roughness_std': 0.0})
     plant = Plant(config.model_copy(update={'surfaces': {'table': surface}}), rate=500.0, seed=0)
     model, data, home = plant.model, plant.model.createData(), np.array(config.home)
-    frame = model.getFrameId('wrist_point')
     servo = np.array([2000.0, 2000.0, 0.0, 100.0, 100.0, 100.0])
     damper = np.array([200.0, 200.0, 200.0, 10.0, 10.0, 10.0])
     sample = plant.reset()
     for _ in range(1000):
-        pin.computeJointJacobians(model, data, sample.q)
-        pin.updateFramePlacements(model, data)
-        jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        jacobian = frame_jacobian(model, sample.q)
         gravity = pin.computeGeneralizedGravity(model, data, sample.q)
         sample = plant.step(gravity - 3.0 * sample.qd + jacobian.T @ (
             [0.0, 0.0, -12.0, 0.0, 0.0, 0.0] - servo * (jacobian @ (sample.q - home))
@@ -138,7 +126,6 @@ def test_native_contacts_are_met_by_tips_and_do_not_change():
         Plant(config.model_copy(update={'surfaces': {**config.surfaces, 'table': link}}),
               rate=500.0, seed=0)
     plant = Plant(config, rate=500.0, seed=0)
-    for change in (plant.contacts.scale_stiffness, plant.contacts.shift):
-        with pytest.raises(ConfigError, match='^contact'):
-            change(0, 0.5)
+    with pytest.raises(ConfigError, match='^contact'):
+        plant.contacts.scale_stiffness(0, 0.5)
     plant.close()

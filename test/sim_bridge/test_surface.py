@@ -1,7 +1,17 @@
+"""What is felt of a surface, and what is seen of it."""
+
+from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
 from sim_bridge.config import SurfaceConfig
-from sim_bridge.surface import build_surfaces, POINTS_PER_LENGTH, press, roughness_profile
+from sim_bridge.surface import (
+    build_surfaces,
+    mean_depth,
+    POINTS_PER_LENGTH,
+    press,
+    roughness_profile,
+)
+from sim_bridge.surface_patch import half_size, surface_patch, SurfaceMarkers, THICKNESS
 
 NORMAL = np.array([0.0, 0.6, -0.8])
 
@@ -29,14 +39,10 @@ def test_contact_force_is_that_of_spring_and_damper():
     surfaces[0]['speed'] = 0.02  # goes away; damped by the speed between it and the tip
     alpha, _ = touch(surfaces, 1e-3, 0.03 * NORMAL)
     assert alpha == pytest.approx(6000.0 * 1e-3 + 30.0 * 0.01)
-
-
-@pytest.mark.parametrize(('depth', 'speed'), [(-1e-6, 0.0), (-1e-3, 1.0), (1e-4, -1.0)])
-def test_contact_force_never_pulls(depth, speed):
-    """Neither out of reach nor when the tip leaves faster than the spring can follow."""
-    alpha, force = touch(surface(), depth, speed * NORMAL)
-    assert alpha == 0.0
-    np.testing.assert_array_equal(force, 0.0)
+    # It never pulls, neither out of reach nor on a tip that leaves faster than the spring.
+    for depth, speed in ((-1e-6, 0.0), (-1e-3, 1.0), (1e-4, -1.0)):
+        alpha, force = touch(surface(), depth, speed * NORMAL)
+        assert alpha == 0.0 and not force.any()
 
 
 def test_friction_stays_in_its_cone_and_along_the_sliding(rng):
@@ -94,3 +100,36 @@ def test_curved_surface_is_pressed_towards_its_centre_or_axis(shape, radius, rng
         normal = np.sign(radius) * way / np.linalg.norm(way)
         np.testing.assert_allclose(
             record['force'], 6000.0 * max(0.0, depth) * normal, atol=1e-9)
+
+
+@pytest.mark.parametrize('normal', [(1.0, 0.0, 0.0), (0.6, 0.0, -0.8)])
+@pytest.mark.parametrize(('shape', 'radius'), [
+    ('plane', 0.0), ('cylinder', 1.0), ('cylinder', -0.5), ('sphere', 0.2), ('sphere', -1.0)])
+def test_patch_is_a_closed_slab_on_the_mean_surface(normal, shape, radius):
+    patch = surface_patch(np.array(normal), radius, ball=shape == 'sphere')
+    front = patch.vertices[:len(patch.vertices) // 2]
+    (record,), _ = surface(normal_world=normal, shape=shape, radius=radius)
+    for vertex in front:
+        record['point'] = record['place'] + vertex
+        assert mean_depth(record) == pytest.approx(0.0, abs=1e-12)
+    # Every edge belongs to two faces, which run along it in opposite directions.
+    edges = {(int(f[k]), int(f[(k + 1) % 3])) for f in patch.faces for k in range(3)}
+    assert len(edges) == 3 * len(patch.faces) and {(b, a) for a, b in edges} == edges
+    corners = patch.vertices[patch.faces]
+    volume = np.einsum('ij,ij->', corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+    area = 4.0 * np.prod(half_size(radius, ball=shape == 'sphere'))
+    assert volume == pytest.approx(THICKNESS * area, rel=1e-9)
+
+
+@pytest.mark.parametrize(('scenario', 'names', 'shown'), [
+    ('plane', ['face'], 0), ('moving_surface', ['table', 'board'], 25)])
+def test_markers_show_a_slab_for_each_contact_where_it_is(scenario, names, shown):
+    config = resolve(scenario, plant='rigid').plant
+    markers = SurfaceMarkers(config, rate=500.0)
+    assert sum(markers.due(tick) for tick in range(1, 501)) == shown
+    places = np.arange(3.0 * len(config.met)).reshape(-1, 3)
+    message = markers.message(1_500_000_000, places)
+    assert [marker.ns.rpartition('/')[2] for marker in message.markers][:len(names)] == names
+    for marker, name in zip(message.markers, config.drawn.values()):
+        at = marker.pose.position
+        assert [at.x, at.y, at.z] == places[config.met.index(name)].tolist()
