@@ -1,8 +1,8 @@
 """
 Who may look at the page and steer: browsers on this machine that ask for it themselves.
 
-The page listens on the loopback address. Pages of other sites, which the user's browser may have
-open, reach that address too: they are kept out by the names of host and origin.
+Pages of other sites, which the user's browser may have open, reach the loopback address too: they
+are kept out by the names of host and origin.
 """
 
 from __future__ import annotations
@@ -15,51 +15,32 @@ from urllib.parse import urlsplit
 
 from multicontact_control.errors import RunError
 import websockets.asyncio.server
-from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 LOCAL_NAMES = ('localhost', '127.0.0.1', '::1')
 
 
-def refusal(request: Request) -> Response | None:
+def refusal(connection: Any, request: Request) -> Response | None:
     """Return the answer to a request that is not let in, None to one that is."""
-    host = request.headers.get('Host', '')
-    name = urlsplit(f'//{host}').hostname or ''
-    origin = request.headers.get('Origin')
-    if name not in LOCAL_NAMES:
-        text = f'not for the host name {name}'
-    elif origin is not None and urlsplit(origin).netloc != host:
-        text = f'not for pages of {origin}'
-    else:
+    host, origin = request.headers.get('Host', ''), request.headers.get('Origin')
+    if urlsplit(f'//{host}').hostname in LOCAL_NAMES and (
+            origin is None or urlsplit(origin).netloc == host):
         return None
-    body = f'multicontact view: {text}\n'.encode()
-    return Response(HTTPStatus.FORBIDDEN, HTTPStatus.FORBIDDEN.phrase, Headers({
-        'Content-Type': 'text/plain; charset=utf-8', 'Content-Length': str(len(body))}), body)
+    response: Response = connection.respond(
+        HTTPStatus.FORBIDDEN, f'multicontact view: not for {origin or host}\n')
+    return response
 
 
 @contextmanager
 def guarding() -> Iterator[None]:
-    """
-    Guard the server that is started inside.
-
-    viser has no say in who connects, but listens by `websockets.asyncio.server.serve`.
-
-    Raises
-    ------
-    RunError
-        If no server was started, which would be unguarded.
-
-    """
+    """Guard the server that viser starts inside; RunError if it listens in another way."""
     module: Any = websockets.asyncio.server
     serve, guarded = module.serve, []
 
-    def guarded_serve(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
-        def guard(connection: Any, request: Request) -> Any:
-            return refusal(request) or (
-                process_request(connection, request) if process_request else None)
-
+    def guarded_serve(*arguments: Any, process_request: Any, **options: Any) -> Any:
         guarded.append(True)
-        return serve(*arguments, process_request=guard, **options)
+        return serve(*arguments, **options, process_request=lambda connection, request: (
+            refusal(connection, request) or process_request(connection, request)))
 
     module.serve = guarded_serve
     try:
@@ -67,4 +48,4 @@ def guarding() -> Iterator[None]:
     finally:
         module.serve = serve
     if not guarded:
-        raise RunError('the page cannot be guarded: expected viser to listen by websockets')
+        raise RunError('page: expected viser to listen by websockets.asyncio, to be guarded')

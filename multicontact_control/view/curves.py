@@ -25,41 +25,22 @@ FLOOR = 1e-4  # N^2, where a logarithm of R ends
 
 
 class History:
-    """
-    The newest points of all curves, in one array that is made once.
+    """The newest points of all curves, of as long as the longest of `WINDOWS`."""
 
-    Parameters
-    ----------
-    layout
-        Of the points.
-    time
-        That can be looked back [s].
-
-    """
-
-    def __init__(self, layout: CurveLayout, time: float = 60.0) -> None:
-        self._points = np.full((2 * round(time * RATE * source.POINTS), layout.width), np.nan)
-        self._end = 0
+    def __init__(self, layout: CurveLayout) -> None:
+        self._count = round(max(WINDOWS.values()) * RATE * source.POINTS)
+        self._points = np.empty((0, layout.width))
 
     def add(self, points: Matrix) -> None:
         """Take points; time that goes back begins anew."""
-        count = len(points)
-        if not count:
-            return
-        if self._end and points[0, 0] <= self._points[self._end - 1, 0]:
-            self._end = 0
-        points = points[-len(self._points) // 2:]
-        count = len(points)
-        if self._end + count > len(self._points):
-            kept = len(self._points) // 2
-            self._points[:kept] = self._points[self._end - kept:self._end]
-            self._end = kept
-        self._points[self._end:self._end + count] = points
-        self._end += count
+        if len(points):
+            later = len(self._points) and points[0, 0] > self._points[-1, 0]
+            kept = self._points if later else self._points[:0]
+            self._points = np.concatenate([kept, points])[-self._count:]
 
     def last(self, time: float) -> Matrix:
         """Return the points of the last seconds [s], or their extremes where they are too many."""
-        points = self._points[:self._end]
+        points = self._points
         if not len(points):
             return points
         points = points[points[:, 0] > points[-1, 0] - time]
@@ -77,44 +58,18 @@ def extremes(points: Matrix, size: int) -> Matrix:
 
 
 class Chart(NamedTuple):
-    """
-    What a chart shows.
-
-    Attributes
-    ----------
-    title
-        Above it.
-    labels, columns, colours
-        Of its curves: where they are in the points, and by what they are told apart.
-    y
-        Its axis, as uPlot wants it.
-    scale
-        What the values are multiplied by.
-
-    """
+    """What a chart shows."""
 
     title: str
-    labels: Sequence[str]
-    columns: list[int]
+    labels: Sequence[str]  # of its curves
+    columns: list[int]  # of the points
     colours: Sequence[str]
-    y: dict[str, Any]
-    scale: float = 1.0
+    y: dict[str, Any]  # its axis, as uPlot wants it
+    scale: float = 1.0  # that values are multiplied by
 
 
 class Curves:
-    """
-    The charts of a page.
-
-    Parameters
-    ----------
-    gui
-        The page's elements; made where the caller is.
-    names
-        Forces and couples.
-    joints
-        Names of the joints.
-
-    """
+    """The charts of a page for forces and couples, and joints by name; made where `gui` is."""
 
     def __init__(self, gui: Any, names: Sequence[str], joints: Sequence[str]) -> None:
         self.layout = CurveLayout(len(names), len(joints))
@@ -143,10 +98,6 @@ class Curves:
                 legend={'show': len(chart.labels) <= LISTED, 'live': False}, padding=(6, 12, 0, 0))
                 for chart, data in zip(self._charts, self._data())]
 
-    def look_back(self, window: str) -> None:
-        """Show one of `WINDOWS`."""
-        self._window.value = window
-
     def draw(self) -> None:
         """Show what has come."""
         with self._lock:
@@ -173,20 +124,17 @@ def charts_of(
     layout: CurveLayout, names: Sequence[str], joints: Sequence[str],
 ) -> list[Chart]:
     """Return what there is to show of these forces, couples and joints."""
-    def of(kind: int) -> list[int]:
-        return [layout.of(kind, i) for i in range(len(names))]
-
     kinds = {'measured': source.MEASURED, 'estimated': source.ESTIMATED,
              'desired': source.DESIRED}
     forces = [Chart(
-        f'force on {name} [N]', tuple(kinds), [layout.of(kind, i) for kind in kinds.values()],
+        f'force on {name} [N]', tuple(kinds), [layout.of(kind)[i] for kind in kinds.values()],
         COLOURS, from_zero(5.0)) for i, name in enumerate(names)]
-    use = layout.torque_use
     return [
-        *forces, Chart('R [N^2], logarithmic', names, of(source.VARIANCE), COLOURS, LOGARITHMIC),
-        Chart('innovation, rms [N]', names, of(source.INNOVATION), COLOURS, from_zero(0.2)),
+        *forces, Chart('R [N^2], logarithmic', names, layout.of(source.VARIANCE), COLOURS,
+                       LOGARITHMIC),
+        Chart('innovation [N]', names, layout.of(source.INNOVATION), COLOURS, from_zero(0.2)),
         Chart('torque of each joint, % of its limit', [str(k + 1) for k in range(len(joints))],
-              list(range(use.start, use.stop)), JOINTS, from_zero(100.0), 100.0)]
+              layout.torques, JOINTS, from_zero(100.0), 100.0)]
 
 
 def from_zero(least: float) -> dict[str, Any]:

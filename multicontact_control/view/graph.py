@@ -4,75 +4,73 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent import futures
-from functools import partial
-import queue
-import threading
 import time
 from typing import Any
 
-from multicontact_control.arrays import Vector
+from geometry_msgs.msg import Vector3Stamped
 from multicontact_control.config import Vector3
-from multicontact_control.control.tasks import MotionReading
-from multicontact_control.errors import CommandError, MulticontactError, RunError
+from multicontact_control.errors import CommandError, RunError
+from multicontact_control.experiment.judge import Event
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.contact_markers import NAMESPACE
+from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.link import ControllerLink
 from multicontact_control.nodes.status import ControllerStatus, new_identifier, REFUSED
-from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.view import source
 from multicontact_control.view.motion import Motion
 from multicontact_control.view.source import (
-    CurveLayout,
+    ChangeReader,
     felt_surfaces,
-    no_points,
+    layout_of,
     PLAYING,
     POINTS,
     RATE,
-    refuse_if_unknown,
+    refuse,
     Scene,
     SIMULATED,
     Snapshot,
-    taken,
+    Surface,
+    SurfaceState,
     Timing,
 )
 import numpy as np
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import GetParameters, SetParametersAtomically
-from rclpy.parameter import parameter_value_to_python
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
+from rclpy.parameter import Parameter, parameter_value_to_python
 from sim_bridge.robots import find_robot, robot_names
 from sim_bridge.surface_patch import Patch
+from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
 
-REFUSALS = dict.fromkeys(PLAYING, 'a recording') | dict.fromkeys(
-    SIMULATED, "a simulation of the page's own")
-MOTION_RATE = 100.0  # Hz, of motion commands, and of looking for anything
 PATIENCE = 10.0  # s; until a process has found the others may take three
-SILENCE = 1.0  # s without a sample, after which it is said
-KEPT = round(2.0 * RATE)
+SIMULATOR_WAIT = 3.0  # s, until a graph without surfaces has no simulator
+SILENCE = 1.0  # s without a sample, after which that is shown
+PACE_TIME = 2.0  # s, over which the real-time factor is taken
+LONGEST_STEP = 0.1  # s of a motion at once: a page that was busy does not make up for more
 LISTENED = (
     topics.JOINT_STATES, topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
     topics.INNOVATION, topics.NOISE_VARIANCE, topics.EFFORT_COMMAND, topics.POSE,
     topics.POSE_DESIRED, topics.SURFACE_MARKERS, topics.CONTACT_MARKERS, topics.DIAGNOSTICS)
 LOOP = f'{topics.CONTROLLER}: loop'
-SIMULATOR = f'{topics.SIM}: loop'
-CEILING = 'command.force_ceiling'
-JOINTS = 'robot.joint_names'
+CEILING, JOINTS = 'command.force_ceiling', 'robot.joint_names'
 GAINS = ('motion.natural_frequency', 'force.time_constant', 'force.damping_rate')
 
 
 class GraphSource:
     """
-    Listens to a controller and commands it, in a thread of its own.
+    Listens to a controller and commands it.
 
     Parameters
     ----------
     setup
         What is known of controller and arm.
+    title
+        What is shown, in a few words.
     namespace, domain_id
         Where the controller is.
+    check
+        Called at every poll; raises RunError if the graph has ended.
 
     Raises
     ------
@@ -81,164 +79,140 @@ class GraphSource:
 
     """
 
-    def __init__(self, setup: Setup, *, namespace: str = '', domain_id: int | None = None) -> None:
+    def __init__(
+        self, setup: Setup, title: str = 'graph, as it runs', *, namespace: str = '',
+        domain_id: int | None = None, check: Callable[[], object] = lambda: None,
+    ) -> None:
         config = self._config = setup.controller
+        self._check = check
         self._link = ControllerLink(
             LISTENED, namespace=namespace, domain_id=domain_id, timeout=PATIENCE,
             on_status=self._note)
-        try:
-            message, = self._link.fresh(topics.MEASURED_FORCES)
-            *gains, ceiling, joints = self._read((*GAINS, CEILING, JOINTS))
-            _require_joints(config.robot.joint_names, tuple(joints))
-            if tuple(message.name) != config.column_names:
-                raise RunError(
-                    f'contact_forces/measured: expected {", ".join(config.column_names)}, found '
-                    f'{", ".join(message.name)}; name its --scenario and --plant')
-            self._gains = (gains[0], gains[1], gains[2])
-            self._limits = CommandLimits(force_ceiling=ceiling)
-        except BaseException:
-            self._link.close()
-            raise
-        self._layout = CurveLayout(len(config.columns), len(config.robot.joint_names))
-        self._leaders = list(config.leaders)
-        self._motion = Motion(config.limits, 1.0 / MOTION_RATE)
-        self.refusals: Mapping[str, str] = REFUSALS
-        self.scene = Scene(
-            'graph, as it runs', config, setup.urdf_dir, felt_surfaces(config),
-            largest_force=ceiling)
-        self._commands: Mapping[str, Callable[..., str]] = {
-            source.FORCES: self._set_forces, source.STOP: self._motion.stop,
-            source.GO_TO: partial(self._move, self._motion.go_to),
-            source.JOG: partial(self._move, self._motion.jog),
-            source.PATTERN: partial(self._move, self._motion.start_pattern),
-            source.HOLD: self._hold, source.RETRY: partial(self._ask, 'retry'),
-            source.TARE: partial(self._ask, 'tare'),
-            source.PUSH_TEST: partial(self._ask, 'push_test'), source.GAINS: self._set_gains}
-        self._motion_identifier = ''
-        self._timing, self._pace = Timing(), 1.0
+        self._push_publisher = create_publisher(self._link.node, topics.PUSH)
+        self._motion, self._motion_identifier = Motion(config.limits), ''
+        self._changes = ChangeReader(config.contact_names)
+        self._timing = Timing()
         self._events: list[tuple[float, str]] = []
         self._points: list[Any] = []
-        self._places: dict[str, Vector3] = {}
-        self._patches: dict[str, Patch] = {}
+        self._parts: dict[str, list[str]] = {}  # surfaces that make up one that is drawn
         self._normals = {name: np.array(config.contacts[name].normal_world)
                          for name in config.contact_names}
         self._stamp, self._heard = -1, time.monotonic()
-        self._snapshots: deque[Snapshot] = deque(maxlen=KEPT)
-        self._jobs: queue.Queue[tuple[Callable[[], str], futures.Future[str]]] = queue.Queue()
-        self._over, self._why = threading.Event(), ''
-        self._thread = threading.Thread(target=self._work, daemon=True, name='graph')
-        self._thread.start()
+        self._next_point = self._next_snapshot = 0.0
+        self._stamps: deque[tuple[float, int]] = deque(maxlen=round(PACE_TIME * RATE))
+        try:
+            gains, ceiling = self._meet()
+            surfaces, self._surfaces = self._find_surfaces()
+        except BaseException:
+            self._link.close()
+            raise
+        self._gains = gains
+        self.refusals: Mapping[str, str] = dict.fromkeys(PLAYING, 'a recording') | (
+            {} if self._surfaces else dict.fromkeys(SIMULATED, 'a simulated plant'))
+        self.scene = Scene(title, config, setup.urdf_dir, surfaces or felt_surfaces(config),
+                           simulated=dict(self._surfaces), largest_force=ceiling)
+
+    def _meet(self) -> tuple[tuple[float, float, float], float]:
+        """Check that the controller is the expected one; return its gains and force ceiling."""
+        config, message = self._config, self._link.fresh(topics.MEASURED_FORCES)[0]
+        *gains, ceiling, joints = self._read(topics.CONTROLLER, (*GAINS, CEILING, JOINTS))
+        _require_joints(config.robot.joint_names, tuple(joints))
+        if tuple(message.name) != config.column_names:
+            raise RunError(
+                f'contact_forces/measured: expected {", ".join(config.column_names)}, found '
+                f'{", ".join(message.name)}; name its --scenario and --plant')
+        return (gains[0], gains[1], gains[2]), ceiling
+
+    def _find_surfaces(self) -> tuple[tuple[Surface, ...], dict[str, SurfaceState]]:
+        """Return what a simulator has to be touched, and can change; nothing without one."""
+        give_up = time.monotonic() + SIMULATOR_WAIT
+        while (message := self._link.newest(topics.SURFACE_MARKERS)) is None:
+            if time.monotonic() > give_up:
+                return (), {}
+            time.sleep(0.01)
+        drawn = tuple(_surface_of(marker) for marker in message.markers)
+        listed = self._link.call(topics.SIM, ListParameters, 'list_parameters',
+                                 ListParameters.Request(prefixes=['surfaces'])).result.names
+        states = {}
+        for name in (x.split('.')[1] for x in listed if x.endswith('.stiffness')):
+            stiffness, friction, contact = self._read(topics.SIM, tuple(
+                f'surfaces.{name}.{x}' for x in ('stiffness', 'friction', 'contact')))
+            if (whole := contact or name) in {surface.name for surface in drawn}:
+                self._parts.setdefault(whole, []).append(name)
+                states[whole] = SurfaceState(stiffness, friction)
+        return drawn, states
 
     def poll(self) -> list[Snapshot]:
-        """Return the snapshots since the last call; RunError if the graph cannot be heard."""
-        found = taken(self._snapshots)
-        if not found and self._why:
-            raise RunError(self._why)
-        return found
-
-    def command(self, name: str, /, **values: Any) -> str:
-        """Give a command, and return what comes of it; see `Source.command`."""
-        refuse_if_unknown(name, REFUSALS)
-        done: futures.Future[str] = futures.Future()
-        self._jobs.put((lambda: self._commands[name](**values), done))
-        try:
-            return done.result(2.0 * PATIENCE)
-        except futures.TimeoutError:
-            raise RunError(f'{name}: no answer within {2.0 * PATIENCE:g} s') from None
+        """Return a snapshot if it is time for one; RunError if the graph has ended."""
+        self._check()
+        now, before = time.monotonic(), self._stamp
+        message = self._link.newest(topics.MEASURED_FORCES)
+        if message is not None:
+            self._stamp = messages.stamp_to_ns(message.header.stamp)
+        if self._stamp != before:
+            self._heard = now
+            self._move_on(1e-9 * (self._stamp - before))
+            if now >= self._next_point:
+                self._next_point = now + 1.0 / (POINTS * RATE)
+                self._points.append(self._point())
+        self._link.look()
+        if now < self._next_snapshot:
+            return []
+        self._next_snapshot = now + 1.0 / RATE
+        pose, desired = (self._link.newest(x) for x in (topics.POSE, topics.POSE_DESIRED))
+        return [] if pose is None or desired is None else [self._snapshot(now, pose, desired)]
 
     def close(self) -> None:
         """Leave the graph, which goes on."""
-        self._over.set()
-        self._thread.join(2.0 * PATIENCE)
         self._link.close()
 
-    # ---------------------------------------------------------------------------- its thread
-
-    def _work(self) -> None:
-        every = max(1, round(MOTION_RATE / RATE))
-        turn, due = 0, time.monotonic()
-        try:
-            while not self._over.is_set():
-                self._carry_out()
-                wanted = self._motion.advance()
-                if wanted is not None:
-                    self._send(wanted)
-                if turn % max(1, every // POINTS) == 0:
-                    self._look()
-                turn += 1
-                if turn % every == 0:
-                    self._show()
-                due = max(due + 1.0 / MOTION_RATE, time.monotonic() - 0.1)
-                self._over.wait(max(0.0, due - time.monotonic()))
-        except Exception as error:  # whatever it is, the page is to say it
-            self._why = f'the graph cannot be shown: {error}'
-            raise
-
-    def _carry_out(self) -> None:
-        while not self._jobs.empty():
-            job, done = self._jobs.get()
-            try:
-                done.set_result(job())
-            except MulticontactError as error:
-                done.set_exception(error)
-            except (TypeError, ValueError, KeyError) as error:  # of values that no page sends
-                done.set_exception(CommandError('command', 'values that it takes', error))
+    # ---------------------------------------------------------------------------- what is heard
 
     def _values(self, topic: topics.Topic, names: tuple[str, ...], field: str = 'effort') -> Any:
         message = self._link.newest(topic)
         known = {} if message is None else dict(zip(message.name, getattr(message, field)))
         return np.array([known.get(name, np.nan) for name in names])
 
-    def _look(self) -> None:
-        """Take a point of the curves, and what the diagnostics say."""
+    def _point(self) -> Any:
+        """Return a point of the curves."""
         names, joints = self._config.column_names, self._config.robot.joint_names
-        message = self._link.newest(topics.MEASURED_FORCES)
-        stamp = messages.stamp_to_ns(message.header.stamp) if message is not None else -1
-        if stamp != self._stamp:
-            self._stamp, self._heard = stamp, time.monotonic()
-            limit = np.array(self._config.torque_limit or [np.inf] * len(joints))
-            self._points.append(np.concatenate([
-                [1e-9 * stamp], *(self._values(topic, names) for topic in (
-                    topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
-                    topics.NOISE_VARIANCE)),
-                np.abs(self._values(topics.INNOVATION, names)),
-                np.abs(self._values(topics.EFFORT_COMMAND, joints)) / limit]))
-        for report in self._link.queue(topics.DIAGNOSTICS):
-            for part in report.status:
-                told = {each.key: each.value for each in part.values}
-                if part.name.rpartition('/')[2] == SIMULATOR:
-                    self._pace = _number(told.get('realtime_factor'))
-                elif part.name.rpartition('/')[2] == LOOP:
-                    self._timing = Timing(
-                        _number(told.get('latency_us_p50')), _number(told.get('latency_us_p99')),
-                        _count(told.get('deadline_misses_in_all', '0')), self._pace)
-        self._link.look()
+        limit = np.array(self._config.torque_limit or [np.inf] * len(joints))
+        return np.concatenate([
+            [1e-9 * self._stamp], *(self._values(topic, names) for topic in (
+                topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
+                topics.NOISE_VARIANCE)),
+            np.abs(self._values(topics.INNOVATION, names)),
+            np.abs(self._values(topics.EFFORT_COMMAND, joints)) / limit])
 
     def _note(self, status: ControllerStatus) -> None:
-        """Say what the controller refuses, and make no motion that it does not obey."""
-        refused = status.event == REFUSED
-        if refused:
-            self._events.append((1e-9 * self._stamp, f'refused {status.text}'))
-        if not self._motion.what:
-            return
-        why = (status.text if refused and status.command == self._motion_identifier
-               else 'held' if status.held
-               else '' if status.life_cycle == 'active' else status.life_cycle)
-        if why:
-            self._motion.halt()
-            self._events.append((1e-9 * self._stamp, f'motion stopped: {why}'))
+        """Tell what has changed and what is refused, and make no motion that is not obeyed."""
+        now, refused = 1e-9 * self._stamp, status.event == REFUSED
+        texts = [f'refused {status.text}'] if refused else []
+        if status.contacts:
+            texts.append(self._changes.read(Event(
+                now, status.reaction, tuple(status.causes.split()), (), _states(status))))
+        if self._motion.what:
+            why = (status.text if refused and status.command == self._motion_identifier
+                   else 'held' if status.held
+                   else '' if status.life_cycle == 'active' else status.life_cycle)
+            if why:
+                self._motion.halt()
+                texts.append(f'motion stopped: {why}')
+        self._events += [(now, text) for text in texts if text]
 
-    def _look_at_surfaces(self) -> None:
-        """Take from a simulator where the surfaces are, and at first what they look like."""
-        message = self._link.newest(topics.SURFACE_MARKERS)
-        for marker in () if message is None else message.markers:
-            name, place = marker.ns.rpartition('/')[2], marker.pose.position
-            self._places[name] = (place.x, place.y, place.z)
-            count = len(marker.points)
-            if name not in self._patches and marker.type == Marker.TRIANGLE_LIST and count:
-                corners = np.array([(point.x, point.y, point.z) for point in marker.points])
-                self._patches[name] = Patch(
-                    corners, np.arange(count - count % 3).reshape(-1, 3))
+    def _look_at_timing(self, now: float) -> None:
+        self._stamps.append((now, self._stamp))
+        then, stamp = self._stamps[0]
+        pace = 1e-9 * (self._stamp - stamp) / (now - then) if now > then else 1.0
+        self._timing = self._timing._replace(pace=pace)
+        for report in self._link.queue(topics.DIAGNOSTICS):
+            for part in report.status:
+                if part.name.rpartition('/')[2] == LOOP:
+                    values = {each.key: each.value for each in part.values}
+                    self._timing = Timing(
+                        _number(values['latency_us_p50']),
+                        _number(values['latency_us_p99']),
+                        self._timing.misses + int(values['deadline_misses']), pace)
 
     def _look_at_normals(self) -> None:
         """Take the normals, which a controller may find on-line, from the arrows of the forces."""
@@ -249,29 +223,16 @@ class GraphSource:
                 tail, tip = (np.array([point.x, point.y, point.z]) for point in marker.points)
                 self._normals[name] = (tip - tail) / np.linalg.norm(tip - tail)
 
-    def _obeyed(self, desired: Vector) -> dict[str, float]:
-        """Return the forces that are obeyed: commanded ones, or those of a scenario [N]."""
-        told = {} if self._link.last_status is None else self._link.last_status.forces
-        return dict(told) or {
-            name: force for name, force in zip(self._config.column_names, desired.tolist())
-            if np.isfinite(force)}
-
-    def _show(self) -> None:
+    def _snapshot(self, now: float, pose: Any, desired: Any) -> Snapshot:
         config, status = self._config, self._link.last_status
-        pose, wanted = (self._link.newest(topic) for topic in (topics.POSE, topics.POSE_DESIRED))
-        if pose is None or wanted is None:
-            return
-        contacts = {} if status is None else dict(
-            each.split(' ', 1) for each in status.contacts.split(', ') if each)
-        silent = time.monotonic() - self._heard > SILENCE
-        desired = self._values(topics.DESIRED_FORCES, config.column_names)
-        self._look_at_surfaces()
+        self._look_at_timing(now)
         self._look_at_normals()
+        markers = self._link.newest(topics.SURFACE_MARKERS)
+        wanted = self._values(topics.DESIRED_FORCES, config.column_names)
         points, self._points = self._points, []
         events, self._events = self._events, []
-        position, turn = pose.pose.position, pose.pose.orientation
-        place = wanted.pose.position
-        self._snapshots.append(Snapshot(
+        position, turn, place = pose.pose.position, pose.pose.orientation, desired.pose.position
+        return Snapshot(
             time=1e-9 * self._stamp,
             q=self._values(topics.JOINT_STATES, config.robot.joint_names, 'position'),
             position=np.array([position.x, position.y, position.z]),
@@ -279,78 +240,139 @@ class GraphSource:
             position_des=np.array([place.x, place.y, place.z]),
             measured=self._values(topics.MEASURED_FORCES, config.column_names),
             estimated=self._values(topics.ESTIMATED_FORCES, config.column_names),
-            desired=desired, normals_world=np.array(list(self._normals.values())),
-            states=tuple(contacts.get(name, 'free') for name in config.contact_names),
-            reaction='no samples' if silent else 'none' if status is None else status.reaction,
+            desired=wanted, normals_world=np.array(list(self._normals.values())),
+            states=_states(status) or ('free',) * len(config.contact_names),
+            reaction='no samples' if now - self._heard > SILENCE else
+            'none' if status is None else status.reaction,
             reasons=() if status is None else tuple(status.causes.split()),
-            points=np.array(points) if points else no_points(self._layout),
-            commanded=self._obeyed(desired), goal=self._motion.goal, events=tuple(events),
-            timing=self._timing, held=status is not None and status.held,
-            moving=self._motion.what, push_test='' if status is None else status.push_test,
-            gains=self._gains, places_world=dict(self._places), patches=self._patches,
-            playing=True))
+            points=np.array(points).reshape(-1, layout_of(config).width),
+            # Forces that are obeyed: commanded ones, or those of a scenario.
+            commanded=(status and dict(status.forces)) or {
+                name: force for name, force in zip(config.column_names, wanted.tolist())
+                if np.isfinite(force)},
+            goal=self._motion.goal, events=tuple(events), timing=self._timing,
+            held=status is not None and status.held, moving=self._motion.what,
+            push_test='' if status is None else status.push_test, gains=self._gains,
+            surfaces=dict(self._surfaces), places_world={} if markers is None else {
+                _name_of(marker): _place_of(marker) for marker in markers.markers})
 
     # ------------------------------------------------------------------------------ commands
 
+    def command(self, name: str, /, **values: Any) -> str:
+        """Give a command, and return what comes of it; see `Source.command`."""
+        refuse(name, self.refusals)
+        commands: Mapping[str, Callable[..., str]] = {
+            source.FORCES: self._set_forces, source.GO_TO: self._go_to, source.JOG: self._jog,
+            source.PATTERN: self._start_sine, source.STOP: self._motion.stop,
+            source.HOLD: self._hold, source.GAINS: self._set_gains,
+            source.SURFACE: self._set_surface, source.PUSH: self._push}
+        if name in commands:
+            return commands[name](**values)
+        return self._link.ask(name, Trigger, Trigger.Request()) or name
+
     def _set_forces(self, **forces: float) -> str:
-        self._limits.check_forces(self._config, forces)
         self._link.command(topics.FORCE_COMMAND, messages.joint_state_message(
             0, list(forces), effort=list(forces.values())))
         return ', '.join(f'{name} {force:g} N' for name, force in forces.items())
 
-    def _send(self, reading: MotionReading) -> None:
-        self._link.send(topics.MOTION_COMMAND, messages.motion_message(
-            reading.position_world, reading.quaternion_xyzw, reading.twist_world,
-            reading.acceleration_world), self._motion_identifier)
+    def _move_on(self, period: float) -> None:
+        """Command the next pose of a motion, a time [s] of the samples after the last."""
+        if period > 0.0 and (pose := self._motion.advance(min(period, LONGEST_STEP))) is not None:
+            self._link.send(
+                topics.MOTION_COMMAND, messages.motion_message(*pose), self._motion_identifier)
 
-    def _move(self, motion: Callable[..., str], /, **values: Any) -> str:
-        """Begin a motion from where the point should be, or go on from the one being made."""
+    def _start_motion(self) -> None:
+        """Begin a motion from where the point should be, or go on with the one under way."""
         if self._link.last_status is not None and self._link.last_status.held:
             raise CommandError('~/hold', 'released, to obey commands', 'held')
         if not self._motion.what:
             self._motion_identifier = new_identifier()
-            wanted, = self._link.fresh(topics.POSE_DESIRED)
-            p, q = wanted.pose.position, wanted.pose.orientation
+            pose = self._link.fresh(topics.POSE_DESIRED)[0].pose
+            p, q = pose.position, pose.orientation
             self._motion.start(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
-        return motion(**values)
+
+    def _go_to(self, position: list[float]) -> str:
+        self._start_motion()
+        return self._motion.go_to(position)
+
+    def _jog(self, offset: list[float]) -> str:
+        self._start_motion()
+        return self._motion.jog(offset)
+
+    def _start_sine(self, axis: str, amplitude: float, period: float) -> str:
+        self._start_motion()
+        return self._motion.start_sine(axis, amplitude, period)
 
     def _hold(self, on: bool) -> str:
         if on and self._motion.what:
-            self._send(self._motion.halt())
-        return self._service(SetBool, 'hold', SetBool.Request(data=bool(on)))
-
-    def _ask(self, name: str) -> str:
-        return self._service(Trigger, name, Trigger.Request())
-
-    def _service(self, kind: Any, name: str, request: Any) -> str:
-        answer = self._link.call(topics.CONTROLLER, kind, name, request)
-        if not answer.success:
-            raise RunError(str(answer.message))
-        return str(answer.message) or name
-
-    def _read(self, names: tuple[str, ...]) -> list[Any]:
-        answer = self._link.call(topics.CONTROLLER, GetParameters, 'get_parameters',
-                                 GetParameters.Request(names=list(names)))
-        found = [parameter_value_to_python(value) for value in answer.values]
-        if len(found) != len(names) or None in found:
-            raise RunError(f'{topics.CONTROLLER}: expected the parameters {", ".join(names)}, '
-                           'found not all of them')
-        return found
+            self._link.send(topics.MOTION_COMMAND, messages.motion_message(*self._motion.halt()),
+                            self._motion_identifier)
+        return self._link.ask('hold', SetBool, SetBool.Request(data=on))
 
     def _set_gains(
         self, natural_frequency: float, time_constant: float, damping_rate: float,
     ) -> str:
-        values = (natural_frequency, time_constant, damping_rate)
-        request = SetParametersAtomically.Request(parameters=[
-            Parameter(name=name, value=ParameterValue(
-                type=ParameterType.PARAMETER_DOUBLE, double_value=float(value)))
-            for name, value in zip(GAINS, values)])
-        answer = self._link.call(
-            topics.CONTROLLER, SetParametersAtomically, 'set_parameters_atomically', request)
-        if not answer.result.successful:
-            raise RunError(str(answer.result.reason))
-        self._gains = values
+        gains = (natural_frequency, time_constant, damping_rate)
+        self._set(topics.CONTROLLER, dict(zip(GAINS, gains)))
+        self._gains = gains
         return 'gains are set'
+
+    def _set_surface(self, name: str, stiffness: float, friction: float) -> str:
+        state = SurfaceState(stiffness, friction)
+        self._set(topics.SIM, {f'surfaces.{part}.{key}': value for part in self._parts[name]
+                               for key, value in state._asdict().items()})
+        self._surfaces[name] = state
+        return f'{name}: {stiffness:g} N/m, friction {friction:g}'
+
+    def _push(self, force: list[float], tool: bool) -> str:
+        message = Vector3Stamped(header=Header(frame_id='tool' if tool else ''))
+        message.vector.x, message.vector.y, message.vector.z = force
+        self._push_publisher.publish(message)
+        pushes = ', '.join(f'{x:+g} N along {axis}' for axis, x in zip('xyz', force) if x)
+        text = f'{"tool" if tool else "operational point"} pushed by {pushes}'
+        self._events.append((1e-9 * self._stamp, text))
+        return text
+
+    def _read(self, node: str, names: tuple[str, ...]) -> list[Any]:
+        """Return parameters of a node; RunError if it lacks one."""
+        values = self._link.call(node, GetParameters, 'get_parameters',
+                                 GetParameters.Request(names=list(names))).values
+        found = [parameter_value_to_python(value) for value in values]
+        if len(found) != len(names) or None in found:
+            raise RunError(f'{node}: expected the parameters {", ".join(names)}, found not all')
+        return found
+
+    def _set(self, node: str, values: Mapping[str, float]) -> None:
+        """Set parameters of a node, all or none; RunError if it refuses."""
+        request = SetParametersAtomically.Request(parameters=[
+            Parameter(name, value=float(value)).to_parameter_msg()
+            for name, value in values.items()])
+        result = self._link.call(
+            node, SetParametersAtomically, 'set_parameters_atomically', request).result
+        if not result.successful:
+            raise RunError(str(result.reason))
+
+
+def _states(status: ControllerStatus | None) -> tuple[str, ...]:
+    """Return the states of the contacts, none if they are not known."""
+    parts = () if status is None else status.contacts.split(', ')
+    return tuple(part.partition(' ')[2] for part in parts if part)
+
+
+def _name_of(marker: Marker) -> str:
+    return str(marker.ns.rpartition('/')[2])
+
+
+def _place_of(marker: Marker) -> Vector3:
+    place = marker.pose.position
+    return place.x, place.y, place.z
+
+
+def _surface_of(marker: Marker) -> Surface:
+    """Return a surface as a simulator has it drawn: corners of triangles."""
+    corners = np.array([(point.x, point.y, point.z) for point in marker.points])
+    return Surface(_name_of(marker), (0.0, 0.0, -1.0), _place_of(marker),
+                   Patch(corners, np.arange(len(corners)).reshape(-1, 3)))
 
 
 def _require_joints(expected: tuple[str, ...], found: tuple[str, ...]) -> None:
@@ -364,13 +386,6 @@ def _require_joints(expected: tuple[str, ...], found: tuple[str, ...]) -> None:
                    f'{" or ".join(fitting) or "its --robot"}, and its --scenario')
 
 
-def _number(text: str | None) -> float:
-    try:
-        return float(text or 'nan')
-    except ValueError:
-        return float('nan')
-
-
-def _count(text: str) -> int:
-    number = _number(text)
-    return int(number) if np.isfinite(number) else 0
+def _number(text: str) -> float:
+    """Return a number of the diagnostics, NaN for `none`."""
+    return float('nan') if text == 'none' else float(text)

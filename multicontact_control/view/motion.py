@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 import math
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import LimitsConfig
-from multicontact_control.control.tasks import MotionReading, quintic
-from multicontact_control.errors import CommandError
+from multicontact_control.control.tasks import MotionReading, quintic, sine_motion, SineConfig
 from multicontact_control.supervision.command_limits import check_position
 import numpy as np
 
@@ -17,106 +16,63 @@ ACCELERATION = 0.5  # m/s^2
 APPROACH_RATE = 4.0  # 1/s, at which the rest of the way shrinks
 SPEED_RATE = 20.0  # 1/s, at which the speed becomes what it should be
 ARRIVED = 1e-5  # m, m/s
+LONGEST_STEP = 0.01  # s, in which a motion is worked out
 BLEND_TIME = 1.5  # s, in which a sine comes and goes
-LONGEST, SHORTEST = 60.0, 2.0  # s, of the period of a sine
-AXES = {'x': (1.0, 0.0, 0.0), 'y': (0.0, 1.0, 0.0), 'z': (0.0, 0.0, 1.0)}
 
 
 class Sine:
-    """
-    A sine along a world axis, blended in and out.
-
-    Parameters
-    ----------
-    axis
-        One of x, y, z.
-    amplitude
-        [m].
-    period
-        [s].
-
-    Raises
-    ------
-    CommandError
-        If a value is out of its range.
-
-    """
+    """A sine along a world axis, of an amplitude [m] and a period [s], blended in and out."""
 
     def __init__(self, axis: str, amplitude: float, period: float) -> None:
-        if axis not in AXES:
-            raise CommandError('axis', 'x, y or z', f"'{axis}'")
-        if not 0.0 < amplitude <= 0.3:
-            raise CommandError('amplitude', 'above 0 to 0.3 m', f'{amplitude:g} m')
-        if not SHORTEST <= period <= LONGEST:
-            raise CommandError('period', f'{SHORTEST:g} to {LONGEST:g} s', f'{period:g} s')
         self.name = f'sine along {axis}'
-        self._w, self._way = 2.0 * math.pi / period, amplitude * np.array(AXES[axis])
-        self._time = 0.0
-        self._fading: float | None = None
-
-    @property
-    def ends(self) -> tuple[Vector, Vector]:
-        """Return both ends, relative to its middle [m]."""
-        return -self._way, self._way
+        self._config = SineConfig(
+            start_time=0.0, amplitude=amplitude, period=period, blend_time=BLEND_TIME)
+        self._direction = np.eye(3)['xyz'.index(axis)]
+        self.way = amplitude * self._direction
+        self._time, self._end = 0.0, math.inf
 
     def fade(self) -> None:
         """Come to the middle again, and end."""
-        if self._fading is None:
-            self._fading = 0.0
+        self._end = min(self._end, self._time + BLEND_TIME)
 
     @property
     def over(self) -> bool:
         """Whether it has ended."""
-        return self._fading is not None and self._fading >= BLEND_TIME
+        return self._time >= self._end
 
-    def advance(self, period: float) -> tuple[Vector, Vector, Vector]:
-        """Go on for a period [s]; return displacement, velocity and acceleration, shape (3,)."""
+    def advance(self, period: float) -> Matrix:
+        """Go on for a period [s]; return displacement, velocity and acceleration, shape (3, 3)."""
         self._time += period
-        b, db, ddb = quintic(self._time, BLEND_TIME)
-        if self._fading is not None:
-            self._fading += period
-            rise, rate, change = quintic(self._fading, BLEND_TIME)
-            f, df, ddf = 1.0 - rise, -rate, -change
-            b, db, ddb = b * f, db * f + b * df, ddb * f + 2.0 * db * df + b * ddf
-        w = self._w
-        p, dp = math.sin(w * self._time), w * math.cos(w * self._time)
-        return (b * p * self._way, (db * p + b * dp) * self._way,
-                (ddb * p + 2.0 * db * dp - b * w * w * p) * self._way)
+        s, ds, dds = sine_motion(self._config, self._time)
+        b, db, ddb = quintic(self._end - self._time, BLEND_TIME)  # in time until the end
+        return np.outer((b * s, b * ds - db * s, b * dds - 2.0 * db * ds + ddb * s),
+                        self._direction)
 
 
 class Motion:
     """
-    Where the operational point is to be, period by period.
+    Where the operational point is to be, period by period, within the workspace of `limits`.
 
     Its speed never jumps, and its acceleration is bounded, whatever is asked for when.
-
-    Parameters
-    ----------
-    limits
-        With the workspace box.
-    period
-        Between two calls of `advance` [s].
-
     """
 
-    def __init__(self, limits: LimitsConfig, period: float) -> None:
-        self._limits, self._period = limits, period
+    def __init__(self, limits: LimitsConfig) -> None:
+        self._limits = limits
         self.start(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
 
     def start(self, position: Vector, quaternion: Vector) -> None:
         """Begin at rest at a pose [m], and ask for nothing."""
         self._quaternion = np.array(quaternion, dtype=float)
         self._place = np.array(position, dtype=float)
-        self._goal, self._speed = self._place.copy(), np.zeros(3)
-        self._sent = self._place.copy()
-        self._patterns: list[Sine] = []
+        self._goal, self._speed, self._sent = self._place.copy(), np.zeros(3), self._place.copy()
+        self._sines: list[Sine] = []
         self._moving = False
 
     @property
     def what(self) -> str:
-        """Say what motion is being made, nothing for none."""
-        if self._patterns:
-            return self._patterns[-1].name
+        """Return the name of the motion under way, nothing for none."""
+        if self._sines:
+            return self._sines[-1].name
         return 'going there' if self._moving else ''
 
     @property
@@ -124,37 +80,35 @@ class Motion:
         """Return where it leads, None where it does not."""
         return self._goal.copy() if self._moving else None
 
-    def go_to(self, position: Sequence[float]) -> str:
+    def go_to(self, position: Sequence[float] | Vector) -> str:
         """Go to a position [m]; CommandError if it is not in the workspace."""
         goal = np.array(position, dtype=float)
-        if goal.shape != (3,) or not np.isfinite(goal).all():
-            raise CommandError('position', 'three finite numbers', list(position))
-        for offset in self._reach():
-            check_position(goal + offset, self._limits)
+        for way in [sine.way for sine in self._sines] or [np.zeros(3)]:
+            check_position(goal - way, self._limits)
+            check_position(goal + way, self._limits)
         self._goal, self._moving = goal, True
         return f'going to {", ".join(f"{1e3 * x:.0f}" for x in goal)} mm'
 
-    def jog(self, offset: Sequence[float]) -> str:
+    def jog(self, offset: Sequence[float] | Vector) -> str:
         """Go so far [m] from the goal, or from here; CommandError if that is not allowed."""
-        return self.go_to((self._goal + np.array(offset, dtype=float)).tolist())
+        return self.go_to(self._goal + np.array(offset, dtype=float))
 
-    def start_pattern(self, axis: str, amplitude: float, period: float) -> str:
-        """Begin a `Sine` around the goal, and end another; CommandError as for that and `jog`."""
-        pattern = Sine(axis, amplitude, period)
-        for end in pattern.ends:
-            check_position(self._goal + end, self._limits)
-        for other in self._patterns:
+    def start_sine(self, axis: str, amplitude: float, period: float) -> str:
+        """Begin a `Sine` around the goal, and end another; CommandError if it reaches too far."""
+        sine = Sine(axis, amplitude, period)
+        check_position(self._goal - sine.way, self._limits)
+        check_position(self._goal + sine.way, self._limits)
+        for other in self._sines:
             other.fade()
-        self._patterns.append(pattern)
+        self._sines.append(sine)
         self._moving = True
-        return f'{pattern.name}, {1e3 * amplitude:g} mm, {period:g} s'
+        return f'{sine.name}, {1e3 * amplitude:g} mm, {period:g} s'
 
     def stop(self) -> str:
         """Come to rest: at the middle of a sine, or where the point is on its way."""
-        for pattern in self._patterns:
-            pattern.fade()
-        brake = self._speed / (2.0 * APPROACH_RATE)
-        self._goal = self._place + brake
+        for sine in self._sines:
+            sine.fade()
+        self._goal = self._place + self._speed / (2.0 * APPROACH_RATE)
         return 'coming to rest'
 
     def halt(self) -> MotionReading:
@@ -162,45 +116,32 @@ class Motion:
         self.start(self._sent, self._quaternion)
         return MotionReading(self._place.copy(), self._quaternion, np.zeros(6), np.zeros(6))
 
-    def accepted(self, position: Vector) -> None:
-        """Take note of what became of the last answer: contacts keep the point along normals."""
-        gap = position - self._sent
-        size = float(np.sqrt(gap @ gap))
-        if size < 1e-9:
-            return
-        along = gap / size
-        self._place += gap
-        self._goal -= along * (along @ (self._goal - self._place))
-        self._speed -= along * (along @ self._speed)
-        self._sent = np.array(position)
-
-    def advance(self) -> MotionReading | None:
-        """Return what to command for the next period, None if nothing changes."""
+    def advance(self, period: float) -> MotionReading | None:
+        """Return what to command after a period [s], None if nothing changes."""
         if not self._moving:
             return None
-        h = self._period
+        steps = max(1, math.ceil(period / LONGEST_STEP))
+        for _ in range(steps):
+            change = self._step(period / steps)
+        now = np.array([self._place, self._speed, change]) + sum(
+            (sine.advance(period) for sine in self._sines), np.zeros((3, 3)))
+        self._sines = [sine for sine in self._sines if not sine.over]
+        self._moving = bool(self._sines or np.any(self._place != self._goal)
+                            or np.any(self._speed))
+        self._sent, twist, acceleration = now[0], np.zeros(6), np.zeros(6)
+        twist[:3], acceleration[:3] = now[1:]
+        return MotionReading(now[0], self._quaternion, twist, acceleration)
+
+    def _step(self, h: float) -> Vector:
+        """Approach the goal for a short time [s]; return the acceleration."""
         way = self._goal - self._place
-        wanted = _bounded(APPROACH_RATE * way, SPEED)
-        change = _bounded(SPEED_RATE * (wanted - self._speed), ACCELERATION)
+        speed = _bounded(APPROACH_RATE * way, SPEED)
+        change = _bounded(SPEED_RATE * (speed - self._speed), ACCELERATION)
         self._place += h * self._speed + 0.5 * h * h * change
         self._speed += h * change
         if np.abs(way).max() < ARRIVED and np.abs(self._speed).max() < ARRIVED:
             self._place, self._speed, change = self._goal.copy(), np.zeros(3), np.zeros(3)
-        position, speed, rate = self._place.copy(), self._speed.copy(), change
-        for pattern in self._patterns:
-            p, dp, ddp = pattern.advance(h)
-            position, speed, rate = position + p, speed + dp, rate + ddp
-        self._patterns = [pattern for pattern in self._patterns if not pattern.over]
-        self._moving = bool(self._patterns) or bool(np.any(self._place != self._goal)) or (
-            bool(np.any(self._speed)))
-        self._sent = position
-        none = np.zeros(3)
-        return MotionReading(position, self._quaternion, np.concatenate([speed, none]),
-                             np.concatenate([rate, none]))
-
-    def _reach(self) -> list[Vector]:
-        """Return how far patterns go from the goal."""
-        return [end for pattern in self._patterns for end in pattern.ends] or [np.zeros(3)]
+        return change
 
 
 def _bounded(vector: Vector, largest: float) -> Vector:

@@ -6,7 +6,6 @@ from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-import threading
 import time
 from typing import Any
 import warnings
@@ -32,24 +31,21 @@ from multicontact_control.experiment.results import (
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.files import read_json
 from multicontact_control.view import source
-from multicontact_control.view.events import EventReader
 from multicontact_control.view.source import (
-    CurveLayout,
+    ChangeReader,
     felt_surfaces,
-    no_points,
     POINTS,
     RATE,
-    refuse_if_unknown,
+    refuse,
     Scene,
     Snapshot,
     surfaces_of,
 )
 import numpy as np
 
-RECORDED = 'a controller that runs, not a recording'
-REFUSALS = dict.fromkeys((*source.STEERING, *source.SIMULATED), RECORDED)
+REFUSALS = dict.fromkeys(
+    (*source.STEERING, *source.SIMULATED), 'a controller that runs, not a recording')
 LOOKED_BACK = 60.0  # s, of curves after a jump
-SPEEDS = (0.05, 20.0)
 SURFACES = 'ground_truth/surfaces'
 
 
@@ -60,47 +56,42 @@ class ReplaySource:
     Parameters
     ----------
     scene
-        What it shows; its duration and marks are found here.
+        What it shows; duration and further marks are added here.
     data
         The series.
     events
-        Of the supervisor: time [s] and what changed.
-    marks
-        Further times to jump to [s], and what is there.
-    clock
-        Monotonic time [s].
+        Of the supervisor: time [s] and line of its log.
     places
         From when on [s] points of surfaces were where [m], by name.
+    clock
+        Monotonic time [s].
 
     """
 
     def __init__(
         self, scene: Scene, data: RunData, events: Sequence[tuple[float, str]] = (),
-        marks: Sequence[tuple[float, str]] = (), clock: Callable[[], float] = time.monotonic,
         places: Sequence[tuple[float, Mapping[str, Vector3]]] = (),
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._data, self._clock = data, clock
         self._places = [each for _, each in places]
         self._place_times = [moment for moment, _ in places]
         config = scene.config
-        self._layout = CurveLayout(len(config.columns), len(config.robot.joint_names))
         self._leaders = list(config.leaders)
         self._normals = np.array([
             config.contacts[name].normal_world for name in config.contact_names])
-        self._points = block_points(data, config, self._layout)
-        self._events = [(moment, what) for moment, what in sorted(events)]
-        self._event_times = [moment for moment, _ in self._events]
-        reader = EventReader(config.contact_names)
-        told = [(moment, text) for moment, what in self._events if (text := reader.read(what))]
+        self._points = block_points(data, config)
+        self._events = [read_event(moment, line) for moment, line in sorted(events)]
+        self._event_times = [event.time for event in self._events]
+        changes = ChangeReader(config.contact_names)
+        self._texts = [(event.time, changes.read(event)) for event in self._events]
         self._end = (data.ticks - 1) / data.rate
         self.refusals: Mapping[str, str] = REFUSALS
-        self.scene = replace(
-            scene, duration=self._end, marks=tuple(sorted([*marks, *told])))
-        self._lock = threading.Lock()
+        self.scene = replace(scene, duration=self._end, marks=tuple(sorted(
+            [*scene.marks, *((moment, text) for moment, text in self._texts if text)])))
         self._since, self._from = clock(), 0.0
-        self._speed, self._playing = 1.0, True
-        self._shown = -np.inf
-        self._changed = True
+        self._speed, self._playing, self._changed = 1.0, True, True
+        self._shown, self._next = -np.inf, 0.0
 
     def _now(self) -> float:
         """Return the time in the recording [s], and stop at its end."""
@@ -114,13 +105,12 @@ class ReplaySource:
 
     def poll(self) -> list[Snapshot]:
         """Return a snapshot of now, if that is another one than the last."""
-        with self._lock:
-            now = self._now()
-            if not (self._playing or self._changed):
-                return []
-            self._changed = False
-            last, self._shown = self._shown, now
-            return [self._snapshot(now, last)]
+        now = self._now()
+        if not self._changed and (not self._playing or self._clock() < self._next):
+            return []
+        self._changed, self._next = False, self._clock() + 1.0 / RATE
+        last, self._shown = self._shown, now
+        return [self._snapshot(now, last)]
 
     def _snapshot(self, now: float, last: float) -> Snapshot:
         data, k = self._data, int(now * self._data.rate + 1e-6)
@@ -130,7 +120,7 @@ class ReplaySource:
         reasons: tuple[str, ...] = ()
         reaction, index = 'recorded', bisect_right(self._event_times, now + 1e-9)
         if index:
-            event = read_event(*self._events[index - 1])
+            event = self._events[index - 1]
             states, reaction = event.contact_states, event.reaction
             reasons = event.causes + event.limits
         return Snapshot(
@@ -139,8 +129,9 @@ class ReplaySource:
             estimated=data.alpha_est[k], desired=data.alpha_des[k],
             normals_world=self._normals, states=states, reaction=reaction, reasons=reasons,
             points=self._points[first:end],
-            events=tuple(self._events[bisect_right(self._event_times, last):index]),
-            places_world=self._places_at(now), playing=self._playing, speed=self._speed)
+            events=tuple(x for x in self._texts[bisect_right(self._event_times, last):index]
+                         if x[1]),
+            places_world=self._places_at(now), playing=self._playing)
 
     def _places_at(self, now: float) -> Mapping[str, Vector3]:
         index = bisect_right(self._place_times, now)
@@ -148,26 +139,22 @@ class ReplaySource:
 
     def command(self, name: str, /, **values: Any) -> str:
         """Play, pause, jump, or play at another speed; see `Source.command`."""
-        refuse_if_unknown(name, REFUSALS)
-        with self._lock:
-            now = self._now()
-            self._from, self._since, self._changed = now, self._clock(), True
-            if name == source.PLAY:
-                self._playing = bool(values['on'])
-                if self._playing and now >= self._end:
-                    self._jump(0.0)
-                return 'playing' if self._playing else f'paused at {now:.2f} s'
-            if name == source.SPEED:
-                factor = float(values['factor'])
-                if not SPEEDS[0] <= factor <= SPEEDS[1]:
-                    raise CommandError('speed', f'{SPEEDS[0]:g} to {SPEEDS[1]:g}', f'{factor:g}')
-                self._speed = factor
-                return f'{factor:g} times as fast'
-            moment = float(values['time'])
-            if not 0.0 <= moment <= self._end:
-                raise CommandError('time', f'0 to {self._end:g} s', f'{moment:g} s')
-            self._jump(moment)
-            return f'at {moment:.2f} s'
+        refuse(name, REFUSALS)
+        now = self._now()
+        self._from, self._since, self._changed = now, self._clock(), True
+        if name == source.PLAY:
+            self._playing = values['on']
+            if self._playing and now >= self._end:
+                self._jump(0.0)
+            return 'playing' if self._playing else f'paused at {now:.2f} s'
+        if name == source.SPEED:
+            self._speed = values['factor']
+            return f'{self._speed:g} times as fast'
+        moment = values['time']
+        if not 0.0 <= moment <= self._end:
+            raise CommandError('time', f'0 to {self._end:g} s', f'{moment:g} s')
+        self._jump(moment)
+        return f'at {moment:.2f} s'
 
     def _jump(self, moment: float) -> None:
         self._from, self._shown = moment, moment - LOOKED_BACK
@@ -176,21 +163,19 @@ class ReplaySource:
         """Nothing has been started."""
 
 
-def block_points(data: RunData, config: ControllerConfig, layout: CurveLayout) -> Matrix:
+def block_points(data: RunData, config: ControllerConfig) -> Matrix:
     """Return the curves of a recording, as `Snapshot` has them."""
     size = max(1, round(data.rate / RATE / POINTS))
     count = data.ticks // size
-    if not count:
-        return no_points(layout)
 
     def blocks(series: Matrix) -> Matrix:
-        return series[:count * size].reshape(count, size, -1)
+        return series[:count * size].reshape(count, size, series[0].size)
 
-    limit: Vector = np.array(config.torque_limit or [np.inf] * layout.joints)
+    limit: Vector = np.array(config.torque_limit or [np.inf] * len(data.joint_names))
     with warnings.catch_warnings():  # where nothing was recorded there is nothing to average
         warnings.simplefilter('ignore', RuntimeWarning)
         return np.column_stack([
-            blocks(data.time[:, None])[:, -1, 0], np.nanmean(blocks(data.alpha_meas), axis=1),
+            blocks(data.time)[:, -1, 0], np.nanmean(blocks(data.alpha_meas), axis=1),
             np.nanmean(blocks(data.alpha_est), axis=1), blocks(data.alpha_des)[:, -1],
             np.nanmean(blocks(data.noise_variance), axis=1),
             np.sqrt(np.nanmean(blocks(data.innovation) ** 2, axis=1)),
@@ -212,10 +197,8 @@ def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> Repla
 
     Raises
     ------
-    ConfigError
-        If there is no such thing.
-    RunError
-        If it cannot be read.
+    ConfigError, RunError
+        If there is no such thing, or it cannot be read.
 
     """
     folder = path.parent if path.is_file() else path
@@ -253,31 +236,14 @@ def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> Repla
     surfaces = surfaces_of(setup) if of_run and setup.simulated else (
         felt_surfaces(setup.controller))
     return ReplaySource(
-        Scene(title, setup.controller, setup.urdf_dir, surfaces),
-        data, events, marks, places=places)
+        Scene(title, setup.controller, setup.urdf_dir, surfaces, marks=tuple(marks)), data, events,
+        places)
 
 
 def recorded_places(
-    bag: Path, start: int, namespace: str | None = None,
+    bag: Path, start: int, namespace: str | None,
 ) -> list[tuple[float, Mapping[str, Vector3]]]:
-    """
-    Return where a simulator said that the surfaces were.
-
-    Parameters
-    ----------
-    bag
-        The recording.
-    start
-        Stamp of its first sample [ns].
-    namespace
-        That of the graph; if not given, the only one that tells it.
-
-    Returns
-    -------
-    list
-        Times since then [s], and points of the surfaces by name [m].
-
-    """
+    """Return points of a simulator's surfaces by name [m], and from when after `start` [ns]."""
     found = read_messages(bag, {SURFACES: MARKERS}, namespace).by_topic.get(SURFACES)
     if found is None:
         return []

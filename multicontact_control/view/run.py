@@ -2,34 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
-import signal
-import threading
+from tempfile import TemporaryDirectory
 import webbrowser
 
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.compilation import ensure_compiled
+from multicontact_control.experiment.results import CONFIG_FOLDER
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.view.source import Source
 
 
 def run_view(
-    setup: Setup, say: Callable[[str], object], *, recording: Path | None = None,
+    setup: Setup, tell: Callable[[str], object], *, recording: Path | None = None,
     graph: bool = False, namespace: str | None = None, domain_id: int | None = None,
     port: int = 8080, open_browser: bool = False,
 ) -> str:
     """
-    Show a simulation, a graph or a recording on a page until a signal comes.
+    Show a graph or a recording on a page until a signal comes.
 
     Parameters
     ----------
     setup
-        Of the simulation, or what is known of the graph or recording.
-    say
+        Of the graph to start, or what is known of the graph or recording.
+    tell
         Called with lines for the user.
-    recording, graph, namespace, domain_id
-        What to show; see `make_source`.
+    recording
+        Folder of a run or bag to replay, None for none.
+    graph, domain_id
+        Whether to join a graph that runs, and where.
+    namespace
+        Of that graph, or of the one in the recording; None for none, or the only one there.
     port
         To listen on; the next one that is free.
     open_browser
@@ -46,66 +51,72 @@ def run_view(
         If it cannot be shown.
 
     """
+    if graph and recording is not None:
+        raise ConfigError('graph', 'no recording with it', recording)
     try:
         from multicontact_control.view.page import Page
     except ImportError as error:
         raise ConfigError('view', "viser, by pip install 'multicontact_control[view]'",
                           f'none that can be loaded ({error})') from None
-    page = Page(make_source(setup, recording, graph, namespace, domain_id), port)
-    stop = threading.Event()
-    before = [(number, signal.signal(number, lambda *_: stop.set()))
-              for number in (signal.SIGINT, signal.SIGTERM)]
-    try:
-        say(f'{page.source.scene.title}: {page.url}')
-        say('only this machine can reach it')
+    from multicontact_control.experiment.graph.run import collected_signals, InterruptedRunError
+
+    with suppress(InterruptedRunError), collected_signals() as signals, ExitStack() as stack:
+        shown = replayed(setup, recording, namespace) if recording is not None else joined(
+            setup, namespace, domain_id) if graph else started(
+            setup, namespace, domain_id, stack, signals, tell)
+        stack.callback(shown.close)
+        page = Page(shown, port)
+        stack.callback(page.close)
+        tell(f'{shown.scene.title}: {page.url}')
+        tell('only this machine can reach it')
         if open_browser:
             webbrowser.open(page.url)
-        page.run(stop)
+        page.run(lambda: bool(signals))
         return page.ended
-    finally:
-        for number, handler in before:
-            signal.signal(number, handler)
-        page.close()
+    return ''
 
 
-def make_source(
-    setup: Setup, recording: Path | None = None, graph: bool = False,
-    namespace: str | None = None, domain_id: int | None = None,
+def replayed(setup: Setup, recording: Path, namespace: str | None) -> Source:
+    """Return what replays a recording; ConfigError if it cannot be read."""
+    from multicontact_control.view.replay import load_replay
+
+    try:
+        return load_replay(recording, setup, namespace)
+    except RunError as error:
+        raise ConfigError('recording', 'one that can be read', f'none: {error}') from None
+
+
+def joined(setup: Setup, namespace: str | None, domain_id: int | None) -> Source:
+    """Return what joins a graph that runs; RunError if there is none of this arm."""
+    from multicontact_control.view.graph import GraphSource
+
+    return GraphSource(setup, namespace=namespace or '', domain_id=domain_id)
+
+
+def started(
+    setup: Setup, namespace: str | None, domain_id: int | None, stack: ExitStack,
+    signals: Sequence[int], tell: Callable[[str], object],
 ) -> Source:
-    """
-    Return what is to be shown.
+    """Start a graph that obeys commands, without a recorder, and return what joins it."""
+    from multicontact_control.experiment.graph.domain import check_namespace
+    from multicontact_control.experiment.graph.run import InterruptedRunError, running_graph
+    from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
+    from multicontact_control.experiment.run import SIMULATION_PATIENCE
+    from multicontact_control.view.graph import GraphSource
 
-    Parameters
-    ----------
-    setup
-        Of the simulation, or what is known of the graph or recording.
-    recording
-        Folder of a run or bag to replay, None for none.
-    graph, domain_id
-        Whether to join a graph, and where.
-    namespace
-        Of that graph, or of the one in the recording; None for none, or the only one there.
+    def keep_waiting(_: str) -> None:
+        if signals:
+            raise InterruptedRunError
 
-    Raises
-    ------
-    MulticontactError
-        If it cannot be shown.
-
-    """
-    if graph and recording is not None:
-        raise ConfigError('graph', 'no recording with it', recording)
-    if recording is not None:
-        from multicontact_control.view.replay import load_replay
-
-        try:
-            return load_replay(recording, setup, namespace)
-        except RunError as error:
-            raise ConfigError('recording', 'one that can be read', f'none: {error}') from None
-    if graph:
-        from multicontact_control.view.graph import GraphSource
-
-        return GraphSource(setup, namespace=namespace or '', domain_id=domain_id)
-    from multicontact_control.view.embedded import EmbeddedSource
-
+    namespace = check_namespace(namespace or '')
     ensure_compiled()
-    return EmbeddedSource(setup)
+    tell('starting the nodes')
+    folder = Path(stack.enter_context(TemporaryDirectory(prefix='multicontact-view-')))
+    graph = stack.enter_context(running_graph(GraphSpec(
+        out=folder, ticks=0, rate=setup.controller.rate, seed=setup.seed, recorded=False,
+        domain_id=domain_id, namespace=namespace,
+        parameter_files=setup.write(folder / CONFIG_FOLDER),
+        extra_parameters={CONTROLLER: {'patience': SIMULATION_PATIENCE}}), keep_waiting))
+    return GraphSource(
+        setup, f'{setup.plant_name}, simulated in ROS domain {graph.domain_id}',
+        namespace=namespace, domain_id=graph.domain_id, check=graph.processes.check_running)

@@ -30,17 +30,7 @@ BACK = np.array([1.58, -0.58, 0.44])  # m, of the camera from what it looks at
 
 
 class SceneView:
-    """
-    Draws one arm.
-
-    Parameters
-    ----------
-    server
-        The page's viser server.
-    scene
-        What there is to draw.
-
-    """
+    """Draws one arm, and what a scene has besides, on the page of a viser server."""
 
     def __init__(self, server: Any, scene: Scene) -> None:
         self._scene = scene
@@ -186,8 +176,7 @@ class SceneView:
             if place is None:
                 continue
             if patch is None:
-                self._draw_surface(surface._replace(
-                    point_world=place, patch=snapshot.patches.get(surface.name)))
+                self._draw_surface(surface._replace(point_world=place))
             elif np.abs(patch.position - np.array(place)).max() > LEAST_WAY:
                 patch.position = np.array(place)
 

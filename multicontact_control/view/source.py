@@ -1,9 +1,8 @@
-"""What a page shows and steers: a simulation, a running graph or a recording, all alike."""
+"""What a page shows and steers: a running graph or a recording, both alike."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -11,8 +10,9 @@ from typing import Any, NamedTuple, Protocol
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.errors import CommandError
+from multicontact_control.experiment.judge import Event
 from multicontact_control.experiment.scenario import Setup
-import numpy as np
+from multicontact_control.supervision.reactions import NONE
 from sim_bridge.surface_patch import Patch, patch_of
 
 RATE = 25.0  # Hz, of snapshots
@@ -28,102 +28,29 @@ HOLD = 'hold'  # on
 RETRY = 'retry'
 TARE = 'tare'
 PUSH_TEST = 'push_test'
-HAND = 'hand'  # the simulated hand pushes the tool as the push test asks
-ESTIMATOR = 'estimator'  # name
 GAINS = 'gains'  # natural_frequency [rad/s], time_constant [s], damping_rate [1/s]
 SURFACE = 'surface'  # name, stiffness [N/m], friction
-PUSH = 'push'  # force: on the operational point [N], for half a second
-RESET = 'reset'
+PUSH = 'push'  # force [N]; tool: whether on the tool, or at the operational point
 PLAY = 'play'  # on
 SPEED = 'speed'  # factor
 SEEK = 'seek'  # time [s]
 
 STEERING = (FORCES, GO_TO, JOG, PATTERN, STOP, HOLD, RETRY, TARE, PUSH_TEST, GAINS)
-SIMULATED = (HAND, ESTIMATOR, SURFACE, PUSH, RESET)
+SIMULATED = (SURFACE, PUSH)
 PLAYING = (PLAY, SPEED, SEEK)
-COMMANDS = (*STEERING, *SIMULATED, *PLAYING)
 
-# Of what the curves are made, for each force or couple; then the use of each torque.
+# Of what the curves are made, for each force or couple; then the torques.
 MEASURED, ESTIMATED, DESIRED, VARIANCE, INNOVATION = range(5)
 KINDS = 5
 
 
 class Surface(NamedTuple):
-    """
-    A surface to draw.
+    """A surface to draw."""
 
-    Attributes
-    ----------
-    name
-        Of its contact, or of the surface itself.
-    normal_world
-        Into it.
-    point_world
-        On it [m]; None until a simulator tells it, or something is felt there.
-    patch
-        What it looks like around that point; None for a plane, or until a simulator tells it.
-
-    """
-
-    name: str
-    normal_world: Vector3
-    point_world: Vector3 | None
-    patch: Patch | None = None
-
-
-@dataclass(frozen=True)
-class Scene:
-    """
-    What does not change while it is shown.
-
-    Attributes
-    ----------
-    title
-        What is shown, in a few words.
-    config
-        The controller's.
-    urdf_dir
-        Folder that its URDF is relative to.
-    surfaces
-        What may be pressed on.
-    largest_force
-        That may be commanded [N].
-    duration
-        Of a recording, 0 otherwise [s].
-    marks
-        Times in it to jump to [s], and what happens there.
-
-    """
-
-    title: str
-    config: ControllerConfig
-    urdf_dir: Path
-    surfaces: tuple[Surface, ...]
-    largest_force: float = 30.0
-    duration: float = 0.0
-    marks: tuple[tuple[float, str], ...] = ()
-
-
-class Timing(NamedTuple):
-    """
-    How regular the control loop is.
-
-    Attributes
-    ----------
-    typical, worst
-        50th and 99th percentile of the time that a tick, or an answer over the graph, took of
-        late [us]; NaN where it is not known.
-    misses
-        Deadlines missed since the start.
-    pace
-        Time of the samples per time on the wall.
-
-    """
-
-    typical: float = float('nan')
-    worst: float = float('nan')
-    misses: int = 0
-    pace: float = 1.0
+    name: str  # of its contact, or of the surface itself
+    normal_world: Vector3  # into it
+    point_world: Vector3 | None  # on it [m]; None until something is felt there
+    patch: Patch | None = None  # what it looks like around that point; None for a plane
 
 
 class SurfaceState(NamedTuple):
@@ -134,96 +61,64 @@ class SurfaceState(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Scene:
+    """What does not change while it is shown."""
+
+    title: str
+    config: ControllerConfig
+    urdf_dir: Path  # that its URDF is relative to
+    surfaces: tuple[Surface, ...]  # those of the contacts first
+    simulated: Mapping[str, SurfaceState] = field(default_factory=dict)  # at the start, by name
+    largest_force: float = 30.0  # that may be commanded [N]
+    duration: float = 0.0  # of a recording [s]
+    marks: tuple[tuple[float, str], ...] = ()  # times in it to jump to [s], and what is there
+
+
+class Timing(NamedTuple):
+    """How regular the control loop is."""
+
+    typical: float = float('nan')  # latency from a sample to its command in the last second,
+    worst: float = float('nan')  # 50th and 99th percentile [us]; NaN where it is not known
+    misses: int = 0  # samples without a command since the start
+    pace: float = 1.0  # real-time factor of the last seconds
+
+
+@dataclass(frozen=True)
 class Snapshot:
-    """
-    What there is to show of one moment.
+    """What there is to show of one moment."""
 
-    Attributes
-    ----------
-    time
-        Of the sample [s].
-    q
-        Joint positions, shape (n,) [rad].
-    position, quaternion
-        Of the operational frame, world axes, scalar last [m].
-    position_des
-        Where it should be [m].
-    commanded
-        Forces and couples that are commanded, whether they are controlled already or not, by
-        name [N].
-    goal
-        Where a command leads it [m]; None where none does.
-    measured, estimated, desired
-        Forces and couples, shape (r,) [N].
-    normals_world
-        Of the contacts now, shape (nc, 3).
-    states, reaction, reasons
-        Of the contacts, and what the supervisor does instead of control, with its causes and the
-        limits it enforces.
-    points
-        Curves since the snapshot before, shape (k, 1 + KINDS r + n): time [s], measured,
-        estimated and desired forces [N], R [N^2], rms of the innovation [N], and the largest
-        torque relative to its limit.
-    events
-        Since the snapshot before: time [s] and what it was.
-    timing
-        Of the control loop.
-    held
-        Whether pose and forces are held on command.
-    moving
-        What motion is being made, empty for none.
-    push_test
-        What the user should do now, empty for nothing.
-    asked_push
-        The push that the push test waits for, if it does [N].
-    gains
-        Natural frequency [rad/s], time constant [s] and K_2 [1/s].
-    estimator
-        Of R; empty where it is not known.
-    surfaces
-        As they are now, by name.
-    places_world
-        A point of each surface, where that is known, by name [m].
-    patches
-        What surfaces look like of which the scene does not say it, by name.
-    playing, speed
-        Of a recording.
-
-    """
-
-    time: float
-    q: Vector
-    position: Vector
-    quaternion: Vector
-    position_des: Vector
-    measured: Vector
+    time: float  # of the sample [s]
+    q: Vector  # joint positions, shape (n,) [rad]
+    position: Vector  # of the operational frame, world axes [m]
+    quaternion: Vector  # likewise, scalar last
+    position_des: Vector  # where it should be [m]
+    measured: Vector  # forces and couples, shape (r,) [N]
     estimated: Vector
     desired: Vector
-    normals_world: Matrix
-    states: tuple[str, ...]
-    reaction: str
+    normals_world: Matrix  # of the contacts now, shape (nc, 3)
+    states: tuple[str, ...]  # of the contacts
+    reaction: str  # what the supervisor does instead of control
+    # Curves since the snapshot before, shape (k, 1 + KINDS r + n): time [s]; measured, estimated
+    # and desired forces [N], R [N^2], size of the innovation [N]; torques over their limits.
     points: Matrix
-    commanded: Mapping[str, float] = field(default_factory=dict)
-    goal: Vector | None = None
-    reasons: tuple[str, ...] = ()
-    events: tuple[tuple[float, str], ...] = ()
+    commanded: Mapping[str, float] = field(default_factory=dict)  # forces, by name [N]
+    goal: Vector | None = None  # where a command leads it [m]
+    reasons: tuple[str, ...] = ()  # causes of the reaction, and the limits that act
+    events: tuple[tuple[float, str], ...] = ()  # since the snapshot before: time [s], and words
     timing: Timing = Timing()
-    held: bool = False
-    moving: str = ''
-    push_test: str = ''
-    asked_push: tuple[float, ...] = ()
+    held: bool = False  # whether pose and forces are held on command
+    moving: str = ''  # motion under way
+    push_test: str = ''  # what the user should do now
+    # Natural frequency [rad/s], time constant [s] and K_2 [1/s].
     gains: tuple[float, float, float] = (float('nan'),) * 3
-    estimator: str = ''
-    surfaces: Mapping[str, SurfaceState] = field(default_factory=dict)
-    places_world: Mapping[str, Vector3] = field(default_factory=dict)
-    patches: Mapping[str, Patch] = field(default_factory=dict)
-    playing: bool = False
-    speed: float = 1.0
+    surfaces: Mapping[str, SurfaceState] = field(default_factory=dict)  # simulated ones, by name
+    places_world: Mapping[str, Vector3] = field(default_factory=dict)  # points of surfaces [m]
+    playing: bool = True  # whether time goes on
 
 
 class Source(Protocol):
     """
-    Where snapshots come from and commands go to.
+    Where snapshots come from and commands go to; all calls come from one thread.
 
     Attributes
     ----------
@@ -239,7 +134,7 @@ class Source(Protocol):
 
     def poll(self) -> list[Snapshot]:
         """
-        Return the snapshots since the last call, without waiting for any.
+        Return the snapshots that are due, without waiting for any; called about every 10 ms.
 
         Raises
         ------
@@ -249,53 +144,41 @@ class Source(Protocol):
         """
 
     def command(self, name: str, /, **values: Any) -> str:
-        """
-        Give a command.
-
-        Returns
-        -------
-        str
-            What comes of it.
-
-        Raises
-        ------
-        MulticontactError
-            If it is refused; the message says why.
-
-        """
+        """Give a command; return what comes of it, MulticontactError if it is refused."""
 
     def close(self) -> None:
-        """End what has been started for this."""
+        """Leave what is shown."""
 
 
-def taken(snapshots: deque[Snapshot]) -> list[Snapshot]:
-    """Take all there are; another thread may add more meanwhile."""
-    found = []
-    while snapshots:
-        found.append(snapshots.popleft())
-    return found
-
-
-def refuse_if_unknown(name: str, refusals: Mapping[str, str]) -> None:
-    """Raise `CommandError` for a command that is never obeyed."""
+def refuse(name: str, refusals: Mapping[str, str]) -> None:
+    """Raise `CommandError` for a command that a source never obeys."""
     if name in refusals:
         raise CommandError(name, refusals[name], 'none')
-    if name not in COMMANDS:
-        raise CommandError('command', f'one of {", ".join(COMMANDS)}', f"'{name}'")
+
+
+class ChangeReader:
+    """Puts into words what has changed from one event of the supervisor to the next."""
+
+    def __init__(self, contact_names: Sequence[str]) -> None:
+        self._names = tuple(contact_names)
+        self._before = Event(0.0, NONE, (), (), ('free',) * len(self._names))
+
+    def read(self, event: Event) -> str:
+        """Return what has changed, nothing if that is nothing."""
+        before, self._before = self._before, event
+        parts = []
+        if event.reaction != before.reaction:
+            causes = f' ({" ".join(event.causes)})' if event.causes else ''
+            parts.append(event.reaction + causes if event.reaction != NONE else 'control again')
+        parts += [f'{name} {state}' for name, state, last in zip(
+            self._names, event.contact_states, before.contact_states) if state != last]
+        if limits := [limit for limit in event.limits if limit not in before.limits]:
+            parts.append(f'limit: {" ".join(limits)}')
+        return ', '.join(parts)
 
 
 class CurveLayout(NamedTuple):
-    """
-    Where things are in the points of the curves.
-
-    Attributes
-    ----------
-    columns
-        Number r of forces and couples.
-    joints
-        Number n.
-
-    """
+    """Where things are in the points of the curves of r forces and couples, and n joints."""
 
     columns: int
     joints: int
@@ -305,19 +188,19 @@ class CurveLayout(NamedTuple):
         """Return the number of columns."""
         return 1 + KINDS * self.columns + self.joints
 
-    def of(self, kind: int, column: int) -> int:
-        """Return where a kind of curve of a force or couple is."""
-        return 1 + kind * self.columns + column
+    def of(self, kind: int) -> list[int]:
+        """Return where a kind of curve is, in the order of forces and couples."""
+        return list(range(1 + kind * self.columns, 1 + (kind + 1) * self.columns))
 
     @property
-    def torque_use(self) -> slice:
-        """Return where the use of the torques is."""
-        return slice(1 + KINDS * self.columns, self.width)
+    def torques(self) -> list[int]:
+        """Return where the torques are."""
+        return list(range(1 + KINDS * self.columns, self.width))
 
 
-def no_points(layout: CurveLayout) -> Matrix:
-    """Return the curves of no time at all."""
-    return np.zeros((0, layout.width))
+def layout_of(config: ControllerConfig) -> CurveLayout:
+    """Return the layout of the curves of a controller."""
+    return CurveLayout(len(config.columns), len(config.robot.joint_names))
 
 
 def felt_surfaces(config: ControllerConfig) -> tuple[Surface, ...]:

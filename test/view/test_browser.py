@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 import threading
 import time
 
 from browser import Tab
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.view.embedded import EmbeddedSource
+from multicontact_control.view.run import started
 import numpy as np
 import pytest
-from ros_graph import wait_for
+from ros_graph import own_domain, wait_for
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip('viser', reason='viser is not installed (extra [view])')
-pytestmark = [pytest.mark.nightly, pytest.mark.browser]
+pytestmark = [pytest.mark.nightly, pytest.mark.browser, pytest.mark.ros]
 
 BOTH_PANELS = {'width': 1100, 'height': 480}  # px, and something of the scene between them
 SELDOM = """  // the processor draws all of it: twice a second is enough
@@ -28,17 +29,20 @@ FRAMES = """async number => {
 
 @pytest.fixture
 def page():
-    """Show a simulation on a page."""
+    """Show a graph that was started for it on a page."""
     from multicontact_control.view.page import Page
 
-    page = Page(EmbeddedSource(resolve('paper', plant='rigid')), 8481)
-    stop = threading.Event()
-    thread = threading.Thread(target=page.run, args=(stop,), daemon=True)
-    thread.start()
-    yield page
-    stop.set()
-    thread.join()
-    page.close()
+    with own_domain() as domain_id, ExitStack() as stack:
+        page = Page(started(
+            resolve('paper', plant='rigid'), None, domain_id, stack, (), print), 8481)
+        stop = threading.Event()
+        thread = threading.Thread(target=page.run, args=(stop.is_set,), daemon=True)
+        thread.start()
+        yield page
+        stop.set()
+        thread.join()
+        page.close()
+        page.source.close()
 
 
 def pixel(page, tab, point_world):
@@ -89,6 +93,6 @@ def test_sliders_press_buttons_press_and_the_mouse_drags(page, chromium):
     tab.keyboard.press('Home')
     wait_for(lambda: page.newest.commanded['table'] == 0.0, 'letting go')
     tab.keyboard.press('ArrowRight')
-    tab.get_by_text('refused: force on table').wait_for()
+    tab.get_by_text('force on table').wait_for()
     context.close()
     assert opened.problems == []

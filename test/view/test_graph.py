@@ -39,6 +39,7 @@ def shown(domain):
 
 
 def until(shown, condition, what):
+    """Return the first snapshot of which a condition is true."""
     return wait_for(lambda: next(filter(condition, shown.poll()), None), what)
 
 
@@ -46,15 +47,18 @@ def test_graph_source_joins_presses_moves_and_tunes(shown):
     snapshot = until(shown, lambda found: np.isfinite(found.q).all(), 'samples')
     assert snapshot.gains == (30.0, 0.02, 100.0)
     simulated = resolve('quick', plant='rigid').plant.surfaces
-    snapshot = until(shown, lambda found: found.places_world, 'the surfaces')
-    assert dict(snapshot.places_world) == {
-        name: surface.point_world for name, surface in simulated.items()}
-    for name, surface in simulated.items():
-        drawn, sent = patch_of(surface), snapshot.patches[name]
-        assert np.allclose(sent.vertices[sent.faces], drawn.vertices[drawn.faces], atol=1e-12)
+    for name, drawn in ((surface.name, surface) for surface in shown.scene.surfaces):
+        expected = patch_of(simulated[name])
+        assert drawn.point_world == snapshot.places_world[name] == simulated[name].point_world
+        np.testing.assert_allclose(
+            drawn.patch.vertices[drawn.patch.faces], expected.vertices[expected.faces],
+            atol=1e-12)
     shown.command(source.FORCES, table=8.0, board=6.0)
-    snapshot = until(shown, lambda found: (np.abs(found.measured - (8.0, 6.0)) < 0.5).all() and
-                     set(found.states) == {'holding'}, 'the forces')
+    events = []
+    snapshot = until(shown, lambda found: events.extend(found.events) or (
+        np.abs(found.measured - (8.0, 6.0)) < 0.5).all() and set(found.states) == {'holding'},
+        'the forces')
+    assert any('table holding' in text for _, text in events)
     start = snapshot.position_des
     until(shown, lambda found: len(found.points) and np.isfinite(found.points[-1]).all(),
           'points of the curves')
@@ -63,6 +67,16 @@ def test_graph_source_joins_presses_moves_and_tunes(shown):
     until(shown, lambda found: found.moving == '', 'rest')
     shown.command(source.GAINS, natural_frequency=25.0, time_constant=0.03, damping_rate=60.0)
     assert until(shown, lambda found: found.gains[0] == 25.0, 'the gains')
+
+
+def test_surface_and_push_change_the_simulated_world(shown):
+    before = until(shown, lambda found: found.moving == '', 'rest')
+    assert before.surfaces == shown.scene.simulated
+    shown.command(source.SURFACE, name='table', stiffness=9000.0, friction=0.3)
+    assert until(shown, bool, 'a snapshot').surfaces['table'] == (9000.0, 0.3)
+    shown.command(source.PUSH, force=[8.0, 0.0, 0.0], tool=False)
+    until(shown, lambda found: found.position[0] > before.position[0] + 2e-4, 'the push')
+    until(shown, lambda found: found.position[0] < before.position[0] + 1e-4, 'the way back')
 
 
 def test_another_client_is_shown_and_ends_a_motion(shown, domain):
@@ -75,6 +89,8 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
         until(shown, lambda found: found.held and not found.moving, 'the hold')
         with pytest.raises(CommandRefusedError, match='contact_forces/command: ~/hold: expected'):
             shown.command(source.FORCES, table=9.0)
+        with pytest.raises(MulticontactError, match='hold: expected released'):
+            shown.command(source.JOG, offset=[0.01, 0.0, 0.0])
         other.hold(False)
     released = until(shown, lambda found: not found.held, 'the release')
     # The arm goes to the last pose that was accepted; a pattern of 2 s is never at one place in
@@ -86,18 +102,18 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
     assert np.ptp([found.position_des for found in snapshots], axis=0).max() < 0.002
 
 
-def test_graph_source_raises_what_a_graph_refuses(shown):
-    for name, values, words in (
-            (source.FORCES, {'table': 40.0}, '0 or 3 to 30 N'),
-            (source.FORCES, {'floor': 4.0}, 'one of table, board'),
-            (source.TARE, {}, 'none under force control'),
-            (source.GO_TO, {'position': [0.0, 0.5, 9.0]}, 'position z'),
-            (source.GAINS, {'natural_frequency': -1.0, 'time_constant': 0.02,
-                            'damping_rate': 60.0}, 'natural_frequency'),
-            (source.PUSH, {'force': [5.0, 0.0, 0.0]}, 'a simulation of the page'),
-            (source.SEEK, {'time': 1.0}, 'a recording')):
-        with pytest.raises(MulticontactError, match=words):
-            shown.command(name, **values)
+@pytest.mark.parametrize(('name', 'values', 'words'), [
+    (source.FORCES, {'table': 40.0}, '0 or 3 to 30 N'),
+    (source.FORCES, {'floor': 4.0}, r"among \['table', 'board'\]"),
+    (source.TARE, {}, 'none under force control'),
+    (source.GO_TO, {'position': [0.0, 0.5, 9.0]}, 'position z'),
+    (source.GAINS, {'natural_frequency': -1.0, 'time_constant': 0.02, 'damping_rate': 60.0},
+     'natural_frequency'),
+    (source.SURFACE, {'name': 'table', 'stiffness': -1.0, 'friction': 0.1}, 'stiffness'),
+    (source.SEEK, {'time': 1.0}, 'a recording')])
+def test_graph_source_raises_what_a_graph_refuses(shown, name, values, words):
+    with pytest.raises(MulticontactError, match=words):
+        shown.command(name, **values)
 
 
 @pytest.mark.parametrize('robot', robot_parameters(['panda']))

@@ -15,14 +15,14 @@ LIMITS = LimitsConfig(workspace_lower=(-0.6, 0.2, 0.3), workspace_upper=(0.6, 0.
 
 @pytest.fixture
 def motion():
-    made = Motion(LIMITS, PERIOD)
+    made = Motion(LIMITS)
     made.start(START, np.array([0.0, 0.0, 0.0, 1.0]))
     return made
 
 
 def path(motion, ticks):
     """Return position, velocity and acceleration tick by tick, until it comes to rest."""
-    readings = [reading for _ in range(ticks) if (reading := motion.advance()) is not None]
+    readings = [reading for _ in range(ticks) if (reading := motion.advance(PERIOD)) is not None]
     return [np.array([getattr(reading, name)[:3] for reading in readings]) for name in (
         'position_world', 'twist_world', 'acceleration_world')]
 
@@ -35,7 +35,7 @@ def assert_smooth(position, velocity, acceleration):
 
 
 def test_motion_goes_to_a_point_within_its_speed_and_rests_there(motion):
-    assert motion.advance() is None and motion.what == ''
+    assert motion.advance(PERIOD) is None and motion.what == ''
     motion.go_to(START + [0.1, 0.05, 0.0])
     position, velocity, acceleration = path(motion, 4000)
     np.testing.assert_allclose(position[-1], START + [0.1, 0.05, 0.0], atol=1e-9)
@@ -43,7 +43,7 @@ def test_motion_goes_to_a_point_within_its_speed_and_rests_there(motion):
     assert np.linalg.norm(velocity, axis=1).max() <= SPEED * 1.0001
     assert np.linalg.norm(acceleration, axis=1).max() <= ACCELERATION * 1.0001
     assert (np.diff(position[:, 0]) > -1e-9).all(), 'it went beyond and came back'
-    assert motion.advance() is None and motion.goal is None
+    assert motion.advance(PERIOD) is None and motion.goal is None
 
 
 def test_motion_to_a_dragged_handle_has_no_jump(motion):
@@ -55,7 +55,7 @@ def test_motion_to_a_dragged_handle_has_no_jump(motion):
 
 
 def test_sine_comes_and_goes_without_a_jump(motion):
-    motion.start_pattern('x', 0.08, 4.0)
+    motion.start_sine('x', 0.08, 4.0)
     parts = [path(motion, 3000)]
     motion.stop()
     parts.append(path(motion, 3000))
@@ -73,23 +73,9 @@ def test_motion_out_of_the_workspace_is_refused_and_changes_nothing(motion):
         motion.go_to(START + [0.0, 0.4, 0.0])
     motion.jog([0.0, 0.3, 0.0])
     with pytest.raises(CommandError, match='position y'):
-        motion.start_pattern('y', 0.1, 4.0)
-    for wrong in (('w', 0.1, 4.0), ('x', 0.4, 4.0), ('x', float('nan'), 4.0), ('x', 0.1, 0.5)):
-        with pytest.raises(CommandError):
-            motion.start_pattern(*wrong)
-    motion.start_pattern('x', 0.1, 4.0)
+        motion.start_sine('y', 0.1, 4.0)
+    motion.start_sine('x', 0.1, 4.0)
     with pytest.raises(CommandError, match='position x'):
         motion.jog([0.55, 0.0, 0.0])
     assert motion.what == 'sine along x'
     np.testing.assert_allclose(motion.goal, START + [0.0, 0.3, 0.0])
-
-
-def test_motion_along_a_held_normal_is_given_up(motion):
-    """A contact holds z: the rest of the way goes on, and does not wait until it lets go."""
-    motion.go_to(START + [0.05, 0.0, 0.05])
-    while (reading := motion.advance()) is not None:
-        motion.accepted(np.array([*reading.position_world[:2], START[2]]))
-    motion.jog([0.01, 0.0, 0.0])
-    position, velocity, _ = path(motion, 2000)
-    np.testing.assert_allclose(position[-1], START + [0.06, 0.0, 0.0], atol=1e-6)
-    np.testing.assert_allclose(velocity[:, 2], 0.0, atol=1e-9)

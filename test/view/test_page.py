@@ -16,6 +16,7 @@ from multicontact_control.experiment.scenario import resolve
 from multicontact_control.view import source
 from multicontact_control.view.source import Scene, surfaces_of
 import pytest
+from ros_graph import own_domain
 
 pytest.importorskip('viser', reason='viser is not installed (extra [view])')
 from multicontact_control.view.page import Page  # noqa: E402, I100
@@ -29,7 +30,7 @@ class Silent:
     def __init__(self):
         setup = resolve('paper')
         self.scene = Scene('nothing', setup.controller, setup.urdf_dir, surfaces_of(setup))
-        self.refusals = dict.fromkeys(source.PLAYING, 'a recording')
+        self.refusals = dict.fromkeys((*source.PLAYING, *source.SIMULATED), 'another source')
         self.given, self.why = [], ''
 
     def poll(self):
@@ -44,37 +45,26 @@ class Silent:
         return 'done'
 
     def close(self):
-        self.given.append('closed')
+        pass
 
 
 @pytest.fixture
-def make_page():
-    pages = []
-
-    def make(shown):
-        pages.append(Page(shown, PORT))
-        return pages[-1]
-
-    yield make
-    for page in pages:
-        page.close()
+def page():
+    page = Page(Silent(), PORT)
+    yield page
+    page.close()
 
 
-def settle(page, condition):
-    give_up = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < give_up
-        page.update()
-        time.sleep(0.01)
-
-
-def test_page_is_served_to_this_machine_only_and_holds_the_scene(make_page):
-    page = make_page(Silent())
+def test_page_is_served_to_this_machine_only_and_holds_the_scene(page):
     assert urlsplit(page.url).hostname == '127.0.0.1'
-    with urlopen(page.url) as answer:
-        assert b'<html' in answer.read()
-    with pytest.raises(HTTPError, match='403'):
-        urlopen(Request(page.url, headers={'Host': 'other.example'}))
+    own = f'http://localhost:{urlsplit(page.url).port}'
+    for headers in ({}, {'Host': urlsplit(own).netloc, 'Origin': own}):
+        with urlopen(Request(page.url, headers=headers)) as answer:
+            assert b'<html' in answer.read()
+    for headers in ({'Host': 'rebound.example:8080'}, {'Origin': 'https://evil.example'},
+                    {'Origin': 'http://localhost:9'}, {'Origin': 'null'}):
+        with pytest.raises(HTTPError, match='403'):
+            urlopen(Request(page.url, headers=headers))
     for name in ('/arm/tool', '/arm/link2', '/surfaces/table', '/surfaces/board', '/handle',
                  '/forces/measured', '/forces/estimated', '/forces/desired',
                  '/contacts/table', '/labels/board'):
@@ -82,17 +72,19 @@ def test_page_is_served_to_this_machine_only_and_holds_the_scene(make_page):
     assert page.server.request_share_url() is None, 'a public tunnel'
 
 
-def test_page_shows_answers_refusals_and_the_end(make_page):
-    silent = Silent()
-    page = make_page(silent)
-    page.commander.give(None, source.FORCES, table=3.0)
-    settle(page, lambda: 'done' in page.answer.content)
-    page.commander.give(None, source.TARE)
-    settle(page, lambda: 'expected none, found &lt;some&gt;' in page.answer.content)
-    assert silent.given == [(source.FORCES, {'table': 3.0})]
-    silent.why = 'the simulation has ended: <killed>'
+def test_page_gives_the_last_command_of_an_element_and_shows_refusals_and_the_end(page):
+    slider = object()
+    for force in (3.0, 4.0):
+        page.requests.add(slider, source.FORCES, table=force)
+    page.requests.add(None, source.TARE)
     page.update()
-    assert page.ended == silent.why and '&lt;killed&gt;' in page.status.content
+    assert 'done' in page.answer.content
+    page.update()
+    assert 'expected none, found &lt;some&gt;' in page.answer.content
+    assert page.source.given == [(source.FORCES, {'table': 4.0})]
+    page.source.why = 'sim_node ended: <killed>'
+    page.update()
+    assert page.ended == page.source.why and '&lt;killed&gt;' in page.status.content
 
 
 def test_view_without_viser_exits_with_two_and_one_line():
@@ -104,22 +96,23 @@ def test_view_without_viser_exits_with_two_and_one_line():
 
 
 @pytest.mark.slow
-def test_view_serves_a_page_and_ends_with_all_it_started():
-    process = subprocess.Popen(
-        [sys.executable, '-m', 'multicontact_control.cli', 'view', '--port', str(PORT + 1),
-         '--plant', 'rigid'], stdout=subprocess.PIPE, text=True, start_new_session=True)
-    try:
-        while 'http' not in (line := process.stdout.readline()):
-            assert line, 'it has ended'
-        assert urlopen(line.split()[-1]).status == 200
-        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-        assert process.wait(60.0) == 0
-        give_up = time.monotonic() + 60.0
-        with pytest.raises(ProcessLookupError):
-            while time.monotonic() < give_up:
-                os.killpg(process.pid, 0)
-                time.sleep(0.05)
-    finally:
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
+@pytest.mark.ros
+def test_view_serves_a_page_and_ends_with_the_graph_it_started(tmp_path):
+    with own_domain() as domain_id:
+        process = subprocess.Popen(
+            [sys.executable, '-m', 'multicontact_control.cli', 'view', '--port', str(PORT + 1),
+             '--plant', 'rigid', '--domain-id', str(domain_id)], stdout=subprocess.PIPE, text=True,
+            start_new_session=True, env={**os.environ, 'TMPDIR': str(tmp_path)})
+        try:
+            while 'http' not in (line := process.stdout.readline()):
+                assert line, 'it has ended'
+            assert urlopen(line.split()[-1]).status == 200
+            os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+            assert process.wait(60.0) == 0
+            listed = subprocess.run(['ps', '-e', '-o', 'args'], capture_output=True, text=True)
+            assert str(tmp_path) not in listed.stdout  # of a node, with its folder
+            assert not list(tmp_path.iterdir())
+        finally:
+            if process.poll() is None:
+                process.kill()
+            process.communicate()

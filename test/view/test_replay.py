@@ -9,7 +9,7 @@ from multicontact_control.files import read_json
 from multicontact_control.nodes import messages
 from multicontact_control.view import source
 from multicontact_control.view.replay import load_replay, ReplaySource
-from multicontact_control.view.run import make_source
+from multicontact_control.view.run import replayed
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
@@ -39,7 +39,7 @@ def replay(recorded_run, clock):
     loaded = load_replay(recorded_run, resolve('paper'))
     events = [(event['time_s'], event['what'])
               for event in read_json(recorded_run / 'summary.json')['events']]
-    return ReplaySource(loaded.scene, RunData.load(recorded_run), events, (), clock)
+    return ReplaySource(loaded.scene, RunData.load(recorded_run), events, clock=clock)
 
 
 def seek(replay, moment):
@@ -98,7 +98,7 @@ def test_folder_without_a_recording_is_refused(tmp_path, recorded_run):
     (tmp_path / 'bag' / 'bag.mcap').write_bytes(b'\x89MCAP0\r\n' + bytes(40))
     for path in (tmp_path / 'nothing', recorded_run / 'config', tmp_path / 'bag'):
         with pytest.raises(ConfigError, match='recording'):
-            make_source(resolve('paper'), path)
+            replayed(resolve('paper'), path, None)
 
 
 def test_replay_takes_one_namespace_of_a_file_and_its_surfaces(tmp_path):

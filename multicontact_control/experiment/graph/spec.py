@@ -54,6 +54,8 @@ class GraphSpec:
         The robot behind the topics, or its simulator, that the graph waits for. There is then no
         plant among the nodes, and `ticks`, `seed` and `speed` have no meaning. None for a graph
         with a simulated plant.
+    recorded
+        Whether a recorder is among the nodes.
 
     """
 
@@ -71,11 +73,13 @@ class GraphSpec:
     remappings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     realtime: bool = False
     robot: Robot | None = None
+    recorded: bool = True
 
     @property
     def nodes(self) -> tuple[str, ...]:
         """Names of all nodes, in the order in which they are started."""
-        return START_ORDER if self.robot is None else START_ORDER[:-1]
+        absent = [RECORDER] * (not self.recorded) + [SIM] * (self.robot is not None)
+        return tuple(name for name in START_ORDER if name not in absent)
 
     @property
     def bag(self) -> Path:
