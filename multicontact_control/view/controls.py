@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TYPE_CHECKING
+import threading
+import time
+from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.view import source
 from multicontact_control.view.source import Scene, Snapshot, Source
-
-if TYPE_CHECKING:
-    from multicontact_control.view.page import Requests
 
 SETTLED = 0.8  # s without a request, after which elements show what is in force
 SCRUBBED = 0.3  # s, likewise for the time of a recording
@@ -20,6 +19,35 @@ SIGNS = {'-': -1.0, '+': 1.0}
 SPEEDS = {'0.1 x': 0.1, '0.5 x': 0.5, '1 x': 1.0, '2 x': 2.0, '5 x': 5.0}
 STIFFNESS, FRICTION = (0.2, 80.0), (0.01, 1.0)  # N/mm
 MAX_MARKS = 200  # that can be jumped to
+
+
+class Requests:
+    """
+    Commands that elements of the page ask for, and that wait to be given.
+
+    Of several by the same element the last counts. Elements ask in threads of the page's server.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._waiting: dict[object, tuple[str, dict[str, Any]]] = {}
+        self._last = 0.0
+
+    def add(self, element: object | None, name: str, /, **values: Any) -> None:
+        """Ask for a command; `element` is None for one of which every command counts."""
+        with self._lock:
+            # The elements of viser cannot be hashed, and live as long as the page.
+            self._waiting[object() if element is None else id(element)] = name, values
+            self._last = time.monotonic()
+
+    def take(self) -> tuple[str, dict[str, Any]] | None:
+        """Return the command that has waited longest, if any waits."""
+        with self._lock:
+            return self._waiting.pop(next(iter(self._waiting))) if self._waiting else None
+
+    def quiet_for(self) -> float:
+        """Return for how long nothing has been asked for [s]."""
+        return time.monotonic() - self._last
 
 
 class Controls:

@@ -7,14 +7,13 @@ from collections.abc import Callable
 from contextlib import redirect_stdout
 import html
 import io
-import threading
 import time
 from typing import Any
 
 from multicontact_control.errors import MulticontactError, RunError
 from multicontact_control.supervision.reactions import NONE
 from multicontact_control.view.access import guarding
-from multicontact_control.view.controls import Controls
+from multicontact_control.view.controls import Controls, Requests
 from multicontact_control.view.curves import Curves
 from multicontact_control.view.scene import newtons, SceneView, STATE_COLOURS
 from multicontact_control.view.source import Scene, Snapshot, Source
@@ -30,35 +29,6 @@ AGAIN = 3.0  # s, after which the same refusal is told again
 CURVES_WIDTH, CONTROLS_WIDTH = 370, 340  # px
 SMALL = 'font-size:12px;line-height:1.5;padding:2px 14px;white-space:pre-wrap'
 GREEN, RED, GREY = '#34965c', '#c0392b', '#6b7280'
-
-
-class Requests:
-    """
-    Commands that elements of the page ask for, and that wait to be given.
-
-    Of several by the same element the last counts. Elements ask in threads of the page's server.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._waiting: dict[object, tuple[str, dict[str, Any]]] = {}
-        self._last = 0.0
-
-    def add(self, element: object | None, name: str, /, **values: Any) -> None:
-        """Ask for a command; `element` is None for one of which every command counts."""
-        with self._lock:
-            # The elements of viser cannot be hashed, and live as long as the page.
-            self._waiting[object() if element is None else id(element)] = name, values
-            self._last = time.monotonic()
-
-    def take(self) -> tuple[str, dict[str, Any]] | None:
-        """Return the command that has waited longest, if any waits."""
-        with self._lock:
-            return self._waiting.pop(next(iter(self._waiting))) if self._waiting else None
-
-    def quiet_for(self) -> float:
-        """Return for how long nothing has been asked for [s]."""
-        return time.monotonic() - self._last
 
 
 class Page:
