@@ -19,24 +19,14 @@ import yaml
 
 T = TypeVar('T')
 
-SECTIONS = ('controller', 'noise_estimator', 'plant', 'scenario')
-OVER_OTHERS = ('controller', 'noise_estimator', 'plant')  # what a scenario lays over these
-EVERY = '*'
 ARGUMENTS = {  # of `resolve`, by section
     'controller': 'controller', 'noise_estimator': 'noise_estimator', 'plant': 'plant_overrides',
     'scenario': 'scenario_overrides'}
+EVERY = '*'
 
 
 def read_settings(settings: Sequence[str]) -> dict[str, Any]:
-    """
-    Read ``KEY=VALUE`` texts, the values as in a YAML file.
-
-    Raises
-    ------
-    ConfigError
-        If one has no key, or its value is no YAML.
-
-    """
+    """Read ``KEY=VALUE`` texts, values as in a YAML file; ConfigError for what is none."""
     found = {}
     for text in settings:
         key, sign, value = text.partition('=')
@@ -55,41 +45,30 @@ def paths_of(name: str, setup: Setup, field: str) -> list[tuple[str, ...]]:
     """
     Return where a parameter is, several places if there is a ``*`` in its name.
 
-    Raises
-    ------
-    ConfigError
-        If there is none in the setup; `field` says what was looked for.
-
+    ConfigError if there is none in the setup; `field` says what it belongs to.
     """
     section, *inner = name.split('.')
-    if section not in SECTIONS or not inner:
-        raise ConfigError(field, f'a dotted name that begins with {", ".join(SECTIONS)}',
+    if section not in ARGUMENTS or not inner:
+        raise ConfigError(field, f'a dotted name that begins with {", ".join(ARGUMENTS)}',
                           f"'{name}'")
-    if section == 'scenario' and inner[0] in OVER_OTHERS:
+    if section == 'scenario' and inner[0] in ARGUMENTS:
         raise ConfigError(field, f"the parameter's own name, {'.'.join(inner)}", f"'{name}'")
     places: list[tuple[str, ...]] = [(section,)]
     for part in inner:
-        places = [(*place, found) for place in places
-                  for found in _matching(place, part, setup, field)]
+        places = [(*place, key) for place in places for key in _keys(setup, place, part, field)]
     return places
 
 
-def _matching(place: tuple[str, ...], part: str, setup: Setup, field: str) -> list[str]:
+def _keys(setup: Setup, place: tuple[str, ...], part: str, field: str) -> list[str]:
     """Return the keys at a place that a part of a name stands for."""
-    known = _keys(_value_at(setup, place))
+    value = _value_at(setup, place)
+    known = list(type(value).model_fields) if isinstance(value, BaseModel) else [
+        str(key) for key in value] if isinstance(value, Mapping) else []
     if not known:
         raise ConfigError(field, f'a parameter; {".".join(place)} has no parts here', f"'{part}'")
-    if part == EVERY:
-        return known
-    if part not in known:
+    if part not in (EVERY, *known):
         raise ConfigError(field, f'{".".join(place)} and one of {", ".join(known)}', f"'{part}'")
-    return [part]
-
-
-def _keys(value: Any) -> list[str]:
-    if isinstance(value, BaseModel):
-        return list(type(value).model_fields)
-    return [str(key) for key in value] if isinstance(value, Mapping) else []
+    return known if part == EVERY else [part]
 
 
 def _value_at(setup: Setup, place: tuple[str, ...]) -> Any:
@@ -110,28 +89,18 @@ def value_of(name: str, setup: Setup) -> Any:
 
 
 def _scalar(value: Any) -> Any:
-    if isinstance(value, BaseModel):
-        value = value.model_dump(mode='json')
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
-    if isinstance(value, Mapping):
-        value = {key: _plain(item) for key, item in value.items()}
-    else:
-        value = [_plain(item) for item in value]
-    return json.dumps(value, separators=(',', ':'))
-
-
-def _plain(value: Any) -> Any:
-    return value.model_dump(mode='json') if isinstance(value, BaseModel) else value
+    return json.dumps(value, separators=(',', ':'),
+                      default=lambda model: model.model_dump(mode='json'))
 
 
 def unit_of(name: str, setup: Setup) -> str:
     """Return the unit that a parameter was declared with, empty if there is none."""
     *place, last = paths_of(name, setup, name)[0]
     model = _value_at(setup, tuple(place))
-    if not isinstance(model, BaseModel):
-        return ''
-    extra = type(model).model_fields[last].json_schema_extra
+    extra = type(model).model_fields[last].json_schema_extra if (
+        isinstance(model, BaseModel)) else None
     return str(extra.get('unit', '')) if isinstance(extra, dict) else ''
 
 
@@ -157,25 +126,13 @@ def overridden(
     """
     Return arguments of `resolve` with ``KEY=VALUE`` texts laid over them.
 
-    Parameters
-    ----------
-    options
-        Arguments of `resolve` by name.
-    settings
-        As for `read_settings`.
-    setup
-        What the arguments resolve to, in which the names are looked up.
-
-    Raises
-    ------
-    ConfigError
-        If a text or a name is not acceptable.
-
+    `setup` is what the arguments resolve to, in which the names are looked up. ConfigError if a
+    text or a name is not acceptable.
     """
     given = overrides_of(read_settings(settings), setup, '--set')
-    changed = {ARGUMENTS[section]: merge(options.get(ARGUMENTS[section]) or {}, values)
-               for section, values in given.items()}
-    return {**options, **changed}
+    return {**options, **{
+        ARGUMENTS[section]: merge(options.get(ARGUMENTS[section]) or {}, values)
+        for section, values in given.items()}}
 
 
 def resolve_with(

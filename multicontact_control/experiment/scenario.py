@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 import shutil
-from typing import Any
+from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import (
@@ -25,6 +26,7 @@ from multicontact_control.config import (
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.errors import check_all, ConfigError
 from multicontact_control.experiment.parameter_file import write_parameters
+from multicontact_control.files import write_text
 from multicontact_control.paths import config_dir, named_file
 import numpy as np
 from sim_bridge.config import PlantConfig
@@ -103,16 +105,8 @@ class Setup:
         """
         Return the forces that the scenario asks for, whatever the supervisor makes of them.
 
-        Parameters
-        ----------
-        time
-            Since the start of the run, shape (m,) [s].
-
-        Returns
-        -------
-        Matrix
-            Shape (m, r) [N]; the preload before the first force step, also while approaching.
-
+        `time` is since the start of the run, shape (m,) [s]; the forces have shape (m, r) [N], the
+        preload before the first force step, also while approaching.
         """
         steps = [step.time for step in self.scenario.reference.force_steps]
         commanded: Matrix = self.reference().forces[
@@ -135,9 +129,8 @@ class Setup:
             write_parameters(folder / name, {f'/**/{node}': config.model_dump(mode='json')})
         for name, config in (('reference.yaml', self.scenario.reference),
                              ('scenario.yaml', self.scenario)):
-            (folder / name).write_text(
-                yaml.safe_dump(config.model_dump(mode='json'), sort_keys=False),
-                encoding='utf-8')
+            write_text(folder / name, yaml.safe_dump(
+                config.model_dump(mode='json'), sort_keys=False))
         return {node: folder / name for node, (name, _) in nodes.items()}
 
 
@@ -157,28 +150,13 @@ def scenario_path(name: str) -> Path:
     return named_file('scenario', 'scenarios', name)
 
 
-@dataclass(frozen=True)
-class PlantSource:
-    """
-    A robot, and the way to simulate it.
-
-    Attributes
-    ----------
-    robot
-        The robot.
-    name
-        What the plant is called: alone for the default robot, ``ROBOT/PLANT`` for others.
-    plant
-        Of the robot's plants; empty for a file.
-    file
-        Parameter file, if it is none of them.
-
-    """
+class PlantSource(NamedTuple):
+    """A robot, and the way to simulate it."""
 
     robot: Robot
-    name: str
-    plant: str
-    file: Path | None = None
+    name: str  # the plant alone for the default robot, ROBOT/PLANT for others
+    plant: str  # of the robot's plants; empty for a file
+    file: Path | None = None  # parameter file, if it is none of them
 
     def values(self, contacts: Collection[str] = ()) -> dict[str, Any]:
         """Return the plant's parameters, with the surfaces of some edges or faces of its tool."""
@@ -206,19 +184,16 @@ def plant_source(name: str = '', robot: str = '') -> PlantSource:
 
     """
     chosen = find_robot(robot or DEFAULT)
-    found = chosen.plant_name(name)
-    if not found and Path(name).is_file():
-        path = Path(name)
-        told = read_parameters(path).get('robot', '')
-        return PlantSource(find_robot(robot or told or DEFAULT), name, '', path)
+    if found := chosen.plant_name(name):
+        title = found if chosen.name == DEFAULT else f'{chosen.name}/{found}'
+        return PlantSource(chosen, title, found)
+    if Path(name).is_file():
+        named = read_parameters(Path(name)).get('robot', '')
+        return PlantSource(find_robot(robot or named or DEFAULT), name, '', Path(name))
     first, slash, last = name.rpartition('/')
-    if not found and slash and not robot:
+    if slash and not robot:
         return plant_source(last, first)
-    if not found:
-        raise ConfigError('plant', f'one of {", ".join(chosen.plant_names)}, or a path',
-                          f"'{name}'")
-    title = found if chosen.name == DEFAULT else f'{chosen.name}/{found}'
-    return PlantSource(chosen, title, found)
+    raise ConfigError('plant', f'one of {", ".join(chosen.plant_names)}, or a path', f"'{name}'")
 
 
 def plants_of(robot: str = '', names: Sequence[str] = ()) -> tuple[str, ...]:
@@ -236,9 +211,10 @@ def law_presets() -> tuple[str, ...]:
 
 
 def preset_values(name: str) -> dict[str, dict[str, Any]]:
-    """Return what a preset of config/presets, or a file, says of controller and estimator."""
-    found = read_node_parameters(named_file('preset', 'presets', name), PRESET_NODES)
-    return {node.removesuffix('_node'): values for node, values in found.items()}
+    """Return what a preset of config/presets, or a file, lays over controller and estimator."""
+    found = read_node_parameters(
+        named_file('preset', 'presets', name), PRESET_NODES) if name else {}
+    return {node.removesuffix('_node'): found.get(node, {}) for node in PRESET_NODES}
 
 
 def resolve(
@@ -282,29 +258,22 @@ def resolve(
     """
     if seed < 0:
         raise ConfigError('seed', 'a whole number >= 0', seed)
-    path = scenario_path(scenario)
-    source = plant_source(plant, robot)
-    config = scenario_with(
-        read_yaml(path), scenario_overrides or {}, duration, path)
-    folder = config_dir()
-    chosen = preset_values(preset) if preset else {}
-    wanted = merge(config.controller, controller or {}).get('contact_names', ())
+    path, source = scenario_path(scenario), plant_source(plant, robot)
+    config = scenario_with(read_yaml(path), scenario_overrides or {}, duration, path)
+    laid_over = preset_values(preset)
+    contacts = merge(config.controller, controller or {}).get('contact_names', ())
+    special = source.robot.controller_special(source.plant) if source.plant else {}
     controller_config, estimator_config, plant_config = check_all(
-        lambda: validate(
-            ControllerConfig,
-            merge(merge(_controller_parameters(source, chosen.get('controller', {}), wanted),
-                        config.controller), controller or {}),
-            'controller.yaml'),
-        lambda: validate(
-            NoiseEstimatorConfig,
-            merge(merge(merge(merge(
-                read_parameters(folder / 'noise_estimator.yaml'),
-                {'contact_names': source.robot.controller_base()['contact_names']}),
-                chosen.get('noise_estimator', {})), config.noise_estimator),
-                noise_estimator or {}), 'noise_estimator.yaml'),
-        lambda: validate(
-            PlantConfig, merge(
-                merge(source.values(wanted), config.plant), plant_overrides or {}),
+        lambda: validate(ControllerConfig, merged(
+            source.robot.controller_base(contacts), laid_over['controller'], special,
+            config.controller, controller), 'controller.yaml'),
+        lambda: validate(NoiseEstimatorConfig, merged(
+            read_parameters(config_dir() / 'noise_estimator.yaml'),
+            {'contact_names': source.robot.controller_base()['contact_names']},
+            laid_over['noise_estimator'], config.noise_estimator, noise_estimator),
+            'noise_estimator.yaml'),
+        lambda: validate(PlantConfig, merged(
+            source.values(contacts), config.plant, plant_overrides),
             f'plant {source.name}' if source.file is None else source.file.name))
     setup = Setup(
         scenario=config, controller=controller_config, noise_estimator=estimator_config,
@@ -313,12 +282,9 @@ def resolve(
     return setup
 
 
-def _controller_parameters(
-    source: PlantSource, preset: dict[str, Any], contacts: Collection[str],
-) -> dict[str, Any]:
-    """Return the controller's parameters, with those of a preset and of the plant over them."""
-    values = merge(source.robot.controller_base(contacts), preset)
-    return merge(values, source.robot.controller_special(source.plant)) if source.plant else values
+def merged(*layers: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return nested values, each layer laid over those before."""
+    return reduce(merge, (layer or {} for layer in layers), {})
 
 
 def check_together(setup: Setup, path: Path) -> None:
