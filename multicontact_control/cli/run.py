@@ -66,25 +66,26 @@ def run(
     given = given_options(context)
     # The nodes' modules are loaded by another process, while this one loads its own.
     prepare_nodes()
+    robot = None
     if external:
         refuse_options(given, OF_THE_PLANT, '--external')
-        resolved = options.external(controller or (), given)
-        folder = options.folder(resolved.setup)
+        robot = options.external(controller or (), given)
+        setup = robot.setup
     else:
         refuse_options(given, ('controller', 'robot_timeout'), 'a simulated plant')
         if commanded:
             refuse_scenario(options.settings or ())
         setup = replace(options.setup(), commanded_by_topic=commanded)
-        folder = options.folder(setup)
+    folder = options.folder(setup)
     # Only now: bad input is refused before the simulator is loaded.
-    from multicontact_control.experiment.run import GraphOptions, run_external, run_on_graph
+    from multicontact_control.experiment.run import GraphOptions, run_on_graph
 
     graph = GraphOptions(
         free_running=free_running, speed=speed, domain_id=domain_id, namespace=namespace,
         realtime=realtime, endless=commanded and options.duration is None)
-    summary, interrupted = run_external(
-        resolved, folder, graph, robot_timeout=robot_timeout, supervised=not options.bare,
-    ) if external else run_on_graph(setup, folder, graph, supervised=not options.bare)
+    summary, interrupted = run_on_graph(
+        setup, folder, graph, external=robot, robot_timeout=robot_timeout,
+        supervised=not options.bare)
     if interrupted is not None:
         raise typer.Exit(EXIT_SIGNAL + interrupted)
     if summary is None:

@@ -62,18 +62,12 @@ class ClosedLoop:
 
     Attributes
     ----------
-    control
-        What turns samples into torques.
-    plant
-        The simulated arm.
-    tick
-        Number of the sample that is answered next, or has been answered and not acted on.
-    sample
-        That sample.
-    variance
-        The newest R, shape (r,) [N^2].
-    command
-        The newest torque, shape (n,) [N m].
+    control, plant
+        What turns samples into torques, and the simulated arm.
+    tick, sample
+        The sample that is answered next, or has been answered and not acted on, and its number.
+    variance, command
+        The newest R, shape (r,) [N^2], and the newest torque, shape (n,) [N m].
     history
         What was known at the last ticks if nothing was wrong with it, newest last.
 
@@ -98,15 +92,7 @@ class ClosedLoop:
 
     @property
     def status(self) -> SupervisorStatus:
-        """
-        Return what the supervisor says of the newest answer.
-
-        Raises
-        ------
-        RunError
-            If there is no supervisor, or no answer yet.
-
-        """
+        """Return the supervisor's status of the newest answer; RunError if there is none."""
         if self.control.status is None:
             raise RunError('closed loop: expected a supervisor that has answered, found none')
         return self.control.status
@@ -132,25 +118,11 @@ class ClosedLoop:
 
     def answer(self, corrupt: Corruption | None = None) -> ControlOutput:
         """
-        Let the control loop answer the sample, and the estimator what comes of it.
+        Let the control loop answer the sample, and the estimator find the next R.
 
-        Parameters
-        ----------
-        corrupt
-            What becomes of the readings on their way from the sensors, if anything does.
-
-        Returns
-        -------
-        ControlOutput
-            The answer, whose torque is `command` now.
-
-        Raises
-        ------
-        MulticontactError
-            Without supervisor, if there is no torque for this posture.
-        RunError
-            In the safe behaviour, which has no answer to estimate R from.
-
+        `corrupt` changes the readings on their way from the sensors. `command` is the torque of
+        the answer. Raises MulticontactError without supervisor, if there is no torque for this
+        posture, and RunError in the safe behaviour, which has no answer to estimate R from.
         """
         inputs = self.inputs()
         self.history.append(inputs)
@@ -214,8 +186,7 @@ def run_in_process(
     on_progress
         Called every 100 ticks with the time [s] and the measured forces [N].
     supervised
-        Whether contact states, watchdogs and limits are put around the control law. Without, it
-        runs bare but for its start.
+        As for `ClosedLoop`; without supervision the law runs bare but for its start.
     disturb
         What happens to the loop before each tick, if anything does.
 

@@ -82,7 +82,6 @@ def _compile_all(console: Console) -> None:
 
 def _exercises() -> Mapping[str, Callable[[], object]]:
     """Return what makes numba compile all that there is, by what it is."""
-    from multicontact_control.dynamics.robot import RobotModel
     from multicontact_control.experiment.closed_loop import run_in_process
     from multicontact_control.experiment.scenario import resolve, Setup
     from multicontact_control.force.force_law import continue_laws, make_force_laws
@@ -110,16 +109,10 @@ def _exercises() -> Mapping[str, Callable[[], object]]:
         for name in ESTIMATORS:
             make_noise_estimator(config.model_copy(update={'estimator': name}))
 
-    def calibration() -> None:
-        flexible = setup('flexible')
-        model = RobotModel(flexible.controller.robot, flexible.urdf_dir)
-        model.update(np.zeros(model.joint_count), np.zeros(model.joint_count))
-
     return {
         'noise estimators': estimators, 'force laws': force_laws,
         'control law and flexible drives': lambda: run_in_process(setup('flexible')),
         'supervisor': lambda: run_in_process(setup('flexible'), supervised=True),
         'rigid drives': lambda: run_in_process(setup('rigid')),
         'rigid drives with friction': lambda: run_in_process(
-            setup('rigid', joint_friction_scale=0.25)),
-        'calibration': calibration}
+            setup('rigid', joint_friction_scale=0.25))}

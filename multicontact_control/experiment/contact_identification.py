@@ -9,11 +9,10 @@ what is measured, less what felt forces and gravity do.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
@@ -33,6 +32,7 @@ from multicontact_control.force.stiffness import (
 )
 from multicontact_control.records import STIFFNESS
 import numpy as np
+from scipy.stats import linregress, median_abs_deviation
 
 QUIET_SPEED = 1e-3  # m/s, below which the contact point counts as being at rest
 LONGEST_DELAY = 0.02  # s
@@ -41,10 +41,15 @@ LEAST_SAMPLES = 50
 # Of the variance found from n changes, relative to its square, times n: 5.44 for the median of
 # independent ones; of white noise neighbouring changes have a value in common.
 SCATTER = 6.6
+# Of each result: text, unit, scale and digits.
+TEXTS = {
+    'stiffness_n_m': ('stiffness', 'N/m', 1.0, 0), 'damping_n_s_m': ('damping', 'N s/m', 1.0, 1),
+    'friction': ('friction of the others', '', 1.0, 3), 'tool_mass_kg': ('tool', 'kg', 1.0, 3),
+    'noise_variance_n2': ('noise variance at rest', 'N^2', 1.0, 5),
+    'delay_s': ('delay', 'ms', 1e3, 2)}
 
 
-@dataclass(frozen=True)
-class ContactSignals:
+class ContactSignals(NamedTuple):
     """Signals of one contact, row k of sample k: shapes (m,)."""
 
     alpha: Vector  # measured force [N]
@@ -60,10 +65,9 @@ def read_recording(
     folder: Path, config: Path | None,
 ) -> tuple[RunData, ControllerConfig, Path]:
     """
-    Read a run, or a bag with the parameter file of its controller.
+    Return series, configuration and the URDF's folder of a run, or of a bag with a parameter file.
 
-    Returns the series, the configuration, and the folder that its URDF is relative to. Raises
-    ConfigError or RunError if one of them cannot be read.
+    Raises ConfigError or RunError if one cannot be read, or the recording lacks something.
     """
     remarks: tuple[str, ...] = ()
     if config is None and (folder / CONFIG_FOLDER).is_dir():
@@ -77,28 +81,20 @@ def read_recording(
         controller, base_dir = read.config(), read.urdf_dir
         content = read_bag(folder, controller)
         data, remarks = content.data, content.remarks
-    _check_complete(folder, data, controller, remarks)
-    return data, controller, base_dir
-
-
-def _check_complete(
-    folder: Path, data: RunData, controller: ControllerConfig, remarks: Sequence[str],
-) -> None:
-    """Check that a recording holds what contacts are found from; the remarks are on it."""
     if controller.wrench_input == 'momentum':
-        raise ConfigError('wrench_input', 'raw or filtered: without a wrist sensor there is '
-                          'nothing to identify from', controller.wrench_input)
+        raise ConfigError('wrench_input', 'raw or filtered: the forces of a wrist sensor',
+                          controller.wrench_input)
     series = {'positions of the joints': data.q, 'speeds of the joints': data.qd,
               f'the wrench (ft_sensor/{controller.wrench_series})': getattr(
                   data, controller.wrench_series), 'commanded torques': data.torque}
-    lacking = [text for text, values in series.items()
-               if not np.isfinite(values).all(axis=1).any()]
-    if lacking:
+    known = [np.isfinite(values).all(axis=1) for values in series.values()]
+    if not np.all(known, axis=0).any():
+        lacking = [text for text, there in zip(series, known) if not there.any()]
         raise RunError('; '.join((
-            f'{folder}: expected {", ".join(lacking)}, found none', *remarks)))
-    if not np.isfinite(np.hstack([*series.values()])).all(axis=1).any():
-        raise RunError(f'{folder}: expected joint states, wrenches and commands with equal '
-                       'stamps, found none')
+            f'{folder}: expected {", ".join(lacking)}, found none' if lacking else
+            f'{folder}: expected joint states, wrenches and commands with equal stamps, found '
+            'none', *remarks)))
+    return data, controller, base_dir
 
 
 def identify_contacts(
@@ -109,9 +105,9 @@ def identify_contacts(
 
     Returns by contact: `stiffness_n_m`, `damping_n_s_m`, `friction` of the other surfaces,
     `tool_mass_kg`, `noise_variance_n2` of the measured force at rest and `delay_s`, each a mapping
-    of `value` and `std`, its standard error; None where the data cannot tell. `samples` is how
-    many were used, `explained` what share of their variance. Raises RunError if no contact has a
-    step of its command.
+    of `value` and `std`, its standard error; None where the data cannot tell. `samples` is their
+    number, `explained` the share of their variance. Raises RunError if no contact has a step of
+    its command.
     """
     signals = contact_signals(data, config, base_dir)
     found = {name: _identify(signal, config) for name, signal in signals.items()}
@@ -126,39 +122,31 @@ def contact_signals(
     """Return the signals of every contact's normal force, from joints, wrench and torque alone."""
     names = config.column_names
     controller = Controller(config, RobotModel(config.robot, base_dir))
-    controls, contacts = controller.controls, controller.contacts
-    shape = (data.ticks, len(names))
-    alpha, speed, motion, friction, commanded, resisted = (
-        np.full(shape, np.nan) for _ in range(6))
+    contacts, frame = controller.contacts, controller.controls[0]['frame']
     wrench = getattr(data, config.wrench_series)
+    signals = np.full((len(ContactSignals._fields), len(names), data.ticks), np.nan)
+    signals[1] = np.nan_to_num(data.alpha_des.T)
     for k in range(data.ticks):
-        row = np.concatenate([data.q[k], data.qd[k], wrench[k], data.torque[k]])
-        if not np.isfinite(row).all():
+        if not np.isfinite([*data.q[k], *data.qd[k], *wrench[k], *data.torque[k]]).all():
             continue
         controller.take(data.q[k], data.qd[k], wrench[k])
-        alpha[k] = contacts['alpha_meas']
-        frame = controls[0]['frame']
         twist, levers = frame['twist'], contacts['config']['point'] @ frame['rotation'].T
-        speed[k] = contacts['N'] @ twist
-        motion[k] = np.linalg.norm(twist[:3] + np.cross(twist[3:], levers), axis=1)
-        friction[k] = [friction_of_others(controls[0]['frame'], contacts, i)
-                       for i in range(len(names))]
-        commanded[k], resisted[k] = _accelerations(controller, data.torque[k])
-    return {names[i]: ContactSignals(
-                alpha[:, i], np.nan_to_num(data.alpha_des[:, i]), speed[:, i], motion[:, i],
-                friction[:, i], commanded[:, i], resisted[:, i])
-            for i in config.leaders}
+        signals[0, :, k], signals[2, :, k] = contacts['alpha_meas'], contacts['N'] @ twist
+        signals[3, :, k] = np.linalg.norm(twist[:3] + np.cross(twist[3:], levers), axis=1)
+        signals[4, :, k] = [friction_of_others(frame, contacts, i) for i in range(len(names))]
+        signals[5:, :, k] = _accelerations(controller, data.torque[k])
+    return {names[i]: ContactSignals(*signals[:, i]) for i in config.leaders}
 
 
-def _accelerations(controller: Controller, torque: Vector) -> tuple[Vector, Vector]:
-    """Return how a torque, and all else, accelerates the contact points, each of shape (r,)."""
+def _accelerations(controller: Controller, torque: Vector) -> Matrix:
+    """Return how a torque, and all else, accelerates the contact points, shape (2, r)."""
     terms, contacts = controller.robot.terms, controller.contacts
     M = np.triu(terms.mass_matrix)
     M += np.triu(M, 1).T
     felt = terms.jacobian.T @ (contacts['N'].T @ contacts['alpha_meas'])
     both = np.linalg.solve(M, np.column_stack([torque, controller.arm.bias_torque + felt]))
-    commanded, resisted = (contacts['N'] @ terms.jacobian @ both).T
-    return commanded, resisted
+    accelerations: Matrix = (contacts['N'] @ terms.jacobian @ both).T
+    return accelerations
 
 
 def _identify(signal: ContactSignals, config: ControllerConfig) -> dict[str, Any]:
@@ -215,8 +203,8 @@ def noise_at_rest(signal: ContactSignals) -> dict[str, float] | None:
     changes = np.diff(signal.alpha)[both]
     if len(changes) < LEAST_SAMPLES:
         return None
-    # Of differences 1.4826 MAD is their standard deviation, whatever a step has left in them.
-    variance = 0.5 * (1.4826 * float(np.median(np.abs(changes - np.median(changes))))) ** 2
+    # Of differences, whatever a step has left in them.
+    variance = 0.5 * float(median_abs_deviation(changes, scale='normal')) ** 2
     return {'value': variance, 'std': variance * math.sqrt(SCATTER / len(changes))}
 
 
@@ -227,38 +215,32 @@ def _delay(signal: ContactSignals, accepted: Mask, h: float) -> dict[str, float]
         return None
     measured = (signal.speed[times + 1] - signal.speed[times]) / h + signal.resisted[times]
     times, measured = times[np.isfinite(measured)], measured[np.isfinite(measured)]
-    grid = np.arange(len(signal.commanded)) * h
-    known = np.isfinite(signal.commanded)
+    known = np.flatnonzero(np.isfinite(signal.commanded))
+
+    def explained(delay: float) -> float:
+        shifted = np.interp(times * h - delay, known * h, signal.commanded[known])
+        return float(linregress(shifted, measured).rvalue ** 2)
+
     delays = np.arange(0.0, LONGEST_DELAY, DELAY_STEP)
-    losses = []
-    for delay in delays:
-        shifted = np.interp(times * h - delay, grid[known], signal.commanded[known])
-        columns = np.column_stack([shifted, np.ones_like(shifted)])
-        values, *_ = np.linalg.lstsq(columns, measured, rcond=None)
-        left = measured - columns @ values
-        losses.append(float(left @ left))
-    best = int(np.argmin(losses))
+    left = len(times) * measured.var() * (1.0 - np.array([explained(delay) for delay in delays]))
+    best = int(np.argmin(left))
     if not 0 < best < len(delays) - 1:
         return None
-    curvature = np.polyfit(delays[max(best - 5, 0):best + 6] - delays[best],
-                           losses[max(best - 5, 0):best + 6], 2)[0]
-    variance = CORRELATION * losses[best] / len(times)
+    near = slice(max(best - 5, 0), best + 6)
+    curvature = np.polyfit(delays[near] - delays[best], left[near], 2)[0]
+    variance = CORRELATION * left[best] / len(times)
     return {'value': float(delays[best]),
             'std': math.sqrt(variance / curvature) if curvature > 0.0 else math.inf}
 
 
 def show(found: Mapping[str, Mapping[str, Any]]) -> str:
     """Return what was identified as lines of text."""
-    texts = {'stiffness_n_m': ('stiffness', 'N/m', 1.0, 0), 'damping_n_s_m': (
-        'damping', 'N s/m', 1.0, 1), 'friction': ('friction of the others', '', 1.0, 3),
-        'tool_mass_kg': ('tool', 'kg', 1.0, 3), 'noise_variance_n2': (
-            'noise variance at rest', 'N^2', 1.0, 5), 'delay_s': ('delay', 'ms', 1e3, 2)}
     lines = []
     for name, contact in found.items():
         share = '' if contact['explained'] is None else (
             f', {100.0 * contact["explained"]:.1f} % explained')
         lines.append(f'{name}: {counted(contact["samples"], "samples")}{share}')
-        for key, (text, unit, scale, digits) in texts.items():
+        for key, (text, unit, scale, digits) in TEXTS.items():
             value = contact[key]
             lines.append(f'  {text}: not known from this recording' if value is None else (
                 f'  {text}: {scale * value["value"]:.{digits}f} +- '

@@ -67,14 +67,8 @@ def read_controller_files(files: Sequence[Path]) -> ControllerFiles:
     Read the parameter files of a controller, each laid over those before.
 
     One may have sections of both nodes, and one for every node (``/**``), below these: each node
-    gets what it knows. A relative URDF is looked for beside the file that names it.
-
-    Raises
-    ------
-    ConfigError
-        If there is none, or one cannot be read, is no parameter file, or has a section of another
-        node.
-
+    gets what it knows. A relative URDF is looked for beside the file that names it. Raises
+    ConfigError if there is none, or one is no parameter file or has a section of another node.
     """
     if not files:
         raise ConfigError('--controller', 'the parameter file of your controller', 'none')
@@ -116,27 +110,12 @@ def resolve_external(
     scenario_overrides: dict[str, Any] | None = None,
 ) -> External:
     """
-    Read and check everything for a run on the user's own robot.
+    Read and check everything for a run on the user's own robot; ConfigError.
 
-    Parameters
-    ----------
-    files
-        As for `read_controller_files`.
-    scenario
-        Name or path; None to obey the command topics.
-    duration
-        Length of the run, by default that of the scenario [s].
-    estimator_file
-        Parameter file of the noise estimator; by default that of the package, for the
-        controller's contacts and rate.
-    preset, noise_estimator, controller, scenario_overrides
-        As for `resolve`, laid over all these files.
-
-    Raises
-    ------
-    ConfigError
-        With the first value that is not acceptable.
-
+    Parameter `files` are those of the controller. Without a `scenario` it obeys the command
+    topics; `duration` is the length of the run [s], by default that of the scenario. The noise
+    estimator's file is by default that of the package, for the controller's contacts and rate.
+    The other arguments are laid over all these files, as by `resolve`.
     """
     read, laid_over = read_controller_files(files), preset_values(preset)
     path, values = Path(COMMANDS), {'name': COMMANDS, 'duration': UNTIL_STOPPED}

@@ -32,8 +32,8 @@ def fault_mounting(fault: str, seed: int) -> Matrix:
     """
     Return what a fault makes of true forces and torques in sensor axes, shape (3, 3).
 
-    A flipped sign, a quarter turn, or half the scale. The seed chooses the turn: about x, y, z for
-    0, 1, 2, the other way round for 3, 4, 5. Raises ConfigError if there is no such fault.
+    The seed chooses a quarter turn: about x, y, z for 0, 1, 2, the other way for 3, 4, 5. Raises
+    ConfigError if there is no such fault.
     """
     turn = (1.0 if seed // 3 % 2 == 0 else -1.0) * np.pi / 2.0
     made = {

@@ -85,112 +85,43 @@ def run_simulate(
 
 @dataclass(frozen=True)
 class GraphOptions:
-    """
-    How a graph is run.
+    """How a graph is run."""
 
-    Attributes
-    ----------
-    free_running
-        Whether the plant runs on without the command that answers its last sample, as a robot.
-    speed
-        Simulated time per wall time at most; 0 for as fast as it goes.
-    domain_id, namespace
-        ROS_DOMAIN_ID, by default a free one, or 0 with a robot behind the topics; and namespace.
-    realtime
-        Whether to ask for real-time priority, processors and memory.
-    endless
-        Whether it goes on until a signal ends it, whatever the scenario says.
-
-    """
-
-    free_running: bool = False
-    speed: float = 1.0
-    domain_id: int | None = None
+    free_running: bool = False  # whether the plant does not wait for commands, as a robot
+    speed: float = 1.0  # simulated time per wall time at most; 0 for as fast as it goes
+    domain_id: int | None = None  # by default a free one, or 0 with a robot behind the topics
     namespace: str = ''
-    realtime: bool = False
-    endless: bool = False
+    realtime: bool = False  # whether to ask for real-time priority and locked memory
+    endless: bool = False  # whether a signal ends it, whatever the scenario says
 
 
 def run_on_graph(
     setup: Setup, folder: Path, options: GraphOptions = GraphOptions(), *,
-    supervised: bool = True, console: Console | None = None,
+    external: External | None = None, robot_timeout: float = 5.0, supervised: bool = True,
+    console: Console | None = None,
 ) -> tuple[dict[str, Any] | None, int | None]:
     """
     Run a scenario, or commands, on the ROS 2 graph, and leave recording and results in a folder.
 
-    Parameters
-    ----------
-    setup, folder, supervised, console
-        As for `run_simulate`; the bag and the logs are in the folder, too.
-    options
-        How to run the graph.
-
-    Returns
-    -------
-    tuple
-        The content of ``summary.json``, None if no sample was answered, and the signal that ended
-        the run early, if one did: a run without an end is ended by one.
-
-    Raises
-    ------
-    ConfigError
-        If the scenario cannot begin by itself.
-    RunError
-        If ROS cannot be loaded or a node dies; what was recorded stays in the folder.
-
+    With `external`, whose setup this is, the user's own robot is behind the topics, which counts
+    as gone after `robot_timeout` [s] without a message; the other parameters are those of
+    `run_simulate`. Returns the content of ``summary.json``, None if no sample was answered, and
+    the signal that ended the run early, if one did: a run without an end is ended by one. Raises
+    ConfigError if the scenario cannot begin by itself or a parameter of the node is not
+    acceptable, RunError if ROS cannot be loaded or a node dies; what was recorded stays there.
     """
-    refuse_push_test(setup)
-    return _run(setup, folder, options, supervised, console or terminal(),
-                {'patience': SIMULATION_PATIENCE})
-
-
-def run_external(
-    external: External, folder: Path, options: GraphOptions = GraphOptions(), *,
-    robot_timeout: float = 5.0, supervised: bool = True, console: Console | None = None,
-) -> tuple[dict[str, Any] | None, int | None]:
-    """
-    Run controller, estimator and recorder on the user's own robot, and leave the results.
-
-    Parameters, return value and errors are those of `run_on_graph`, and:
-
-    Parameters
-    ----------
-    external
-        Configuration, and what is to be done for how long.
-    robot_timeout
-        Time without a message after which the robot counts as gone [s].
-
-    Raises
-    ------
-    ConfigError
-        If a parameter of the controller's node is not acceptable.
-
-    """
-    from multicontact_control.experiment.graph.robot import Robot
-    from multicontact_control.nodes.controller_config import ControllerNodeConfig
-
-    setup = external.setup
-    if not setup.commanded_by_topic:
-        refuse_push_test(setup)
-    node = validate(ControllerNodeConfig, external.node, 'controller_node')
-    robot = Robot(setup.controller.robot.joint_names, setup.controller.wrench_input,
-                  node.pair_tolerance * setup.controller.period, node.effort_output_topic,
-                  robot_timeout, external.duration)
-    options = replace(options, domain_id=options.domain_id or 0,
-                      endless=external.duration is None)
-    return _run(setup, folder, options, supervised, console or terminal(), dotted(external.node),
-                robot)
-
-
-def _run(
-    setup: Setup, folder: Path, options: GraphOptions, supervised: bool, console: Console,
-    parameters: Mapping[str, Any], robot: Robot | None = None,
-) -> tuple[dict[str, Any] | None, int | None]:
-    """Run a graph whose controller's node has some parameters of its own, and report it."""
     from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
 
+    console, config = console or terminal(), folder / CONFIG_FOLDER
+    parameters: Mapping[str, Any] = {'patience': SIMULATION_PATIENCE}
+    if external is not None:
+        parameters = dotted(external.node)
+        options = replace(options, domain_id=options.domain_id or 0,
+                          endless=external.duration is None)
+    if external is None or not setup.commanded_by_topic:
+        refuse_push_test(setup)
+    robot = None if external is None else _robot_of(external, robot_timeout)
     ensure_compiled(console)
-    config = folder / CONFIG_FOLDER
     result = _show_graph(GraphSpec(
         out=folder, ticks=0 if options.endless else setup.ticks, rate=setup.controller.rate,
         free_running=options.free_running, speed=options.speed, seed=setup.seed,
@@ -204,8 +135,7 @@ def _run(
         return None, result.interrupted
     content = read_bag(result.bag, setup.controller, namespace=options.namespace,
                        commanded=setup.commanded_by_topic)
-    if robot is not None:
-        content = answered(content)
+    content = content if external is None else answered(content)
     data = content.data
     interrupted = None if options.endless else result.interrupted
     if options.endless:  # it lasts as long as it has, in the files, too
@@ -214,12 +144,23 @@ def _run(
         setup.write(config)
     simulated = REAL_TIME if options.free_running else LOCKSTEP
     summary = summarise(
-        data, setup, mode=simulated if robot is None else EXTERNAL_RUN,
+        data, setup, mode=simulated if external is None else EXTERNAL_RUN,
         timing=graph_timing(result.timing, content),
         ended_early=result.ended or (INTERRUPTED if interrupted else ''),
         events=result.timing[CONTROLLER].get('events', []) if supervised else None)
     summary |= {'ros_domain_id': result.domain_id, 'remarks': content.told}
     return _finish(data, setup, folder, summary, console), interrupted
+
+
+def _robot_of(external: External, timeout: float) -> Robot:
+    from multicontact_control.experiment.graph.robot import Robot
+    from multicontact_control.nodes.controller_config import ControllerNodeConfig
+
+    controller = external.setup.controller
+    node = validate(ControllerNodeConfig, external.node, 'controller_node')
+    return Robot(controller.robot.joint_names, controller.wrench_input,
+                 node.pair_tolerance * controller.period, node.effort_output_topic, timeout,
+                 external.duration)
 
 
 def _show_graph(

@@ -103,10 +103,9 @@ class Setup:
 
     def commanded(self, time: Vector) -> Matrix:
         """
-        Return the forces that the scenario asks for, whatever the supervisor makes of them.
+        Return the forces that the scenario asks for at some times [s], shape (m, r) [N].
 
-        `time` is since the start of the run, shape (m,) [s]; the forces have shape (m, r) [N], the
-        preload before the first force step, also while approaching.
+        Before the first force step that is the preload, also while approaching.
         """
         steps = [step.time for step in self.scenario.reference.force_steps]
         commanded: Matrix = self.reference().forces[
@@ -167,21 +166,10 @@ class PlantSource(NamedTuple):
 
 def plant_source(name: str = '', robot: str = '') -> PlantSource:
     """
-    Return what a plant's name stands for.
+    Return what a plant's name stands for; ConfigError if there is no such robot or plant.
 
-    Parameters
-    ----------
-    name
-        ``PLANT``, ``ROBOT/PLANT``, or the path of a parameter file; empty for the robot's
-        default plant.
-    robot
-        Name or path; empty for that in the name, or else the default robot.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such robot or plant.
-
+    The name is ``PLANT``, ``ROBOT/PLANT``, or the path of a parameter file; empty for the robot's
+    default plant. The robot is a name or path; empty for that in the name, or the default robot.
     """
     chosen = find_robot(robot or DEFAULT)
     if found := chosen.plant_name(name):
@@ -288,15 +276,7 @@ def merged(*layers: Mapping[str, Any] | None) -> dict[str, Any]:
 
 
 def check_together(setup: Setup, path: Path) -> None:
-    """
-    Check what the parts of a setup say of each other.
-
-    Raises
-    ------
-    ConfigError
-        If estimator, plant or the scenario, whose file is `path`, do not fit the controller.
-
-    """
+    """Check that estimator, plant and scenario, of a file, fit the controller; ConfigError."""
     names = setup.controller.column_names
     contacts = [('noise_estimator.contact_names', setup.noise_estimator.contact_names)]
     if setup.simulated:

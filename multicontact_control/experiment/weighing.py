@@ -64,25 +64,10 @@ def weigh_recording(
     Identify a tool from a recording of an arm that is at rest in at least four poses.
 
     Joint states and wrenches may have clocks of their own; a rest whose readings vary is left out.
-
-    Parameters
-    ----------
-    path
-        A bag's folder, or an MCAP file.
-    files
-        Parameter files of the controller, for the arm and the sensor's frame.
-    namespace
-        Of the topics; the only one in the recording by default.
-    tell
-        Called with each rest.
-
-    Raises
-    ------
-    ConfigError, RunError
-        If a file or the recording lacks something.
-    CalibrationError
-        If there are too few rests, or the readings do not tell.
-
+    `files` are the parameter files of the controller, for the arm and the sensor's frame;
+    `namespace` is that of the topics, the only one in the recording by default; `tell` is called
+    with each rest. Raises ConfigError or RunError if a file or the recording lacks something,
+    CalibrationError if there are too few rests, or the readings do not tell.
     """
     controller, robot = _arm(files)
     wrench = f'ft_sensor/{controller.wrench_series}'
@@ -126,11 +111,7 @@ def _arm(files: Sequence[Path]) -> tuple[ControllerConfig, RobotModel]:
 
 
 def find_rests(time: Vector, q: Matrix) -> list[tuple[float, float]]:
-    """
-    Return from when to when an arm was at rest, without the time to settle [s].
-
-    `time` has shape (m,) [s], `q` the angles of the joints, shape (m, n) [rad].
-    """
+    """Return from when to when an arm was at rest [s], of joint angles of shape (m, n) [rad]."""
     order = np.argsort(time, kind='stable')
     time, q = time[order], q[order]
     grid = np.arange(time[0], time[-1], GRID)
@@ -169,32 +150,12 @@ def weigh_running(
     Identify the tool of a robot by a controller that runs: it tilts the tool, and turns it back.
 
     The operational point stays where it is. No contact may be pressed meanwhile, and the bias of
-    the running controller is that of the first pose afterwards.
-
-    Parameters
-    ----------
-    files
-        Parameter files of the controller.
-    namespace, domain_id
-        Where it is.
-    tilt
-        Angle about world x and y, to either side [rad].
-    move_time
-        Least time from pose to pose [s].
-    timeout
-        Longest wait for an answer, a sample or a rest [s].
-    tell
-        Called with what is being done.
-
-    Raises
-    ------
-    ConfigError
-        If a parameter file is not acceptable.
-    RunError
-        If no controller answers, a contact is pressed, or a pose is not reached.
-    CalibrationError
-        If the readings do not tell.
-
+    the running controller is that of the first pose afterwards. `files` are the controller's
+    parameter files; `tilt` is the angle about world x and y, to either side [rad]; `move_time` the
+    least time from pose to pose [s]; `timeout` the longest wait for an answer, a sample or a rest
+    [s]; `tell` is called with what is being done. Raises ConfigError if a parameter file is not
+    acceptable, RunError if no controller answers, a contact is pressed, or a pose is not reached,
+    CalibrationError if the readings do not tell.
     """
     from multicontact_control.client import MultiContactClient
     from multicontact_control.nodes import topics
@@ -229,26 +190,22 @@ def weigh_running(
 
 
 def _await_control(arm: Any, timeout: float) -> None:
-    """Tare as soon as the arm stands still, then wait until it obeys; RunError if it does not."""
-    give_up = time.monotonic() + timeout
-    tared = False
+    """Tare once the arm stands still, then wait until it obeys; RunError if it does not."""
+    give_up, tared = time.monotonic() + timeout, False
     while True:
         for _ in range(2 * MIN_SAMPLES):  # of a controller that has just begun, or moves
             arm.read()
-        try:
+        with contextlib.suppress(RunError):  # as long as it moves, or if control does not wait
             if not tared:
                 arm.tare()
                 tared = True
-                with contextlib.suppress(RunError):  # if control does not wait
-                    arm.retry()
-            status = arm.status()
-            if status is not None and status.reaction in (NONE, INFLATE):
-                return
+            arm.retry()
+        status = arm.status()
+        if tared and status is not None and status.reaction in (NONE, INFLATE):
+            return
+        if time.monotonic() > give_up:
             raise RunError('calibrate: expected control to begin once the weight is tared away, '
                            f'found {"no status" if status is None else status.text}')
-        except RunError:
-            if time.monotonic() > give_up:
-                raise
 
 
 def _weigh_tilted(
@@ -285,10 +242,9 @@ def _sample(messages: Sequence[Any], names: Sequence[str]) -> Sample:
 
 def weigh_at_rest(sample: Callable[[], Sample], robot: RobotModel, timeout: float) -> PoseReading:
     """
-    Return the mean reading of the first rest from now on, in the robot's time.
+    Return the mean reading of the first rest of new samples, within `timeout` [s] of their time.
 
-    `sample` returns one that comes from now on; the rest begins within `timeout` [s]. Raises
-    RunError if the robot's time does not go on, CalibrationError without a quiet rest.
+    Raises RunError if that does not go on, CalibrationError without a quiet rest.
     """
     length, waited = SETTLE_TIME + AVERAGE_TIME, 0.0
     while waited <= timeout:

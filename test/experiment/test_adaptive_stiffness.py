@@ -25,7 +25,7 @@ def setup_of(plant, stiffness, seed, *, preset='adaptive', duration=5.0, motion=
 
 
 @pytest.mark.parametrize(('plant', 'stiffness'), [
-    ('rigid', 300.0), ('puma', 300.0), ('puma', 3000.0), ('rigid', 30_000.0), ('puma', 30_000.0)])
+    ('rigid', 300.0), ('puma', 300.0), ('rigid', 30_000.0), ('puma', 30_000.0)])
 def test_adaptive_steps_are_the_same_on_every_surface(plant, stiffness):
     """Over 100:1 without a parameter changed; the first step may still be learning."""
     setup = setup_of(plant, stiffness, seed=31)

@@ -3,18 +3,16 @@
 from multicontact_control.experiment.closed_loop import ClosedLoop, run_in_process
 from multicontact_control.experiment.judge import judge, NOT_STABLE
 from multicontact_control.experiment.metrics import RunMetrics
-from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.force.noise.base import VARIANCE_CEILING, VARIANCE_FLOOR
 import numpy as np
 import pytest
 from runs import canonical, run_of
 
-LOW_PASS = {'sensor': {'filter_order': 2, 'filter_cutoff': 60.0}}
-
 
 @pytest.mark.parametrize('changes', [
-    {'controller': LOW_PASS}, {'controller': {'wrench_input': 'filtered'}},
+    {'controller': {'sensor': {'filter_order': 2, 'filter_cutoff': 60.0}}},
+    {'controller': {'wrench_input': 'filtered'}},
     {'noise_estimator': {'estimator': 'sage_husa'}}])
 def test_loop_gives_the_torques_of_the_run_tick_by_tick(changes):
     """Bit for bit, with low-pass, filtered wrench and innovations."""
@@ -26,19 +24,16 @@ def test_loop_gives_the_torques_of_the_run_tick_by_tick(changes):
     np.testing.assert_array_equal(torques, data.torque)
 
 
-def test_command_acts_after_the_delay_of_the_actuators():
-    torques = []
-    for delay in (1, 3):
-        loop = ClosedLoop(resolve(
-            'quick', plant='rigid', plant_overrides={'actuator_delay_ticks': delay}))
-        efforts = [loop.sample.effort]
-        for _ in range(6):
-            loop.advance()
-            efforts.append(loop.sample.effort)
-        torques.append(efforts)
-        for k in range(1, delay + 1):
-            np.testing.assert_array_equal(efforts[k], loop.plant.initial_torque)
-    assert (torques[0][4] != torques[1][4]).any()
+@pytest.mark.parametrize('delay', [1, 3])
+def test_command_acts_after_the_delay_of_the_actuators(delay):
+    loop = ClosedLoop(resolve(
+        'quick', plant='rigid', plant_overrides={'actuator_delay_ticks': delay}))
+    efforts = []
+    for _ in range(delay + 2):
+        loop.advance()
+        efforts.append(loop.sample.effort)
+    np.testing.assert_array_equal(efforts[:delay], [loop.plant.initial_torque] * delay)
+    assert (efforts[delay + 1] != loop.plant.initial_torque).any()
 
 
 @pytest.mark.parametrize('plant', ['rigid', 'puma'])
@@ -62,7 +57,6 @@ def test_estimators_get_the_innovations_of_the_loop(name):
     data = run_of(setup, supervised=False).data
     for i in range(2):
         start = np.flatnonzero(data.innovation[:, i])[0]
-        assert start > 100
         np.testing.assert_array_equal(data.noise_variance[:start, i], 0.6)
         assert len(np.unique(data.noise_variance[start + 50:, i])) > 20
     assert (data.noise_variance >= VARIANCE_FLOOR).all()
@@ -74,15 +68,6 @@ def test_run_that_gets_out_of_hand_is_judged_not_stable():
         'contacts': {name: {'stiffness': 50.0} for name in ('table', 'board')}})
     result = run_of(setup, supervised=False)
     assert judge(result.data, setup, ended_early=result.ended_early).name == NOT_STABLE
-
-
-def test_series_survive_saving(tmp_path):
-    data = canonical('quick', plant='rigid').data
-    data.save(tmp_path)
-    again = RunData.load(tmp_path)
-    assert again.trajectory_sha256() == data.trajectory_sha256()
-    assert again.contact_names == data.contact_names
-    np.testing.assert_array_equal(again.noise_variance, data.noise_variance)
 
 
 def test_limited_slew_of_the_variance_leaves_a_force_step_its_speed():

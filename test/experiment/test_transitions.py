@@ -33,20 +33,16 @@ def test_first_touch_stays_below_three_preloads_and_its_switches_do_not_step_the
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('plant', 'contact'), [('rigid', 0), ('rigid', 1), ('puma', 1)])
-def test_contact_lost_while_sliding_comes_back_and_leaves_the_other_alone(plant, contact):
-    """
-    Gone for 0.3 s; within 10 % (24 ms mean) in 0.5 s; the other within 3 N (12 ms mean).
-
-    On flexible drives the braked tool reads its own inertia; the other stays within 4 N.
-    """
+@pytest.mark.parametrize(('plant', 'contact', 'limit'), [('rigid', 0, 3.0), ('puma', 1, 4.0)])
+def test_contact_lost_while_sliding_comes_back_and_leaves_the_other_alone(plant, contact, limit):
+    """Gone for 0.3 s; within 10 % (24 ms mean) in 0.5 s; the other stays near its force."""
     world = ClosedLoop(resolve('quick', plant=plant))
     follow(world, 4500)
     forces, _, states = follow(world, 450, {
         4500: lambda contacts: contacts.shift(contact, 1.0),
         4650: lambda contacts: contacts.shift(contact, -1.0)})
     other = np.convolve(forces[:, 1 - contact] - 15.0, np.ones(6) / 6, 'valid')
-    assert np.abs(other).max() < (3.0 if plant == 'rigid' else 4.0)
+    assert np.abs(other).max() < limit
     assert {state[1 - contact] for state in states} == {'holding'}
     assert states[20][contact] in ('lost', 'approaching')
     if plant == 'rigid':

@@ -30,10 +30,15 @@ def reserve_domain(domain_id: int | None = None) -> Iterator[int]:
         yield domain_id
         return
     for number in range(LARGEST_DOMAIN + 1):
-        # Between the choice and the first participant a domain looks free: the lock says it is
-        # not.
-        with _locked(number) as mine:
-            if mine and not domain_in_use(number):
+        # Between the choice and the first participant a domain looks free: a lock, which the
+        # system frees when this process ends, says it is not.
+        name = f'multicontact_control-{os.getuid()}-domain-{number}.lock'
+        with (Path(tempfile.gettempdir()) / name).open('w') as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                continue
+            if not domain_in_use(number):
                 yield number
                 return
     raise RunError(f'no ROS domain from 0 to {LARGEST_DOMAIN} is free on this machine')
@@ -53,19 +58,6 @@ def _is_bound(port: int) -> bool:
         except OSError:
             return True
     return False
-
-
-@contextlib.contextmanager
-def _locked(domain_id: int) -> Iterator[bool]:
-    """Try to hold the lock of a domain; the system frees it when this process ends."""
-    name = f'multicontact_control-{os.getuid()}-domain-{domain_id}.lock'
-    with (Path(tempfile.gettempdir()) / name).open('w') as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            yield False
-        else:
-            yield True
 
 
 def check_namespace(namespace: str) -> str:

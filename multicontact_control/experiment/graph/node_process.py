@@ -44,21 +44,10 @@ def start_node(
     title: str = '',
 ) -> BaseProcess:
     """
-    Start a node in a process of its own, and return that.
+    Start the node whose `main` a module has in a process of its own, and return that.
 
-    Parameters
-    ----------
-    module
-        Module whose `main` it runs; the exit code is what that returns.
-    arguments
-        Command line of the node, without its name.
-    environment
-        All environment variables.
-    log
-        File that its output goes to.
-    title
-        What the process is listed by, after the name of the node.
-
+    `arguments` are its command line without its name, `environment` are all its variables, `log`
+    is the file that its output goes to. It is listed by its name and a `title`.
     """
     prepare_nodes()
     process = CONTEXT.Process(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Mapping
 import contextlib
 import json
 from multiprocessing.process import BaseProcess
@@ -32,11 +32,7 @@ LOG_LINES = 12
 
 
 class NodeProcesses:
-    """
-    The processes of one graph in a ROS domain.
-
-    `running` has those that were started, by node name.
-    """
+    """The processes of one graph in a ROS domain; `running` has those that were started."""
 
     def __init__(self, spec: GraphSpec, domain_id: int) -> None:
         self.spec, self.domain_id = spec, domain_id
@@ -63,21 +59,21 @@ class NodeProcesses:
         """
         Check that every node runs, but for a simulator that has come to its end.
 
-        Raises
-        ------
-        RunError
-            If one has ended: its name, how, and the end of its log.
-
+        Raises RunError if one has ended: its name, how, and the end of its log.
         """
-        for name, process in self.running.items():
-            if process.exitcode is not None and (name, process.exitcode) != (SIM, 0):
-                raise RunError(self.report(name, _ending(process.exitcode)))
+        self._raise_unless(lambda name, code: (name, code) == (SIM, 0))
 
-    def check_codes(self, allowed: Collection[int] = STOPPED) -> None:
-        """Check that no node has ended with another exit code; RunError as `check_running`."""
+    def check_codes(self) -> None:
+        """Check that no node has ended in another way than stopped; RunError likewise."""
+        self._raise_unless(lambda name, code: code in STOPPED)
+
+    def _raise_unless(self, expected: Callable[[str, int], bool]) -> None:
         for name, process in self.running.items():
-            if process.exitcode is not None and process.exitcode not in allowed:
-                raise RunError(self.report(name, _ending(process.exitcode)))
+            code = process.exitcode
+            if code is not None and not expected(name, code):
+                raise RunError(self.report(
+                    name, f'ended with exit code {code}' if code >= 0 else
+                    f'was killed by {signal.Signals(-code).name}'))
 
     def report(self, name: str, event: str) -> str:
         """Return what happened to a node, with the end of its log."""
@@ -111,8 +107,3 @@ class NodeProcesses:
         files = {name: timing_file(self.spec, name) for name in self.spec.nodes}
         return {name: json.loads(file.read_text(encoding='utf-8')) if file.is_file() else {}
                 for name, file in files.items()}
-
-
-def _ending(code: int) -> str:
-    return f'was killed by {signal.Signals(-code).name}' if code < 0 else (
-        f'ended with exit code {code}')

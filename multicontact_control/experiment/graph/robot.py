@@ -25,32 +25,14 @@ RATE_BAND = 1.5  # rates beyond 1 / this to this times the right one are doubted
 
 @dataclass(frozen=True)
 class Robot:
-    """
-    What is expected behind the topics, and for how long.
+    """What is expected behind the topics, and for how long."""
 
-    Attributes
-    ----------
-    joint_names
-        Joints that it has, among others.
-    wrench_input
-        Which wrench the controller reads: ``raw`` or ``filtered``; or ``momentum`` for none.
-    pair_tolerance
-        By how much the stamps of a pair of joints and wrench may differ [s].
-    effort_output_topic
-        Topic that it may take efforts from instead of ``joint_effort_command``; empty for none.
-    timeout
-        Time without a message after which it counts as gone [s].
-    duration
-        Length of the run in the time of its samples [s]; None until a signal comes.
-
-    """
-
-    joint_names: Sequence[str]
-    wrench_input: str = 'raw'
-    pair_tolerance: float = 0.0
-    effort_output_topic: str = ''
-    timeout: float = 5.0
-    duration: float | None = None
+    joint_names: Sequence[str]  # that it has, among others
+    wrench_input: str = 'raw'  # which wrench the controller reads: raw, filtered or momentum
+    pair_tolerance: float = 0.0  # between the stamps of joints and wrench of a sample [s]
+    effort_output_topic: str = ''  # that it takes efforts from instead of joint_effort_command
+    timeout: float = 5.0  # time without a message after which it counts as gone [s]
+    duration: float | None = None  # of the run by its stamps [s]; None until a signal comes
 
 
 class _Stream:

@@ -52,53 +52,23 @@ class InterruptedRunError(Exception):
 
 @dataclass(frozen=True)
 class GraphProgress:
-    """
-    Where a run is.
+    """Where a run is."""
 
-    Attributes
-    ----------
-    time
-        Time since the first sample that was seen [s].
-    forces
-        Measured force per contact [N].
-    realtime_factor
-        Simulated time over wall time since then.
-
-    """
-
-    time: float
-    forces: Mapping[str, float]
-    realtime_factor: float = 0.0
+    time: float  # since the first sample that was seen [s]
+    forces: Mapping[str, float]  # measured, per contact [N]
+    realtime_factor: float = 0.0  # simulated time over wall time since then
 
 
 @dataclass(frozen=True)
 class GraphResult:
-    """
-    How a run ended that no node failed in.
+    """How a run ended that no node failed in."""
 
-    Attributes
-    ----------
-    bag
-        Folder of the recording, closed.
-    timing
-        Counts and times that each node wrote at its end, by node name.
-    domain_id
-        ROS domain it ran in; None if a signal ended its start.
-    interrupted
-        Signal that ended it early, None if it ran to its end.
-    ended
-        What ended it early on the side of the user's own robot; empty if nothing.
-    controlled
-        Whether any sample was answered.
-
-    """
-
-    bag: Path
-    timing: Mapping[str, Mapping[str, Any]]
-    domain_id: int | None = None
-    interrupted: int | None = None
-    ended: str = ''
-    controlled: bool = True
+    bag: Path  # folder of the recording, closed
+    timing: Mapping[str, Mapping[str, Any]]  # counts and times that each node wrote at its end
+    domain_id: int | None = None  # that it ran in; None if a signal ended its start
+    interrupted: int | None = None  # signal that ended it early
+    ended: str = ''  # what ended it early on the side of the user's own robot
+    controlled: bool = True  # whether any sample was answered
 
 
 class ProgressListener(GuestNode):
@@ -136,10 +106,8 @@ class RunningGraph:
         Its nodes; `processes.check_running()` raises RunError if one has ended.
     domain_id
         ROS domain that it is in.
-    progress
-        Says where it is.
-    robot
-        Says whether the user's own robot is there; None with a simulated plant.
+    progress, robot
+        Where it is, and whether the user's own robot is there; None with a simulated plant.
 
     """
 
@@ -197,30 +165,13 @@ def running_graph(
     on_domain: Callable[[int], None] = lambda domain_id: None,
 ) -> Iterator[RunningGraph]:
     """
-    Start a graph and activate it, and stop it afterwards.
+    Start a graph and activate it, yield it, and stop it afterwards.
 
     Without a `reference_file` the graph obeys the command topics, e.g. of a `ControllerLink` with
-    its `domain_id`. Start it in the main thread.
-
-    Parameters
-    ----------
-    spec
-        What to run.
-    keep_waiting
-        Called many times a second during the start with what is waited for; may raise.
-    on_domain
-        Called with the ROS domain before anything runs in it.
-
-    Yields
-    ------
-    RunningGraph
-        Its nodes, domain and progress.
-
-    Raises
-    ------
-    RunError
-        If a node cannot be started: its name and the end of its log.
-
+    its `domain_id`. Start it in the main thread. `keep_waiting` is called many times a second
+    during the start with what is waited for, and may raise; `on_domain` is called with the ROS
+    domain before anything runs in it. Raises RunError if a node cannot be started: its name and
+    the end of its log.
     """
     with reserve_domain(spec.domain_id) as domain_id:
         on_domain(domain_id)
@@ -243,27 +194,9 @@ def run_graph(
 
     SIGINT, SIGTERM and SIGHUP end it early and cleanly; call it in the main thread for that.
 
-    Parameters
-    ----------
-    spec
-        What to run.
-    on_progress
-        Called about 5 times a second once samples are answered.
-    on_domain
-        As for `running_graph`.
-    tell
-        Called every few seconds with what is waited for, and with what was found of a robot.
-
-    Returns
-    -------
-    GraphResult
-        Where everything is.
-
-    Raises
-    ------
-    RunError
-        If a node cannot be started or dies: its name, how it ended and the end of its log.
-
+    `on_progress` is called about 5 times a second once samples are answered, `tell` every few
+    seconds with what is waited for, and with what was found of a robot. Raises RunError if a node
+    cannot be started or dies: its name, how it ended and the end of its log.
     """
     remind = _Reminder(tell)
     with collected_signals() as signals:

@@ -22,58 +22,26 @@ class GraphSpec:
     """
     What to run.
 
-    Attributes
-    ----------
-    out
-        Folder of the run; must exist.
-    parameter_files
-        Parameter file per node name; a node without one gets its defaults.
-    ticks
-        Samples until the run ends, 0 for a signal to end it.
-    rate
-        Control rate [Hz].
-    free_running
-        Whether the plant goes on without the command that answers its last sample, as a robot.
-    speed
-        Simulated time per wall time at most; 0 for as fast as it goes.
-    seed
-        Seed of the plant.
-    reference_file
-        Scenario for the controller; without one it obeys the command topics.
-    domain_id
-        ROS domain; the first one without participants if not given.
-    namespace
-        Namespace of all nodes, topics and services, without a leading slash; empty for none.
-    extra_parameters
-        More parameters per node name, over those of its file.
-    remappings
-        Other names of topics per node name.
-    realtime
-        Whether the nodes that control ask for a real-time priority and keep their memory.
-    robot
-        The robot behind the topics, or its simulator, that the graph waits for. There is then no
-        plant among the nodes, and `ticks`, `seed` and `speed` have no meaning. None for a graph
-        with a simulated plant.
-    recorded
-        Whether a recorder is among the nodes.
-
+    With a `robot` behind the topics, real or simulated elsewhere, there is no plant among the
+    nodes, and `ticks`, `seed` and `speed` have no meaning.
     """
 
-    out: Path
-    parameter_files: Mapping[str, Path]
-    ticks: int
-    rate: float
-    free_running: bool = False
-    speed: float = 1.0
-    seed: int = 0
-    reference_file: Path | None = None
-    domain_id: int | None = None
-    namespace: str = ''
+    out: Path  # folder of the run, which exists
+    parameter_files: Mapping[str, Path]  # by node name; a node without one gets its defaults
+    ticks: int  # samples until the run ends, 0 for a signal to end it
+    rate: float  # control rate [Hz]
+    free_running: bool = False  # whether the plant does not wait for commands, as a robot
+    speed: float = 1.0  # simulated time per wall time at most; 0 for as fast as it goes
+    seed: int = 0  # of the plant
+    reference_file: Path | None = None  # scenario; without it the command topics are obeyed
+    domain_id: int | None = None  # by default the first one without participants
+    namespace: str = ''  # of all nodes, topics and services, without a leading slash
+    # More parameters by node name, over those of its file; other names of topics, likewise.
     extra_parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     remappings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    realtime: bool = False
+    realtime: bool = False  # whether the nodes that control ask for priority, and keep memory
     robot: Robot | None = None
-    recorded: bool = True
+    recorded: bool = True  # whether a recorder is among the nodes
 
     @property
     def nodes(self) -> tuple[str, ...]:
