@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import reduce
@@ -34,7 +34,6 @@ from sim_bridge.robots import DEFAULT, find_robot, Robot
 import yaml
 
 EXTERNAL = 'external'  # in the place of a plant's name
-PRESETS = ('paper', 'best', 'adaptive')
 PRESET_NODES = ('controller_node', 'noise_estimator_node')
 
 
@@ -182,20 +181,6 @@ def plant_source(name: str = '', robot: str = '') -> PlantSource:
     if slash and not robot:
         return plant_source(last, first)
     raise ConfigError('plant', f'one of {", ".join(chosen.plant_names)}, or a path', f"'{name}'")
-
-
-def plants_of(robot: str = '', names: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the names of some plants of a robot, of all if none are given; see `PlantSource`."""
-    if names and not robot:
-        return tuple(names)
-    return tuple(plant_source(name, robot).name
-                 for name in names or find_robot(robot or DEFAULT).plant_names)
-
-
-def law_presets() -> tuple[str, ...]:
-    """Return the names of all presets, those of other laws than the observer last."""
-    others = sorted((config_dir() / 'presets' / 'laws').glob('*.yaml'))
-    return (*PRESETS, *(f'laws/{path.stem}' for path in others))
 
 
 def preset_values(name: str) -> dict[str, dict[str, Any]]:

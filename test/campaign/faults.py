@@ -20,11 +20,12 @@ from multicontact_control.experiment.display import count_bar
 from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.faults.vocabulary import CLOCK, STREAMS
 from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.experiment.scenario import plants_of, resolve
+from multicontact_control.experiment.scenario import resolve
 from multicontact_control.files import write_json
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from sim_bridge.robots import DEFAULT, find_robot
 
 
 def quick_faults(seed):
@@ -92,7 +93,7 @@ def main(arguments=None):
     """Run the campaign; return the exit code."""
     parser = argparse.ArgumentParser(prog='make campaign', description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--plants', nargs='+', default=plants_of(), help='default: %(default)s')
+    parser.add_argument('--plants', nargs='+', default=find_robot(DEFAULT).plant_names, help='default: %(default)s')
     parser.add_argument('--seed', type=int, default=0, help='of plants and faults')
     parser.add_argument('--quick', action='store_true',
                         help='one fault of each kind, whatever its input, on the last plant')

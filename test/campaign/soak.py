@@ -28,12 +28,12 @@ from multicontact_control.experiment.faults.judge import MET_FORCE, never_allowe
 from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import FAULTS
 from multicontact_control.experiment.oscillation import oscillations
-from multicontact_control.experiment.scenario import plants_of
 from multicontact_control.supervision.contacts import HOLDING, NAMES
 import numpy as np
 import psutil
 from rich.console import Console
 from rich.table import Table
+from sim_bridge.robots import DEFAULT, find_robot
 
 LONGEST_PART = 3600.0  # s of a seed
 LARGEST_FORCE = 25.0  # N, that is commanded
@@ -251,7 +251,7 @@ def main(arguments=None):
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--hours', type=float, default=1.0, help='of all seeds (%(default)s)')
     parser.add_argument('--graph', action='store_true', help='over running graphs, in real time')
-    parser.add_argument('--plants', nargs='+', default=plants_of(), help='default: %(default)s')
+    parser.add_argument('--plants', nargs='+', default=find_robot(DEFAULT).plant_names, help='default: %(default)s')
     parser.add_argument('--seed', type=int, default=0, help='the first')
     parser.add_argument('--out', type=Path, default=Path('runs/soak'), help='%(default)s')
     options = parser.parse_args(arguments)

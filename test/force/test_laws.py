@@ -17,7 +17,7 @@ from multicontact_control.experiment.law_report import (
     margins_of,
     rise_time,
 )
-from multicontact_control.experiment.scenario import law_presets, resolve
+from multicontact_control.experiment.scenario import resolve
 from multicontact_control.force.force_law import (
     act_beyond,
     answer_forces,
@@ -262,8 +262,8 @@ def test_registry_has_every_law_in_every_place():
     assert set(LAWS) == names
     assert set(FASTER) == names
     assert set(read_yaml(config_dir() / 'tuning.yaml')) == names
-    presets = {name for name in law_presets() if name.startswith('laws/')}
-    assert presets == {f'laws/{name}' for name in names - {'aob'}}  # `paper`, `best`, `adaptive`
+    presets = {path.stem for path in (config_dir() / 'presets/laws').glob('*.yaml')}
+    assert presets == names - {'aob'}  # `paper`, `best`, `adaptive`
 
 
 @pytest.mark.parametrize('pause', [False, True], ids=['live change', 'pause'])

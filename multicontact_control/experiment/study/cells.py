@@ -14,7 +14,6 @@ from multicontact_control.experiment.overrides import (
     EVERY,
     overrides_of,
     paths_of,
-    SECTIONS,
     unit_of,
     value_of,
 )
@@ -76,7 +75,7 @@ def run_cells(study: StudyConfig) -> list[Cell]:
 
 def is_parameter(name: str) -> bool:
     """Return whether the name of a factor is that of a parameter."""
-    return '.' in name and name.partition('.')[0] in SECTIONS
+    return '.' in name and name.partition('.')[0] in ARGUMENTS
 
 
 def _job(
