@@ -93,7 +93,8 @@ def main(arguments=None):
     """Run the campaign; return the exit code."""
     parser = argparse.ArgumentParser(prog='make campaign', description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--plants', nargs='+', default=find_robot(DEFAULT).plant_names, help='default: %(default)s')
+    parser.add_argument('--plants', nargs='+', default=find_robot(DEFAULT).plant_names,
+                        help='default: %(default)s')
     parser.add_argument('--seed', type=int, default=0, help='of plants and faults')
     parser.add_argument('--quick', action='store_true',
                         help='one fault of each kind, whatever its input, on the last plant')

@@ -251,7 +251,8 @@ def main(arguments=None):
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--hours', type=float, default=1.0, help='of all seeds (%(default)s)')
     parser.add_argument('--graph', action='store_true', help='over running graphs, in real time')
-    parser.add_argument('--plants', nargs='+', default=find_robot(DEFAULT).plant_names, help='default: %(default)s')
+    parser.add_argument('--plants', nargs='+', default=find_robot(DEFAULT).plant_names,
+                        help='default: %(default)s')
     parser.add_argument('--seed', type=int, default=0, help='the first')
     parser.add_argument('--out', type=Path, default=Path('runs/soak'), help='%(default)s')
     options = parser.parse_args(arguments)
