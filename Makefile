@@ -78,8 +78,8 @@ if sys.version_info >= (3, 12) and not (headers.is_file() and shutil.which('c++'
 endef
 export CHECK_PYTHON
 
-.PHONY: help setup demo run simulate lint check test nightly browser campaign soak bench reference \
-    docs clean
+.PHONY: help setup demo run simulate lint check test nightly browser campaign velocities soak bench \
+    reference docs clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' Makefile
@@ -112,10 +112,13 @@ nightly: $(READY)  ## What takes long: packaging, documents, browser, clusters, 
 browser: $(READY)  ## Drive the pages in Chromium (Debian: chromium)
 	@$(WITH_ROS) MULTICONTACT_BROWSER=required exec $(BIN)/python -m pytest -m browser $(TEST_ARGS)
 
-campaign: setup  ## Faults over running graphs: CAMPAIGN_ARGS="--quick"
+campaign: $(READY)  ## Faults over running graphs: CAMPAIGN_ARGS="--count 20"
 	@$(WITH_ROS) PYTHONPATH=test:$$PYTHONPATH exec $(BIN)/python -m campaign.faults $(CAMPAIGN_ARGS)
 
-soak: setup  ## Hours of random commands and faults: SOAK_ARGS="--hours 0.1 --graph"
+velocities: $(READY)  ## Wrong joint speeds and sensors, in process: CAMPAIGN_ARGS="--every 20"
+	@$(WITH_ROS) PYTHONPATH=test:$$PYTHONPATH exec $(BIN)/python -m campaign.velocities $(CAMPAIGN_ARGS)
+
+soak: $(READY)  ## Hours of random commands and faults: SOAK_ARGS="--hours 0.1"
 	@$(WITH_ROS) PYTHONPATH=test:$$PYTHONPATH exec $(BIN)/python -m campaign.soak $(SOAK_ARGS)
 
 bench: setup  ## How fast everything is: BENCH_ARGS="--ticks 2000"

@@ -31,11 +31,10 @@ from multicontact_control.supervision.inputs import (
     WrenchInput,
 )
 import numpy as np
+import pandas as pd
 import pinocchio as pin
 import psutil
 import pybullet
-from rich.console import Console
-from rich.table import Table
 from sim_bridge.engines import BulletArm
 from sim_bridge.plant import Plant
 
@@ -228,7 +227,7 @@ def main(arguments=None):
     parser.add_argument('--json', type=Path, help='write all numbers to this file')
     parser.add_argument('--tsid-python', default=sys.executable, help='Python that has TSID')
     options = parser.parse_args(arguments)
-    console, count, result = Console(), options.ticks, {}
+    count, result = options.ticks, {}
     ensure_compiled()
     settle_process()
     graph = [('graph', lambda: bench_graph(options.seconds))] if options.seconds else []
@@ -243,30 +242,22 @@ def main(arguments=None):
         try:
             result[name] = measure()
         except (ImportError, OSError, RuntimeError) as error:
-            console.print(f'{name}: skipped, {error}', style='yellow', highlight=False)
-    console.print(table_of(result))
+            print(f'{name}: skipped, {error}')
+    print_tables(result)
     if options.json:
         write_json(options.json, result)
     return 0
 
 
-def table_of(result):
-    """Return the figures as a table."""
-    table = Table('what', 'p50 [us]', 'p99 [us]', 'floor p50 [us]', 'ratio')
-    for name, part in result.items():
-        if name not in ('contacts', 'graph'):
-            table.add_row(name, *(f'{x:.1f}' for x in (
-                part['us']['p50'], part['us']['p99'], part['floor_us']['p50'])),
-                f'{part["ratio"]:.2f}' + ' (noisy)' * part['noisy'])
-    table.add_row('law, 1 to 6 contacts', ' '.join(
-        f'{median:.0f}' for median in result['contacts'].values()))
-    for mode, part in result.get('graph', {}).items():
-        p50, p99 = (f'{part["latency_us"][x]:.0f}' for x in ('p50', 'p99'))
-        table.add_row(f'{mode}: latency', p50, p99, '', f'{part["realtime_factor"]:.2f} x time')
-        table.add_row(f'{mode}: deadlines missed', f'{part["deadline_misses"]} of {part["ticks"]}')
-        for name, share in part['cores'].items():
-            table.add_row(f'{mode}: {name}', f'{share:.2f} cores')
-    return table
+def print_tables(result):
+    """Print the figures [us], and those of the graph."""
+    print(pd.DataFrame([
+        {'part': name, 'p50': part['us']['p50'], 'p99': part['us']['p99'],
+         'floor p50': part['floor_us']['p50'], 'ratio': part['ratio'], 'noisy': part['noisy']}
+        for name, part in result.items() if 'us' in part]).round(2).to_string(index=False))
+    print('law, 1 to 6 contacts:', *(f'{x:.0f}' for x in result['contacts'].values()))
+    if graph := result.get('graph'):
+        print(pd.json_normalize(list(graph.values())).set_axis(list(graph)).T.to_string())
 
 
 if __name__ == '__main__':

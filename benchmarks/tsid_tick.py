@@ -16,10 +16,8 @@ import numpy as np
 import pinocchio as pin
 from tsid import tsid_pywrap as tsid
 
-PERIOD = 0.002  # s
-LAPS = 4  # the first to warm up
-FREQUENCY = 30.0  # of the motion tasks, critically damped [rad/s]
-FRICTION = 0.3  # of the contacts
+PERIOD, LAPS = 0.002, 4  # s; laps over the samples, the first to warm up
+FREQUENCY, FRICTION = 30.0, 0.3  # rad/s of the motion tasks, critically damped; of the contacts
 FORCE_WANTED, LARGEST_FORCE = 10.0, 100.0  # N
 # Weights of the costs: motion before posture, forces near what is wanted.
 MOTION, POSTURE, CONTACT, FORCE = 1.0, 1e-3, 1e-1, 1e-3

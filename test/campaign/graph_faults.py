@@ -43,10 +43,9 @@ class NodeChange:
 
 @dataclass(frozen=True)
 class Command:
-    """A wrong command: a change of a rightful message, sent beside those, or as the last one."""
+    """A wrong command: a change of a rightful message, sent beside those."""
 
     change: Callable[[Any], None]
-    last: bool = False
 
 
 @dataclass(frozen=True)
@@ -56,38 +55,25 @@ class GraphFault(Fault):
     goes_on: bool = True
 
 
-def _messages():
-    ways = {
-        'dropped': lambda random, n: (), 'delayed': lambda random, n: (10,),
-        'stuck': lambda random, n: (n + 1,), 'out_of_order': lambda random, n: (0, 25),
-        'duplicated': lambda random, n: (0, 0),
-        'reordered': lambda random, n: (0, 1) if n % 2 else (),
-        'intermittent': lambda random, n: () if random.random() < LOSS else (0,),
-        'burst': lambda random, n: tuple(range(BURST))[::-1] if n % BURST == BURST - 1 else ()}
-    names = {'wrong_names': lambda names, _: [f'other_{name}' for name in names],
-             'missing_name': lambda names, _: names[:-1],
-             'doubled_name': lambda names, _: [names[0], *names[:-1]]}
-    return [
-        *(GraphFault(kind, stream, Resending(ages)) for stream in REACTIONS
-          for kind, ages in ways.items()),
-        *(GraphFault(kind, stream, Edit(('names',), change), declared)
-          for stream, declared in (('joints', FLOAT), ('variance', INFLATE))
-          for kind, change in names.items()),
-        GraphFault('ahead', CLOCK, ClockShift(lambda since, begin: 0.1), STOPPED),
-        GraphFault('zero', CLOCK, ClockShift(lambda since, begin: -INF), STOPPED)]
-
-
-def _nodes():
-    down, twice = ('deactivate',), ('deactivate', 'activate') * 2
-    anew = ('deactivate', 'cleanup', 'configure')
-    return [GraphFault(kind, node, NodeChange(steps), goes_on=goes_on)
-            for kind, node, steps, goes_on in (
-                ('killed', ESTIMATOR, KILL, True), ('killed', CONTROLLER, KILL, False),
-                ('killed', RECORDER, KILL, True), ('halted', ESTIMATOR, HALT, True),
-                ('halted', CONTROLLER, HALT, False), ('halted', RECORDER, HALT, True),
-                ('halted', SIM, HALT, False), ('deactivated', ESTIMATOR, down, True),
-                ('deactivated', CONTROLLER, down, True), ('reactivated', CONTROLLER, twice, True),
-                ('cleaned_up', ESTIMATOR, anew, True), ('cleaned_up', CONTROLLER, anew, False))]
+WAYS = {  # by which messages are sent on in the place of the n-th
+    'dropped': lambda random, n: (), 'delayed': lambda random, n: (10,),
+    'stuck': lambda random, n: (n + 1,), 'out_of_order': lambda random, n: (0, 25),
+    'duplicated': lambda random, n: (0, 0),
+    'reordered': lambda random, n: (0, 1) if n % 2 else (),
+    'intermittent': lambda random, n: () if random.random() < LOSS else (0,),
+    'burst': lambda random, n: tuple(range(BURST))[::-1] if n % BURST == BURST - 1 else ()}
+NAMES = {'wrong_names': lambda names, _: [f'other_{name}' for name in names],
+         'missing_name': lambda names, _: names[:-1],
+         'doubled_name': lambda names, _: [names[0], *names[:-1]]}
+DOWN, TWICE = ('deactivate',), ('deactivate', 'activate') * 2
+ANEW = ('deactivate', 'cleanup', 'configure')
+NODES = (  # what befalls which node, and whether commands have to go on
+    ('killed', ESTIMATOR, KILL, True), ('killed', CONTROLLER, KILL, False),
+    ('killed', RECORDER, KILL, True), ('halted', ESTIMATOR, HALT, True),
+    ('halted', CONTROLLER, HALT, False), ('halted', RECORDER, HALT, True),
+    ('halted', SIM, HALT, False), ('deactivated', ESTIMATOR, DOWN, True),
+    ('deactivated', CONTROLLER, DOWN, True), ('reactivated', CONTROLLER, TWICE, True),
+    ('cleaned_up', ESTIMATOR, ANEW, True), ('cleaned_up', CONTROLLER, ANEW, False))
 
 
 def _efforts(*efforts, names=None):
@@ -98,15 +84,11 @@ def _efforts(*efforts, names=None):
     return change
 
 
-def _set(path, value, *, add=False):
-    """Return a change of one number of a message, by the names that lead to it."""
-    *way, last = path.split('.')
-
+def _number(field, part, axis, value, *, add=False):
+    """Return a change of one number of a motion."""
     def change(message):
-        part = message
-        for name in way:
-            part = part[int(name)] if name.isdigit() else getattr(part, name)
-        setattr(part, last, value + (getattr(part, last) if add else 0.0))
+        vector = getattr(getattr(message, field)[0], part)
+        setattr(vector, axis, value + (getattr(vector, axis) if add else 0.0))
     return change
 
 
@@ -116,31 +98,32 @@ def _poses(count):
     return change
 
 
-def _commands():
-    forces = {
-        'nan': _efforts(NAN, 5.0), 'infinite': _efforts(5.0, INF), 'negative': _efforts(-5.0),
-        'beyond_ceiling': _efforts(1000.0), 'wrong_count': _efforts(5.0, 5.0, names=['table']),
-        'unknown_contact': _efforts(5.0, names=['nowhere']), 'empty': _efforts(names=[])}
-    motions = {
-        'nan': _set('transforms.0.translation.x', NAN),
-        'nan_twist': _set('velocities.0.linear.y', NAN),
-        'infinite': _set('accelerations.0.linear.z', INF),
-        'no_pose': _poses(0), 'two_poses': _poses(2),
-        'no_rotation': _set('transforms.0.rotation.w', 5.0),
-        'outside_box': _set('transforms.0.translation.z', 50.0),
-        'jump': _set('transforms.0.translation.x', JUMP, add=True)}
-    # A stream of motions that ends, with the last twist in it.
-    ends = {'ends_at_speed': 0.2, 'ends_too_fast': 10.0}
-    return [GraphFault(kind, f'{topic} command', Command(change))
-            for topic, changes in (('forces', forces), ('motion', motions))
-            for kind, change in changes.items()] + [
-        GraphFault(kind, 'motion command', Command(
-            _set('velocities.0.linear.x', speed), last=True)) for kind, speed in ends.items()]
-
+FORCES = {
+    'nan': _efforts(NAN, 5.0), 'infinite': _efforts(5.0, INF), 'negative': _efforts(-5.0),
+    'beyond_ceiling': _efforts(1000.0), 'wrong_count': _efforts(5.0, 5.0, names=['table']),
+    'unknown_contact': _efforts(5.0, names=['nowhere']), 'empty': _efforts(names=[])}
+MOTIONS = {
+    'nan': _number('transforms', 'translation', 'x', NAN),
+    'nan_twist': _number('velocities', 'linear', 'y', NAN),
+    'infinite': _number('accelerations', 'linear', 'z', INF),
+    'no_pose': _poses(0), 'two_poses': _poses(2),
+    'no_rotation': _number('transforms', 'rotation', 'w', 5.0),
+    'outside_box': _number('transforms', 'translation', 'z', 50.0),
+    'jump': _number('transforms', 'translation', 'x', JUMP, add=True)}
 
 GRAPH_FAULTS = {(fault.kind, fault.input): fault for fault in (
-    *_nodes(), *_messages(), *(
-        GraphFault(fault.kind, fault.input, fault.action, fault.declared, fault.phases)
-        for fault in FAULTS if isinstance(fault.action, (Edit, ClockShift))
-        and not fault.from_start and (fault.kind, fault.input) not in ONLY_IN_PROCESS),
-    *_commands())}
+    *(GraphFault(kind, node, NodeChange(steps), goes_on=goes_on)
+      for kind, node, steps, goes_on in NODES),
+    *(GraphFault(kind, stream, Resending(ages)) for stream in REACTIONS
+      for kind, ages in WAYS.items()),
+    *(GraphFault(kind, stream, Edit(('names',), change), declared)
+      for stream, declared in (('joints', FLOAT), ('variance', INFLATE))
+      for kind, change in NAMES.items()),
+    GraphFault('ahead', CLOCK, ClockShift(lambda since, begin: 0.1), STOPPED),
+    GraphFault('zero', CLOCK, ClockShift(lambda since, begin: -INF), STOPPED),
+    *(GraphFault(fault.kind, fault.input, fault.action, fault.declared, fault.phases)
+      for fault in FAULTS if isinstance(fault.action, (Edit, ClockShift))
+      and not fault.from_start and (fault.kind, fault.input) not in ONLY_IN_PROCESS),
+    *(GraphFault(kind, f'{topic} command', Command(change))
+      for topic, changes in (('forces', FORCES), ('motion', MOTIONS))
+      for kind, change in changes.items()))}

@@ -7,7 +7,6 @@ survives. A mutation of a kernel is compiled anew: half a minute each.
 
 from __future__ import annotations
 
-import argparse
 import os
 from pathlib import Path
 import shutil
@@ -31,35 +30,27 @@ def is_caught(folder: Path, file: str, before: str, after: str, test: str) -> bo
     """Return whether a test fails in a copy of the sources with one change."""
     path = folder / 'multicontact_control' / file
     text = path.read_text()
-    if text.count(before) < 1:
+    if before not in text:
         raise SystemExit(f'{file}: expected the line `{before}`, found no such line')
     path.write_text(text.replace(before, after, 1))
-    try:
-        done = subprocess.run(
-            [sys.executable, '-m', 'pytest', '-q', '-x', '-p', 'no:cacheprovider', test],
-            cwd=folder, env={**os.environ, 'PYTHONPATH': str(folder),
-                             'MULTICONTACT_COMPILE': 'lazily'},
-            stdout=subprocess.DEVNULL, check=False)
-    finally:
-        path.write_text(text)
-    return done.returncode == 1
+    code = subprocess.call(
+        [sys.executable, '-m', 'pytest', '-q', '-x', '-p', 'no:cacheprovider', test], cwd=folder,
+        env={**os.environ, 'PYTHONPATH': str(folder), 'MULTICONTACT_COMPILE': 'lazily'},
+        stdout=subprocess.DEVNULL)
+    path.write_text(text)
+    return code == 1
 
 
 def main() -> None:
     """Try the mutations that are asked for, or all."""
-    parser = argparse.ArgumentParser(description=__doc__.strip().split('\n')[0])
-    parser.add_argument('numbers', nargs='*', metavar='NUMBER', help='which; all if none is given')
-    numbers = parser.parse_args().numbers
     survived = []
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name) / 'copy'
-        shutil.copytree(ROOT, folder, ignore=LEFT_OUT)
-        for number, file, before, after, test in read_mutations():
-            if numbers and number not in numbers:
-                continue
-            caught = is_caught(folder, file, before, after, test)
-            survived += [] if caught else [number]
-            print(f'{number:>2} {file}: {"caught" if caught else "SURVIVED"} ({test})', flush=True)
+        folder = Path(shutil.copytree(ROOT, Path(name) / 'copy', ignore=LEFT_OUT))
+        for number, *mutation in read_mutations():
+            if number in sys.argv[1:] or not sys.argv[1:]:
+                caught = is_caught(folder, *mutation)
+                survived += [] if caught else [number]
+                print(number, 'caught' if caught else 'SURVIVED', *mutation[::3], flush=True)
     sys.exit(f'survived: {", ".join(survived)}' if survived else 0)
 
 

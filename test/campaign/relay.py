@@ -5,10 +5,11 @@ A line ``INPUT KIND SEED`` of its standard input begins a fault, an empty one en
 """
 
 from collections import deque
+from select import select
 import sys
-import threading
 
 from campaign.graph_faults import GRAPH_FAULTS, Resending
+from fake_arm import wrench_message
 from multicontact_control.experiment.faults.fault import Edit
 from multicontact_control.experiment.faults.vocabulary import CLOCK, PERIOD
 from multicontact_control.nodes import messages, qos, topics
@@ -26,16 +27,15 @@ FIELDS = {'q': 'position', 'qd': 'velocity', 'names': 'name', 'variance': 'effor
 
 def read_field(message, name):
     if name == 'wrench':
-        force, torque = message.wrench.force, message.wrench.torque
-        return np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z])
+        f, t = message.wrench.force, message.wrench.torque
+        return np.array([f.x, f.y, f.z, t.x, t.y, t.z])
     values = getattr(message, FIELDS[name])
     return list(values) if name == 'names' else np.array(values)
 
 
-def _write_field(message, name, values):
+def write_field(message, name, values):
     if name == 'wrench':
-        force, torque = message.wrench.force, message.wrench.torque
-        force.x, force.y, force.z, torque.x, torque.y, torque.z = values.tolist()
+        message.wrench = wrench_message(0, values, '').wrench
     else:
         setattr(message, FIELDS[name], list(values))
 
@@ -43,10 +43,12 @@ def _write_field(message, name, values):
 class Stream:
     """The messages of one input, serialised; `history` has the good ones, newest last."""
 
-    def __init__(self, message):
-        self._message = message
+    def __init__(self, node, topic):
+        self._message, self._fault = topic.message, None
         self.history = deque(maxlen=HISTORY)
-        self._fault = None
+        self._publisher = node.create_publisher(
+            topic.message, PREFIX + topic.name, topic.profile)
+        node.create_subscription(topic.message, topic.name, self.pass_on, qos.INPUT, raw=True)
 
     def newest_stamp(self):
         newest = deserialize_message(self.history[-1], self._message)
@@ -58,11 +60,13 @@ class Stream:
         self._start, self._choice = start, self._random.random(4)
         self._passed, self._first, self._fault = 0, {}, fault
 
-    def passed_on(self, data):
-        """Return the messages that go on in the place of one."""
+    def pass_on(self, data):
+        """Publish the messages that go on in the place of one."""
         self.history.append(data)
-        if self._fault is None:
-            return [data]
+        for message in [data] if self._fault is None else self._damaged(data):
+            self._publisher.publish(message)
+
+    def _damaged(self, data):
         n, action = self._passed, self._fault.action
         self._passed += 1
         if isinstance(action, Resending):
@@ -73,7 +77,7 @@ class Stream:
             now = {name: read_field(message, name) for name in action.fields}
             self._first = self._first or now
             for name, values in action.values(now, self._first, self._choice).items():
-                _write_field(message, name, values)
+                write_field(message, name, values)
         else:  # a clock
             stamp = messages.stamp_to_ns(message.header.stamp)
             shift = action.shift(1e-9 * (stamp - self._start), 1e-9 * self._start)
@@ -84,35 +88,23 @@ class Stream:
 def main():
     """Pass messages on until the standard input is closed."""
     start_ros([])
-    node, executor, ended = Node('fault_relay'), make_executor(), threading.Event()
+    node, executor = Node('fault_relay'), make_executor()
     executor.add_node(node)
-    streams = {source: Stream(topic.message) for source, topic in INPUTS.items()}
-    for source, topic in INPUTS.items():
-        publisher = node.create_publisher(topic.message, PREFIX + topic.name, topic.profile)
-
-        def pass_on(data, stream=streams[source], publisher=publisher):
-            for message in stream.passed_on(data):
-                publisher.publish(message)
-
-        node.create_subscription(topic.message, topic.name, pass_on, qos.INPUT, raw=True)
-
-    def listen():
-        for line in sys.stdin:
-            for stream in streams.values():
-                stream.begin(None, 0, 0)
-            if line.strip():
-                source, kind, seed = line.split()
-                hit = [streams[x] for x in (
-                    ('joints', 'wrench') if source == CLOCK else (source,))]
-                start = max(x.newest_stamp() for x in hit) + round(1e9 * PERIOD)
-                for stream in hit:
-                    stream.begin(GRAPH_FAULTS[kind, source], int(seed), start)
-            print('done', flush=True)
-        ended.set()
-
-    threading.Thread(target=listen, daemon=True).start()
-    while not ended.is_set():
-        executor.spin_once(timeout_sec=0.1)
+    streams, line = {source: Stream(node, topic) for source, topic in INPUTS.items()}, 'none'
+    while line:
+        executor.spin_once(timeout_sec=0.02)
+        if not select([sys.stdin], [], [], 0.0)[0]:
+            continue
+        line = sys.stdin.readline()
+        for stream in streams.values():
+            stream.begin(None, 0, 0)
+        if line.strip():
+            source, kind, seed = line.split()
+            hit = [streams[x] for x in (('joints', 'wrench') if source == CLOCK else (source,))]
+            start = max(x.newest_stamp() for x in hit) + round(1e9 * PERIOD)
+            for stream in hit:
+                stream.begin(GRAPH_FAULTS[kind, source], int(seed), start)
+        print('done', flush=True)
 
 
 if __name__ == '__main__':

@@ -1,27 +1,24 @@
 """
-Hours of random commands, faults and pauses: `make soak`, with options in SOAK_ARGS.
+Hours of random commands, faults and pauses in process: `make soak`, with options in SOAK_ARGS.
 
-In process, or with --graph over running graphs in real time. After each episode, a command or a
-fault, every force has to be as commanded again. Never may a torque or its rate be beyond its
-limit, a force beyond the ceiling for long, an obstacle be pressed by more than 40 N, a state
-alternate, or a force oscillate while nothing happens: exit code 1; or memory grow.
-Each seed has a file of JSON lines, one per episode; the same command goes on with missing seeds.
+After each episode, a command or a fault, every force has to be as commanded again. Never may a
+torque or its rate be beyond its limit, a force beyond the ceiling for long, an obstacle be
+pressed by more than 40 N, a state alternate, or a force oscillate while nothing happens: exit
+code 1. The episodes are written to a file of JSON lines.
 """
 
 import argparse
 from collections import deque
 import contextlib
-from itertools import count, pairwise
-import json
+from itertools import pairwise
 import math
 from pathlib import Path
 import sys
-import time
 
+from joblib import delayed, Parallel
 from multicontact_control.control.tasks import MotionReading, quintic
 from multicontact_control.errors import CommandError
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.display import count_bar
 from multicontact_control.experiment.faults.fault import PlantEdit
 from multicontact_control.experiment.faults.in_process import advance_with, Occurrence
 from multicontact_control.experiment.faults.judge import MET_FORCE, never_allowed, Observation
@@ -30,9 +27,9 @@ from multicontact_control.experiment.faults.vocabulary import FAULTS
 from multicontact_control.experiment.oscillation import oscillations
 from multicontact_control.supervision.contacts import HOLDING, NAMES
 import numpy as np
-import psutil
-from rich.console import Console
-from rich.table import Table
+import pandas as pd
+from rich.progress import track
+from scipy.linalg import null_space
 from sim_bridge.robots import DEFAULT, find_robot
 
 LONGEST_PART = 3600.0  # s of a seed
@@ -43,10 +40,9 @@ EPISODES = {'forces': 0.35, 'motion': 0.3, 'hold': 0.05, 'fault': 0.24, 'two fau
 SETTLE_TIME, ATTEMPTS = 15.0, 4  # s, and how often: from the second on with the operator's help
 OFF = 0.15  # of the command, and 1 N: mean error over 0.5 s that is as commanded
 CHANGES_TIME, MOST_CHANGES = 5.0, 10  # s, and changes in it beyond which a state alternates
-WARM_UP, LARGEST_GROWTH = 600.0, 2.0  # s before which memory is not looked at; MB per hour
 
 
-class ProcessSoak:
+class Soak:
     """A closed loop in process under random commands and faults, until closed."""
 
     def __init__(self, plant, seed):
@@ -59,8 +55,7 @@ class ProcessSoak:
         self._rate, self._period = config.rate, config.period
         self._states = deque(maxlen=round(CHANGES_TIME * config.rate))
         normals = np.array([config.contacts[name].normal_world for name in config.contact_names])
-        directions, sizes, _ = np.linalg.svd(np.eye(3) - np.linalg.pinv(normals) @ normals)
-        self._free = directions[:, sizes > 0.5].T  # directions in which no contact is
+        self._free = null_space(normals).T  # directions in which no contact is
         self.wanted = dict.fromkeys(config.contact_names, 0.0)
         pose = self.loop.advance().pose
         self._before, self._problems = self.loop.command.copy(), set()
@@ -86,19 +81,22 @@ class ProcessSoak:
             kind = self._break(1 + (kind == 'two faults'))
         self.settle()
         _, errors = self.wait(float(self._random.uniform(*PAUSE)))
-        self._problems.update(oscillating(errors, self.wanted, self._rate))
+        self._problems.update(
+            f'{name} oscillates at {line.frequency:.0f} Hz with {line.rms:.2g} N rms'
+            for (name, force), error in zip(self.wanted.items(), errors.T)
+            for line in oscillations(error, np.full(len(error), force),
+                                     np.ones(len(error), dtype=bool), self._rate))
         seen = Observation(
             torque=np.array(self._torques), before=self._before, force=np.array(self._forces),
             time=self._period * np.arange(len(self._forces)), reaction='')
         self._problems.update(never_allowed(seen, self.setup)[0])
         if max(self._met, default=0.0) > MET_FORCE:
             self._problems.add(f'{max(self._met):.0f} N on an obstacle')
-        error = float(np.abs(errors.mean(axis=0)).max())
-        memory = psutil.Process().memory_info().rss
-        line = line_of(self.loop.tick * self._period, kind, self._problems, memory, error)
+        problems = sorted(self._problems)
         self._before, self._problems = self._torques[-1], set()
         self._torques, self._forces, self._met = [], [], []
-        return line
+        return {'time_s': round(self.loop.tick * self._period, 3), 'episode': kind,
+                'problems': problems, 'error_n': float(np.abs(errors.mean(axis=0)).max())}
 
     def command_forces(self):
         """Command another force at every contact, or none."""
@@ -110,26 +108,22 @@ class ProcessSoak:
 
     def _move(self):
         goal = self._start + self._random.uniform(-REACH, REACH, len(self._free)) @ self._free
-        before, way = self._target, goal - self._target
+        before, way = self._target, np.append(goal - self._target, np.zeros(3))
         duration = max(1.0, 1.875 * float(np.linalg.norm(way)) / FASTEST)
         for k in range(1, round(duration * self._rate) + 1):
             s, ds, dds = quintic(k * self._period, duration)
             self.loop.control.set_motion(MotionReading(
-                before + s * way, self._turn, np.concatenate([ds * way, np.zeros(3)]),
-                np.concatenate([dds * way, np.zeros(3)])))
+                before + s * way[:3], self._turn, ds * way, dds * way))
             self.advance()
         self._target = goal
 
     def _break(self, count):
         """Let faults of different inputs happen at the same time; return their names."""
-        chosen = []
-        while len(chosen) < count:
-            fault = self._faults[int(self._random.integers(len(self._faults)))]
-            if all(fault.input != other.input for other in chosen):
-                chosen.append(fault)
-        found = [Occurrence(fault, self._random, self.loop) for fault in chosen]
-        for _ in range(max(each.lasts for each in found)):
-            self.advance(found)
+        by_input = {fault.input: fault for fault in self._random.permutation(self._faults)}
+        chosen = self._random.permutation(list(by_input.values()))[:count]
+        occurrences = [Occurrence(fault, self._random, self.loop) for fault in chosen]
+        for _ in range(max(each.lasts for each in occurrences)):
+            self.advance(occurrences)
         return ' + '.join(f'{fault.input} {fault.kind}' for fault in chosen)
 
     def settle(self):
@@ -174,75 +168,13 @@ class ProcessSoak:
                 if sum(a != b for a, b in pairwise(states)) > MOST_CHANGES)
 
 
-def line_of(seconds, kind, problems, memory, error=0.0):
-    """Return the line of an episode; `memory` is in bytes, the `error` at rest in N."""
-    return {'time_s': round(seconds, 3), 'episode': kind, 'problems': sorted(problems),
-            'memory_mb': round(memory / 1e6, 1), 'error_n': round(error, 4)}
-
-
-def oscillating(errors, wanted, rate):
-    """Return which contacts oscillate about their wanted force [N], in words."""
-    judged = np.ones(len(errors), dtype=bool)
-    return [f'{name} oscillates at {found.frequency:.0f} Hz with {found.rms:.2g} N rms'
-            for (name, force), error in zip(wanted.items(), errors.T)
-            for found in oscillations(error, np.full(len(error), force), judged, rate)]
-
-
-def process_episodes(plant, seed, _folder):
-    """Yield the lines of a soak in process."""
-    soak = ProcessSoak(plant, seed)
+def episodes(plant, seed, duration):
+    """Return the lines of the episodes of a time [s]."""
+    soak, lines = Soak(plant, seed), []
     with contextlib.closing(soak.loop):
-        while True:
-            yield soak.episode()
-
-
-def graph_episodes(plant, seed, folder):
-    """Yield the lines of a soak over graphs."""
-    from campaign.faults import run_faults  # needs ROS
-    from campaign.graph_faults import GRAPH_FAULTS
-
-    random, faults = np.random.default_rng(seed), list(GRAPH_FAULTS.values())
-    tasks = ((faults[int(random.integers(len(faults)))], k) for k in count())
-    begin = time.monotonic()
-    for row in run_faults(plant, tasks, seed, folder, [], random):
-        memory = sum(x.memory_info().rss for x in psutil.Process().children(recursive=True))
-        yield line_of(time.monotonic() - begin, f'{row.input} {row.kind}',
-                      filter(None, [row.problems]), memory)
-
-
-def memory_growth(lines):
-    """Return the slope of the memory after ten minutes [MB/h], NaN of less than twenty."""
-    kept = [(x['time_s'] / 3600.0, x['memory_mb']) for x in lines if x['time_s'] > WARM_UP]
-    long = lines[-1]['time_s'] > 2.0 * WARM_UP and len(kept) > 2
-    return float(np.polyfit(*zip(*kept), 1)[0]) if long else math.nan
-
-
-def soak(episodes, path, duration, advance=lambda seconds: None):
-    """Write the lines of the episodes of a time [s] to a file."""
-    partial, line = path.with_suffix('.partial'), {'time_s': 0.0}
-    with contextlib.closing(episodes), partial.open('w', encoding='utf-8') as file:
-        while line['time_s'] < duration:
-            line = next(episodes)
-            print(json.dumps(line), file=file, flush=True)
-            advance(line['time_s'])
-    partial.replace(path)
-
-
-def report(found):
-    """Print a row for each plant and seed, and all problems; return whether there are none."""
-    console, good = Console(), True
-    table = Table('plant', 'seed', 'hours', 'episodes', 'problems', 'error [N]', 'MB/h')
-    for (plant, seed), lines in found.items():
-        growth, problems = memory_growth(lines), [(x, y) for x in lines for y in x['problems']]
-        good = good and not problems and not growth > LARGEST_GROWTH
-        table.add_row(plant, str(seed), f'{lines[-1]["time_s"] / 3600.0:.2f}', str(len(lines)),
-                      str(len(problems)), f'{np.mean([x["error_n"] for x in lines]):.3f}',
-                      f'{growth:.2f}')
-        for line, problem in problems:
-            console.print(f'{plant}, seed {seed}, {line["time_s"]:.1f} s, {line["episode"]}: '
-                          f'{problem}', style='red', highlight=False)
-    console.print(table)
-    return good
+        while not lines or lines[-1]['time_s'] < duration:
+            lines.append({'plant': plant, 'seed': seed, **soak.episode()})
+    return lines
 
 
 def main(arguments=None):
@@ -250,32 +182,24 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(prog='make soak', description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--hours', type=float, default=1.0, help='of all seeds (%(default)s)')
-    parser.add_argument('--graph', action='store_true', help='over running graphs, in real time')
     parser.add_argument('--plants', nargs='+', default=find_robot(DEFAULT).plant_names,
                         help='default: %(default)s')
     parser.add_argument('--seed', type=int, default=0, help='the first')
-    parser.add_argument('--out', type=Path, default=Path('runs/soak'), help='%(default)s')
+    parser.add_argument('--out', type=Path, default=Path('runs/soak.jsonl'), help='%(default)s')
     options = parser.parse_args(arguments)
-    if not options.hours > 0.0:
-        parser.error(f'--hours: expected a number > 0, found {options.hours:g}')
-    parts = max(len(options.plants), math.ceil(3600.0 * options.hours / LONGEST_PART))
-    duration = 3600.0 * options.hours / parts
-    place, start = ('graph', graph_episodes) if options.graph else (
-        'process', process_episodes)
-    options.out.mkdir(parents=True, exist_ok=True)
-    found = {}
-    with count_bar() as progress:
-        bar = progress.add_task('seconds', total=round(parts * duration))
-        for k in range(parts):
-            plant, seed = options.plants[k % len(options.plants)], options.seed + k
-            path = options.out / f'{place}-{plant}-{seed}-{duration:.0f}s.jsonl'
-            if not path.exists():
-                soak(start(plant, seed, options.out / 'graphs'), path, duration,
-                     lambda seconds, done=k * duration: progress.update(
-                         bar, completed=round(done + seconds)))
-            found[plant, seed] = [
-                json.loads(line) for line in path.read_text(encoding='utf-8').splitlines()]
-    return 0 if report(found) else 1
+    count = max(len(options.plants), math.ceil(3600.0 * options.hours / LONGEST_PART))
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    parts = Parallel(-1, return_as='generator')(
+        delayed(episodes)(options.plants[k % len(options.plants)], options.seed + k,
+                          3600.0 * options.hours / count) for k in range(count))
+    lines = pd.DataFrame(sum(track(parts, 'soak', count), []))
+    lines.to_json(options.out, orient='records', lines=True)
+    problems = lines[lines.problems.map(len) > 0]
+    print(lines.groupby(['plant', 'seed']).agg(
+        seconds=('time_s', 'max'), episodes=('episode', 'size'), error_n=('error_n', 'mean'),
+        problems=('problems', lambda x: sum(map(len, x)))).to_string())
+    print(problems.to_string() if len(problems) else 'no problems')
+    return 1 if len(problems) else 0
 
 
 if __name__ == '__main__':

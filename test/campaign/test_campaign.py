@@ -1,24 +1,20 @@
 """The campaign and the soak in short: over a running graph and in process."""
 
-import json
-
 from campaign.faults import run_faults
 from campaign.graph_faults import GRAPH_FAULTS
-from campaign.soak import process_episodes, ProcessSoak, soak
+from campaign.soak import episodes, Soak
 from multicontact_control.nodes.topics import CONTROLLER
 import numpy as np
 import pytest
 
 
-def test_soak_in_process_sees_nothing_unsafe(tmp_path):
-    path = tmp_path / 'soak.jsonl'
-    soak(process_episodes('rigid', 0, tmp_path), path, 20.0)
-    lines = [json.loads(line) for line in path.read_text(encoding='utf-8').splitlines()]
+def test_soak_in_process_sees_nothing_unsafe():
+    lines = episodes('rigid', 0, 20.0)
     assert lines[-1]['time_s'] >= 20.0
     assert [line['problems'] for line in lines] == [[]] * len(lines)
 
 
-class Shaken(ProcessSoak):
+class Shaken(Soak):
     """The table swings by 0.3 mm, as fast as a limit cycle: too fast for the law to follow."""
 
     def advance(self, faults=()):
@@ -36,10 +32,9 @@ def test_soak_reports_an_oscillating_force():
 
 @pytest.mark.nightly
 @pytest.mark.ros
-def test_running_graph_survives_faults(tmp_path, monkeypatch):
-    monkeypatch.delenv('ROS_DOMAIN_ID', raising=False)
+def test_running_graph_survives_faults(tmp_path):
     chosen = [('killed', CONTROLLER), ('nan', 'variance'), ('unknown_contact', 'forces command')]
-    rows = [*run_faults('rigid', [(GRAPH_FAULTS[key], 0) for key in chosen], 0, tmp_path, [])]
+    rows = [*run_faults('rigid', [GRAPH_FAULTS[key] for key in chosen], 0, tmp_path)]
     assert {row.kind for row in rows} == {*(kind for kind, _ in chosen), 'ended'}
     assert {row.problems for row in rows} <= {'', 'commands stopped'}  # on a busy machine
     assert next(x for x in rows if x.kind == 'killed').reaction == 'silent'

@@ -1,5 +1,5 @@
 """
-Wrong joint speeds and unproven wrist sensors: `PYTHONPATH=test python -m campaign.velocities`.
+Wrong joint speeds and unproven wrist sensors: `make velocities`, with options in CAMPAIGN_ARGS.
 
 An arm is commanded (10 N on its first contact and a slide) or not, its push test is required and
 not passed, or not; from the first sample on a fault befalls each joint or axis in turn, or all.
@@ -23,14 +23,13 @@ from multicontact_control.experiment.faults.in_process import Occurrence
 from multicontact_control.experiment.faults.vocabulary import FAULTS as EVERY_FAULT
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
-from rich.console import Console
+import pandas as pd
 from rich.progress import track
-from rich.table import Table
 
 FAULTS = {f'{x.input}:{x.kind}': x for x in EVERY_FAULT if x.from_start}
 ARMS = {'puma': (6, 'rigid', {}), 'panda': (7, 'panda/rigid', {}),
         'panda-mujoco': (7, 'panda/rigid', {'engine': 'mujoco'})}
-LARGEST = {'rad/s beyond': 0.3, 'N': 20.0, 'mm': 5.0}
+FASTER, LARGEST_FORCE, FARTHEST = 0.3, 20.0, 0.005  # rad/s beyond a right run, N, m
 FORCE, WAY, BEGIN, SLIDE_TIME = 10.0, 0.05, 150, 1.5  # N, m, tick, s
 TICKS, LONG_TICKS = 1500, 5000  # of speeds and of wrenches
 Cell = namedtuple('Cell', 'arm commanded push_test fault place', defaults=('', 0))
@@ -76,38 +75,36 @@ def run(cell):
             stray = getattr(loop.control.supervisor, 'stray_force', '')
             causes.update(['wrench: stray force'] * bool(stray))
     way = np.linalg.norm(np.array(places) - home.position_world, axis=1).max()
-    return np.max(speeds, axis=0), max(forces), 1e3 * way, causes - {'recovering', 'latched'}
+    return {'speed': np.max(speeds, axis=0), 'force': max(forces), 'way': way, 'causes': causes}
 
 
 def main(arguments=None):
     """Run the cells that were asked for; return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(prog='make velocities', description=__doc__)
     parser.add_argument('--arms', nargs='+', default=list(ARMS), choices=ARMS)
     parser.add_argument('--faults', nargs='+', default=list(FAULTS), choices=FAULTS)
     parser.add_argument('--every', type=int, default=1, help='take only every so many cells')
     options = parser.parse_args(arguments)
-    todo = [Cell(arm, commanded, push_test, fault, place) for arm, commanded, push_test, fault in
-            product(options.arms, (False, True), (True, False), options.faults)
-            if fault.startswith('joints') or not commanded for place in range(
-                12 if 'biased' in fault else ARMS[arm][0] if 'of_one' in fault else 1)]
-    todo = [*product(options.arms, (False, True), (True, False)), *todo[::options.every]]
-    found = dict(zip(todo, track(Parallel(2, return_as='generator')(
-        delayed(run)(Cell(*cell)) for cell in todo), total=len(todo))))
-    table, bad = Table('', *Cell._fields[:4], 'n', *LARGEST, 'unnamed', 'causes', box=None), 0
-    for group in dict.fromkeys(x[:4] for x in todo if len(x) == len(Cell._fields)):
-        cells, right = [x for cell, x in found.items() if cell[:4] == group], found[group[:3]]
-        figures = [max(float((x[0] - right[0]).max()) for x in cells),
-                   *(max(x[i] for x in cells) for i in (1, 2))]
-        source = group[3].split(':')[0]
-        limits = [*LARGEST.values()][:3 if source == 'wrench' else 2]  # commanded, it is to move
-        wrong = any(x > limit for x, limit in zip(figures, limits))
-        bad += wrong
-        unnamed = sum(not any(y.startswith(source) for y in x[3]) for x in cells)
-        table.add_row('not safe' * wrong, *map(str, (*group, len(cells))),
-                      *(f'{x:.2f}' for x in figures), str(unnamed),
-                      ', '.join(sorted(set().union(*(x[3] for x in cells)))))
-    Console(width=190).print(table)
-    return 1 if bad else 0
+    ways = [*product(options.arms, (False, True), (True, False))]
+    cells = [Cell(*way, fault, place) for way, fault in product(ways, options.faults)
+             if fault.startswith('joints') or not way[1] for place in range(
+                 12 if 'biased' in fault else ARMS[way[0]][0] if 'of_one' in fault else 1)]
+    cells, workers = cells[::options.every], Parallel(-1, return_as='generator')
+    right = dict(zip(ways, workers(delayed(run)(Cell(*way)) for way in ways)))
+    rows = []
+    for cell, row in zip(cells, track(workers(map(delayed(run), cells)), total=len(cells))):
+        source = cell.fault.split(':')[0]
+        row['speed'] = (row['speed'] - right[cell[:3]]['speed']).max()
+        safe = row['speed'] <= FASTER and row['force'] <= LARGEST_FORCE and (
+            source != 'wrench' or row['way'] <= FARTHEST)
+        named = any(cause.startswith(source) for cause in row['causes'])
+        rows.append({**cell._asdict(), **row, 'safe': safe, 'named': named})
+    table = pd.DataFrame(rows)
+    print(table.groupby([*Cell._fields[:4]]).agg(
+        n=('place', 'size'), speed=('speed', 'max'), force=('force', 'max'), way=('way', 'max'),
+        named=('named', 'sum'), safe=('safe', 'all'),
+        causes=('causes', lambda x: ', '.join(sorted(set().union(*x))))).to_string())
+    return 0 if table.safe.all() else 1
 
 
 if __name__ == '__main__':
