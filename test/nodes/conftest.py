@@ -55,25 +55,20 @@ class Host(Middleware):
 
     def __init__(self, domain_id):
         super().__init__(domain_id)
-        self.hosted, self.stop = None, StopFlag()
+        self.hosted = None
 
     def make(self, make_node, *parameters, file):
-        """Make the node, unconfigured, in the place of the one before."""
-        self._free()
+        """Make the node, unconfigured."""
         options = [part for text in parameters for part in ('-p', text)]
         self.hosted = make_node(context=self.node.context, cli_args=[
             '--ros-args', '--params-file', str(file), *options])
-        self.spinner = Spinner(self.hosted, self.stop)
+        self.spinner = Spinner(self.hosted, StopFlag())
         return self.hosted
 
-    def _free(self):
+    def __exit__(self, *error):
         if self.hosted is not None:
             self.spinner.close()
             self.hosted.destroy_node()
-            self.hosted = None
-
-    def __exit__(self, *error):
-        self._free()
         super().__exit__(*error)
 
     def pause(self, duration=0.002):
@@ -95,12 +90,11 @@ def host_domain(tmp_path_factory):
 
 
 @pytest.fixture(scope='module')
-def module_host(host_domain):
-    with Host(host_domain) as handle:
-        yield handle
+def make_host(host_domain):
+    return lambda: Host(host_domain)
 
 
 @pytest.fixture
-def host(host_domain):
-    with Host(host_domain) as handle:
+def host(make_host):
+    with make_host() as handle:
         yield handle

@@ -141,29 +141,6 @@ def test_samples_that_cannot_be_used_are_named(host, controller, joints, wrench,
     arm.diagnostics(lambda x: text in x[part][1], send)
 
 
-@pytest.mark.parametrize('supervised', [True, False], ids=['supervised', 'bare'])
-def test_stamps_that_stand_still_are_named_and_not_answered_for_ever(
-        host, controller, supervised):
-    controller(f'supervised:={str(supervised).lower()}', *PARAMETERS)
-    arm, answers = FakeArm(host), []
-    arm.connect()
-    arm.settle(10)
-    arm.commands()
-
-    def again():
-        arm.send_parts(arm.k * PERIOD, BOTH)
-        host.pause()
-        answers.extend(arm.commands())
-
-    arm.diagnostics(lambda x: 'come at inf Hz' in x['loop'][1], again)
-    count = len(answers)
-    for _ in range(50):
-        again()
-    assert set(answers) == {arm.k * PERIOD}
-    assert len(answers) > count if supervised else len(answers) == count <= 25
-    assert len(arm.step()) == 6  # goes on with the next stamp
-
-
 def test_second_node_that_publishes_joints_or_commands_is_named(host, host_domain, controller):
     controller(*PARAMETERS, 'effort_output_topic:=/bare')
     arm = FakeArm(host)

@@ -9,7 +9,7 @@ from fake_arm import EFFORT, FakeArm
 from fake_arm import PARAMETERS as STILL
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_node import ControllerNode
-from multicontact_control.nodes.graph import ignore
+from multicontact_control.nodes.graph import create_publisher, ignore
 from multicontact_control.nodes.lifecycle import FAILURE, FINALIZED, SUCCESS, UNCONFIGURED
 from multicontact_control.nodes.link import (
     ACTIVATE,
@@ -111,32 +111,28 @@ def test_autostart_begins_alone_or_ends_with_the_reason(middleware):
 
 def test_estimator_forgets_its_window_and_is_silent_while_inactive(host):
     estimator = host.make(NoiseEstimatorNode, file=config_dir() / 'noise_estimator.yaml')
-    stamps = [0]
-    publisher = host.node.create_publisher(
-        JointState, topics.MEASURED_FORCES.name, topics.MEASURED_FORCES.profile)
+    publisher = create_publisher(host.node, topics.MEASURED_FORCES)
     variances = host.node.create_subscription(JointState, topics.NOISE_VARIANCE.name, ignore, 1000)
+    k, since = 0, 0
 
-    def answer(force, since=0):
-        """Send a sample; return the newest answer to one from then on, which may be late."""
-        stamps.append(stamps[-1] + 2_000_000)
+    def answer(swing):
+        """Send a force that swings about 1 N; return R if it answers a sample from then on."""
+        nonlocal k
+        k += 1
         publisher.publish(messages.joint_state_message(
-            stamps[-1], ['table', 'board'], effort=[force, force]))
+            2_000_000 * k, ['table', 'board'], effort=[1.0 + swing * (-1.0) ** k] * 2))
         newest = host.take(variances, JointState)
-        late = newest is not None and messages.stamp_to_ns(newest.header.stamp) <= since
-        return None if late else newest
-
-    def varies():
-        newest = answer((-1.0) ** len(stamps))
-        return newest is not None and newest.effort[0] > 1.0
+        late = newest is None or messages.stamp_to_ns(newest.header.stamp) <= since
+        return [] if late else list(newest.effort)
 
     assert estimator.trigger_configure() == SUCCESS
     for _ in range(2):
         assert estimator.trigger_activate() == SUCCESS
-        since = stamps[-1]
-        first = wait_for(lambda since=since: answer(1.0, since), 'first variance')
-        assert list(first.effort) == [0.6, 0.6]  # the fixed one, until the window is full
-        wait_for(varies, 'variance of an alternating force')
+        since = 2_000_000 * k
+        # The fixed one, until the window is full.
+        assert wait_for(lambda: answer(0.0), 'first variance') == [0.6, 0.6]
+        wait_for(lambda: max(answer(1.0), default=0.0) > 1.0, 'variance of a force that swings')
         assert estimator.trigger_deactivate() == SUCCESS
-        since = stamps[-1]
-        assert [x for _ in range(20) if (x := answer(1.0, since)) is not None] == []
+        since = 2_000_000 * k
+        assert not any(answer(0.0) for _ in range(20))
     assert estimator.trigger_cleanup() == SUCCESS

@@ -15,20 +15,15 @@ from multicontact_control.config import (
     Vector,
 )
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.calibration import write_tool
 from multicontact_control.experiment.external import dotted, read_controller_files
-from multicontact_control.experiment.law_report import write_preset
 from multicontact_control.experiment.parameter_file import write_parameters
-from multicontact_control.experiment.scenario import preset_values, resolve
+from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.parameters import load_parameters, ParameterSet
 from multicontact_control.paths import config_dir
-from multicontact_control.sensor.tool import identify_tool, PoseReading
-import numpy as np
 import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from scipy.spatial.transform import Rotation
 from sim_bridge.new_robot import new_robot, write_controller
 
 CONTROLLER_FILE = config_dir() / 'controller.yaml'
@@ -50,10 +45,10 @@ class Whole(Config):
 def make_node(domain_id, tmp_path, monkeypatch):
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros'))
     with GuestNode('context', domain_id) as guest, contextlib.ExitStack() as nodes:
-        def make(*arguments, file=None, name='parameter_test'):
+        def make(*arguments, file=None):
             files = ['--params-file', str(file)] if file else []
             options = [part for argument in arguments for part in ('-p', argument)]
-            node = Node(name, context=guest.context, use_global_arguments=False,
+            node = Node('controller_node', context=guest.context, use_global_arguments=False,
                         start_parameter_services=False,
                         cli_args=['--ros-args', *files, *options])
             nodes.callback(node.destroy_node)
@@ -79,20 +74,6 @@ def new_robot_file(folder):
     return folder / 'controller.yaml'
 
 
-def tool_file(folder):
-    turns = Rotation.random(6, rng=0).as_matrix()
-    wrenches = [np.concatenate([force := turn.T @ [0.0, 0.0, 9.81], np.cross([0, 0, 0.1], force)])
-                for turn in turns]
-    tool = identify_tool([*map(PoseReading, turns, wrenches)], np.array([0.0, 0.0, -9.81]))
-    return write_tool(folder, tool)
-
-
-def preset_file(folder):
-    """Write what `design` does."""
-    write_preset(preset_values('adaptive'), folder / 'preset.yaml', 'tuned')
-    return folder / 'preset.yaml'
-
-
 def gantry_file(folder):
     """Names and numbers that rcl takes for something else, or not at all."""
     write_parameters(folder / 'gantry.yaml', {'controller_node': {
@@ -102,12 +83,12 @@ def gantry_file(folder):
 
 
 @pytest.mark.parametrize('write', [
-    new_robot_file, tool_file, preset_file, gantry_file,
+    new_robot_file, gantry_file,
     lambda folder: resolve('quick').write(folder)['controller_node']])
 def test_file_that_a_command_writes_is_read_by_nodes_and_commands_alike(
         make_node, tmp_path, write):
     file = write(tmp_path)
-    overrides = make_node(file=file, name='controller_node')._parameter_overrides
+    overrides = make_node(file=file)._parameter_overrides
     read = read_controller_files([file])
     expected = dotted(read.controller | read.node)
     assert expected and expected == {

@@ -1,53 +1,14 @@
-"""The environment of a node's process, and transitions that take long."""
+"""The environment of a process that uses ROS."""
 
 import os
 import re
 import subprocess
 import sys
-import threading
-import time
 
-from lifecycle_msgs.srv import ChangeState, GetState
-from multicontact_control.nodes import link
 import pytest
-from rclpy.executors import SingleThreadedExecutor
 from ros_graph import ROOT
 
 pytestmark = pytest.mark.ros
-def test_transition_that_takes_long_is_waited_for(domain_id, monkeypatch):
-    """The node at work answers neither this request nor the question for its state meanwhile."""
-    monkeypatch.setattr(link, 'FIRST_TIMEOUT', 0.2)
-    states = ['unconfigured']
-
-    def change(request, response):
-        response.success = (states[-1], request.transition.label) == (
-            'unconfigured', link.CONFIGURE)
-        if response.success:
-            time.sleep(0.8)
-            states.append('inactive')
-        return response
-
-    def get(_request, response):
-        response.current_state.label = states[-1]
-        return response
-
-    with link.GuestNode('slow', domain_id) as slow, link.GuestNode('asks', domain_id) as asks:
-        slow.node.create_service(GetState, '~/get_state', get)
-        slow.node.create_service(ChangeState, '~/change_state', change)
-        executor = SingleThreadedExecutor(context=slow.context)
-        executor.add_node(slow.node)
-        thread = threading.Thread(target=executor.spin)
-        thread.start()
-        try:
-            asks.change('slow', link.CONFIGURE)
-            assert states == ['unconfigured', 'inactive']
-            with pytest.raises(link.TransitionError):
-                asks.change('slow', link.ACTIVATE)
-        finally:
-            executor.shutdown()
-            thread.join()
-
-
 NODE = ('multicontact_control.nodes.noise_estimator_node', '--ros-args', '--params-file', 'ä')
 TOPICS = ('multicontact_control.cli', 'topic', 'list', '--wait', '0')
 ASCII = {'LC_ALL': 'C', 'PYTHONUTF8': '0', 'PYTHONCOERCECLOCALE': '0'}
