@@ -114,22 +114,6 @@ class Claim:
         return asdict(self)
 
 
-class ClaimOverDamping(NamedTuple):
-    """One claim at several values of K_2, which the paper leaves open."""
-
-    verdicts: Mapping[float, Claim]  # by K_2 [1/s]
-
-    @property
-    def depends(self) -> bool:
-        """Return whether the data say yes at one K_2 and no at another."""
-        return len({claim.holds for claim in self.verdicts.values()} - {None}) > 1
-
-
-def judge_over_damping(claims: Mapping[float, Sequence[Claim]]) -> list[ClaimOverDamping]:
-    """Put the verdicts on every claim side by side; `claims` are those of each K_2 [1/s]."""
-    return [ClaimOverDamping(dict(zip(claims, each))) for each in zip(*claims.values())]
-
-
 def claims_of(
     data: RunData, setup: Setup, summary: Mapping[str, Any], comparison: Rows = (),
 ) -> list[Claim]:

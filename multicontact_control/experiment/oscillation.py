@@ -18,7 +18,7 @@ surface that is not flat looks the same.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 import numpy as np
@@ -36,8 +36,7 @@ EXCEPTIONS = 1  # windows of a stretch in which a supervisor may have broken the
 LONGEST_BRIDGE = 0.01  # s of missing samples that are interpolated; a tenth of the slowest period
 
 
-@dataclass(frozen=True)
-class Oscillation:
+class Oscillation(NamedTuple):
     """A stretch in which a force oscillates."""
 
     start: float  # s
@@ -95,20 +94,18 @@ def lines(
     that begins with a window oscillates, the line's frequency [Hz] and rms [N], each of shape (w -
     6,).
     """
-    band = frequencies >= LOWEST
-    flank = round(FLANK / frequencies[1])
+    band, flank = frequencies >= LOWEST, round(FLANK / frequencies[1])
     found = []
     for begin in range(len(power) - STRETCH + 1):
         stretch = power[begin:begin + STRETCH]
         mean = stretch.mean(axis=0)
         peak = int(np.argmax(np.where(band, mean, 0.0)))
         near = np.abs(frequencies - frequencies[peak]) <= LINE_WIDTH + 1e-9
-        line = (stretch * near).sum(axis=1)
-        all_of_it = (stretch * (near | band)).sum(axis=1)
-        windows = (line >= LINE_SHARE * all_of_it) & (
+        line, all_of_it = ((stretch * part).sum(axis=1) for part in (near, near | band))
+        strong = (line >= LINE_SHARE * all_of_it) & (
             np.sqrt(line) >= limit[begin:begin + STRETCH])
         stands_out = mean[peak] >= CONTRAST * mean[peak - flank]
-        found.append((stands_out and int(windows.sum()) >= STRETCH - EXCEPTIONS,
+        found.append((stands_out and int(strong.sum()) >= STRETCH - EXCEPTIONS,
                       frequencies[peak], np.sqrt(line.mean())))
     oscillates, frequency, rms = (np.array(values) for values in zip(*found))
     return oscillates, frequency, rms

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ from multicontact_control.files import write_text
 import numpy as np
 
 if TYPE_CHECKING:
-    from multicontact_control.experiment.claims import Claim, ClaimOverDamping
+    from multicontact_control.experiment.claims import Claim
 
 ASSETS = Path(__file__).parent / 'page_assets'
 LONGEST = 2000  # samples of a curve
@@ -26,7 +26,6 @@ MEASURED, ESTIMATED, COMMANDED, TRUE = '#4c78a8', '#54a24b', '#222222', '#e45756
 WINDOW = '#f2f2f2'
 # Of lines that have none of their own.
 COLOURS = ('#1f3b73', '#c26a00', '#18794e', '#c0262d', '#6b4fa0', '#777777', '#0b8a9e', '#8a6d00')
-FILLED, OPEN = 'filled', 'open'
 VERDICTS = {True: '<b class=yes>holds</b>', False: '<b class=no>does not hold</b>',
             None: '<span class=unknown>not judged</span>'}
 STYLE = """
@@ -38,8 +37,6 @@ table { border-collapse: collapse; margin: .6em 0; font-size: 13px; }
 th, td { border-bottom: 1px solid #ddd; padding: .25em .6em; text-align: left;
          vertical-align: top; }
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
-tr.choice { cursor: pointer; } tr.choice:hover { background: #eef3fa; }
-tr.chosen { background: #dce8f7; }
 .yes { color: #18794e; } .no { color: #c0262d; } .unknown { color: #777; }
 .note { color: #555; font-size: 13px; }
 pre { background: #f6f6f6; padding: .8em; overflow-x: auto; font-size: 12px; }
@@ -51,15 +48,14 @@ img { max-width: 100%; }
 
 
 class Trace(NamedTuple):
-    """A series as a line, or as points; a page has one width of lines."""
+    """A series as a line; a page has one width of lines."""
 
     label: str
     values: Vector  # shape (m,)
-    colour: str | None = MEASURED
+    colour: str = MEASURED
     width: float = 0.5
     dashed: bool = False
     faint: bool = False
-    marker: str = ''  # of points, FILLED or OPEN, on a page
 
 
 class Panel(NamedTuple):
@@ -117,36 +113,32 @@ def _extremes(values: Vector, size: int) -> Vector:
 
 def plot(
     panel: Panel, time: Vector, heading: str = '', *, shaded: Sequence[Span] = (),
-    height: int = HEIGHT, longest: int = LONGEST, places: Sequence[str] = (),
+    height: int = HEIGHT, longest: int = LONGEST,
 ) -> dict[str, Any]:
     """
     Return what figures.js draws of a panel over time [s], as JSON values.
 
     `heading` is plain text, `shaded` are stretches with their names, `height` is that of the axes
-    [px], `longest` the samples that are drawn at most. `places` stand along the horizontal axis at
-    0, 1, ... instead of time.
+    [px], `longest` the samples that are drawn at most.
     """
     thinned, series, size = envelope(time, [trace.values for trace in panel.traces], longest)
     least = 0.0 if panel.on_log_axis else -np.inf
     return {
-        'heading': heading, 'label': panel.label, 'height': height, 'places': list(places),
-        'xlabel': '' if places else 'time [s]', 'limits': panel.limits,
-        'logarithmic': panel.on_log_axis, 'levels': panel.levels, 'thinned': size,
-        'shaded': [list(span) for span in shaded], 'shade': WINDOW,
-        'curves': [{'label': trace.label, 'colour': trace.colour or COLOURS[i % len(COLOURS)],
-                    'dashed': trace.dashed, 'faint': trace.faint, 'marker': trace.marker}
-                   for i, trace in enumerate(panel.traces)],
+        'heading': heading, 'label': panel.label, 'height': height, 'xlabel': 'time [s]',
+        'limits': panel.limits, 'logarithmic': panel.on_log_axis, 'levels': panel.levels,
+        'thinned': size, 'shaded': [list(span) for span in shaded], 'shade': WINDOW,
+        'curves': [{'label': trace.label, 'colour': trace.colour, 'dashed': trace.dashed,
+                    'faint': trace.faint} for trace in panel.traces],
         'data': [np.round(thinned, 4).tolist(), *(
             [float(f'{x:.5g}') if np.isfinite(x) and x > least else None for x in values]
             for values in series)]}
 
 
-def figure(name: str, plots: Sequence[dict[str, Any]] = ()) -> str:
+def figure(name: str, plots: Sequence[dict[str, Any]]) -> str:
     """Return the HTML of plots below each other; `name` must be the only one on its page."""
-    content = (f'<script type="application/json">{script_json(list(plots))}</script>'
-               if plots else '')
     return (f'<div class="figure" id="{escape(name)}"><noscript>Its curves need JavaScript.'
-            f'</noscript>{content}</div>')
+            f'</noscript><script type="application/json">{script_json(list(plots))}</script>'
+            '</div>')
 
 
 def script_json(value: Any) -> str:
@@ -177,44 +169,23 @@ def write_page(path: Path, title: str, body: str) -> None:
 
 def table(
     head: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_from: int = 1,
-    row_attributes: Sequence[str] = (),
 ) -> str:
-    """
-    Return a table of HTML cells, with the columns from `numbers_from` on set to the right.
-
-    `row_attributes` are those of each row's element.
-    """
-    def line(cells: Sequence[str], tag: str, attribute: str = '') -> str:
+    """Return a table of HTML cells, with the columns from `numbers_from` on set to the right."""
+    def line(cells: Sequence[str], tag: str) -> str:
         inner = ''.join(
             f'<{tag}{" class=number" if i >= numbers_from else ""}>{cell}</{tag}>'
             for i, cell in enumerate(cells))
-        return f'<tr {attribute}>{inner}</tr>'
+        return f'<tr>{inner}</tr>'
 
-    lines = [line(row, 'td', row_attributes[i] if i < len(row_attributes) else '')
-             for i, row in enumerate(rows)]
-    return f'<table>{line(head, "th")}{"".join(lines)}</table>'
+    return f'<table>{line(head, "th")}{"".join(line(row, "td") for row in rows)}</table>'
 
 
-def claims_over_damping(claims: Sequence[ClaimOverDamping]) -> str:
-    """Return the table of the paper's claims over K_2, which it leaves open."""
-    rates = list(claims[0].verdicts) if claims else []
-    rows = []
-    for each in claims:
-        first = next(iter(each.verdicts.values()))
-        rows.append((
-            escape(first.claim), escape(first.paper),
-            *(f'{VERDICTS[claim.holds]}<br>{escape(claim.measured)}'
-              for claim in each.verdicts.values()), '<b>yes</b>' if each.depends else 'no'))
-    return table(('claim', 'in the paper', *(f'K<sub>2</sub> = {rate:g} 1/s' for rate in rates),
-                  'depends on K<sub>2</sub>'), rows, numbers_from=9)
-
-
-def claims_table(claims: Sequence[Claim]) -> str:
-    """Return the table of the paper's claims."""
-    return table(
-        ('claim', 'in the paper', 'verdict', 'measured', 'expected'),
-        [(escape(claim.claim), escape(claim.paper), VERDICTS[claim.holds],
-          escape(claim.measured), escape(claim.why)) for claim in claims], numbers_from=9)
+def claims_table(claims: Mapping[str, Sequence[Claim]]) -> str:
+    """Return the table of the paper's claims, with a column for each run by its name."""
+    return table(('claim', 'in the paper', 'expected', *map(escape, claims)), [
+        (escape(each[0].claim), escape(each[0].paper), escape(each[0].why), *(
+            f'{VERDICTS[claim.holds]}<br>{escape(claim.measured)}' for claim in each))
+        for each in zip(*claims.values())], numbers_from=9)
 
 
 def image(path: Path, alt: str) -> str:

@@ -97,18 +97,16 @@ def _empty(folder: Path, *, overwrite: bool) -> None:
     if folder.exists() and not folder.is_dir():
         raise ConfigError('out', 'a folder', f'{folder}, a file')
     folder.mkdir(parents=True, exist_ok=True)
-    entries = list(folder.iterdir())
-    if not entries:
+    names = {entry.name for entry in folder.iterdir()}
+    if not names:
         return
-    names = {entry.name for entry in entries}
-    others = names - LEFT_BY_RUNS
-    if others or not (folder / SCENARIO_FILE).is_file():
+    if names - LEFT_BY_RUNS or not (folder / SCENARIO_FILE).is_file():
         raise ConfigError('out', 'a new or empty folder, or that of a run',
-                          f'{folder}, which holds {min(others or names)}')
+                          f'{folder}, which holds {min(names - LEFT_BY_RUNS or names)}')
     if not overwrite:
         raise ConfigError('out', 'a folder without a run, or --overwrite',
                           f'{folder}, which holds a run')
-    for entry in entries:
+    for entry in folder.iterdir():
         if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry)
         else:

@@ -122,7 +122,7 @@ GRAPH_FAULTS = {(fault.kind, fault.input): fault for fault in (
     GraphFault('ahead', CLOCK, ClockShift(lambda since, begin: 0.1), STOPPED),
     GraphFault('zero', CLOCK, ClockShift(lambda since, begin: -INF), STOPPED),
     *(GraphFault(fault.kind, fault.input, fault.action, fault.declared, fault.phases)
-      for fault in FAULTS if isinstance(fault.action, (Edit, ClockShift))
+      for fault in FAULTS.values() if isinstance(fault.action, (Edit, ClockShift))
       and not fault.from_start and (fault.kind, fault.input) not in ONLY_IN_PROCESS),
     *(GraphFault(kind, f'{topic} command', Command(change))
       for topic, changes in (('forces', FORCES), ('motion', MOTIONS))

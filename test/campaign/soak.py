@@ -49,7 +49,7 @@ class Soak:
         self.setup = with_obstacles('quick', plant, seed)
         self.loop = ClosedLoop(self.setup, commanded=True)
         self._random = np.random.default_rng(seed)
-        self._faults = [x for x in FAULTS if not (
+        self._faults = [x for x in FAULTS.values() if not (
             isinstance(x.action, PlantEdit) and x.action.end is None)]  # the world is as before
         config = self.setup.controller
         self._rate, self._period = config.rate, config.period

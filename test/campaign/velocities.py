@@ -26,7 +26,7 @@ import numpy as np
 import pandas as pd
 from rich.progress import track
 
-FAULTS = {f'{x.input}:{x.kind}': x for x in EVERY_FAULT if x.from_start}
+FAULTS = {f'{x.input}:{x.kind}': x for x in EVERY_FAULT.values() if x.from_start}
 ARMS = {'puma': (6, 'rigid', {}), 'panda': (7, 'panda/rigid', {}),
         'panda-mujoco': (7, 'panda/rigid', {'engine': 'mujoco'})}
 FASTER, LARGEST_FORCE, FARTHEST = 0.3, 20.0, 0.005  # rad/s beyond a right run, N, m

@@ -9,7 +9,6 @@ from typing import Any
 from multicontact_control.arrays import Vector
 import numpy as np
 
-PROCESS = 'process'
 TWO = 'two at once'
 START, APPROACH, REST, SLIDING = 'start', 'approach', 'rest', 'sliding'
 PHASES = (REST, SLIDING, APPROACH)

@@ -19,7 +19,6 @@ from multicontact_control.experiment.faults.fault import (
     Fault,
     PlantChange,
     PlantEdit,
-    PROCESS,
     REST,
     SLIDING,
 )
@@ -213,22 +212,18 @@ def _drivers() -> Iterator[Fault]:
         command_twice, lambda plant, choice: delattr(plant, 'step')))
 
 
-FAULTS = (*_deliveries(), *_edits(), *_clocks(), *_plants(),
-          *(Fault('raises', part, Breakdown(part)) for part in PARTS), *_velocities(),
-          *_drivers())
-
-
-def faults_of(where: str = PROCESS) -> dict[tuple[str, str], Fault]:
-    """Return all faults by kind and input, in the order of the table."""
-    return {(fault.kind, fault.input): fault for fault in FAULTS}
+# By kind and input.
+FAULTS: dict[tuple[str, str], Fault] = {(fault.kind, fault.input): fault for fault in (
+    *_deliveries(), *_edits(), *_clocks(), *_plants(),
+    *(Fault('raises', part, Breakdown(part)) for part in PARTS), *_velocities(), *_drivers())}
 
 
 def pairs_of_faults(count: int, seed: int) -> list[tuple[Fault, Fault]]:
     """Return faults of different things, two at a time, drawn at random."""
-    random = np.random.default_rng([seed, count])
+    random, known = np.random.default_rng([seed, count]), list(FAULTS.values())
     pairs: list[tuple[Fault, Fault]] = []
     while len(pairs) < count:
-        one, other = (FAULTS[int(k)] for k in random.integers(len(FAULTS), size=2))
+        one, other = (known[int(k)] for k in random.integers(len(known), size=2))
         if one.input != other.input:
             pairs.append((one, other))
     return pairs

@@ -16,11 +16,6 @@ function curve(style, values) {
   const number = (_, value) => value === null ? '-' : String(Number(value.toPrecision(4)));
   const shown = {label: style.label || 'value', stroke: style.colour, value: number,
     width: 1, alpha: style.faint ? 0.6 : 1, dash: style.dashed ? [6, 4] : undefined};
-  if (style.marker) {
-    return {...shown, fill: style.marker === 'filled' ? style.colour : undefined,
-      paths: () => null, points: {show: true, size: 9, width: 1.5,
-      stroke: style.colour, fill: style.marker === 'open' ? '#fff' : style.colour}};
-  }
   const single = alone(values);
   return {...shown, points: {
     size: 4, filter: (_, k, all) => all || !single.length ? null : single}};
@@ -99,19 +94,16 @@ function decades(u, marks) {
 function options(plot, width) {
   const axis = {font: FONT, labelFont: FONT, stroke: TEXT, labelSize: 20,
     grid: {stroke: GRID, width: 1}, ticks: {stroke: GRID, width: 1}};
-  const named = plot.places.length > 0, up = {...axis, size: 58, label: plot.label};
-  const across = named ? {...axis, rotate: 35, size: 90, space: 20,
-    splits: () => plot.places.map((_, i) => i), values: () => plot.places,
-    label: undefined} : {...axis, size: 34, label: plot.xlabel};
+  const up = {...axis, size: 58, label: plot.label};
+  const across = {...axis, size: 34, label: plot.xlabel};
   return {
     title: plot.heading || undefined, width, height: plot.height,
     cursor: {y: false, drag: {x: true, y: true, uni: 30, dist: 4}, focus: {prox: 20},
-      sync: named ? undefined : {key: 'time', scales: ['x', null]}},
+      sync: {key: 'time', scales: ['x', null]}},
     scales: {
-      x: {time: false, range: named ? () => [-0.5, plot.places.length - 0.5] : undefined},
+      x: {time: false},
       y: {distr: plot.logarithmic ? 3 : 1, range: limits(plot)}},
     axes: [across, plot.logarithmic ? {...up, grid: {...up.grid, filter: decades}} : up],
-    legend: {live: !named},
     series: [
       {label: plot.xlabel || '', value: (_, x) => x === null || x === undefined ? '-' :
         x.toFixed(3)},

@@ -2,16 +2,14 @@
 
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.fault import PROCESS, REST
+from multicontact_control.experiment.faults.fault import REST
 from multicontact_control.experiment.faults.in_process import RUN_TICKS, together
 from multicontact_control.experiment.faults.judge import FASTEST, judge, MET_FORCE, Observation
 from multicontact_control.experiment.faults.situation import with_obstacles
-from multicontact_control.experiment.faults.vocabulary import ELBOW_WALL, faults_of, SIDE_WALL
+from multicontact_control.experiment.faults.vocabulary import ELBOW_WALL, FAULTS, SIDE_WALL
 from multicontact_control.experiment.study.presets.faults import in_fork
 import numpy as np
 import pytest
-
-KINDS = faults_of(PROCESS)
 
 
 @pytest.fixture(scope='module')
@@ -30,7 +28,7 @@ def world():
     (('wrapped_q', 'joints'), 'none'), (('second_publisher', 'plant'), 'none'),
     (('constant_qd', 'joints'), 'hold'), (('like_position_qd', 'joints'), 'hold')])
 def test_fault_is_answered_as_declared(world, kind, reaction):
-    row = in_fork(world, KINDS[kind], 1, 'approach')
+    row = in_fork(world, FAULTS[kind], 1, 'approach')
     assert (row.reaction, row.safe, row.problems) == (reaction, True, '')
     # R may be three periods late, and a wrench that is missing is predicted for twelve.
     latest = {'variance': 0.008, 'wrench': 0.024}.get(kind[1], 0.004)
@@ -39,7 +37,7 @@ def test_fault_is_answered_as_declared(world, kind, reaction):
 
 def test_fault_that_kills_its_process_is_not_safe(world, monkeypatch):
     monkeypatch.setattr(ClosedLoop, 'advance', lambda self, corrupt=None: 1 / 0)
-    row = in_fork(world, KINDS['nan', 'wrench'], 1, 'approach', KINDS['nan_q', 'joints'])
+    row = in_fork(world, FAULTS['nan', 'wrench'], 1, 'approach', FAULTS['nan_q', 'joints'])
     assert not row.safe and row.problems == 'died'
 
 
@@ -54,16 +52,16 @@ def observed(setup, torque=0.0, **changes):
 @pytest.mark.parametrize('kind', [('nan', 'wrench'), ('nan_q', 'joints')])
 def test_declared_reaction_that_does_not_come_is_not_safe(world, kind):
     seen = observed(world.setup, reactions=['none'] * RUN_TICKS, lasted=100)
-    assert not judge(KINDS[kind], 1, world.setup, seen, phase=REST).safe
+    assert not judge(FAULTS[kind], 1, world.setup, seen, phase=REST).safe
     seen.reactions = [*['none'] * 2, *['float'] * 598]
-    assert judge(KINDS[kind], 1, world.setup, seen, phase=REST).safe
+    assert judge(FAULTS[kind], 1, world.setup, seen, phase=REST).safe
 
 
 @pytest.mark.parametrize(('speed', 'safe'), [(FASTEST - 0.1, True), (FASTEST + 0.1, False)])
 def test_joint_may_not_be_fast_while_its_speed_is_wrong(world, speed, safe):
     seen = observed(world.setup, speed=speed)
     for kind, limited in (('in_degrees_qd', True), ('nan_q', False)):
-        row = judge(KINDS[kind, 'joints'], 1, world.setup, seen)
+        row = judge(FAULTS[kind, 'joints'], 1, world.setup, seen)
         assert row.safe == (safe or not limited)
 
 
@@ -74,7 +72,7 @@ def test_obstacle_may_not_be_pressed_hard_and_is_to_be_noticed_at_the_elbow(
         world, wall, force, safe):
     met = np.zeros((RUN_TICKS, 2))
     met[100, wall] = force
-    obstacle, other = KINDS['elbow_obstacle', 'plant'], KINDS['nan', 'wrench']
+    obstacle, other = FAULTS['elbow_obstacle', 'plant'], FAULTS['nan', 'wrench']
     for fault in (obstacle, together(obstacle, other), together(other, obstacle)):
         row = judge(fault, 1, world.setup, observed(world.setup, met=met))
         assert (row.safe, row.peak_force_n) == (safe, force)

@@ -16,7 +16,6 @@ from multicontact_control.experiment.faults.fault import (
     APPROACH,
     Fault,
     PHASES,
-    PROCESS,
     REST,
     SLIDING,
     START,
@@ -25,7 +24,7 @@ from multicontact_control.experiment.faults.fault import (
 from multicontact_control.experiment.faults.in_process import run_fault, together
 from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.faults.situation import with_obstacles
-from multicontact_control.experiment.faults.vocabulary import faults_of, pairs_of_faults
+from multicontact_control.experiment.faults.vocabulary import FAULTS, pairs_of_faults
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.cells import Cell
 from multicontact_control.experiment.study.jobs import content_key, setup_content
@@ -65,10 +64,10 @@ class FaultJob:
 
     def run(self) -> dict[str, Any]:
         """Run the faults; a row for each is under `rows`."""
-        known = faults_of(PROCESS)
         world = _world_at(self)
         return {'rows': [
-            asdict(in_fork(world, known[kind, source], seed, self.phase, known.get(tuple(other))))
+            asdict(in_fork(world, FAULTS[kind, source], seed, self.phase,
+                           FAULTS.get((other[0], other[1]) if other else ('', ''))))
             for kind, source, seed, *other in self.faults]}
 
 
@@ -144,7 +143,7 @@ class FaultsStudy(Study):
         places: dict[tuple[str, str], list[tuple[Any, ...]]] = {
             (plant, phase): [] for phase in sorted(PHASE_TIMES, key=PHASE_TIMES.__getitem__)
             for plant in plants}
-        for index, (name, fault) in enumerate(faults_of(PROCESS).items()):
+        for index, (name, fault) in enumerate(FAULTS.items()):
             phases = (START, *PHASES) if fault.from_start else PHASES
             numbers = [(index % spread, seeds[0] + index % spread)] if len(seeds) == 1 else (
                 enumerate(seeds))
@@ -172,7 +171,7 @@ class FaultsStudy(Study):
 
     def complete(self, frame: pd.DataFrame) -> pd.DataFrame:
         """Return the rows by kind and seed."""
-        order = {name: i for i, name in enumerate(faults_of(PROCESS))}
+        order = {name: i for i, name in enumerate(FAULTS)}
         places = [order.get(name, len(order)) for name in zip(frame['kind'], frame['inputs'])]
         frame.attrs['factors'] = ['input', 'kind', 'plant', 'phase', 'seed']
         return frame.assign(place=places).sort_values(
