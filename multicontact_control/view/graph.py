@@ -261,11 +261,15 @@ class GraphSource:
     def command(self, name: str, /, **values: Any) -> str:
         """Give a command, and return what comes of it; see `Source.command`."""
         refuse(name, self.refusals)
+        motion = self._motion
+        motions: Mapping[str, Callable[..., str]] = {
+            source.GO_TO: motion.go_to, source.JOG: motion.jog, source.PATTERN: motion.start_sine}
         commands: Mapping[str, Callable[..., str]] = {
-            source.FORCES: self._set_forces, source.GO_TO: self._go_to, source.JOG: self._jog,
-            source.PATTERN: self._start_sine, source.STOP: self._motion.stop,
-            source.HOLD: self._hold, source.GAINS: self._set_gains,
-            source.SURFACE: self._set_surface, source.PUSH: self._push}
+            source.FORCES: self._set_forces, source.STOP: motion.stop, source.HOLD: self._hold,
+            source.GAINS: self._set_gains, source.SURFACE: self._set_surface,
+            source.PUSH: self._push, **motions}
+        if name in motions:
+            self._start_motion()
         if name in commands:
             return commands[name](**values)
         return self._link.ask(name, Trigger, Trigger.Request()) or name
@@ -290,18 +294,6 @@ class GraphSource:
             pose = self._link.fresh(topics.POSE_DESIRED)[0].pose
             p, q = pose.position, pose.orientation
             self._motion.start(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
-
-    def _go_to(self, position: list[float]) -> str:
-        self._start_motion()
-        return self._motion.go_to(position)
-
-    def _jog(self, offset: list[float]) -> str:
-        self._start_motion()
-        return self._motion.jog(offset)
-
-    def _start_sine(self, axis: str, amplitude: float, period: float) -> str:
-        self._start_motion()
-        return self._motion.start_sine(axis, amplitude, period)
 
     def _hold(self, on: bool) -> str:
         if on and self._motion.what:

@@ -51,21 +51,11 @@ SURFACES = 'ground_truth/surfaces'
 
 class ReplaySource:
     """
-    Plays a recording.
+    Plays a recording: the series in `data`.
 
-    Parameters
-    ----------
-    scene
-        What it shows; duration and further marks are added here.
-    data
-        The series.
-    events
-        Of the supervisor: time [s] and line of its log.
-    places
-        From when on [s] points of surfaces were where [m], by name.
-    clock
-        Monotonic time [s].
-
+    `scene` gets its duration and further marks. `events` are times [s] and lines of the
+    supervisor's log, `places` times from when on points of surfaces were where [m], by name;
+    `clock` returns monotonic time [s].
     """
 
     def __init__(
@@ -184,22 +174,11 @@ def block_points(data: RunData, config: ControllerConfig) -> Matrix:
 
 def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> ReplaySource:
     """
-    Read a run, or a bag that was recorded in any other way.
+    Read a run, or a bag that was recorded in any other way; ConfigError, RunError if it fails.
 
-    Parameters
-    ----------
-    path
-        Folder of `run` or `simulate`, of a bag, or the bag's file.
-    setup
-        What is known of a bag that has no configuration beside it.
-    namespace
-        That of the graph; if not given, the only one in the recording.
-
-    Raises
-    ------
-    ConfigError, RunError
-        If there is no such thing, or it cannot be read.
-
+    `path` is the folder of `run` or `simulate`, that of a bag, or a bag's file; `setup` what is
+    known of a bag that has no configuration beside it; `namespace` that of the graph, if not given
+    the only one in the recording.
     """
     folder = path.parent if path.is_file() else path
     if not folder.is_dir():

@@ -21,35 +21,13 @@ def run_view(
     port: int = 8080, open_browser: bool = False,
 ) -> str:
     """
-    Show a graph or a recording on a page until a signal comes.
+    Show a graph or a recording on a page until a signal comes; MulticontactError if it cannot be.
 
-    Parameters
-    ----------
-    setup
-        Of the graph to start, or what is known of the graph or recording.
-    tell
-        Called with lines for the user.
-    recording
-        Folder of a run or bag to replay, None for none.
-    graph, domain_id
-        Whether to join a graph that runs, and where.
-    namespace
-        Of that graph, or of the one in the recording; None for none, or the only one there.
-    port
-        To listen on; the next one that is free.
-    open_browser
-        Whether to open it.
-
-    Returns
-    -------
-    str
-        Why there was nothing more to see, empty if the user has ended it.
-
-    Raises
-    ------
-    MulticontactError
-        If it cannot be shown.
-
+    It replays a `recording`, the folder of a run or bag; or joins the graph that runs; or starts
+    one of `setup`, and ends it. Otherwise `setup` is what is known of graph or recording.
+    `namespace` and `domain_id` are where the graph is, or is to be; `tell` is called with lines
+    for the user. The page listens on `port`, or the next one that is free. Returns why there was
+    nothing more to see, empty if the user has ended it.
     """
     if graph and recording is not None:
         raise ConfigError('graph', 'no recording with it', recording)

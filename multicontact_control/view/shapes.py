@@ -17,48 +17,22 @@ BONE = 0.03  # m, radius of a link of which nothing is known but where it goes
 
 
 class Shape(NamedTuple):
-    """
-    A body to draw.
+    """A body to draw."""
 
-    Attributes
-    ----------
-    link
-        Link that carries it.
-    kind, size
-        `BOX` with its edges, `CYLINDER` with radius and length along z, `SPHERE` with its radius
-        [m].
-    position, wxyz
-        In the link's frame [m].
-    colour
-        Red, green, blue, 0 to 1.
-
-    """
-
-    link: str
+    link: str  # that carries it
     kind: str
-    size: Vector
-    position: Vector
+    size: Vector  # edges of a box; radius, and length along z; radius of a sphere [m]
+    position: Vector  # in the link's frame [m]
     wxyz: Vector
-    colour: tuple[float, float, float]
+    colour: tuple[float, float, float]  # red, green, blue, 0 to 1
 
 
 def read_shapes(urdf: str | bytes) -> list[Shape]:
     """
-    Return what an arm looks like.
+    Return what an arm looks like, from the XML of its URDF; ConfigError if that is none.
 
     Links of which the URDF says nothing, or that look like a mesh, become plain rods to the next
     joint.
-
-    Parameters
-    ----------
-    urdf
-        Its XML.
-
-    Raises
-    ------
-    ConfigError
-        If that is no URDF.
-
     """
     try:
         root = ElementTree.fromstring(urdf)
@@ -106,12 +80,9 @@ def _rod(joint: ElementTree.Element) -> list[Shape]:
 
 def _origin(element: ElementTree.Element) -> tuple[Vector, Rotation]:
     origin = element.find('origin')
-    place: Vector = (0.0, 0.0, 0.0)
-    turn: Vector = (0.0, 0.0, 0.0)
-    if origin is not None:
-        place = _numbers(origin.get('xyz', '0 0 0')) or place
-        turn = _numbers(origin.get('rpy', '0 0 0')) or turn
-    return place, Rotation.from_euler('xyz', turn)
+    given: dict[str, str] = {} if origin is None else origin.attrib
+    return (_numbers(given.get('xyz', '0 0 0')),
+            Rotation.from_euler('xyz', _numbers(given.get('rpy', '0 0 0'))))
 
 
 def _colour(material: ElementTree.Element) -> tuple[float, float, float] | None:

@@ -20,9 +20,9 @@ def motion():
     return made
 
 
-def path(motion, ticks):
+def path(motion, ticks, period=PERIOD):
     """Return position, velocity and acceleration tick by tick, until it comes to rest."""
-    readings = [reading for _ in range(ticks) if (reading := motion.advance(PERIOD)) is not None]
+    readings = [reading for _ in range(ticks) if (reading := motion.advance(period)) is not None]
     return [np.array([getattr(reading, name)[:3] for reading in readings]) for name in (
         'position_world', 'twist_world', 'acceleration_world')]
 
@@ -34,10 +34,11 @@ def assert_smooth(position, velocity, acceleration):
         np.diff(velocity, axis=0) / PERIOD, acceleration[1:], atol=0.02 + 0.1 * ACCELERATION)
 
 
-def test_motion_goes_to_a_point_within_its_speed_and_rests_there(motion):
-    assert motion.advance(PERIOD) is None and motion.what == ''
+@pytest.mark.parametrize('period', [PERIOD, 0.1])
+def test_motion_goes_to_a_point_within_its_speed_and_rests_there(motion, period):
+    assert motion.advance(period) is None and motion.what == ''
     motion.go_to(START + [0.1, 0.05, 0.0])
-    position, velocity, acceleration = path(motion, 4000)
+    position, velocity, acceleration = path(motion, 4000, period)
     np.testing.assert_allclose(position[-1], START + [0.1, 0.05, 0.0], atol=1e-9)
     np.testing.assert_array_equal(velocity[-1], 0.0)
     assert np.linalg.norm(velocity, axis=1).max() <= SPEED * 1.0001

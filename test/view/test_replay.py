@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 from multicontact_control.errors import CommandError, ConfigError, RunError
 from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.files import read_json
+from multicontact_control.files import read_json, write_json
 from multicontact_control.nodes import messages
 from multicontact_control.view import source
 from multicontact_control.view.replay import load_replay, ReplaySource
@@ -15,6 +18,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
+from runs import run_of
 from sim_bridge.surface_patch import SurfaceMarkers
 import zstandard
 
@@ -22,24 +26,30 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 PERIOD = 2_000_000  # ns
 
 
-class Clock:
-    now = 100.0
-
-    def __call__(self):
-        return self.now
+@pytest.fixture(scope='module')
+def recorded_run(tmp_path_factory):
+    """Return the folder of a run of 15 s, with what a replay reads."""
+    folder = tmp_path_factory.mktemp('run')
+    setup = resolve('quick', plant='rigid')
+    result = run_of(setup)
+    setup.write(folder / CONFIG_FOLDER)
+    result.data.save(folder)
+    write_json(folder / SUMMARY_FILE, {'plant': 'rigid', 'seed': 0, 'events': [
+        {'time_s': time, 'what': what} for time, what in result.events]})
+    return folder
 
 
 @pytest.fixture
 def clock():
-    return Clock()
+    return SimpleNamespace(now=100.0)
 
 
 @pytest.fixture
 def replay(recorded_run, clock):
-    loaded = load_replay(recorded_run, resolve('paper'))
+    scene = load_replay(recorded_run, resolve('paper')).scene
     events = [(event['time_s'], event['what'])
-              for event in read_json(recorded_run / 'summary.json')['events']]
-    return ReplaySource(loaded.scene, RunData.load(recorded_run), events, clock=clock)
+              for event in read_json(recorded_run / SUMMARY_FILE)['events']]
+    return ReplaySource(scene, RunData.load(recorded_run), events, clock=lambda: clock.now)
 
 
 def seek(replay, moment):
