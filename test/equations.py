@@ -25,20 +25,10 @@ def contact_coordinates(N, vector):
     return np.linalg.pinv(N) @ vector
 
 
-@dataclass
-class Projections:
-    Omega_f: np.ndarray
-    Omega_m: np.ndarray
-
-    @property
-    def Omega_c(self):
-        return np.eye(len(self.Omega_m)) - self.Omega_m
-
-
 def general_projections(N, T, N_prime, T_prime):
     """Omega_f = N (T'^T N)^-1 T'^T, Omega_m = T (N'^T T)^-1 N'^T (P04 eqs 7-12)."""
-    return Projections(N @ np.linalg.solve(T_prime.T @ N, T_prime.T),
-                       T @ np.linalg.solve(N_prime.T @ T, N_prime.T))
+    return (N @ np.linalg.solve(T_prime.T @ N, T_prime.T),
+            T @ np.linalg.solve(N_prime.T @ T, N_prime.T))
 
 
 def euclidean_projections(N):

@@ -1,10 +1,11 @@
-"""Edges and planes: their columns of N, and what is measured along them."""
+"""Columns of N of edges and planes, what is measured along them, and estimated normals."""
 
 from multicontact_control.config.contact import ACROSS, ALONG, FORCE
 from multicontact_control.contact.geometry import check_columns, friction_coupling, normal_space
+from multicontact_control.contact.surfaces import follow_surfaces
 from multicontact_control.contact.wrench import measure_contacts
 from multicontact_control.errors import ConfigError
-from multicontact_control.records import CONTACT, CONTROL
+from multicontact_control.records import CONTACT, CONTROL, FRAME
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -64,23 +65,6 @@ def test_couple_column_is_a_difference_of_forces_at_both_ends():
     np.testing.assert_allclose(records['alpha_meas'], [13.0, 5.0], atol=1e-12)
 
 
-@pytest.mark.parametrize('kinds', [[FORCE], [FORCE, ALONG], [FORCE, ALONG, ACROSS]])
-def test_measured_forces_exclude_friction_that_is_allowed_for(kinds):
-    """It is 12 N on a lever of 0.2 m: without that, it is read as several newtons."""
-    true = np.array([10.0, 2.0, -1.0])[:len(kinds)]
-    friction = np.array([4.0, 12.0, 3.0]) - NORMAL * (NORMAL @ [4.0, 12.0, 3.0])
-    records = columns(kinds)
-    wrench = normal_space(records, np.eye(3)) @ true
-    wrench += np.concatenate([friction, np.cross(POINT, friction)])
-    assert measure_contacts(control(wrench), records)
-    plain = np.abs(records['alpha_meas'] - true).max()
-    records = columns(kinds, friction=20.0)
-    assert measure_contacts(control(wrench, separated=True), records)
-    assert plain > 1.0 or len(kinds) == 1
-    np.testing.assert_allclose(records['alpha_meas'], true, atol=5e-3)
-    np.testing.assert_allclose(records['friction'][0], friction, atol=5e-3)
-
-
 def test_measured_forces_are_generalised_least_squares():
     random = np.random.default_rng(3)
     lever, wrench = np.array([0.01, 0.02, 0.06]), random.standard_normal(6)
@@ -128,3 +112,40 @@ def test_friction_coupling_is_the_worst_misreading():
     np.testing.assert_allclose(coupling[:, 0], worst, rtol=1e-4)
     assert (coupling[:, 1] == 0.0).all()
     assert coupling[1, 0] > 1.0  # a lever of 0.2 m on an edge of 0.08 m
+
+
+TILT = np.radians(20.0)
+TRUE_NORMAL = np.array([np.sin(TILT), 0.0, -np.cos(TILT)])
+DOWNHILL = np.array([np.cos(TILT), 0.0, np.sin(TILT)])
+
+
+def follow(velocity, ticks=1):
+    """Return the normal after samples of 10 N on a tilted surface that rubs with 1 N."""
+    frame, contacts = np.zeros(1, dtype=FRAME), np.zeros(1, dtype=CONTACT)
+    frame['rotation'] = np.eye(3)
+    frame['twist'][0, :3] = velocity
+    configured = np.array([0.0, 0.0, -1.0])
+    config = contacts['config']
+    contacts['normal'] = config['normal'] = configured
+    contacts['answer']['active'], config['normal_gain'] = True, 0.1
+    config['turn_limit'], config['smallest_cosine'] = 0.1, np.cos(0.6)
+    for _ in range(ticks):
+        normal = contacts['normal'][0]
+        force = 10.0 * TRUE_NORMAL + velocity / max(np.linalg.norm(velocity), 1e-9)
+        contacts['alpha_meas'] = force @ normal
+        contacts['friction'] = force - (force @ normal) * normal
+        follow_surfaces(frame[0], contacts)
+    return contacts['normal'][0]
+
+
+@pytest.mark.parametrize('velocity', [
+    0.05 * DOWNHILL, -0.05 * DOWNHILL, [0.0, 0.05, 0.0], 0.04 * DOWNHILL + [0.0, 0.04, 0.0]])
+def test_normal_follows_the_surface_that_is_slid_along(velocity):
+    np.testing.assert_allclose(follow(np.array(velocity), ticks=300), TRUE_NORMAL, atol=1e-9)
+
+
+@pytest.mark.parametrize('velocity', [
+    0.02 * DOWNHILL,  # too slow to have a direction
+    0.2 * TRUE_NORMAL, -0.2 * TRUE_NORMAL, [0.0, 0.0, 0.1], [0.05, 0.0, 0.1]])  # bounces
+def test_normal_stays_without_sliding(velocity):
+    assert (follow(np.array(velocity)) == [0.0, 0.0, -1.0]).all()

@@ -157,13 +157,13 @@ class ReferenceController:
     def _acceleration(self, state, space, reference, N, inputs):
         """Return Omega_m f_t* + Omega_f f_c* (P04 eq. 27)."""
         force = self.config.force
-        projections = inertia_projections(N, space.Lambda) if (
+        _, Omega_m = inertia_projections(N, space.Lambda) if (
             force.projection == 'inertia') else euclidean_projections(N)
         f_t = motion_acceleration(self.config.motion, reference, state.pose, state.twist_world)
         rates = contact_rates(N, state.twist_world, force.allocation)
         alpha_star = inputs - force.damping_rate * rates
         f_c = allocate_force(N, alpha_star, force.allocation)
-        return projections.Omega_m @ f_t + projections.Omega_c @ f_c
+        return Omega_m @ f_t + f_c - Omega_m @ f_c
 
     def _of_active(self, name, *index):
         """Return what the observers of the active contacts know, 0 for the others."""

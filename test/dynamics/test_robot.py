@@ -1,16 +1,23 @@
-"""The robot model against roboticstoolbox, finite differences and scipy's rotations."""
+"""The model of an arm against roboticstoolbox, differences, scipy, and damaged URDFs."""
 
+from itertools import product
 import json
 from pathlib import Path
 from xml.etree import ElementTree
 
-from arms import controller_config, seven_joint_config, seven_joint_urdf
+from arms import controller_config, HOME, seven_joint_config, seven_joint_urdf
+import equations
 from hypothesis import given
 from hypothesis import strategies as st
+from multicontact_control.control.arm import ArmState
+from multicontact_control.control.law import control_law, OK
 from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.dynamics.rotations import Pose, rotation_vector
 from multicontact_control.errors import ConfigError
+from multicontact_control.loop import ControlLoop
 from multicontact_control.paths import config_dir
+from multicontact_control.records import CONTACT, CONTROL, FORCE_LAW, LAW
+from multicontact_control.supervision.command_limits import CommandLimits
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -122,3 +129,155 @@ def test_model_of_a_vendors_urdf_locks_fingers_and_takes_endless_joints(tmp_path
     assert model.nq == 7 and (model.upperPositionLimit == np.inf).all()
     with pytest.raises(ConfigError, match="robot.locked_joints: .*found \\['thumb'\\]"):
         load_model((tmp_path / 'vendor.urdf').read_text(), {'thumb': 0.0})
+
+
+def _acceleration(state, torque):
+    """Joint acceleration of the free arm, and that of its operational point."""
+    qdd = np.linalg.solve(state.mass_matrix, torque - state.coriolis - state.gravity)
+    return state.jacobian @ qdd + state.jacobian_drift
+
+
+def torque_for(model, q, v, acceleration, **nullspace):
+    """Return J^T Lambda (a + bias), with the null space as records of `LAW` and `JOINT` say it."""
+    controls = np.zeros(1, dtype=CONTROL)
+    arm, law, terms = ArmState(model, controls), controls['law'], model.terms
+    arm.joints['torque_limit'] = np.inf
+    controls['task']['acceleration'] = acceleration
+    for name, value in nullspace.items():
+        (law if name in LAW.names else arm.joints)[name] = value
+    arm.update(q, v)
+    assert control_law(
+        controls, arm.joints, terms.mass_matrix, terms.jacobian, terms.jacobian_rate,
+        np.zeros(0, dtype=CONTACT), np.zeros(0, dtype=FORCE_LAW)) == OK
+    return arm.joints['torque'].copy()
+
+
+def test_operational_force_gives_the_commanded_acceleration():
+    """F = Lambda a + mu + p makes the operational point accelerate by a (P04 eqs 24-25)."""
+    puma, rng = RobotModel(controller_config().robot, config_dir()), np.random.default_rng(1)
+    for _ in range(10):
+        q, v, a = HOME + 0.3 * rng.standard_normal(6), *rng.standard_normal((2, 6))
+        torque = torque_for(puma, q, v, a)
+        state = puma.update(q, v)
+        np.testing.assert_allclose(_acceleration(state, torque), a, atol=1e-9)
+        space = equations.operational_space(state)
+        np.testing.assert_allclose(torque, state.jacobian.T @ (
+            space.Lambda @ a + space.mu + space.p), atol=1e-9)
+
+
+def test_redundant_arm_gives_the_commanded_acceleration_in_any_null_space_motion(tmp_path):
+    """J M^-1 of what damping, posture and stops add is 0, to rounding."""
+    model = RobotModel(seven_joint_config(seven_joint_urdf(tmp_path)), tmp_path)
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        q, v, a, posture = *rng.standard_normal((2, 7)), rng.standard_normal(6), np.ones(7)
+        lower, upper = q - 0.05, q + np.array([0.03] * 3 + [np.inf] * 4)
+        free, damped, pulled = (torque_for(model, q, v, a, **each) for each in (
+            {}, {'nullspace_damping': 10.0},
+            {'nullspace_damping': 10.0, 'posture_stiffness': 25.0, 'stop_stiffness': 400.0,
+             'posture': posture, 'lower': lower, 'upper': upper}))
+        state = model.update(q, v)
+        for torque in (free, damped, pulled):
+            np.testing.assert_allclose(_acceleration(state, torque), a, atol=1e-8)
+        assert (damped - free) @ v < 0.0
+        assert np.abs(np.linalg.solve(state.mass_matrix, pulled - damped)).max() > 0.1
+        space = equations.operational_space(state)
+        np.testing.assert_allclose(pulled, equations.joint_torque(
+            space.Lambda @ a + space.mu + space.p, state, space, 10.0,
+            equations.posture_pull(q, posture, lower, upper, 5.0, 0.1)), atol=1e-8)
+
+
+MOMENTS = ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')
+MASS, INERTIA = ('inertial/mass', 'value'), ('inertial/inertia', *MOMENTS)
+COM, STOPS = ('inertial/origin', 'xyz'), ('limit', 'lower', 'upper')
+
+
+def spoil(element, path, *names, factor=None):
+    """Multiply all numbers of some attributes, or remove them, or the element without names."""
+    if not names:
+        element.remove(element.find(path))
+    for name in names:
+        attributes = element.find(path).attrib
+        numbers = [float(number) for number in attributes.pop(name).split()]
+        if factor is not None:
+            attributes[name] = ' '.join(str(factor * number) for number in numbers)
+
+
+# Of a link, and of a joint; the factor removes what it is None for.
+LINK_FAULTS = [(MASS, 0.0), (MASS, -1.0), (MASS, 1e3), (INERTIA, -1.0), (INERTIA, 3.0),
+               (INERTIA, 1e3), (INERTIA, 1e9), (INERTIA[::3], -1.0),
+               (INERTIA[::3], 30.0), (COM, 1e3), (('inertial',), None)]
+JOINT_FAULTS = [(('axis', 'xyz'), 0.0), (('axis', 'xyz'), 2.0), (STOPS, 0.0), (STOPS, -1.0),
+                (STOPS, 180.0 / np.pi), (('limit', 'effort'), 0.01), (('limit', 'effort'), None),
+                (('limit', 'upper'), None), (('limit',), None)]
+
+
+def complaints(config, folder):
+    """Return what the check of the model says, a line each, refused or not."""
+    try:
+        return list(RobotModel(config.robot, folder).warnings())
+    except ConfigError as error:
+        return [str(each) for each in error.errors]
+
+
+def make_seven(folder):
+    """Return an arm of seven joints: its URDF and the configuration of its loop."""
+    urdf = seven_joint_urdf(folder)
+    return urdf, controller_config().model_copy(update={'robot': seven_joint_config(urdf)})
+
+
+def make_puma(folder):
+    """Return the PUMA likewise."""
+    urdf = folder / 'puma.urdf'
+    urdf.write_text((config_dir() / 'puma560.urdf').read_text())
+    return urdf, controller_config(robot={'urdf': urdf.name})
+
+
+@pytest.mark.parametrize('make', [make_seven, make_puma])
+def test_model_check_names_each_damage_or_it_does_no_harm(tmp_path, make):
+    """
+    No harm: the torque that carries the true arm is right to 3 % of the limits.
+
+    And no direction has an inertia that is wrong by more than a factor of 2.
+    """
+    urdf, config = make(tmp_path)
+    whole, random = urdf.read_text(), np.random.default_rng(7)
+    true = RobotModel(config.robot, tmp_path)
+    assert true.warnings() == ()
+    zero, limit = np.zeros(true.joint_count), true.torque_limit
+    postures, harmless = random.uniform(-1.5, 1.5, (10, true.joint_count)), 0
+    for which, (kind, path, factor) in product(range(true.joint_count), [
+            *(('link', *x) for x in LINK_FAULTS), *(('joint', *x) for x in JOINT_FAULTS)]):
+        root = ElementTree.fromstring(whole)
+        joint = [x for x in root.findall('joint') if x.get('type') == 'revolute'][which]
+        child = joint.find('child').get('link')
+        link, = (x for x in root.findall('link') if x.get('name') == child)
+        spoil(link if kind == 'link' else joint, *path, factor=factor)
+        urdf.write_text(ElementTree.tostring(root, encoding='unicode'))
+        lines = complaints(config, tmp_path)
+        if any(name in line for line in lines for name in (child, joint.get('name'))):
+            continue
+        harmless += 1
+        model = RobotModel(config.robot, tmp_path)
+        for q in postures:
+            right, wrong = true.update(q, zero), model.update(q, zero)
+            assert (np.abs(wrong.gravity - right.gravity) < 0.03 * limit).all()
+            shares = np.linalg.eigvals(np.linalg.solve(right.mass_matrix, wrong.mass_matrix)).real
+            assert 0.5 < shares.min() and shares.max() < 2.0
+            assert (np.abs(right.gravity) <= model.torque_limit).all()
+    assert harmless < 24
+
+
+@pytest.mark.parametrize(('fault', 'factor', 'words'), [
+    (MASS, 1e3, ('masses in g',)), (COM, 1e3, ('l0', 'l3', 'l6', 'mm?')),
+    (INERTIA, 1e9, ('l0', 'l3', 'l6', 'g mm^2')), (('inertial',), None, ('l0', 'l3', 'l6'))])
+def test_loop_refuses_an_impossible_arm_and_names_all_links(tmp_path, fault, factor, words):
+    urdf, config = make_seven(tmp_path)
+    root = ElementTree.fromstring(urdf.read_text())
+    for link in root.findall('link'):
+        if link.find('inertial') is not None:
+            spoil(link, *fault, factor=factor)
+    urdf.write_text(ElementTree.tostring(root, encoding='unicode'))
+    with pytest.raises(ConfigError) as caught:
+        ControlLoop(config, None, CommandLimits(), tmp_path)
+    assert all(word in str(caught.value) for word in words)

@@ -78,11 +78,6 @@ def test_stable_ratios_are_those_of_the_paper_notes(damping_rate, at_rest, in_mo
         assert grid[last] <= boundary(law, damping_rate=damping_rate) < grid[last + 1]
 
 
-def test_boundary_shrinks_with_a_delay_that_the_model_does_not_have():
-    uppers = [boundary(law_of(observer_of(), 0.6), delay=ticks * H) for ticks in range(2, 5)]
-    assert uppers[0] > uppers[1] > uppers[2]
-
-
 @pytest.mark.parametrize('delay', [0.0, 0.5, 1.0, 2.5, 3.0])
 def test_loop_is_the_observer_on_coupled_contacts_in_time(delay):
     """One period of the matrix is one tick of the AOBs on a finely integrated plant."""

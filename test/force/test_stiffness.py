@@ -115,17 +115,6 @@ def test_model_follows_at_its_rates_within_its_range():
     assert (min(used), max(used)) == (pytest.approx(1000.0), pytest.approx(50_000.0))
 
 
-def test_fast_fit_only_raises_the_stiffness():
-    record, observer = stiffness_of()
-    fast = record['fast']
-    for k, least, most in ((1000.0, 6000.0, 6000.0), (8000.0, 6000.0, 6000.0),
-                           (20_000.0, 20_000.0 / 1.5, 20_000.0)):
-        fast['k'], fast['share'], fast['k_std'] = k, 0.9, 0.0
-        for _ in range(50):
-            follow(observer, record)
-        assert least <= record['k'] <= most
-
-
 def test_force_does_not_jump_when_the_model_changes():
     record, observer = stiffness_of()
     observer['x_est'][:2], observer['P'][0, 1], observer['P'][1, 1] = (10.0, 40.0), 2.0, 3.0

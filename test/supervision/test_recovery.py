@@ -1,16 +1,22 @@
-"""Gaps are bridged, reactions do not alternate, and contacts given up come back."""
+"""Simulated arms recover: gaps, collisions, wrong sensors, surfaces that go and come."""
 
 from contextlib import closing
 
+from campaign.velocities import Cell, LARGEST, run
 from multicontact_control.config import WatchdogConfig
 from multicontact_control.control.tasks import MotionReading
-from multicontact_control.errors import CommandError
+from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.faults.situation import with_obstacles
+from multicontact_control.experiment.faults.vocabulary import ELBOW_WALL, FAR
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.paths import config_dir
+from multicontact_control.supervision.findings import undeclared_friction
 from multicontact_control.supervision.reactions import RECOVERING, Recovery
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+import yaml
 
 HOLDING = ('holding',) * 2
 H = 0.002
@@ -28,14 +34,14 @@ def pressing(plant, force=15.0, forces=None, **changes):
     return closing(loop)
 
 
-def advance(loop, seconds, corrupt=None, each=None):
-    """Advance, and return the true forces, shape (ticks, contacts), and the statuses."""
+def advance(loop, seconds, corrupt=None, each=None, felt=None):
+    """Advance; return the true forces, shape (ticks, contacts), or others, and the statuses."""
     forces, statuses = [], []
     for k in range(round(seconds / H)):
         if each is not None:
             each((k + 1) * H)
         loop.advance(corrupt)
-        forces.append(loop.true_forces.copy())
+        forces.append(felt() if felt else loop.true_forces.copy())
         statuses.append(loop.status)
     return np.array(forces), statuses
 
@@ -228,3 +234,167 @@ def test_surface_that_vanishes_for_a_moment_leaves_the_other_force(plant):
     assert np.abs(np.convolve(error, np.full(6, 1.0 / 6.0), 'valid')).max() < (
         1.0 if plant == 'rigid' else 2.6)
     assert statuses[-1].contact_states == HOLDING
+
+
+DEPTH = 2.5e-3  # m, at once: 15 N on the obstacle of 6000 N/m
+FRICTION = 1.2  # N m, of a UR5's first wrist joint
+
+
+def standing(plant, ticks=150, *, commanded=True, **controller):
+    """Return a loop that stands still, an obstacle far from its elbow, to be closed."""
+    overrides = with_obstacles('quick', plant, 0).plant.model_dump(
+        include={'obstacle_names', 'surfaces'})
+    loop = ClosedLoop(resolve('quick', plant=plant, plant_overrides=overrides,
+                              controller=controller), commanded=commanded)
+    elbow_forces(loop, ticks)
+    assert not loop.control.events.collisions
+    return closing(loop)
+
+
+def elbow_forces(loop, ticks, corrupt=None):
+    """Advance; return the forces on the obstacle and the statuses."""
+    return advance(loop, ticks * H, corrupt,
+                   felt=lambda: loop.plant.contacts.pressed[ELBOW_WALL])
+
+
+def without_effort(inputs):
+    return inputs._replace(joints=inputs.joints._replace(effort=None))
+
+
+def with_effort(change):
+    return lambda inputs: inputs._replace(
+        joints=inputs.joints._replace(effort=change(inputs.joints.effort)))
+
+
+def half_the_wrench(inputs):
+    return inputs._replace(wrench=inputs.wrench._replace(wrench=0.5 * inputs.wrench.wrench))
+
+
+def rubbing(folder, **controller):
+    """Return a UR5 whose first wrist joint has friction that only the plant knows of."""
+    robot = yaml.safe_load((config_dir() / 'robots' / 'ur5.yaml').read_text())
+    robot |= {'coulomb': [0.0, 0.0, 0.0, FRICTION, 0.0, 0.0],
+              'plants': {'rigid': {'plant': {'joint_friction_scale': 1.0}}}}
+    path = folder / 'rubbing.yaml'
+    path.write_text(yaml.safe_dump(robot))
+    return ClosedLoop(resolve('quick', robot=str(path), controller=controller))
+
+
+@pytest.mark.parametrize(('plant', 'corrupt', 'joints'), [
+    ('rigid', None, ('joint1', 'joint2')), ('rigid', without_effort, ('joint1', 'joint2')),
+    ('panda/rigid', None, ('panda_joint2',)), ('iiwa/rigid', None, ('lbr_iiwa_joint_2',))])
+def test_collision_of_15_newtons_is_seen_within_20_ms_and_held_against(
+        plant, corrupt, joints):
+    """On rigid drives, from measured torques and from commanded ones."""
+    with standing(plant, collision={'command_delay': 1}) as loop:
+        elbow_forces(loop, 10, corrupt)
+        loop.plant.contacts.put_before_tip(ELBOW_WALL, -DEPTH)
+        forces, statuses = elbow_forces(loop, 300, corrupt)
+        seen = [bool(status.causes) for status in statuses].index(True)
+        assert 10.0 < forces[0] <= 15.0
+        assert seen <= 10
+        # What is on the elbow's axis loads the joints before it alone.
+        assert {cause for status in statuses for cause in status.causes} <= {
+            *(f'collision_{joint}' for joint in joints), 'recovering'}
+        assert statuses[seen].reaction == 'hold'
+        assert forces.max() < 20.0
+        assert loop.control.events.collisions.total() >= 1
+        loop.plant.contacts.shift(ELBOW_WALL, FAR)
+        _, statuses = elbow_forces(loop, 1500, corrupt)
+    assert (statuses[-1].reaction, statuses[-1].causes) == ('none', ())
+
+
+@pytest.mark.parametrize('reaction', ['none', 'float', 'damp'])
+def test_collision_reaction_is_the_declared_one(reaction):
+    with standing('rigid', collision={'reaction': reaction}) as loop:
+        loop.plant.contacts.put_before_tip(ELBOW_WALL, -DEPTH)
+        _, statuses = elbow_forces(loop, 20)
+    assert {status.reaction for status in statuses if any(
+        cause.startswith('collision') for cause in status.causes)} == {reaction}
+
+
+def test_no_collision_is_named_in_forces_motion_and_pushes_of_5_newtons():
+    """Friction, flexible drives and a hand at the wrist stay below the thresholds."""
+    with closing(ClosedLoop(resolve('disturbance', plant='puma', duration=16.0))) as loop:
+        largest, joints = 0.0, loop.control.supervisor.controller.arm.joints
+        for _ in range(loop.setup.ticks):
+            loop.advance()
+            largest = max(largest, (np.abs(joints['residual']) / joints['threshold']).max())
+    assert not loop.control.events.collisions
+    assert 0.1 < largest < 0.9
+
+
+def test_forces_are_controlled_without_a_wrist_sensor():
+    """10 N on both surfaces, by the joint torques alone, on rigid drives without friction."""
+    with closing(ClosedLoop(resolve('quick', plant='rigid', controller={
+            'wrench_input': 'momentum', 'robot': {'sensor_frame': ''}}), commanded=True)) as loop:
+        loop.advance()
+        loop.control.set_forces({'table': 10.0, 'board': 10.0})
+        forces = []
+        for _ in range(2000):
+            loop.advance()
+            forces.append(loop.true_forces)
+    assert loop.status.contact_states == ('holding',) * 2
+    assert np.max(forces) < 25.0
+    np.testing.assert_allclose(np.mean(forces[-500:], axis=0), 10.0, atol=0.3)
+    assert np.std(forces[-500:], axis=0).max() < 0.5
+    for changes in ({'wrench_input': 'momentum'}, {'robot': {'sensor_frame': ''}}):
+        with pytest.raises(ConfigError, match='robot.sensor_frame'):  # both, or neither
+            resolve('quick', controller=changes)
+
+
+def test_undeclared_friction_is_learnt_and_named(tmp_path):
+    """The wall is reached, and a joint without friction stays as it is."""
+    with closing(rubbing(tmp_path)) as loop:
+        joints, names = (loop.control.supervisor.controller.arm.joints,
+                         loop.setup.controller.robot.joint_names)
+        elbow_forces(loop, 3500)
+        assert not loop.control.events.collisions
+        assert loop.status.contact_states == ('holding', 'holding')
+        friction = joints['evidence']['friction']
+        np.testing.assert_allclose(friction, [0.0, 0.0, 0.0, FRICTION, 0.0, 0.0], atol=0.1)
+        named, = undeclared_friction(joints, names)
+        assert named.startswith(names[3])
+        loop.control.supervisor.reset()
+        assert not joints['evidence']['friction'].any()
+
+
+@pytest.mark.parametrize(('corrupt', 'controller', 'ticks', 'what'), [
+    (with_effort(lambda effort: 1000.0 * effort), {}, 20, 'unit and sign'),
+    (with_effort(lambda effort: effort * [1, 1, 1, -1, 1, 1, 1]), {}, 20, 'joint alone'),
+    (None, {'tool': {'mass': 1.5}}, 20, 'mass'), (half_the_wrench, {}, 1300, 'robot.sensor_frame'),
+    (None, {'collision': {'threshold': [4.5, 4.5, 4.5, 1.0, 1.0, 1.0]}}, 220, 'friction.coulomb'),
+    (None, {}, 400, 'touches')])
+def test_cause_of_a_collision_is_named(tmp_path, corrupt, controller, ticks, what):
+    """Units, sign of one joint, weight, wrench, friction, and an obstacle."""
+    with closing(rubbing(tmp_path, **controller)) if what == 'friction.coulomb' else (
+            standing('panda/rigid', 0, commanded=False, **controller)) as loop:
+        elbow_forces(loop, ticks - 20, corrupt)
+        if what == 'touches':
+            loop.plant.contacts.put_before_tip(ELBOW_WALL, -DEPTH)
+        findings = []
+        for _ in range(20):
+            elbow_forces(loop, 1, corrupt)
+            findings += loop.control.supervisor.findings
+    assert what in findings[0]
+
+
+@pytest.mark.parametrize('cell', [
+    Cell('panda', False, True, 'joints:in_degrees_qd'),
+    Cell('puma', True, False, 'joints:sign_flipped_qd_of_one', 1)])
+def test_wrong_speeds_are_named_and_move_nothing(cell):
+    """From the first sample on; unchecked: 24 rad/s and 1100 N."""
+    (expected, *_), (speeds, force, _, causes) = run(Cell(*cell[:3])), run(cell)
+    assert (speeds - expected).max() < LARGEST['rad/s beyond']
+    assert force < LARGEST['N']
+    assert 'joints_velocity' in causes
+
+
+@pytest.mark.parametrize('cell', [
+    Cell('panda', False, True, 'wrench:biased_by_50%', 2),
+    Cell('puma', False, False, 'wrench:biased_by_50%', 2)])
+def test_unproven_sensor_moves_nothing(cell):
+    """Within 10 s; unchecked: 0.3 m."""
+    _, _, way, causes = run(cell)
+    assert way < LARGEST['mm']
+    assert causes
