@@ -98,37 +98,39 @@ def test_model_refuses_names_that_do_not_match(change, message):
 
 
 def test_model_of_a_vendors_urdf_locks_fingers_and_takes_endless_joints(tmp_path):
+    """It is that of an arm whose fingers are welded where they are locked."""
     arm = seven_joint_urdf(tmp_path).read_text()
-    finger = ''.join(
-        f'<link name="{name}"><inertial><origin xyz="0 0 0.02"/><mass value="0.3"/><inertia '
-        'ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-        f'<joint name="{name}_joint" type="KIND"><parent link="wrist"/><child link="{name}"/>'
-        f'<origin xyz="0 {place} 0.05"/><axis xyz="0 1 0"/>'
-        '<limit lower="0" upper="0.04" effort="20" velocity="0.2"/></joint>'
-        for name, place in (('left', 'LEFT'), ('right', 'RIGHT')))
+
+    def with_fingers(kind, places):
+        fingers = ''.join(
+            f'<link name="{name}"><inertial><origin xyz="0 0 0.02"/><mass value="0.3"/><inertia '
+            'ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<joint name="{name}_joint" type="{kind}"><parent link="wrist"/><child link="{name}"'
+            f'/><origin xyz="0 {place} 0.05"/><axis xyz="0 1 0"/>'
+            '<limit lower="0" upper="0.04" effort="20" velocity="0.2"/></joint>'
+            for name, place in zip(('left', 'right'), places))
+        return arm.replace('</robot>', fingers + '</robot>')
+
     limit = '<limit lower="-3" upper="3" effort="100" velocity="3"/>'
-    vendor = arm.replace('</robot>', finger + '</robot>').replace(
-        'type="revolute"', 'type="continuous"').replace(limit, '')
-    (tmp_path / 'vendor.urdf').write_text(vendor.replace('KIND', 'prismatic').replace(
-        'LEFT', '0').replace('RIGHT', '0'))
-    (tmp_path / 'welded.urdf').write_text(arm.replace('</robot>', finger + '</robot>').replace(
-        'KIND', 'fixed').replace('LEFT', '0.03').replace('RIGHT', '0.01'))
-    config = seven_joint_config(tmp_path / 'vendor.urdf')
+    vendor, welded = tmp_path / 'vendor.urdf', tmp_path / 'welded.urdf'
+    vendor.write_text(with_fingers('prismatic', (0, 0)).replace(
+        'type="revolute"', 'type="continuous"').replace(limit, ''))
+    welded.write_text(with_fingers('fixed', (0.03, 0.01)))
+    config = seven_joint_config(vendor)
     with pytest.raises(ConfigError, match=r"robot.joint_names: .*'left_joint', 'right_joint'\] in "
                        'robot.locked_joints, found'):
         RobotModel(config, tmp_path)
     locked = config.model_copy(update={
         'locked_joints': ('left_joint', 'right_joint'), 'locked_positions': (0.03, 0.01)})
     q, v = np.linspace(-4.0, 4.0, 7), np.linspace(0.3, -0.5, 7)
-    found = RobotModel(locked, tmp_path).update(q, v)
-    welded = RobotModel(seven_joint_config(tmp_path / 'welded.urdf'), tmp_path).update(q, v)
+    found, expected = (RobotModel(each, tmp_path).update(q, v)
+                       for each in (locked, seven_joint_config(welded)))
     for name in ('mass_matrix', 'gravity', 'coriolis', 'jacobian'):
         np.testing.assert_allclose(
-            getattr(found, name), getattr(welded, name), rtol=0.0, atol=1e-12)
-    model = load_model(tmp_path / 'vendor.urdf', locked.locked)
-    assert model.nq == 7 and (model.upperPositionLimit == np.inf).all()
+            getattr(found, name), getattr(expected, name), rtol=0.0, atol=1e-12)
+    assert (load_model(vendor, locked.locked).upperPositionLimit == np.inf).all()
     with pytest.raises(ConfigError, match="robot.locked_joints: .*found \\['thumb'\\]"):
-        load_model((tmp_path / 'vendor.urdf').read_text(), {'thumb': 0.0})
+        load_model(vendor.read_text(), {'thumb': 0.0})
 
 
 def _acceleration(state, torque):

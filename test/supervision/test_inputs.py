@@ -50,10 +50,10 @@ def changed(inputs, source, **values):
 def put(number):
     """Return a change that puts a number in the first place of a reading."""
     def change(inputs, source):
-        values = getattr(inputs, source)[1].copy()
+        name = 'q' if source == 'joints' else source
+        values = getattr(getattr(inputs, source), name).copy()
         values[0] = number
-        return changed(inputs, source, **{
-            {'joints': 'q', 'wrench': 'wrench', 'variance': 'variance'}[source]: values})
+        return changed(inputs, source, **{name: values})
     return change
 
 
