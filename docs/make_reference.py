@@ -304,14 +304,15 @@ def _commands(application: typer.Typer) -> Iterator[tuple[str, Any]]:
 
 
 def _paragraph(text: str) -> str:
-    """Return a paragraph of a help text; what is indented is an example, escaped for rich."""
-    if not text.startswith(' '):
+    """Return a paragraph of a help text; what follows a line of backspace is an example."""
+    if not text.startswith('\b'):
         return _text(text)
-    return '```yaml\n' + textwrap.dedent(text) + '\n```'
+    return '```yaml\n' + textwrap.dedent(text.removeprefix('\b\n')) + '\n```'
 
 
 def _metavar(argument: Any) -> str:
-    return str(argument.metavar or argument.name.upper())
+    name = (argument.metavar or argument.name.upper()) + '...' * (argument.nargs == -1)
+    return name if argument.required else f'[{name}]'
 
 
 def _names(option: Any) -> str:

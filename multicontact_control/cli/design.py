@@ -27,9 +27,9 @@ def design(
     """
     Find the fastest stable gains of a force law.
 
-    For a range of surfaces, with a gain margin of 2 and a delay margin of one period, on
-    the linear model of the contact (P04 eq. 32). The file has the gains only: the stiffness of
-    the model is printed as a --set option.
+    They hold for a range of surfaces, with a gain margin of 2 and a delay margin of one control
+    period on the stiffest one, on the linear model of the contact (P04 eq. 32). The file has the
+    gains only: the stiffness of the model is printed as a --set option.
     """
     try:
         softest, stiffest = map(float, stiffness.split(','))

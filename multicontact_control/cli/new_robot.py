@@ -25,8 +25,8 @@ def new_robot(
     """
     Write the files of a new robot from its URDF.
 
-    And list what is missing. Joints, limits and masses are those of the URDF; home is a posture
-    with the tool straight down, by inverse kinematics. `multicontact simulate --robot FILE
+    The command lists what they lack. Joints, limits and masses are those of the URDF; home is a
+    posture with the tool straight down, by inverse kinematics. `multicontact simulate --robot FILE
     --scenario one_contact` then simulates it, and `multicontact run --external --controller FILE`
     runs the real arm.
     """

@@ -8,7 +8,7 @@ from datetime import datetime
 from functools import wraps
 import inspect
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints, TYPE_CHECKING
+from typing import Annotated, Any, TYPE_CHECKING
 
 from multicontact_control.errors import ConfigError
 import typer
@@ -93,21 +93,16 @@ class RunOptions(SetupOptions):
 
     def values(self) -> list[str]:
         """Return all that is laid over the files, as for ``--set``."""
-        chosen = {'noise_estimator.estimator': '' if self._estimator_file else
-                  self.noise_estimator, 'controller.force.law': self.law}
-        return [*(f'{name}={value}' for name, value in chosen.items() if value), *super().values()]
+        estimator = None if self._estimator_file else self.noise_estimator
+        return [*([f'noise_estimator.estimator={estimator}'] if estimator else []),
+                *([f'controller.force.law={self.law}'] if self.law else []), *super().values()]
 
     def setup(self, **more: Any) -> Setup:
         """Return the configuration, checked; ConfigError."""
         return super().setup(duration=self.duration, **more)
 
     def external(self, files: Sequence[Path], given: set[str]) -> External:
-        """
-        Return the configuration for a robot behind the topics, checked; ConfigError.
-
-        A scenario and a preset count only if they are `given`; the noise estimator may be a
-        parameter file.
-        """
+        """Return that of a robot behind the topics; scenario and preset count if `given`."""
         from multicontact_control.experiment.external import resolve_external
         from multicontact_control.experiment.overrides import resolve_with
 
@@ -131,25 +126,25 @@ class RunOptions(SetupOptions):
 
 def flattened(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command that has the fields of each of its dataclass parameters as options."""
-    kinds: dict[str, Any] = get_type_hints(command, include_extras=True)
-    groups: dict[str, Any] = {name: kind for name, kind in kinds.items() if is_dataclass(kind)}
-    parameters = []
-    for parameter in inspect.signature(command).parameters.values():
-        kind = kinds[parameter.name]
-        hints = get_type_hints(kind, include_extras=True) if parameter.name in groups else {}
-        parameters += [inspect.Parameter(
-            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default,
-            annotation=hints[field.name]) for field in fields(kind)] if hints else [
-            parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kind)]
+    groups: dict[str, Any] = {}
+    parameters: list[inspect.Parameter] = []
+    for parameter in inspect.signature(command, eval_str=True).parameters.values():
+        if is_dataclass(parameter.annotation):
+            kind: Any = parameter.annotation
+            groups[parameter.name] = kind
+            parameters += inspect.signature(kind, eval_str=True).parameters.values()
+        else:
+            parameters.append(parameter)
 
     @wraps(command)
     def flat(**values: Any) -> None:
-        made = {name: kind(**{field.name: values.pop(field.name) for field in fields(kind)})
-                for name, kind in groups.items()}
-        command(**made, **values)
+        for name, kind in groups.items():
+            values[name] = kind(**{field.name: values.pop(field.name) for field in fields(kind)})
+        command(**values)
 
-    flat.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    flat.__annotations__ = {each.name: each.annotation for each in parameters}
+    ordered = [parameter.replace(kind=parameter.KEYWORD_ONLY) for parameter in parameters]
+    flat.__signature__ = inspect.Signature(ordered)  # type: ignore[attr-defined]
+    flat.__annotations__ = {each.name: each.annotation for each in ordered}
     return flat
 
 
@@ -166,19 +161,3 @@ def refuse_options(given: set[str], names: Sequence[str], what: str) -> None:
         if name in given:
             option = 'set' if name == 'settings' else name.replace('_', '-')
             raise ConfigError(f'--{option}', f'nothing with {what}', 'it')
-
-
-def split_list(text: str) -> tuple[str, ...]:
-    """Return the parts of a list with commas between, without the empty ones."""
-    return tuple(part.strip() for part in text.split(',') if part.strip())
-
-
-def resolve_settings(
-    scenario: str, options: dict[str, Any], settings: Sequence[str] | None,
-) -> Setup:
-    """Return a scenario with options of `resolve` and settings over all files, checked."""
-    from multicontact_control.experiment.overrides import overridden
-    from multicontact_control.experiment.scenario import resolve
-
-    setup = resolve(scenario, **options)
-    return resolve(scenario, **overridden(options, settings, setup)) if settings else setup

@@ -12,7 +12,7 @@ import typer
 def report(
     context: typer.Context,
     runs: Annotated[list[Path], typer.Argument(
-        metavar='RUN...', help='Folders of `run` or `simulate`, bag folders, or .mcap files.')],
+        metavar='RUN', help='Folders of `run` or `simulate`, bag folders, or .mcap files.')],
     comparison: Annotated[Path | None, typer.Option(
         help='Folder of `study compare`, for the claims that compare estimators.')] = None,
     out: Annotated[Path | None, typer.Option(

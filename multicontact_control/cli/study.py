@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+import signal
+from types import FrameType
 from typing import Annotated
 
 from multicontact_control.cli import options
-from multicontact_control.cli.exits import EXIT_FAILED, resumable
+from multicontact_control.cli.exits import EXIT_FAILED, EXIT_SIGNAL
 from multicontact_control.errors import check_all, ConfigError
 import typer
 
 
 def study(
     name: Annotated[str, typer.Argument(
-        metavar='[STUDY]', help='A name from config/studies, or the path of a YAML file; the '
+        metavar='STUDY', help='A name from config/studies, or the path of a YAML file; the '
         'names are listed if not given.')] = '',
     robot: options.Robot = '',
     plants: Annotated[str, typer.Option(
@@ -44,7 +48,7 @@ def study(
         '--overwrite', help='Run everything again.')] = False,
 ) -> None:
     """
-    Run a study: factors times plants times seeds, measured into one table and one page.
+    Run a study: factors x plants x seeds, in one table.
 
     compare: the noise estimators on the paper's disturbances. laws: force laws raced. map: how
     wrong stiffness and delay may be. robots: robots, engines and scenarios. tune: the gains of a
@@ -52,6 +56,7 @@ def study(
 
     A study of your own is a YAML file:
 
+    \b
       name: stiffness
       scenario: step
       plants: [rigid, puma]
@@ -63,10 +68,9 @@ def study(
 
     Writes study.csv and study.parquet (a row for each run, also for those that failed),
     study.html and study.png. Ctrl-C keeps what is finished; the same command goes on from there.
-    Exit code 0, whatever came out; 1: a worker died, or a fault of `faults` is not safe; 2: bad
-    input; 130: interrupted.
-    """
-    with resumable():
+    Exit code 1: a worker died, or a fault of `faults` is not safe.
+    """  # noqa: D301 - click keeps the lines after a backspace
+    with _resumable():
         # Only now: what is heavy is not loaded for the sake of an error.
         from multicontact_control.experiment.study.config import (
             read_choice,
@@ -87,7 +91,7 @@ def study(
         config, count, choices, _ = check_all(
             lambda: read_study(study_path(name)), lambda: _seeds(seeds),
             lambda: [read_choice(text) for text in settings or ()], asked.check)
-        chosen = select(config, quick=quick, robot=robot, plants=options.split_list(plants),
+        chosen = select(config, quick=quick, robot=robot, plants=_parts(plants),
                         seeds=count, choices=choices)
         if law and chosen.kind != 'tune':
             raise ConfigError('law', 'nothing for other studies than tune', law)
@@ -102,9 +106,35 @@ def _seeds(text: str) -> tuple[int, ...] | int | None:
     if not text:
         return None
     try:
-        numbers = [int(part) for part in options.split_list(text)]
+        numbers = [int(part) for part in _parts(text)]
     except ValueError:
         numbers = []
     if not numbers or min(numbers) < 0 or (',' not in text and numbers[0] < 1):
         raise ConfigError('seeds', 'a number of seeds, or seeds with commas between', f"'{text}'")
     return tuple(numbers) if ',' in text else numbers[0]
+
+
+def _parts(text: str) -> tuple[str, ...]:
+    """Return the parts of a list with commas between, without the empty ones."""
+    return tuple(part.strip() for part in text.split(',') if part.strip())
+
+
+@contextmanager
+def _resumable() -> Iterator[None]:
+    """Turn Ctrl-C and SIGTERM into a line that says how to go on, and exit code 128 + n."""
+    ended_by = signal.SIGINT
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        nonlocal ended_by
+        ended_by = signal.SIGTERM
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    except KeyboardInterrupt:
+        typer.echo('multicontact: interrupted; what is finished is kept, and the same command '
+                   'goes on from there', err=True)
+        raise typer.Exit(EXIT_SIGNAL + ended_by) from None
+    finally:
+        signal.signal(signal.SIGTERM, before)

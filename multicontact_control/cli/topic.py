@@ -34,7 +34,8 @@ def list_topics(
 
 
 def echo(
-    topic: Annotated[str, typer.Argument(help='Topic, e.g. /contact_forces/measured.')],
+    topic: Annotated[str, typer.Argument(
+        metavar='TOPIC', help='E.g. /contact_forces/measured.')],
     field: Annotated[str, typer.Option(
         help='Show only this field, e.g. `effort` or `header.stamp`.')] = '',
     once: Annotated[bool, typer.Option('--once', help='End after one message.')] = False,

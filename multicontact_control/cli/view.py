@@ -22,7 +22,7 @@ OF_THE_ARM = ('scenario', 'robot', 'plant', 'preset', 'settings')
 def view(
     context: typer.Context, options: SetupOptions,
     recording: Annotated[Path | None, typer.Argument(
-        metavar='[RUN]', help='Folder of `run` or `simulate`, or a bag, to replay.')] = None,
+        metavar='RUN', help='Folder of `run` or `simulate`, or a bag, to replay.')] = None,
     graph: Annotated[bool, typer.Option(
         '--graph', help='Join the ROS 2 graph that runs, instead of starting one.')] = False,
     namespace: Namespace = None, domain_id: DomainId = None,
@@ -31,7 +31,7 @@ def view(
     open_browser: Annotated[bool, typer.Option('--open', help='Open the browser.')] = False,
 ) -> None:
     """
-    See the arm, its contacts and their forces in the browser, and steer it.
+    See and steer the arm and its contact forces in the browser.
 
     Without --graph or a recording it starts a graph as `run --commanded` does, but does not record
     it: simulator, controller and noise estimator, in --domain-id or a domain that is free. Ctrl-C
@@ -46,7 +46,7 @@ def view(
         if run_of(recording)[1]:
             refuse_options(given, OF_THE_ARM, 'a run, which knows its own')
     setup = options.setup()
-    # Only now: what is heavy is not loaded for the sake of an error.
+    # Only now: bad input is refused before viser is loaded.
     from multicontact_control.view.run import run_view
 
     ended = run_view(
