@@ -13,9 +13,6 @@ class MortalJob:
     def key(self):
         return f'job{self.number}'
 
-    def describe(self):
-        return {'number': self.number}
-
     def run(self):
         if self.deadly:
             os.kill(os.getpid(), signal.SIGKILL)

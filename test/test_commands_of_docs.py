@@ -20,7 +20,7 @@ from multicontact_control.client import ArmState, MultiContactClient
 from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, RECORDER, SIM
 from multicontact_control.experiment.results import load_run
 from multicontact_control.experiment.study.config import (
-    read_choice,
+    read_choices,
     read_study,
     select,
     study_path,
@@ -84,8 +84,7 @@ def parse(words):
             assert (ROOT / word).exists() or word.startswith('runs/'), word
     values = known_commands()[name].make_context(name, list(words[1 + size:])).params
     if name == 'study' and values['name']:
-        select(read_study(study_path(values['name'])), choices=[
-            read_choice(text) for text in values['settings'] or ()])
+        select(read_study(study_path(values['name'])), read_choices(values['settings'] or ()))
     if 'scenario' in values and not values.get('external') and values['robot'] not in YOURS:
         RunOptions(**{field.name: values[field.name] for field in fields(RunOptions)
                       if field.name in values}).setup()

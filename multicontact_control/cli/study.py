@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 import signal
-from types import FrameType
 from typing import Annotated
 
 from multicontact_control.cli import options
@@ -70,71 +67,45 @@ def study(
     study.html and study.png. Ctrl-C keeps what is finished; the same command goes on from there.
     Exit code 1: a worker died, or a fault of `faults` is not safe.
     """  # noqa: D301 - click keeps the lines after a backspace
-    with _resumable():
-        # Only now: what is heavy is not loaded for the sake of an error.
-        from multicontact_control.experiment.study.config import (
-            read_choice,
-            read_study,
-            select,
-            study_names,
-            study_path,
-        )
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _end)
+    # Only now: what is heavy is not loaded for the sake of an error.
+    from multicontact_control.experiment.study import config as files
 
-        if not name:
-            for each in study_names():
-                about = read_study(study_path(each)).description.partition(': ')[0]
-                typer.echo(f'{each:<10} {about}')
-            return
-        from multicontact_control.experiment.study.study import run_study, study_of, StudyOptions
+    if not name:
+        for each in files.study_names():
+            about = files.read_study(files.study_path(each)).description.partition(': ')[0]
+            typer.echo(f'{each:<10} {about}')
+        return
+    from multicontact_control.experiment.study.study import check_workers, run_study, study_of
 
-        asked = StudyOptions(out, jobs, dask, dry_run, overwrite)
-        config, count, choices, _ = check_all(
-            lambda: read_study(study_path(name)), lambda: _seeds(seeds),
-            lambda: [read_choice(text) for text in settings or ()], asked.check)
-        chosen = select(config, quick=quick, robot=robot, plants=_parts(plants),
-                        seeds=count, choices=choices)
-        if law and chosen.kind != 'tune':
-            raise ConfigError('law', 'nothing for other studies than tune', law)
-        one = study_of(chosen.model_copy(update={'law': law}))
-        results = run_study(one, asked)
+    config, numbers, choices, _ = check_all(
+        lambda: files.read_study(files.study_path(name)), lambda: _seeds(seeds),
+        lambda: files.read_choices([*([f'plant={plants}'] if plants else []), *(settings or ())]),
+        lambda: check_workers(jobs, dask))
+    if law and config.kind != 'tune':
+        raise ConfigError('law', 'nothing for other studies than tune', law)
+    first = config.seeds[0]
+    short = {'seed': [first], **config.quick} if quick else {}
+    if numbers:
+        short['seed'] = numbers if ',' in seeds else range(first, first + numbers[0])
+    one = study_of(files.select(
+        config.model_copy(update={'law': law}), {**short, **choices}, robot=robot))
+    results = run_study(one, out, jobs=jobs, dask=dask, dry_run=dry_run, overwrite=overwrite)
     if results is not None and not one.succeeded(results):
         raise typer.Exit(EXIT_FAILED)
 
 
-def _seeds(text: str) -> tuple[int, ...] | int | None:
-    """Return a number of seeds, or the seeds of a list; None for nothing."""
-    if not text:
-        return None
-    try:
-        numbers = [int(part) for part in _parts(text)]
-    except ValueError:
-        numbers = []
-    if not numbers or min(numbers) < 0 or (',' not in text and numbers[0] < 1):
+def _end(number: int, _frame: object) -> None:
+    """End at a signal with a line that says how to go on."""
+    typer.echo('multicontact: interrupted; what is finished is kept, and the same command goes on '
+               'from there', err=True)
+    raise SystemExit(EXIT_SIGNAL + number)
+
+
+def _seeds(text: str) -> list[int]:
+    """Return a number of seeds, or the seeds of a list; nothing for nothing."""
+    numbers = [int(part) if part.strip().isdigit() else -1 for part in text.split(',') if text]
+    if numbers and (min(numbers) < 0 or text == '0'):
         raise ConfigError('seeds', 'a number of seeds, or seeds with commas between', f"'{text}'")
-    return tuple(numbers) if ',' in text else numbers[0]
-
-
-def _parts(text: str) -> tuple[str, ...]:
-    """Return the parts of a list with commas between, without the empty ones."""
-    return tuple(part.strip() for part in text.split(',') if part.strip())
-
-
-@contextmanager
-def _resumable() -> Iterator[None]:
-    """Turn Ctrl-C and SIGTERM into a line that says how to go on, and exit code 128 + n."""
-    ended_by = signal.SIGINT
-
-    def end(_number: int, _frame: FrameType | None) -> None:
-        nonlocal ended_by
-        ended_by = signal.SIGTERM
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    except KeyboardInterrupt:
-        typer.echo('multicontact: interrupted; what is finished is kept, and the same command '
-                   'goes on from there', err=True)
-        raise typer.Exit(EXIT_SIGNAL + ended_by) from None
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    return numbers

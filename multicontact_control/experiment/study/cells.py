@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import product
@@ -14,7 +14,6 @@ from multicontact_control.experiment.overrides import (
     EVERY,
     overrides_of,
     paths_of,
-    unit_of,
     value_of,
 )
 from multicontact_control.experiment.scenario import plant_source, resolve, Setup
@@ -134,17 +133,3 @@ def _checked(
         where = ', '.join(f'{name} = {value}' for name, value, _ in chosen)
         field = f'{title} ({where}): {error.field}'.strip() if where else error.field
         raise ConfigError(field, error.expected, error.found) from None
-
-
-def units_of(cells: Sequence[Cell]) -> dict[str, str]:
-    """Return the unit of every factor that is a parameter."""
-    return dict(_units(cells))
-
-
-def _units(cells: Sequence[Cell]) -> Iterator[tuple[str, str]]:
-    job = cells[0].job
-    if isinstance(job, RunJob):
-        setup = job.setup()
-        for name in cells[0].factors:
-            if is_parameter(name) and (unit := unit_of(name, setup)):
-                yield name, unit

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,77 +16,70 @@ from sim_bridge.robots import find_robot
 import yaml
 
 DIGITS = 12  # of the values of a range, such that 0.1 is not 0.09999999999999999
-LISTED = 'a list of values, a range of start, stop and count, or values by label'
-Kind = Literal['sweep', 'compare', 'laws', 'map', 'robots', 'tune', 'faults']
+Kind = Literal['sweep', 'compare', 'map', 'robots', 'tune', 'faults']
 Aggregate = Literal[
     'median', 'max', 'count', 'share', 'true', 'set', 'times', 'survived', 'stable_range']
-
-
-class RangeConfig(Config):
-    """Evenly spaced values."""
-
-    start: Real = parameter(..., 'First value.')
-    stop: Real = parameter(..., 'Last value.')
-    count: int = parameter(..., 'How many values.', ge=2)
-    spacing: Literal['linear', 'log'] = parameter(
-        'linear', 'Whether neighbours have the same difference, or the same ratio.')
-
-    @model_validator(mode='after')
-    def _check_sign(self) -> RangeConfig:
-        if self.spacing == 'log' and min(self.start, self.stop) <= 0.0:
-            raise ConfigError('start', 'a value above 0, for spacing: log',
-                              min(self.start, self.stop))
-        return self
-
-    def values(self) -> tuple[float, ...]:
-        """Return the values."""
-        space = np.geomspace if self.spacing == 'log' else np.linspace
-        return tuple(float(f'{value:.{DIGITS}g}')
-                     for value in space(self.start, self.stop, self.count))
+Choices = Mapping[str, Sequence[Any]]  # values by factor
 
 
 class FactorConfig(Config):
-    """What is varied: values of one parameter, or levels, each with values of several."""
+    """What is varied: values or a range of one parameter, or levels with values of several."""
 
     values: tuple[Any, ...] = parameter((), 'Values of the parameter, or labels of levels.')
+    start: Real | None = parameter(None, 'First value of a range.')
+    stop: Real | None = parameter(None, 'Last value of a range.')
+    count: int = parameter(0, 'How many values a range has.')
+    spacing: Literal['linear', 'log'] = parameter(
+        'linear', 'Whether neighbours in a range have the same difference, or the same ratio.')
     sets: str = parameter(
         '', "Dotted name, `robot`, `scenario` or `preset`; the factor's name if empty.")
     multiples_of: str = parameter('', 'Parameter that the values are multiples of.')
     levels: dict[str, dict[str, Any]] = parameter(
         {}, 'Parameters and their values, by the label of the level.')
 
+    @model_validator(mode='after')
+    def _check_values(self) -> FactorConfig:
+        if self.start is None or self.stop is None:
+            if not self.values and not self.levels:
+                raise ConfigError('values', 'a list of values, a range of start, stop and count, '
+                                  'or values by label', 'none')
+        elif self.count < 2:
+            raise ConfigError('count', 'at least 2', self.count)
+        elif self.spacing == 'log' and min(self.start, self.stop) <= 0.0:
+            raise ConfigError('start', 'a value above 0, for spacing: log', self.start)
+        return self
+
     def settings(self, name: str) -> list[tuple[Any, dict[str, Any]]]:
         """Return each value or label of the factor with the parameters that it sets."""
         if self.levels:
             return list(self.levels.items())
-        return [(value, {self.sets or name: value}) for value in self.values]
+        values = self.values
+        if not values and self.start is not None and self.stop is not None:
+            space = np.geomspace if self.spacing == 'log' else np.linspace
+            values = tuple(float(f'{value:.{DIGITS}g}')
+                           for value in space(self.start, self.stop, self.count))
+        return [(value, {self.sets or name: value}) for value in values]
 
-    def choose(self, chosen: FactorConfig) -> FactorConfig:
-        """Return the factor with the chosen values, or with those of its levels chosen."""
-        if chosen.levels:
-            return chosen
+    def choose(self, values: Sequence[Any]) -> FactorConfig:
+        """Return the factor with other values, or with some of its levels."""
         if not self.levels:
-            return self.model_copy(update={'values': chosen.values})
-        labels = [str(value) for value in chosen.values]
+            return self.model_copy(update={'values': tuple(values)})
         return self.model_copy(update={'levels': {
-            label: level for label, level in self.levels.items() if label in labels}})
+            label: level for label, level in self.levels.items() if label in map(str, values)}})
 
 
-def _factor(field: str, given: Any) -> Any:
-    """Return the fields of a factor from a list, a range, values by label, or its fields."""
-    if isinstance(given, (list, tuple)) and given:
-        return {'values': tuple(given)}
-    if not isinstance(given, Mapping) or not given:
-        raise ConfigError(field, LISTED, repr(given))
-    if given.keys() <= RangeConfig.model_fields.keys():
-        try:
-            return {'values': validate(RangeConfig, given).values()}
-        except ConfigError as error:
-            raise ConfigError(f'{field}.{error.field}', error.expected, error.found) from None
-    if given.keys() <= FactorConfig.model_fields.keys():
-        inner = given.get('values')
-        return {**given, **(_factor(field, inner) if isinstance(inner, Mapping) else {})}
-    return {'levels': {str(label): level or {} for label, level in given.items()}}
+def _factor(name: str, given: Any) -> FactorConfig:
+    """Return a factor from a list, its fields, or levels by label."""
+    if isinstance(given, FactorConfig):
+        return given
+    if not isinstance(given, Mapping):
+        given = {'values': given}
+    elif not given.keys() <= FactorConfig.model_fields.keys():
+        given = {'levels': {str(label): level or {} for label, level in given.items()}}
+    try:
+        return validate(FactorConfig, given)
+    except ConfigError as error:
+        raise ConfigError(f'factors.{name}.{error.field}', error.expected, error.found) from None
 
 
 class ConditionConfig(Config):
@@ -123,29 +116,23 @@ class PartConfig(ConditionConfig):
         None, 'From when to when the last surface is away.', unit='s')
     fixed: dict[str, Any] = parameter({}, 'Parameters that differ from the files in every run.')
     factors: dict[str, FactorConfig] = parameter(
-        {}, 'What is varied, by parameter or by a name: a list, a range, values by label, or the '
+        {}, 'What is varied, by parameter or by a name: a list of values, levels by label, or the '
         'fields below.')
 
     @field_validator('seeds', mode='before')
     @classmethod
     def _count_seeds(cls, value: Any) -> Any:
-        if isinstance(value, int) and not isinstance(value, bool):
-            if value < 1:
-                raise ConfigError('seeds', 'a number of seeds of at least 1, or a list', value)
-            return tuple(range(value))
-        return value
+        return tuple(range(value)) if isinstance(value, int) else value
 
     @field_validator('factors', mode='before')
     @classmethod
     def _spell_out_factors(cls, value: Any) -> Any:
-        if not isinstance(value, Mapping):
-            return value
-        return {name: _factor(f'factors.{name}', given) for name, given in value.items()}
+        return {name: _factor(name, given) for name, given in value.items()} if (
+            isinstance(value, Mapping)) else value
 
     @model_validator(mode='after')
     def _check_across_fields(self) -> PartConfig:
-        for name in ('plants', 'seeds'):
-            given = getattr(self, name)
+        for name, given in (('plants', self.plants), ('seeds', self.seeds)):
             if len(set(given)) < len(given):
                 raise ConfigError(name, 'each of them once', list(given))
         if min(self.seeds) < 0:
@@ -155,35 +142,21 @@ class PartConfig(ConditionConfig):
         return self
 
 
-class QuickConfig(Config):
-    """What a study has instead with `--quick`."""
-
-    plants: tuple[str, ...] = parameter((), 'Plants; all if not given.')
-    seeds: int = parameter(1, 'How many of the seeds.', ge=1)
-    factors: dict[str, FactorConfig] = parameter({}, 'Values of factors, or labels of levels.')
-    without: tuple[str, ...] = parameter((), 'Parts that are left out.')
-    fault_pairs: int = parameter(0, 'Of kind `faults`.', ge=0)
-
-    _spell_out_factors = field_validator('factors', mode='before')(
-        PartConfig._spell_out_factors.__func__)  # type: ignore[attr-defined]
-
-
 class ColumnConfig(Config):
-    """A column of the table; each of its lines stands for several cells."""
+    """A column of the table; each of its lines stands for several runs."""
 
     name: str = parameter(..., 'Head of the column.')
     value: str = parameter(
         '', 'Column of study.csv; `*` for the largest over the contacts; the head if empty.')
     aggregate: Aggregate = parameter(
-        'median', 'What is shown of the cells of a line: a statistic, how many there are '
+        'median', 'What is shown of the runs of a line: a statistic, how many there are '
         '(`count`) or are true (`share`, `true`), all that there is (`set`), first and last time '
-        '(`times`), at which values of a factor all are stable (`survived`, `stable_range`).')
+        '(`times`), at which values of a factor all are good (`survived`, `stable_range`).')
     scale: Real = parameter(1.0, 'What values are multiplied by.')
     digits: int | None = parameter(None, 'After the point; four significant ones if not given.')
-    part: str = parameter('', 'Only cells of this part; of all parts if empty.')
+    part: str = parameter('', 'Only runs of this part; of all parts if empty.')
     each: bool = parameter(False, 'Whether `*` shows every contact.')
     wide: bool = parameter(False, 'Left out where the terminal is narrow.')
-    rank: str = parameter('', 'What is good where this is small, for the findings of `laws`.')
 
 
 class FigureConfig(Config):
@@ -199,15 +172,15 @@ class StudyConfig(PartConfig):
     """One study."""
 
     name: str = parameter(..., 'Name, as used in file names.', pattern=r'^[\w.-]+$')
-    description: str = parameter('', 'What it shows; the first sentence is its line in lists.')
+    description: str = parameter('', 'What it shows; up to the colon it is its line in lists.')
     kind: Kind = parameter('sweep', 'Which findings and figures it has beside the table.')
     parts: dict[str, PartConfig] = parameter(
         {}, 'Several grids, by title; each has the values above, with its own laid over them.')
     adjustments: tuple[AdjustmentConfig, ...] = parameter(
         (), 'Parameters of the runs that fulfil a condition.')
-    quick: QuickConfig = QuickConfig()
+    quick: dict[str, tuple[Any, ...]] = parameter(
+        {}, 'Values of factors, and of `part`, `plant` and `seed`, with `--quick`.')
     law: str = parameter('', 'Of kind `tune`: whose gains are tried.')
-    fault_pairs: int = parameter(0, 'Of kind `faults`: how many pairs at the same time.', ge=0)
     lines: tuple[str, ...] = parameter(
         (), 'Factors with a line of the table for each of their values; all if not given.')
     sections: tuple[str, ...] = parameter(
@@ -217,7 +190,7 @@ class StudyConfig(PartConfig):
         'not given.')
     truth: str = parameter('stable', 'Column that tells whether a run is good.')
     medians: Literal['stable', 'all'] = parameter(
-        'stable', 'Which runs the statistics are of.')
+        'stable', 'Which runs the statistics are of: good ones, or all.')
     figure: FigureConfig | None = FigureConfig()
     notes: str = parameter('', 'What stands below the table.')
 
@@ -235,7 +208,8 @@ class StudyConfig(PartConfig):
             given = {name: getattr(part, name) for name in part.model_fields_set}
             factors = dict(self.factors)
             for name, factor in part.factors.items():
-                factors[name] = factors[name].choose(factor) if name in factors else factor
+                factors[name] = factors[name].choose(factor.values) if (
+                    name in factors and not factor.levels) else factor
             parts[title] = PartConfig.model_construct(part.model_fields_set, **{
                 **own, **given, 'factors': factors, 'fixed': {**self.fixed, **part.fixed}})
         return parts
@@ -257,23 +231,22 @@ def read_study(path: Path) -> StudyConfig:
     return study.model_copy(update={'parts': study.whole_parts()})
 
 
-def read_choice(text: str) -> tuple[str, FactorConfig]:
-    """Read ``FACTOR=VALUE,VALUE``, the values as in a YAML file; ConfigError if it is bad."""
-    name, sign, values = text.partition('=')
-    try:
-        given = yaml.safe_load(f'[{values}]')
-    except yaml.YAMLError:
-        given = None
-    if not sign or not name.strip() or not given:
-        raise ConfigError('--set', 'FACTOR=VALUE,VALUE', f"'{text}'")
-    return name.strip(), FactorConfig(values=tuple(given))
+def read_choices(texts: Iterable[str]) -> dict[str, Sequence[Any]]:
+    """Read ``FACTOR=VALUE,VALUE`` texts, the values as in a YAML file; ConfigError if bad."""
+    choices = {}
+    for text in texts:
+        name, sign, values = text.partition('=')
+        try:
+            given = yaml.safe_load(f'[{values}]')
+        except yaml.YAMLError:
+            given = None
+        if not sign or not name.strip() or not given:
+            raise ConfigError('--set', 'FACTOR=VALUE,VALUE', f"'{text}'")
+        choices[name.strip()] = given
+    return choices
 
 
-def select(
-    study: StudyConfig, *, quick: bool = False, robot: str = '', plants: tuple[str, ...] = (),
-    seeds: tuple[int, ...] | int | None = None,
-    choices: Iterable[tuple[str, FactorConfig]] = (),
-) -> StudyConfig:
+def select(study: StudyConfig, choices: Choices, *, robot: str = '') -> StudyConfig:
     """
     Return a study of `read_study` with what a user chooses.
 
@@ -281,68 +254,57 @@ def select(
     ----------
     study
         The study.
-    quick
-        Whether its quick form is taken.
+    choices
+        Values of factors, or labels of their levels, and of `part`, `plant` and `seed`, the latter
+        not of parts with their own. A parameter that is no factor becomes one.
     robot
         Name or path: the study's plants that this robot has, or its default one.
-    plants
-        Instead of the study's.
-    seeds
-        Instead of the study's: a list, or how many from its first one on.
-    choices
-        Values of factors, or labels of their levels; a parameter that is no factor becomes one.
 
     Raises
     ------
     ConfigError
-        If there is no such robot, plant or level.
+        If there is no such robot, plant, part or level.
 
     """
-    short, parts, pairs = study.quick, dict(study.parts), study.fault_pairs
-    if quick:
-        parts = {title: part for title, part in parts.items() if title not in short.without}
-        choices = [*short.factors.items(), *choices]
-        plants, pairs = plants or short.plants, short.fault_pairs
-        seeds = short.seeds if seeds is None else seeds
-    for name, chosen in choices:
-        parts = _with_choice(parts, name, chosen)
-    return study.model_copy(update={'fault_pairs': pairs, 'parts': {
+    parts = dict(study.parts)
+    for name, values in choices.items():
+        if name == 'part':
+            parts = {title: part for title, part in parts.items() if title in values}
+        elif name not in ('plant', 'seed'):
+            parts = _with_choice(parts, name, values)
+    if not parts:
+        raise ConfigError('part', f'some of {", ".join(study.parts)}', choices.get('part'))
+    plants, seeds = choices.get('plant', ()), choices.get('seed', ())
+    return study.model_copy(update={'parts': {
         title: part.model_copy(update={
-            'plants': _plants(part, robot, plants), 'seeds': _seeds(part, seeds)})
+            'plants': _plants(robot, plants or part.plants, chosen=bool(plants)),
+            'seeds': part.seeds if 'seeds' in part.model_fields_set or not seeds else seeds})
         for title, part in parts.items()}})
 
 
 def _with_choice(
-    parts: Mapping[str, PartConfig], name: str, chosen: FactorConfig,
+    parts: Mapping[str, PartConfig], name: str, values: Sequence[Any],
 ) -> dict[str, PartConfig]:
     """Return the parts with values of a factor; one in which none of them is known goes."""
     known = [title for title, part in parts.items() if name in part.factors]
     labels = dict.fromkeys(
         label for title in known for label in parts[title].factors[name].levels)
-    unknown = [value for value in chosen.values if labels and str(value) not in labels]
-    if unknown:
-        raise ConfigError(name, f'some of {", ".join(labels)}', f"'{unknown[0]}'")
-    found = {}
-    for title, part in parts.items():
-        factor = part.factors[name].choose(chosen) if title in known else chosen
-        if known and title not in known or factor.levels or factor.values:
-            factors = part.factors if known and title not in known else {
-                **part.factors, name: factor}
-            found[title] = part.model_copy(update={'factors': factors})
+    for value in values:
+        if labels and str(value) not in labels:
+            raise ConfigError(name, f'some of {", ".join(labels)}', f"'{value}'")
+    found = {title: part for title, part in parts.items() if known}
+    for title in known or parts:
+        factors = dict(parts[title].factors)
+        before = factors.get(name, FactorConfig(values=('',)))
+        factors[name] = before.choose(values)
+        found[title] = parts[title].model_copy(update={'factors': factors})
+        if before.levels and not factors[name].levels:
+            del found[title]
     return found
 
 
-def _plants(part: PartConfig, robot: str, plants: tuple[str, ...]) -> tuple[str, ...]:
-    names = plants or part.plants
-    if robot and not plants:
+def _plants(robot: str, names: Sequence[str], *, chosen: bool) -> tuple[str, ...]:
+    if robot and not chosen:
         known = find_robot(robot)
-        names = tuple(name for name in names if known.plant_name(name)) or ('',)
+        names = [name for name in names if known.plant_name(name)] or ['']
     return tuple(dict.fromkeys(plant_source(name, robot).name for name in names))
-
-
-def _seeds(part: PartConfig, seeds: tuple[int, ...] | int | None) -> tuple[int, ...]:
-    if seeds is None or 'seeds' in part.model_fields_set:  # of its own
-        return part.seeds
-    if isinstance(seeds, int):
-        return tuple(range(part.seeds[0], part.seeds[0] + seeds))
-    return seeds

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Collection, Generator, Iterator, Mapping
 import concurrent.futures
 from contextlib import closing, contextmanager, suppress
+from dataclasses import asdict
 import json
 from pathlib import Path
 import signal
@@ -99,14 +100,15 @@ def run_jobs(
         bar = progress.add_task(title, total=len(jobs), completed=len(jobs) - len(todo))
         if client is not None:
             work = _on_cluster(todo, client)
-        elif len(todo) < 2 or workers_at_once(workers, None) == 1:
+        elif len(todo) < 2 or workers == 1:
             work = (_timed(key, job) for key, job in todo.items())
         else:
             work = _in_processes(todo, workers)
         with closing(work) as outcomes:
             for key, metrics, wall_time in outcomes:
                 write_json(folder / CELLS / f'{key}.json', {
-                    'key': key, **todo[key].describe(), 'wall_s': wall_time, 'metrics': metrics})
+                    'key': key, 'job': asdict(todo[key]), 'wall_s': wall_time,
+                    'metrics': metrics})
                 found[key] = metrics
                 progress.advance(bar)
     return {key: metrics for key, metrics in found.items() if metrics is not None}
@@ -197,12 +199,3 @@ def _on_dask_worker(key: str, job: Job) -> Outcome:
         if job.key() != key:
             raise RunError('a Dask worker has other code, libraries or configuration files')
         return _timed(key, job)
-
-
-def workers_at_once(workers: int, client: Any) -> int:
-    """Return how many jobs run at once: the processes here, or the workers of a cluster."""
-    if client is not None:
-        return len(client.nthreads())
-    from joblib import effective_n_jobs
-
-    return int(effective_n_jobs(workers or -1))

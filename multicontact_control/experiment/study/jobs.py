@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
@@ -10,7 +10,7 @@ import hashlib
 from importlib.metadata import PackageNotFoundError, version
 import json
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from multicontact_control.experiment.scenario import resolve, Setup
 from sim_bridge.robots import find_robot
@@ -18,15 +18,13 @@ from sim_bridge.robots import find_robot
 LIBRARIES = ('mujoco', 'numba', 'numpy', 'pin', 'pybullet', 'scipy')
 
 
-class Job(Hashable, Protocol):
-    """One piece of work, described in full; it can be pickled."""
+class Job(Protocol):
+    """One piece of work: a frozen dataclass that describes it in full and can be pickled."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
     def key(self) -> str:
         """Return the hash of all that decides the outcome; ConfigError if it is not acceptable."""
-        ...
-
-    def describe(self) -> dict[str, Any]:
-        """Return what a reader of the result should know, as JSON values."""
         ...
 
     def run(self) -> dict[str, Any]:
@@ -86,12 +84,6 @@ class RunJob:
         content = _content(replace(self, seed=0))
         return content_key('run', {**content, 'seed': self.seed, 'supervised': self.supervised,
                                    'surface_gone': self.surface_gone})
-
-    def describe(self) -> dict[str, Any]:
-        """Return scenario, plant, seed and what differs from their files."""
-        return {'scenario': self.scenario, 'plant': self.plant, 'seed': self.seed,
-                'overrides': json.loads(self.overrides), 'supervised': self.supervised,
-                'surface_gone': self.surface_gone}
 
     def run(self) -> dict[str, Any]:
         """Run it and measure it; see `measure_run`."""

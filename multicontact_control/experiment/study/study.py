@@ -1,4 +1,4 @@
-"""How every study runs: cells, jobs, one table, one page; what presets have beside is theirs."""
+"""How every study runs: cells, jobs, one table, one page; what a kind has beside is its own."""
 
 from __future__ import annotations
 
@@ -6,29 +6,27 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib import import_module
-import json
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
 from multicontact_control import __version__
 from multicontact_control.config import read_yaml, validate
 from multicontact_control.errors import ConfigError, counted, RunError
-from multicontact_control.experiment.judge import HELD
+from multicontact_control.experiment.overrides import unit_of
 from multicontact_control.experiment.page import image, write_page
-from multicontact_control.experiment.study.cells import Cell, run_cells, units_of
+from multicontact_control.experiment.study.cells import Cell, is_parameter, run_cells
 from multicontact_control.experiment.study.config import StudyConfig
 from multicontact_control.experiment.study.execute import (
     dask_client,
     prepare_folder,
     read_cell,
     run_jobs,
-    workers_at_once,
 )
 from multicontact_control.experiment.study.figure import draw_study
+from multicontact_control.experiment.study.jobs import RunJob
 from multicontact_control.experiment.study.measure import metrics_row
 from multicontact_control.experiment.study.table import (
-    html_table,
+    html_tables,
     Listing,
     listing_of,
     table_columns,
@@ -42,13 +40,11 @@ from rich.console import Console
 from rich.markup import escape as plain
 
 DPI = 130  # of the figure
-SHOWN = 60  # lines of a table that still fit a terminal
+SHOWN = 150  # lines of a table that the terminal shows
 MOST_WARNINGS = 20
 STUDY_FILE, TABLE_FILE, CSV_FILE = 'study.json', 'study.parquet', 'study.csv'
 PAGE_FILE, FIGURE_FILE = 'study.html', 'study.png'
-FILES = (STUDY_FILE, TABLE_FILE, CSV_FILE, PAGE_FILE, FIGURE_FILE)
 Metrics = Mapping[str, Any]
-Section = tuple[str, str]  # heading in plain text, and what stands below it in HTML
 
 
 @dataclass(frozen=True)
@@ -79,71 +75,78 @@ class Study:
         return [metrics_row(metrics)]
 
     def complete(self, frame: pd.DataFrame) -> pd.DataFrame:
-        """Return the table with further columns."""
+        """Return the table with further columns, or in another order."""
         return frame
-
-    def listing(self, results: Results) -> Listing:
-        """Return what is shown of the table."""
-        return listing_of(results.frame, self.config)
 
     def findings(self, results: Results) -> list[str]:
         """Return what came out, in sentences."""
-        frame = results.frame
-        ended, held = int(frame['error'].notna().sum()), int((frame['verdict'] == HELD).sum())
-        return [f'{int(frame[self.config.truth].sum())} of {counted(len(frame), "runs")} are '
-                f'{self.config.truth}'
-                + (f'; {ended} ended early' if ended else '')
-                + (f'; {held} are held by the supervisor' if held else '') + '.']
+        good = results.frame[self.config.truth]
+        return [f'{int(good.sum())} of {len(good)} are {self.config.truth}.']
 
-    def warnings(self, results: Results) -> list[str]:
-        """Return which runs ended early and why, and which columns are not in the table."""
-        frame = results.frame
-        return [f'{self._name(row)}: {row["error"]}'
-                for _, row in frame[frame['error'].notna()].iterrows()] + [
-            f'columns: the table has nothing under {column.value}'
-            for column in table_columns(frame, self.config) if column.value not in frame
-            and worst(frame, column.value).isna().all()]
-
-    def _name(self, row: Mapping[str, Any]) -> str:
-        return ', '.join(f'{name} {row[name]}' for name in self._factors() if row[name] != '')
-
-    def _factors(self) -> list[str]:
-        varied = dict.fromkeys(
-            name for part in self.config.parts.values() for name in part.factors)
-        return [*(['part'] if len(self.config.parts) > 1 else []), 'plant', *varied, 'seed']
-
-    def figure(self, results: Results) -> Figure | None:
+    def figure(self, results: Results) -> Any:
         """Return the figure, None if there is none."""
         return draw_study(results.frame, self.config)
 
-    def sections(self, results: Results) -> list[Section]:
-        """Return what stands below the table on the page."""
-        return []
+    def sections(self, results: Results) -> Mapping[str, str]:
+        """Return what stands below the table on the page: HTML by plain heading."""
+        return {}
 
-    def write_further(self, results: Results) -> None:
-        """Write files of the kind's own into the folder."""
+    def write(self, results: Results) -> None:
+        """Write study, table and page into the folder."""
+        folder, frame = results.folder, results.frame
+        write_json(folder / STUDY_FILE, self.config.model_dump(mode='json'))
+        with replacing(folder / CSV_FILE) as partial:
+            frame.to_csv(partial, index=False)
+        with replacing(folder / TABLE_FILE) as partial:
+            frame.to_parquet(partial, index=False, compression='zstd')
+        figure = self.figure(results)
+        if figure is not None:
+            figure.savefig(folder / FIGURE_FILE, dpi=DPI)
+        items = [f'<li>{escape(text)}</li>' for text in self.findings(results)]
+        items += [f'<li class=no>{escape(text)}</li>' for text in self.warnings(results)]
+        write_page(folder / PAGE_FILE, f'Study {self.config.name}', '\n'.join([
+            f'<p>{escape(self.config.description)}</p><ul>{"".join(items)}</ul>',
+            '' if figure is None else image(folder / FIGURE_FILE, self.config.name),
+            html_tables(listing_of(frame, self.config)),
+            f'<p class=note>{escape(self.config.notes)} Every run is in {CSV_FILE}.</p>',
+            *(f'<h2>{escape(heading)}</h2>{text}'
+              for heading, text in self.sections(results).items())]))
 
     def succeeded(self, results: Results) -> bool:
         """Return whether the command ends with 0; most studies only measure."""
         return True
 
+    def warnings(self, results: Results) -> list[str]:
+        """Return which runs ended early and why, and which columns are not in the table."""
+        frame = results.frame
+        failed = frame[frame['error'].notna()]
+        texts = [', '.join(f'{name} {row[name]}' for name in frame.attrs['factors'] if row[name])
+                 + f': {row["error"]}' for _, row in failed.head(MOST_WARNINGS).iterrows()]
+        if len(failed) > MOST_WARNINGS:
+            texts.append(f'{len(failed) - MOST_WARNINGS} more are in {CSV_FILE}')
+        return texts + [
+            f'columns: the table has nothing under {column.value}'
+            for column in table_columns(frame, self.config)
+            if column.value not in frame and worst(frame, column.value).isna().all()]
+
     def results(
         self, cells: Sequence[Cell], found: Mapping[str, Metrics], folder: Path,
     ) -> Results:
         """Return cells with what was measured in them, by key, as a table."""
-        metrics = [found[cell.key] for cell in cells]
-        frame = pd.DataFrame([
+        metrics, job = [found[cell.key] for cell in cells], cells[0].job
+        frame = self.complete(pd.DataFrame([
             {**cell.factors, **row, 'key': cell.key}
-            for cell, measured in zip(cells, metrics) for row in self.rows(measured)])
-        frame.attrs = {
-            'factors': [name for name in cells[0].factors if name in frame],
-            'units': units_of(cells), 'study': self.config.name, 'version': __version__}
-        return Results(metrics, self.complete(frame), folder)
+            for cell, measured in zip(cells, metrics) for row in self.rows(measured)]))
+        units = {name: unit_of(name, job.setup()) for name in cells[0].factors
+                 if is_parameter(name)} if isinstance(job, RunJob) else {}
+        frame.attrs = {'factors': list(cells[0].factors), 'units': units,
+                       'study': self.config.name, 'version': __version__}
+        return Results(metrics, frame, folder)
 
 
 KINDS = {  # modules with a class of the kind, capitalised
-    'compare': 'compare', 'laws': 'laws', 'map': 'robustness', 'robots': 'robots',
-    'tune': 'tune', 'faults': 'faults'}
+    'compare': 'compare', 'map': 'robustness', 'robots': 'robots', 'tune': 'tune',
+    'faults': 'faults'}
 
 
 def study_of(config: StudyConfig) -> Study:
@@ -155,70 +158,74 @@ def study_of(config: StudyConfig) -> Study:
     return study
 
 
-@dataclass(frozen=True)
-class StudyOptions:
-    """How a study is run."""
-
-    out: Path | None = None  # folder of the results; None for runs/<name>
-    jobs: int = 0  # at once on this machine, 0 for every core
-    dask: str = ''  # address of a Dask scheduler to use instead
-    dry_run: bool = False  # only say what would be run
-    overwrite: bool = False  # run finished jobs again
-
-    def check(self) -> None:
-        """Check what can be checked without doing anything; ConfigError if it is bad."""
-        if self.jobs < 0:
-            raise ConfigError('jobs', 'a whole number >= 0', self.jobs)
-        if self.dask and self.jobs:
-            raise ConfigError('jobs', 'nothing together with --dask, whose workers decide',
-                              self.jobs)
+def check_workers(jobs: int, dask: str) -> None:
+    """Check how a study is to be run; ConfigError if it is not acceptable."""
+    if jobs < 0:
+        raise ConfigError('jobs', 'a whole number >= 0', jobs)
+    if dask and jobs:
+        raise ConfigError('jobs', 'nothing together with --dask, whose workers decide', jobs)
 
 
 def run_study(
-    study: Study, options: StudyOptions, console: Console | None = None,
+    study: Study, out: Path | None = None, *, jobs: int = 0, dask: str = '',
+    dry_run: bool = False, overwrite: bool = False, console: Console | None = None,
 ) -> Results | None:
     """
     Run a study, write its files, and show and return what came out; None of a dry run.
 
+    Parameters
+    ----------
+    study
+        What is run.
+    out
+        Folder of the results; None for ``runs/<name>``.
+    jobs
+        How many at once on this machine, 0 for every core.
+    dask
+        Address of a Dask scheduler to use instead.
+    dry_run
+        Only show what would be run.
+    overwrite
+        Run finished jobs again.
+    console
+        Where it is shown.
+
     Raises
     ------
     ConfigError
-        If study or options are not acceptable, before anything is run.
+        If the study is not acceptable, before anything is run.
     RunError
         If a worker dies; what is finished is kept.
 
     """
-    console = console or terminal()
-    options.check()
-    cells = study.cells()
-    folder = options.out or Path('runs') / study.config.name
-    with dask_client(options.dask) as client:
-        if not options.dry_run:
-            prepare_folder(folder, overwrite=options.overwrite, results=FILES)
-        keys = {cell.key for cell in cells}
-        finished = 0 if options.overwrite else sum(
-            read_cell(folder, key) is not None for key in keys)
-        console.print(
-            f'study {study.config.name}: {counted(len(keys), "jobs")}, {finished} of them '
-            f'finished before; {workers_at_once(options.jobs, client)} at once', highlight=False)
-        if options.dry_run:
-            _show_grid(cells, console)
+    console, name = console or terminal(), study.config.name
+    check_workers(jobs, dask)
+    cells, folder = study.cells(), out or Path('runs') / name
+    keys = {cell.key for cell in cells}
+    with dask_client(dask) as client:
+        if not dry_run:
+            prepare_folder(folder, overwrite=overwrite, results=(STUDY_FILE, PAGE_FILE))
+        finished = 0 if overwrite else sum(read_cell(folder, key) is not None for key in keys)
+        console.print(f'study {name}: {counted(len(keys), "jobs")}, {finished} of them finished '
+                      'before', highlight=False)
+        if dry_run:
+            _show_factors(cells, console)
             return None
 
         def run(some: Sequence[Cell]) -> dict[str, dict[str, Any]]:
-            return run_jobs({cell.key: cell.job for cell in some}, folder, workers=options.jobs,
-                            client=client, console=console, title=study.config.name)
+            return run_jobs({cell.key: cell.job for cell in some}, folder, workers=jobs,
+                            client=client, console=console, title=name)
 
         found = run(cells)
         results = study.results(cells, found, folder)
         if further := study.further(results):
-            found |= run(further)
-            results = study.results([*cells, *further], found, folder)
-    _write(study, results, console)
+            results = study.results([*cells, *further], found | run(further), folder)
+    study.write(results)
+    _show(study, results, listing_of(results.frame, study.config), console)
     return results
 
 
-def _show_grid(cells: Sequence[Cell], console: Console) -> None:
+def _show_factors(cells: Sequence[Cell], console: Console) -> None:
     """Show every factor with its values."""
     for name in cells[0].factors:
         values = dict.fromkeys(str(cell.factors[name]) for cell in cells)
@@ -227,52 +234,16 @@ def _show_grid(cells: Sequence[Cell], console: Console) -> None:
                           markup=False, soft_wrap=True)
 
 
-def _write(study: Study, results: Results, console: Console) -> None:
-    """Write the files of a study and show what came out."""
-    folder, listing = results.folder, study.listing(results)
-    write_json(folder / STUDY_FILE, study.config.model_dump(mode='json'))
-    for name, write in (
-            (CSV_FILE, lambda path: results.frame.to_csv(path, index=False)),
-            (TABLE_FILE, lambda path: results.frame.to_parquet(
-                path, index=False, compression='zstd'))):
-        with replacing(folder / name) as partial:
-            write(partial)
-    study.write_further(results)
-    findings, warnings = study.findings(results), study.warnings(results)
+def _show(study: Study, results: Results, listing: Listing, console: Console) -> None:
+    """Show what came out, and where the files are."""
     if sum(len(lines) for _, lines, _ in listing.sections) <= SHOWN:
         console.print(*terminal_tables(study.config.name, listing, console.width))
-    if len(warnings) > MOST_WARNINGS:
-        warnings[MOST_WARNINGS:] = [f'{len(warnings) - MOST_WARNINGS} more are in study.csv']
-    for text in warnings:
+    for text in study.warnings(results):
         console.print(f'[red]{plain(text)}[/red]', highlight=False)
-    for text in findings:
+    for text in study.findings(results):
         console.print(f'- {plain(text)}', highlight=False)
-    drawn = study.figure(results)
-    if drawn is not None:
-        drawn.savefig(folder / FIGURE_FILE, dpi=DPI)
-    write_page(folder / PAGE_FILE, f'Study {study.config.name}',
-               _page(study, results, listing, findings, warnings, drawn is not None))
     for name in (PAGE_FILE, CSV_FILE, TABLE_FILE):
-        console.print(f'results in {folder / name}', highlight=False, soft_wrap=True)
-
-
-def _page(
-    study: Study, results: Results, listing: Listing, findings: Sequence[str],
-    warnings: Sequence[str], drawn: bool,
-) -> str:
-    """Return the page of a study as HTML: what came out, the figure, the tables."""
-    config = study.config
-    items = [*(f'<li>{escape(text)}</li>' for text in findings),
-             *(f'<li class=no>{escape(text)}</li>' for text in warnings)]
-    parts = [f'<p>{escape(config.description)}</p>', f'<ul>{"".join(items)}</ul>']
-    if drawn:
-        parts.append(image(results.folder / FIGURE_FILE, config.name))
-    parts += ['<h2>Table</h2>', html_table(listing),
-              f'<p class=note>{escape(config.notes)} Every run is in study.csv.</p>']
-    parts += [f'<h2>{escape(heading)}</h2>{text}' for heading, text in study.sections(results)]
-    settings = json.dumps(config.model_dump(mode='json', exclude_unset=True), indent=1)
-    return '\n'.join([*parts, f'<details><summary>study</summary><pre>{escape(settings)}</pre>'
-                      '</details>'])
+        console.print(f'results in {results.folder / name}', highlight=False, soft_wrap=True)
 
 
 def read_results(folder: Path) -> tuple[Study, Results]:
@@ -280,8 +251,8 @@ def read_results(folder: Path) -> tuple[Study, Results]:
     path = folder / STUDY_FILE
     study = study_of(validate(StudyConfig, read_yaml(path), str(path)))
     frame = pd.read_parquet(folder / TABLE_FILE)
-    metrics = [read_cell(folder, key) for key in frame['key']]
-    if None in metrics:
-        raise RunError(f'{folder}: expected a finished job for every row of {TABLE_FILE}, got '
-                       f'{metrics.count(None)} rows without')
-    return study, Results([each for each in metrics if each is not None], frame, folder)
+    metrics = [found for key in frame['key'] if (found := read_cell(folder, key)) is not None]
+    if len(metrics) < len(frame):
+        raise RunError(f'{folder}: expected a finished job for each of {len(frame)} rows of '
+                       f'{TABLE_FILE}, got {len(metrics)}')
+    return study, Results(metrics, frame, folder)

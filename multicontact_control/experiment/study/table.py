@@ -199,13 +199,11 @@ def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
     return tables
 
 
-def html_table(listing: Listing) -> str:
-    """Return a listing as HTML."""
-    rows = []
-    for section, lines, good in listing.sections:
-        if section:
-            rows.append([f'<b>{escape(section)}</b>', *[''] * (len(listing.heads) - 1)])
-        for line, fine in zip(lines, good):
-            cells = [escape(cell) for cell in line]
-            rows.append(cells if fine else [f'<span class=no>{cell}</span>' for cell in cells])
-    return table([escape(head) for head in listing.heads], rows, numbers_from=listing.labels)
+def html_tables(listing: Listing) -> str:
+    """Return the sections of a listing as HTML."""
+    return ''.join(
+        f'<h2>{escape(section)}</h2>' + table(
+            [escape(head) for head in listing.heads],
+            [[escape(cell) if fine else f'<span class=no>{escape(cell)}</span>' for cell in line]
+             for line, fine in zip(lines, good)], numbers_from=listing.labels)
+        for section, lines, good in listing.sections)

@@ -6,8 +6,7 @@ from multicontact_control.experiment.overrides import overrides_of, unit_of, val
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.cells import run_cells
 from multicontact_control.experiment.study.config import (
-    FactorConfig,
-    read_choice,
+    read_choices,
     read_study,
     select,
     study_names,
@@ -39,8 +38,10 @@ def fixture_read(tmp_path):
 @pytest.fixture(name='preset', scope='module')
 def fixture_preset():
     """Return what gives a study of config/studies with some choices."""
-    def preset(name, **choices):
-        return study_of(select(read_study(study_path(name)), **choices))
+    def preset(name, quick=False, **choices):
+        study = read_study(study_path(name))
+        short = {'seed': study.seeds[:1], **study.quick} if quick else {}
+        return study_of(select(study, {**short, **choices}))
     return preset
 
 
@@ -48,10 +49,10 @@ def test_ranges_are_even_and_levels_keep_their_labels(read):
     factors = read(factors={
         'a': {'start': 0.1, 'stop': 0.5, 'count': 5}, 'e': [True, 'x'],
         'c': {'start': 1.0, 'stop': 1000.0, 'count': 4, 'spacing': 'log'},
-        'ratio': {'values': {'start': 1, 'stop': 2, 'count': 2}, 'sets': 'p', 'multiples_of': 'q'},
+        'ratio': {'start': 1, 'stop': 2, 'count': 2, 'sets': 'p', 'multiples_of': 'q'},
         'level': {'plain': {}, 'soft': {'a.b': 1}}}).parts[''].factors
-    assert [factors[name].values for name in ('a', 'c', 'e', 'ratio')] == [
-        (0.1, 0.2, 0.3, 0.4, 0.5), (1.0, 10.0, 100.0, 1000.0), (True, 'x'), (1.0, 2.0)]
+    assert [[value for value, _ in factors[name].settings(name)] for name in 'ace'] == [
+        [0.1, 0.2, 0.3, 0.4, 0.5], [1.0, 10.0, 100.0, 1000.0], [True, 'x']]
     assert factors['ratio'].settings('ratio') == [(1.0, {'p': 1.0}), (2.0, {'p': 2.0})]
     assert factors['level'].settings('level') == [('plain', {}), ('soft', {'a.b': 1})]
 
@@ -59,7 +60,7 @@ def test_ranges_are_even_and_levels_keep_their_labels(read):
 @pytest.mark.parametrize(('changes', 'field'), [
     ({'name': 'a/b'}, 'name'), ({'plants': []}, 'plants'), ({'plants': ['x', 'x']}, 'plants'),
     ({'seeds': 0}, 'seeds'), ({'duration': 0.0}, 'duration'), ({'repeats': 3}, 'repeats'),
-    ({'factors': 'all'}, 'factors'), ({'factors': {'a.b': 3}}, 'factors.a.b'),
+    ({'factors': 'all'}, 'factors'), ({'factors': {'a.b': 3}}, 'factors.a.b.values'),
     ({'factors': {'a.b': {'start': 1.0, 'stop': 2.0}}}, 'factors.a.b.count'),
     ({'factors': {'a.b': {'start': 0, 'stop': 2, 'count': 3, 'spacing': 'log'}}},
      'factors.a.b.start'),
@@ -79,12 +80,12 @@ def test_bad_file_is_refused_by_its_field(read, changes, field):
     ({'factors': {'noise_estimator.rate': [250.0]}}, r'\(.*\): noise_estimator.rate')])
 def test_bad_parameter_or_value_is_refused_before_anything_runs(read, changes, field):
     with pytest.raises(ConfigError, match=f'{field}: expected ') as caught:
-        run_cells(select(read(**changes)))
+        run_cells(select(read(**changes), {}))
     assert '\n' not in str(caught.value)
 
 
 def test_cells_are_every_combination_with_every_seed_on_every_plant(read):
-    cells = run_cells(select(read(plants=['rigid', 'puma'])))
+    cells = run_cells(select(read(plants=['rigid', 'puma']), {}))
     assert [(cell.factors['plant'], cell.factors[DELAY], cell.factors[ESTIMATOR], cell.job.seed)
             for cell in cells] == [
         (plant, ticks, estimator, seed) for plant in ('rigid', 'puma') for ticks in (0, 2)
@@ -102,7 +103,7 @@ def test_parts_have_what_the_study_has_and_the_values_of_the_files_for_the_rest(
         'never': {'where': {'plant.drives': 'flexible'}},
         'soft': {'factors': {'ratio': {'values': [0.5], 'sets': STIFFNESS, 'multiples_of':
                                        'controller.contacts.*.stiffness'}}}})
-    cells = run_cells(select(study, seeds=1, choices=[read_choice(f'{ESTIMATOR}=fixed')]))
+    cells = run_cells(select(study, {'seed': (0,), **read_choices([f'{ESTIMATOR}=fixed'])}))
     found = [(*(cell.factors[name] for name in ('part', DELAY, DAMPING, 'ratio')), cell.job.seed)
              for cell in cells]
     assert found == [('grid', 0, 100.0, 1.0, 0), ('grid', 2, 100.0, 1.0, 0),
@@ -115,23 +116,24 @@ def test_parts_have_what_the_study_has_and_the_values_of_the_files_for_the_rest(
 
 def test_adjustment_holds_where_its_condition_does(read):
     cells = run_cells(select(read(plants=['rigid', 'puma'], factors={}, seeds=1, adjustments=[
-        {'where': {'plant.drives': 'rigid'}, 'values': {DAMPING: 30.0}}])))
+        {'where': {'plant.drives': 'rigid'}, 'values': {DAMPING: 30.0}}]), {}))
     assert [cell.job.setup().controller.force.damping_rate for cell in cells] == [30.0, 100.0]
 
 
 def test_user_chooses_plants_seeds_and_values(read):
     study = read(factors={'level': {'a': {DELAY: 0}, 'b': {DELAY: 2}}})
-    chosen = select(study, robot='panda', seeds=(5,), choices=[
-        read_choice('level=b'), read_choice(f'{DAMPING}=20, 60')])
-    cells = run_cells(chosen)
+    cells = run_cells(select(
+        study, {'seed': (5,), **read_choices(['level=b', f'{DAMPING}=20, 60'])}, robot='panda'))
     assert [(cell.factors['level'], cell.factors[DAMPING]) for cell in cells] == [
         ('b', 20.0), ('b', 60.0)]
     assert {(cell.job.plant, cell.job.seed) for cell in cells} == {('panda/rigid', 5)}
     with pytest.raises(ConfigError, match='^level: expected some of a, b, found'):
-        select(study, choices=[('level', FactorConfig(values=('c',)))])
+        select(study, {'level': ['c']})
+    with pytest.raises(ConfigError, match='^part: expected some of'):
+        select(study, {'part': ['c']})
     for text in ('level', '=3', 'level=', 'level=]'):
         with pytest.raises(ConfigError, match='^--set: '):
-            read_choice(text)
+            read_choices([text])
 
 
 def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter(preset):
@@ -140,7 +142,7 @@ def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter(preset
     for name in names:
         study = read_study(study_path(name))
         assert study.name == name and ': ' in study.description
-    counts = [{cell.key for cell in preset(name, robot='', plants=('rigid',), quick=True).cells()}
+    counts = [{cell.key for cell in preset(name, quick=True, plant=('rigid',)).cells()}
               for name in ('compare', 'laws', 'map', 'delay', 'faults')]
     assert [len(keys) for keys in counts] == [18, 45, 64, 14, 12]
     with pytest.raises(ConfigError, match=rf"^study: expected one of {', '.join(names)}"):
@@ -148,7 +150,7 @@ def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter(preset
 
 
 def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_filter(preset):
-    cells = preset('compare', plants=('puma',), seeds=1).cells()
+    cells = preset('compare', plant=('puma',), seed=(0,)).cells()
     setups = {(cell.factors['part'], cell.factors['estimator']): cell.job.setup()
               for cell in cells}
     labels = {label for part, label in setups if part == 'active state'}
@@ -167,7 +169,7 @@ def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_fi
     assert matched.controller.force.process_noise == pytest.approx(
         usual.controller.force.process_noise / gain, rel=1e-12)
     assert usual.controller.friction.coulomb
-    rigid = preset('compare', plants=('rigid',), seeds=1, quick=True).cells()[0].job.setup()
+    rigid = preset('compare', quick=True, plant=('rigid',)).cells()[0].job.setup()
     assert not rigid.controller.friction.coulomb
 
 
@@ -183,16 +185,16 @@ def test_race_has_every_law_in_every_situation_and_friction_where_there_is_some(
         'quick', plant='puma').plant.joint_friction_scale
 
 
-def test_every_law_has_ranges_whose_ends_are_acceptable(preset):
+def test_every_law_has_ranges_whose_ends_are_acceptable():
     declared = read_yaml(config_dir() / 'tuning.yaml')
     assert set(declared) == set(LAWS)
     for law, ranges in declared.items():
         study = read_study(study_path('tune')).model_copy(update={'law': law})
-        ends = [(name, FactorConfig(values=(values[0], values[-1])))
-                for name, values in ranges.items()]
-        cells = study_of(select(study)).cells() if len(ranges) == 1 else run_cells(select(
-            study, choices=ends))
-        assert {cell.job.seed for cell in cells} == {0}
+        whole = study_of(select(study, {}))
+        ends = {name: [values[0], values[-1]] for name, values in ranges.items()}
+        cells = run_cells(select(whole.config, ends))
+        assert 2 <= len(cells) <= 2 ** len(ranges) and {cell.job.seed for cell in cells} == {0}
+        assert cells[0].job.setup().controller.force.law == law
 
 
 @pytest.fixture(name='setup', scope='module')

@@ -38,9 +38,6 @@ class SeedJob:
     def key(self):
         return f'seed{self.seed}'
 
-    def describe(self):
-        return {'seed': self.seed}
-
     def run(self):
         if self.seed == self.stops_at:
             raise KeyboardInterrupt

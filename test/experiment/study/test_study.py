@@ -10,7 +10,6 @@ from multicontact_control.experiment.study.study import (
     read_results,
     run_study,
     study_of,
-    StudyOptions,
 )
 from multicontact_control.experiment.study.table import (
     listing_of,
@@ -125,8 +124,8 @@ def test_changed_study_runs_what_is_missing_and_failures_are_rows(tmp_path, monk
     def run(seeds, **options):
         path.write_text(yaml.safe_dump({**STUDY, 'seeds': seeds}))
         shown = io.StringIO()
-        run_study(study_of(select(read_study(path))), StudyOptions(out, jobs=1, **options),
-                  Console(file=shown, width=160))
+        run_study(study_of(select(read_study(path), {})), out, jobs=1,
+                  console=Console(file=shown, width=160), **options)
         return shown.getvalue()
 
     monkeypatch.setattr(closed_loop, 'run_in_process', fail)

@@ -29,12 +29,12 @@ from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.cells import Cell
 from multicontact_control.experiment.study.jobs import content_key, setup_content
 from multicontact_control.experiment.study.study import Metrics, Results, Study
-import numpy as np
 import pandas as pd
 
 PHASE_TIMES = {START: 0.0, APPROACH: 0.65, REST: 4.9, SLIDING: 8.2}  # s
 FAULT_TIMEOUT = 60.0  # s
 FAULTS_PER_JOB = 12
+PAIRS, FEW_PAIRS = 300, 12  # of faults at the same time, the latter with a single seed
 
 
 @dataclass(frozen=True)
@@ -55,12 +55,7 @@ class FaultJob:
     def key(self) -> str:
         """Return the hash of all that decides the outcome; see `Job.key`."""
         return content_key('faults', {
-            **self.describe(), **setup_content(self.setup()), 'time': PHASE_TIMES[self.phase]})
-
-    def describe(self) -> dict[str, Any]:
-        """Return the situation and the faults."""
-        return {'plant': self.plant, 'phase': self.phase, 'first_seed': self.first_seed,
-                'faults': [list(fault) for fault in self.faults]}
+            **asdict(self), **setup_content(self.setup()), 'time': PHASE_TIMES[self.phase]})
 
     def run(self) -> dict[str, Any]:
         """Run the faults; a row for each is under `rows`."""
@@ -149,7 +144,7 @@ class FaultsStudy(Study):
                 enumerate(seeds))
             for number, seed in numbers:
                 places[situation(number, plants, phases)].append((*name, seed))
-        pairs = pairs_of_faults(self.config.fault_pairs, seeds[0])
+        pairs = pairs_of_faults(PAIRS if len(seeds) > 1 else FEW_PAIRS, seeds[0])
         for number, (one, other) in enumerate(pairs):
             places[situation(number, plants)].append(
                 (one.kind, one.input, seeds[0] + number, other.kind, other.input))
@@ -161,41 +156,21 @@ class FaultsStudy(Study):
 
     def rows(self, metrics: Metrics) -> list[dict[str, Any]]:
         """Return a row for each fault; what never came is infinite, what is not known is none."""
-        return [{**row, 'error': None, 'short': bool(row['shortfalls']),
-                 'input': '' if row['kind'] == TWO else row['input'],
-                 'inputs': row['input'],
-                 'time_to_safe_s': math.inf if row['time_to_safe_s'] < 0.0 else (
-                     row['time_to_safe_s']),
-                 'off_command_s': None if row['off_command_s'] < 0.0 else row['off_command_s']}
+        return [{**row, 'error': row['problems'] or row['shortfalls'] or None,
+                 'short': bool(row['shortfalls']),
+                 'time_to_safe_s': row['time_to_safe_s'] if row['time_to_safe_s'] >= 0.0 else (
+                     math.inf),
+                 'off_command_s': row['off_command_s'] if row['off_command_s'] >= 0.0 else None}
                 for row in metrics['rows']]
 
     def complete(self, frame: pd.DataFrame) -> pd.DataFrame:
-        """Return the rows by kind and seed."""
+        """Return the rows by kind and seed; pairs are one kind."""
         order = {name: i for i, name in enumerate(FAULTS)}
-        places = [order.get(name, len(order)) for name in zip(frame['kind'], frame['inputs'])]
-        frame.attrs['factors'] = ['input', 'kind', 'plant', 'phase', 'seed']
-        return frame.assign(place=places).sort_values(
-            ['place', 'seed'], kind='stable', ignore_index=True).drop(columns='place')
-
-    def warnings(self, results: Results) -> list[str]:
-        """Return every fault that was not safe, or short."""
-        return [f'{what}: {row.plant}, {row.phase}, {row.inputs} {row.kind}, seed {row.seed}: '
-                f'{why}' for row in results.frame.itertuples()
-                for what, why in (('not safe', row.problems), ('short', row.shortfalls)) if why]
-
-    def findings(self, results: Results) -> list[str]:
-        """Return how many were safe, and for how long forces were off their commands."""
-        frame = results.frame
-        kinds = frame[['inputs', 'kind']].drop_duplicates()
-        text = (f'{int(frame["safe"].sum())} of {len(frame)} faults of {len(kinds)} kinds are '
-                f'safe; after {int(frame["short"].sum())} the task is not taken up in time')
-        times = 1e3 * frame['off_command_s'].dropna()
-        if len(times):
-            p50, p90, p99 = np.percentile(times, [50.0, 90.0, 99.0])
-            text += (f'; off command in {100.0 * (times > 0.0).mean():.0f} % of them, for '
-                     f'{p50:.0f} / {p90:.0f} / {p99:.0f} / {times.max():.0f} ms (p50, p90, p99, '
-                     'largest)')
-        return [f'{text}.']
+        places = [order.get(name, len(order)) for name in zip(frame['kind'], frame['input'])]
+        pairs = frame['input'].where(frame['kind'] == TWO, '')
+        return frame.assign(
+            pair=pairs, input=frame['input'].mask(frame['kind'] == TWO, ''), place=places,
+        ).sort_values(['place', 'seed'], kind='stable', ignore_index=True).drop(columns='place')
 
     def succeeded(self, results: Results) -> bool:
         """Return whether every fault was safe."""

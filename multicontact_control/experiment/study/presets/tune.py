@@ -8,7 +8,7 @@ import math
 from typing import Any
 
 from multicontact_control.config import merge, read_yaml
-from multicontact_control.errors import ConfigError, counted
+from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.law_report import write_preset
 from multicontact_control.experiment.overrides import overrides_of
 from multicontact_control.experiment.scenario import preset_values
@@ -16,25 +16,13 @@ from multicontact_control.experiment.study.cells import Cell
 from multicontact_control.experiment.study.config import FactorConfig, StudyConfig
 from multicontact_control.experiment.study.jobs import RunJob
 from multicontact_control.experiment.study.study import Results, Study
-from multicontact_control.experiment.study.table import Listing, listing_of
 from multicontact_control.paths import config_dir
 import pandas as pd
 
 JUDGED, JUDGED_ON = 'on other seeds', (1, 2, 3)
-SHOWN = 12  # combinations in the table
 # What each figure is divided by before they are added.
 SCALES = {'rest_rms_n': 0.05, 'moving_rms_n': 0.65, 'rise_s': 0.04, 'overshoot_percent': 8.0,
           'push_peak_n': 0.6, 'activity_nm': 0.3}
-
-
-def read_ranges(law: str) -> dict[str, list[Any]]:
-    """Return what is tried for a law, by dotted name; ConfigError if nothing is declared."""
-    path = config_dir() / 'tuning.yaml'
-    ranges = read_yaml(path)
-    if law not in ranges:
-        raise ConfigError('law', f'one of {", ".join(ranges)} ({path.name})', f"'{law}'")
-    found: dict[str, list[Any]] = ranges[law]
-    return found
 
 
 def cost(row: Mapping[str, Any]) -> float:
@@ -47,74 +35,59 @@ class TuneStudy(Study):
     """Every combination of a law's declared gains, on one seed."""
 
     def __init__(self, config: StudyConfig) -> None:
+        ranges = read_yaml(config_dir() / 'tuning.yaml')
+        if config.law not in ranges:
+            raise ConfigError('law', f'one of {", ".join(ranges)} (tuning.yaml)',
+                              f"'{config.law}'")
+        self.gains = list(ranges[config.law])
         self.preset = 'best' if config.law == 'aob' else f'laws/{config.law}'
         gains = {name: FactorConfig(values=tuple(values))
-                 for name, values in read_ranges(config.law).items()}
+                 for name, values in ranges[config.law].items()}
         super().__init__(config.model_copy(update={
             'name': f'tune-{config.law}', 'parts': {
                 title: part.model_copy(update={
                     'preset': self.preset, 'factors': {**gains, **part.factors}})
                 for title, part in config.parts.items()}}))
-        self.gains = list(gains)
 
     def complete(self, frame: pd.DataFrame) -> pd.DataFrame:
-        """Return the table with the cost of each run."""
-        costs = frame.apply(lambda row: cost(row.fillna(math.nan)), axis=1)
-        return frame.assign(cost=costs)
-
-    def _ranking(self, frame: pd.DataFrame) -> pd.Series:
-        """Return the cost of each combination on the worst plant, by its gains, least first."""
-        tried = frame[frame['part'] != JUDGED]
-        return tried.groupby(self.gains, sort=False)['cost'].max().sort_values(kind='stable')
+        """Return the table with the cost of each run, by that of the worst plant, least first."""
+        frame = frame.assign(cost=[
+            cost(row) for row in frame[['stable', *SCALES]].astype(float).to_dict('records')])
+        worst = frame.groupby(['part', *self.gains])['cost'].transform('max')
+        return frame.assign(rank=worst, last=frame['part'] == JUDGED).sort_values(
+            ['last', 'rank'], kind='stable', ignore_index=True).drop(columns=['last', 'rank'])
 
     def _best(self, frame: pd.DataFrame) -> dict[str, Any] | None:
-        ranking = self._ranking(frame)
-        if math.isinf(ranking.iloc[0]):
-            return None
-        gains = ranking.index[0]
-        return dict(zip(self.gains, gains if isinstance(gains, tuple) else (gains,)))
+        """Return the gains with the least cost, None if no combination is stable."""
+        best = {name: frame[name].iloc[0] for name in self.gains}
+        runs = frame[(frame[self.gains] == pd.Series(best)).all(axis=1)]
+        return best if (runs['cost'] < math.inf).all() else None
 
     def further(self, results: Results) -> list[Cell]:
         """Return the runs of the best combination on other seeds, none if it is not stable."""
-        best = self._best(results.frame)
-        if best is None:
-            return []
-        jobs = [(cell.factors, replace(cell.job, seed=seed)) for cell in self.cells()
-                if isinstance(cell.job, RunJob)
-                and all(cell.factors[name] == value for name, value in best.items())
-                for seed in JUDGED_ON]
-        return [Cell({**factors, 'part': JUDGED, 'seed': job.seed}, job, job.key())
-                for factors, job in jobs]
+        best, cells = self._best(results.frame), []
+        for cell in self.cells() if best else []:
+            if isinstance(cell.job, RunJob) and best == {
+                    name: cell.factors[name] for name in self.gains}:
+                jobs = [replace(cell.job, seed=seed) for seed in JUDGED_ON]
+                cells += [Cell({**cell.factors, 'part': JUDGED, 'seed': job.seed}, job, job.key())
+                          for job in jobs]
+        return cells
 
-    def listing(self, results: Results) -> Listing:
-        """Return the best combinations, and the very best on other seeds."""
-        frame = results.frame
-        places = {gains: i for i, gains in enumerate(self._ranking(frame).index[:SHOWN])}
-        keys = frame[self.gains].apply(
-            lambda row: tuple(row) if len(row) > 1 else row.iloc[0], axis=1)
-        shown = frame[keys.isin(places)].assign(place=keys.map(places))
-        return listing_of(shown.sort_values('place', kind='stable'), self.config)
-
-    def write_further(self, results: Results) -> None:
-        """Write the best gains as a parameter file."""
-        best, law = self._best(results.frame), self.config.law
-        job = self.cells()[0].job
-        if best is not None and isinstance(job, RunJob):
+    def write(self, results: Results) -> None:
+        """Write the best gains as a parameter file, beside the files of every study."""
+        super().write(results)
+        best, job, law = self._best(results.frame), self.cells()[0].job, self.config.law
+        if best and isinstance(job, RunJob):
             plants = ', '.join(results.frame['plant'].unique())
             write_preset(
                 merge(preset_values(self.preset), overrides_of(best, job.setup(), 'gains')),
                 results.folder / f'{law}.yaml', f'{law}, tuned on seed {job.seed} of {plants}')
 
     def findings(self, results: Results) -> list[str]:
-        """Return where the best gains are, and how they do on other seeds."""
-        frame, law = results.frame, self.config.law
-        if self._best(frame) is None:
-            return [f'All combinations of {law} are unstable in the task, or lack a figure.']
-        found = [f'{law}.yaml holds the best of '
-                 f'{counted(len(self._ranking(frame)), "combinations")}.']
-        for plant, runs in frame[frame['part'] == JUDGED].groupby('plant', sort=False):
-            figures = runs[list(SCALES)].astype(float).median()
-            found.append(f'On other seeds, plant {plant}: stable in {int(runs["stable"].sum())} '
-                         f'of {len(runs)}, ' + ', '.join(
-                             f'{name} {value:.3g}' for name, value in figures.items()) + '.')
-        return found
+        """Return what the best gains are."""
+        best, law = self._best(results.frame), self.config.law
+        return [f'{law}.yaml holds the best: ' + ', '.join(
+            f'{name} = {value:g}' for name, value in best.items()) + '.' if best else
+            f'All combinations of {law} are unstable in the task, or lack a figure.',
+            *super().findings(results)]
