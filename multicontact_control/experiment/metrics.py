@@ -398,12 +398,6 @@ def percentiles(values: Vector) -> dict[str, float]:
     return dict(zip(('p50', 'p99', 'p999', 'max'), found.tolist()))
 
 
-def force_error(data: RunData, setup: Setup, contact: int) -> Vector:
-    """Return the force of a contact, true or else measured, less the command, shape (m,) [N]."""
-    error: Vector = RunMetrics(data, setup).error[:, contact]
-    return error
-
-
 def disturbance_summary(
     data: RunData, setup: Setup, unstable_at: float | None,
 ) -> dict[str, Any]:

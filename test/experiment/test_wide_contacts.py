@@ -3,7 +3,7 @@
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.judge import judge, STABLE
-from multicontact_control.experiment.metrics import force_error, rms_in, RunMetrics, windows
+from multicontact_control.experiment.metrics import rms_in, RunMetrics, windows
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.loop import ControlLoop
 from multicontact_control.supervision.command_limits import CommandLimits
@@ -25,7 +25,7 @@ def test_forces_and_couples_are_kept_at_rest_and_while_sliding(scenario, plant, 
     window = windows(setup.scenario.reference, data.time)
     assert judge(data, setup, mode='in_process', events=()).name == STABLE
     for i, name in enumerate(data.contact_names):
-        error = force_error(data, setup, i)
+        error = RunMetrics(data, setup).error[:, i]
         assert rms_in(window.rest, error) < 0.2, name
         assert rms_in(window.moving, error) < bound, name
         assert RunMetrics(data, setup).losses(i, window.loaded) == ([], [])
@@ -42,7 +42,7 @@ def test_a_couple_follows_the_stiffness_that_is_found_for_its_contact():
     data = run_of(setup).data
     np.testing.assert_allclose(data.stiffness[-1], 1000.0, rtol=0.25)
     settled = (data.time > 6.15) & (data.time < 7.5)
-    assert np.abs(force_error(data, setup, 1)[settled]).max() < 0.5
+    assert np.abs(RunMetrics(data, setup).error[:, 1][settled]).max() < 0.5
 
 
 def press(changes, *, ticks, each=lambda loop, k: None, plant=None, only=None, motion=None):

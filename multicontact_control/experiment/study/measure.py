@@ -8,13 +8,8 @@ import math
 from typing import Any, TYPE_CHECKING
 
 from multicontact_control.experiment.claims import evidence_of
-from multicontact_control.experiment.metrics import (
-    disturbance_summary,
-    force_error,
-    LASTING,
-    windows,
-)
-from multicontact_control.experiment.recording import empty_run_data, RunData
+from multicontact_control.experiment.metrics import disturbance_summary, LASTING, RunMetrics
+from multicontact_control.experiment.recording import empty_run_data
 from multicontact_control.experiment.results import summarise
 import numpy as np
 
@@ -57,7 +52,7 @@ def measure_run(
             setup, supervised=supervised, disturb=_disturbance(setup, surface_gone))
         if result.data.ticks < SHORTEST:  # it ended at once: samples that were not answered
             result = replace(result, data=empty_run_data(SHORTEST, setup.controller))
-        data = result.data
+        data, run = result.data, RunMetrics(result.data, setup)
         summary = summarise(
             data, setup, mode='in_process', timing={}, ended_early=result.ended_early,
             events=result.events if supervised else None)
@@ -65,9 +60,8 @@ def measure_run(
             'summary': summary,
             'disturbances': disturbance_summary(data, setup, summary['unstable_at_s']),
             'evidence': evidence_of(data, setup, summary),
-            'final_error_share': _final_error_share(data, setup),
-            'activity_nm': _activity(data, setup),
-            'neighbour_n': _neighbour_error(data, setup, surface_gone), 'error': None}
+            'final_error_share': _final_error_share(run), 'activity_nm': _activity(run),
+            'neighbour_n': _neighbour_error(run, surface_gone), 'error': None}
     except Exception as problem:
         # Whatever one combination does to the law or the simulator, the others shall be run.
         return {'summary': None, 'error': f'{type(problem).__name__}: {problem}'}
@@ -87,36 +81,31 @@ def _disturbance(setup: Setup, gone: tuple[float, float] | None) -> Any:
     return disturb
 
 
-def _final_error_share(data: RunData, setup: Setup) -> float:
+def _final_error_share(run: RunMetrics) -> float:
     """Return the largest force error of the last 0.5 s, relative to the task's command."""
-    last = data.time > data.time[-1] - LAST
-    desired = setup.commanded(data.time)[last]
+    last = run.data.time > run.data.time[-1] - LAST
+    desired = run.command[last]
     if not (desired > 0.0).all():
         return math.inf
-    return float(np.max(np.abs(data.alpha_true[last] - desired) / desired))
+    return float(np.max(np.abs(run.data.alpha_true[last] - desired) / desired))
 
 
-def _activity(data: RunData, setup: Setup) -> float:
+def _activity(run: RunMetrics) -> float:
     """Return the rms change of torque per period of the joint with the largest [N m]."""
-    judged = windows(setup.scenario.reference, data.time)
-    window = judged.moving if judged.moving.any() else judged.loaded
-    change = np.diff(data.torque, axis=0)[window[1:]]
+    window = run.windows.moving if run.windows.moving.any() else run.windows.loaded
+    change = np.diff(run.data.torque, axis=0)[window[1:]]
     return float(np.sqrt((change * change).mean(axis=0)).max()) if len(change) else math.nan
 
 
-def _neighbour_error(
-    data: RunData, setup: Setup, gone: tuple[float, float] | None,
-) -> float | None:
+def _neighbour_error(run: RunMetrics, gone: tuple[float, float] | None) -> float | None:
     """Return the largest mean error over 12 ms of the first force around that time [N]."""
     if gone is None:
         return None
-    error = force_error(data, setup, 0)
-    window = (data.time >= gone[0]) & (data.time < gone[1] + 1.0)
-    count = round(MEAN_TIME * data.rate)
-    if window.sum() < count:  # the run ended before
+    time, count = run.data.time, round(MEAN_TIME * run.data.rate)
+    error = run.error[(time >= gone[0]) & (time < gone[1] + 1.0), 0]
+    if len(error) < count:  # the run ended before
         return None
-    means = np.convolve(error[window], np.full(count, 1.0 / count), 'valid')
-    return float(np.abs(means).max())
+    return float(np.abs(np.convolve(error, np.full(count, 1.0 / count), 'valid')).max())
 
 
 def metrics_row(metrics: Metrics) -> dict[str, Any]:

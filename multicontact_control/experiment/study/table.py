@@ -17,6 +17,7 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape as plain
 from rich.table import Table
 
+LABEL = 20  # characters of a label that stay in one line
 WIDE = 110  # columns of a terminal that has room for every column of a table
 NOT_FACTORS = ('part', 'plant', 'seed')
 CHOICE = (  # of columns to show
@@ -191,8 +192,10 @@ def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
         found = Table(title=plain(section or title), title_justify='left', box=SIMPLE_HEAD,
                       padding=(0, 1, 0, 0), pad_edge=False)
         for i in shown:
+            longest = max(len(line[i]) for line in lines)
             found.add_column(plain(listing.heads[i]), overflow='fold',
-                             justify='left' if i < listing.labels else 'right')
+                             justify='left' if i < listing.labels else 'right',
+                             min_width=min(longest, LABEL) if i < listing.labels else None)
         for line, fine in zip(lines, good):
             found.add_row(*(plain(line[i]) for i in shown), style=None if fine else 'red')
         tables.append(found)

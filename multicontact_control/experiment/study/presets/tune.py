@@ -59,7 +59,7 @@ class TuneStudy(Study):
 
     def _best(self, frame: pd.DataFrame) -> dict[str, Any] | None:
         """Return the gains with the least cost, None if no combination is stable."""
-        best = {name: frame[name].iloc[0] for name in self.gains}
+        best = {name: frame[name].tolist()[0] for name in self.gains}
         runs = frame[(frame[self.gains] == pd.Series(best)).all(axis=1)]
         return best if (runs['cost'] < math.inf).all() else None
 
