@@ -113,28 +113,22 @@ class StartedNode:
         os.close(file)
         self.args, self._log = [module, *arguments], Path(name)
         self._process = start_node(module, arguments, os.environ, self._log)
+        self.pid = self._process.pid
         self.terminate, self.kill = self._process.terminate, self._process.kill
 
-    @property
-    def pid(self) -> int:
-        return self._process.pid
-
-    @property
-    def returncode(self) -> int | None:
+    def poll(self) -> int | None:
         return self._process.exitcode
 
-    def poll(self) -> int | None:
-        return self.returncode
+    returncode = property(poll)
 
     def send_signal(self, number: int) -> None:
-        if self.returncode is None:
+        if self.poll() is None:
             os.kill(self.pid, number)
 
-    def wait(self, timeout: float | None = None) -> int:
+    def wait(self, timeout: float | None = None) -> None:
         self._process.join(timeout)
-        if self.returncode is None:
+        if self.poll() is None:
             raise subprocess.TimeoutExpired(self.args, timeout)
-        return self.returncode
 
     def communicate(self, timeout: float | None = None) -> tuple[str, str]:
         """Wait for its end; return what it wrote to stdout and stderr, twice."""

@@ -78,14 +78,12 @@ def run(
         setup = replace(options.setup(), commanded_by_topic=commanded)
     folder = options.folder(setup)
     # Only now: bad input is refused before the simulator is loaded.
-    from multicontact_control.experiment.run import GraphOptions, run_on_graph
+    from multicontact_control.experiment.run import run_on_graph
 
-    graph = GraphOptions(
-        free_running=free_running, speed=speed, domain_id=domain_id, namespace=namespace,
-        realtime=realtime, endless=commanded and options.duration is None)
     summary, interrupted = run_on_graph(
-        setup, folder, graph, external=robot, robot_timeout=robot_timeout,
-        supervised=not options.bare)
+        setup, folder, endless=commanded and options.duration is None, external=robot,
+        robot_timeout=robot_timeout, supervised=not options.bare, free_running=free_running,
+        speed=speed, domain_id=domain_id, namespace=namespace, realtime=realtime)
     if interrupted is not None:
         raise typer.Exit(EXIT_SIGNAL + interrupted)
     if summary is None:

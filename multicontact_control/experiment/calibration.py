@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from multicontact_control.arrays import Matrix
 from multicontact_control.config import ToolConfig
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.experiment.scenario import plant_source, resolve, Setup
-from multicontact_control.sensor.tool import Identification, identify_tool, PoseReading
+from multicontact_control.experiment.weighing import REST_TIME, weigh
+from multicontact_control.sensor.tool import Identification
 import numpy as np
 from rich.table import Table
 from sim_bridge.drives import PositionHold
@@ -21,7 +21,6 @@ TOOL_FILE = 'tool.yaml'
 # What is met in simulation, where the truth is known.
 MASS_TOLERANCE, COM_TOLERANCE, BIAS_TOLERANCE = 0.02, 3e-3, 0.1  # share, m, N
 BIAS_RANGE = np.repeat([5.0, 0.2], 3)  # N, N m
-SETTLE_TIME, AVERAGE_TIME = 0.5, 0.5  # s, in each pose
 
 
 @dataclass(frozen=True)
@@ -67,41 +66,34 @@ def sensor_setup(
     return replace(setup, plant=setup.plant.model_copy(update={'sensor': sensor}))
 
 
-def calibrate(
-    setup: Setup, *, settle_time: float = SETTLE_TIME, average_time: float = AVERAGE_TIME,
-) -> Calibration:
+def calibrate(setup: Setup) -> Calibration:
     """
     Weigh the tool of a `sensor_setup`, whose drives hold the weighing poses of its robot.
 
-    `settle_time` and `average_time` are those of rest before the readings and of the readings [s].
     Raises CalibrationError if the readings do not tell.
     """
     from multicontact_control.experiment.compilation import ensure_compiled
 
     ensure_compiled()
     robot, controller = find_robot(setup.plant.robot), setup.controller
-    model, readings = RobotModel(controller.robot, setup.urdf_dir), []
-    settle, average = (round(x * controller.rate) for x in (settle_time, average_time))
+    ticks, samples = round(REST_TIME * controller.rate), []
     for number, pose in enumerate(robot.weighing_poses()):
         plant = Plant(setup.plant.model_copy(update={'home': tuple(pose)}),
                       rate=controller.rate, seed=setup.seed + number)
-        hold, samples = PositionHold(plant.model), [plant.reset()]
-        for _ in range(settle + average):
-            samples.append(plant.step(hold.torque(samples[-1].q, samples[-1].qd)))
+        hold, sample = PositionHold(plant.model), plant.reset()
+        for k in range(ticks):
+            sample = plant.step(hold.torque(sample.q, sample.qd))
+            # A second from pose to pose, of which nothing is known.
+            samples.append([number * (REST_TIME + 1.0) + k * controller.period,
+                            *sample.q, *sample.wrench])
         plant.close()
-        readings.append(mean_reading(model, *(
-            np.array([getattr(sample, name) for sample in samples[-average:]])
-            for name in ('q', 'wrench'))))
+    table = np.array(samples)
+    found = weigh(RobotModel(controller.robot, setup.urdf_dir), controller.robot.gravity_world,
+                  (table[:, 0], table[:, 1:-6]), (table[:, 0], table[:, -6:]))
     # The moving half of the sensor's face hangs on it, too.
-    truth = ToolConfig(mass=robot.arm.carried_mass, com_sensor=robot.arm.carried_com,
-                       bias_sensor=setup.plant.sensor.bias)
-    return Calibration(identify_tool(readings, np.array(controller.robot.gravity_world)), truth)
-
-
-def mean_reading(robot: RobotModel, q: Matrix, wrenches: Matrix) -> PoseReading:
-    """Return what a sensor reads at rest from m samples, shapes (m, n) [rad] and (m, 6)."""
-    pose = robot.update(q.mean(axis=0), np.zeros(robot.joint_count)).sensor_pose
-    return PoseReading(pose.rotation_world, wrenches.mean(axis=0))
+    return Calibration(found, ToolConfig(
+        mass=robot.arm.carried_mass, com_sensor=robot.arm.carried_com,
+        bias_sensor=setup.plant.sensor.bias))
 
 
 def write_tool(folder: Path, found: Identification) -> Path:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import time
 
 from multicontact_control.arrays import Vector
-from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.errors import (
     ContactGeometryError,
@@ -144,10 +143,6 @@ class ClosedLoop:
         output = self.answer(corrupt)
         self.act()
         return output
-
-    def estimate_by(self, config: NoiseEstimatorConfig) -> None:
-        """Let another estimator, in its initial state, find R from the next tick on."""
-        self._estimator = make_noise_estimator(config)
 
     def close(self) -> None:
         """Give the simulator's memory back."""

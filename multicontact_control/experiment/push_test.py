@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-import time
 
 from multicontact_control.arrays import Matrix
 from multicontact_control.errors import ConfigError, RunError
@@ -23,7 +22,6 @@ from scipy.spatial.transform import Rotation
 WRONG_SCALE = 0.5
 TARE_TIME, FIRST_PUSH, GAP, MARGIN = 0.3, 1.0, 0.8, 0.2  # s
 PASSED, FAILED = 'push test passed', 'push test failed'
-POLL = 0.05  # s
 
 Tell = Callable[[str], None]
 
@@ -103,32 +101,24 @@ def push_running(
     """
     Lead the user through the push test of a running controller; return whether it was passed.
 
-    `tell` is called with what is to be done, whenever that changes, and with the verdict;
-    `timeout` is the longest wait for an answer, and without diagnostics [s]. Raises RunError if no
-    controller answers, it is not active, or it is silent.
+    `tell` is called with each instruction, and with the verdict; `timeout` is the longest wait for
+    an answer or a command of the controller [s]. Raises RunError if none comes, or the controller
+    is not active.
     """
     from multicontact_control.nodes import topics
     from multicontact_control.nodes.link import ControllerLink
     from std_srvs.srv import Trigger
 
-    with ControllerLink((topics.DIAGNOSTICS,), namespace=namespace, domain_id=domain_id,
+    with ControllerLink((topics.EFFORT_COMMAND,), namespace=namespace, domain_id=domain_id,
                         timeout=timeout) as link:
         if (state := link.state(topics.CONTROLLER)) != 'active':
             raise RunError(f'{topics.CONTROLLER}: expected an active controller, found it {state}')
         instruction = link.ask('push_test', Trigger, Trigger.Request())
         tell(instruction)
-        link.queue(topics.DIAGNOSTICS)  # of before the test
-        heard = time.monotonic()
-        while time.monotonic() - heard <= timeout:
-            time.sleep(POLL)
-            for value in (value for report in link.queue(topics.DIAGNOSTICS)
-                          for status in report.status
-                          if status.name.endswith(f'{topics.CONTROLLER}: sensor')
-                          for value in status.values if value.key == 'push_test'):
-                heard = time.monotonic()
-                if value.value != instruction:
-                    tell(instruction := value.value)
-                if instruction.startswith((PASSED, FAILED)):
-                    return instruction.startswith(PASSED)
-    raise RunError(f'{topics.CONTROLLER}: expected diagnostics once a second, found none for '
-                   f'{timeout:g} s')
+        link.look()  # of before the test
+        while not instruction.startswith((PASSED, FAILED)):
+            link.fresh(topics.EFFORT_COMMAND)
+            for status in link.look():
+                if status.push_test not in ('', instruction):
+                    tell(instruction := status.push_test)
+        return instruction.startswith(PASSED)

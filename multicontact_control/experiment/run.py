@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -83,66 +83,52 @@ def run_simulate(
     return _finish(result.data, setup, folder, summary, console)
 
 
-@dataclass(frozen=True)
-class GraphOptions:
-    """How a graph is run."""
-
-    free_running: bool = False  # whether the plant does not wait for commands, as a robot
-    speed: float = 1.0  # simulated time per wall time at most; 0 for as fast as it goes
-    domain_id: int | None = None  # by default a free one, or 0 with a robot behind the topics
-    namespace: str = ''
-    realtime: bool = False  # whether to ask for real-time priority and locked memory
-    endless: bool = False  # whether a signal ends it, whatever the scenario says
-
-
 def run_on_graph(
-    setup: Setup, folder: Path, options: GraphOptions = GraphOptions(), *,
-    external: External | None = None, robot_timeout: float = 5.0, supervised: bool = True,
-    console: Console | None = None,
+    setup: Setup, folder: Path, *, endless: bool = False, external: External | None = None,
+    robot_timeout: float = 5.0, supervised: bool = True, console: Console | None = None,
+    **options: Any,
 ) -> tuple[dict[str, Any] | None, int | None]:
     """
     Run a scenario, or commands, on the ROS 2 graph, and leave recording and results in a folder.
 
-    With `external`, whose setup this is, the user's own robot is behind the topics, which counts
-    as gone after `robot_timeout` [s] without a message; the other parameters are those of
+    An `endless` run is ended by a signal, whatever the scenario says. With `external`, whose setup
+    this is, the user's own robot is behind the topics, which counts as gone after `robot_timeout`
+    [s] without a message. `options` are fields of `GraphSpec`, the other parameters those of
     `run_simulate`. Returns the content of ``summary.json``, None if no sample was answered, and
-    the signal that ended the run early, if one did: a run without an end is ended by one. Raises
-    ConfigError if the scenario cannot begin by itself or a parameter of the node is not
-    acceptable, RunError if ROS cannot be loaded or a node dies; what was recorded stays there.
+    the signal that ended the run early, if one did. Raises ConfigError if the scenario cannot
+    begin by itself or a parameter of the node is not acceptable, RunError if ROS cannot be loaded
+    or a node dies; what was recorded stays in the folder.
     """
     from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
 
     console, config = console or terminal(), folder / CONFIG_FOLDER
-    parameters: Mapping[str, Any] = {'patience': SIMULATION_PATIENCE}
-    if external is not None:
-        parameters = dotted(external.node)
-        options = replace(options, domain_id=options.domain_id or 0,
-                          endless=external.duration is None)
     if external is None or not setup.commanded_by_topic:
         refuse_push_test(setup)
-    robot = None if external is None else _robot_of(external, robot_timeout)
+    parameters: Mapping[str, Any] = {'patience': SIMULATION_PATIENCE}
+    if external is not None:
+        parameters, endless = dotted(external.node), external.duration is None
+        options |= {'domain_id': options.get('domain_id') or 0,
+                    'robot': _robot_of(external, robot_timeout)}
     ensure_compiled(console)
-    result = _show_graph(GraphSpec(
-        out=folder, ticks=0 if options.endless else setup.ticks, rate=setup.controller.rate,
-        free_running=options.free_running, speed=options.speed, seed=setup.seed,
-        domain_id=options.domain_id, namespace=options.namespace, realtime=options.realtime,
+    spec = GraphSpec(
+        out=folder, ticks=0 if endless else setup.ticks, rate=setup.controller.rate,
+        seed=setup.seed, parameter_files=setup.write(config),
         reference_file=None if setup.commanded_by_topic else config / 'reference.yaml',
-        parameter_files=setup.write(config), robot=robot,
-        extra_parameters={CONTROLLER: {**parameters, 'supervised': supervised}}),
-        setup, options, console)
+        extra_parameters={CONTROLLER: {**parameters, 'supervised': supervised}}, **options)
+    result = _show_graph(spec, setup, console)
     if not result.controlled:
         console.print(UNANSWERED, highlight=False, soft_wrap=True)
         return None, result.interrupted
-    content = read_bag(result.bag, setup.controller, namespace=options.namespace,
+    content = read_bag(result.bag, setup.controller, namespace=spec.namespace,
                        commanded=setup.commanded_by_topic)
     content = content if external is None else answered(content)
     data = content.data
-    interrupted = None if options.endless else result.interrupted
-    if options.endless:  # it lasts as long as it has, in the files, too
+    interrupted = None if endless else result.interrupted
+    if endless:  # it lasts as long as it has, in the files, too
         scenario = setup.scenario.model_copy(update={'duration': data.ticks / data.rate})
         setup = replace(setup, scenario=scenario)
         setup.write(config)
-    simulated = REAL_TIME if options.free_running else LOCKSTEP
+    simulated = REAL_TIME if spec.free_running else LOCKSTEP
     summary = summarise(
         data, setup, mode=simulated if external is None else EXTERNAL_RUN,
         timing=graph_timing(result.timing, content),
@@ -163,16 +149,14 @@ def _robot_of(external: External, timeout: float) -> Robot:
                  external.duration)
 
 
-def _show_graph(
-    spec: GraphSpec, setup: Setup, options: GraphOptions, console: Console,
-) -> GraphResult:
+def _show_graph(spec: GraphSpec, setup: Setup, console: Console) -> GraphResult:
     """Run the graph and show how far it is."""
     from multicontact_control.experiment.graph.run import run_graph
 
     def tell(text: str) -> None:
         console.print(text, highlight=False, markup=False, soft_wrap=True)
 
-    duration = None if options.endless else setup.scenario.duration
+    duration = setup.scenario.duration if spec.ticks else None
     with progress_bar(
             f'run {setup.scenario.name}', duration, console, 'starting the nodes') as show:
         result = run_graph(
@@ -182,7 +166,7 @@ def _show_graph(
                 f'ROS domain {number}: ROS_DOMAIN_ID={number} multicontact topic list'))
         if duration is not None and result.interrupted is None:
             show(duration, {})
-    if options.realtime:
+    if spec.realtime:
         for name, node in result.timing.items():
             tell(f'{name}: {node.get("scheduling", "not known")}')
     if result.ended:

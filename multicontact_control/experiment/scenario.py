@@ -51,7 +51,7 @@ class ScenarioConfig(Config):
 
 
 class _NoPlant:
-    """What stands for the plant where the robot is somebody else's."""
+    """In the place of the plant where the robot is the user's own."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith('__'):
@@ -70,8 +70,8 @@ class Setup:
     scenario: ScenarioConfig
     controller: ControllerConfig
     noise_estimator: NoiseEstimatorConfig
-    plant: PlantConfig  # `NO_PLANT` where the robot is somebody else's
-    plant_name: str  # as `plants_of` names it, or a path, or `EXTERNAL`
+    plant: PlantConfig  # `NO_PLANT` where the robot is the user's own
+    plant_name: str  # as `plant_source` names it, or a path, or `EXTERNAL`
     seed: int  # of every random number of the plant
     urdf_dir: Path  # that `controller.robot.urdf` is relative to
     commanded_by_topic: bool = False  # forces; the recording knows them, and not the scenario
@@ -83,7 +83,7 @@ class Setup:
 
     @property
     def drive_limit(self) -> tuple[float, ...]:
-        """Largest joint torques of simulated drives [N m]; empty where nobody knows them."""
+        """Largest joint torques of simulated drives [N m]; empty where they are not known."""
         if not self.simulated:
             return ()
         with suppress(ConfigError):  # the robot's file may be gone when a run is read again

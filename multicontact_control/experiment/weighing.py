@@ -1,4 +1,9 @@
-"""Weighing the tool of a robot: from a recording of it at rest, or with the running controller."""
+"""
+Weighing the tool of a robot, whose rests in several poses tell weight and bias apart.
+
+The samples come from a recording, or from the running controller, which tilts the tool. In
+simulation they come from drives that hold the arm; see `calibration`.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +11,7 @@ from collections.abc import Callable, Sequence
 import contextlib
 from pathlib import Path
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
@@ -18,7 +23,6 @@ from multicontact_control.experiment.bag import (
     read_messages,
     WRENCH,
 )
-from multicontact_control.experiment.calibration import mean_reading
 from multicontact_control.experiment.external import read_controller_files
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.sensor.tool import (
@@ -34,10 +38,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 JOINTS = 'joint_states'
-# A rest: largest speed of any joint [rad/s]; its beginning that is left out, and the time over
-# which readings are averaged [s].
+# A rest: largest speed of any joint [rad/s]; its beginning that is left out, and the least time
+# over which readings are averaged [s].
 SPEED, SETTLE_TIME, AVERAGE_TIME = 0.02, 0.5, 1.0
-GRID = 0.02  # s, in which a recording is looked at for rests
+REST_TIME = SETTLE_TIME + AVERAGE_TIME + 0.5  # s, of a rest that is made for it
+GRID = 0.02  # s, in which samples are looked at for rests
 LOOK = 0.1  # s, over which the speed of a joint is taken
 REACHED = 0.1  # rad, of a tilt
 ATTEMPTS = 3  # motions to it
@@ -48,66 +53,46 @@ TILTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # about 
 Tell = Callable[[str], None]
 
 
-class Sample(NamedTuple):
-    """A reading of a running robot: time [s], angles, shape (n,) [rad], wrench, shape (6,)."""
-
-    time: float
-    q: Vector
-    wrench_sensor: Vector
-
-
-def weigh_recording(
-    path: Path, files: Sequence[Path], namespace: str | None = None,
-    tell: Tell = lambda text: None,
+def weigh(
+    robot: RobotModel, gravity_world: Sequence[float], joints: tuple[Vector, Matrix],
+    wrenches: tuple[Vector, Matrix], tell: Tell = lambda text: None,
 ) -> Identification:
     """
-    Identify a tool from a recording of an arm that is at rest in at least four poses.
+    Identify a tool from samples of an arm that is at rest in at least four poses.
 
-    Joint states and wrenches may have clocks of their own; a rest whose readings vary is left out.
-    `files` are the parameter files of the controller, for the arm and the sensor's frame;
-    `namespace` is that of the topics, the only one in the recording by default; `tell` is called
-    with each rest. Raises ConfigError or RunError if a file or the recording lacks something,
-    CalibrationError if there are too few rests, or the readings do not tell.
+    Parameters
+    ----------
+    robot
+        The arm.
+    gravity_world
+        Shape (3,) [m/s^2].
+    joints, wrenches
+        Times, shape (m,) [s], with the angles, shape (m, n) [rad], and with the readings of the
+        sensor, shape (m, 6) [N, N m]; one clock, each with times of its own.
+    tell
+        Called with each rest; one whose readings vary is left out.
+
+    Raises
+    ------
+    CalibrationError
+        If there are too few rests, or the readings do not tell.
+
     """
-    controller, robot = _arm(files)
-    wrench = f'ft_sensor/{controller.wrench_series}'
-    types = {JOINTS: JOINT_STATE, wrench: WRENCH}
-    found = read_messages(path, types, namespace)
-    for topic in types:
-        if topic not in found.by_topic:
-            text = '; '.join((f'found {describe_others(found)}', *found.unreadable))
-            raise RunError(f'{path}: expected messages on {topic}, {text}')
-    joints, felt = found.by_topic[JOINTS], found.by_topic[wrench]
-    names = controller.robot.joint_names
-    q, wrenches = joints.values('position', names), felt.values('wrench')
-    if not np.isfinite(q).all():
-        raise RunError(f'{path}: joint_states: expected positions of the joints '
-                       f'{", ".join(names)}, found {", ".join(joints.names) or "none"}')
-    q_time, f_time = (1e-9 * x.stamps.astype(np.float64) for x in (joints, felt))
-    if f_time[0] > q_time[-1] or q_time[0] > f_time[-1]:  # clocks of their own
-        q_time, f_time = (1e-9 * x.published.astype(np.float64) for x in (joints, felt))
-    readings = []
+    (q_time, q), (f_time, readings) = joints, wrenches
+    found = []
     for begin, end in find_rests(q_time, q):
-        chosen = wrenches[(f_time >= begin) & (f_time <= end)]
+        chosen = readings[(f_time >= begin) & (f_time <= end)]
         restless = _restless(chosen)
         tell(f'rest from {begin - q_time[0]:.1f} to {end - q_time[0]:.1f} s'
              + (f' left out: {restless}' if restless else f': {len(chosen)} readings'))
         if not restless:
-            readings.append(mean_reading(
-                robot, q[(q_time >= begin) & (q_time <= end)], chosen))
-    if len(readings) < MIN_POSES:
-        raise CalibrationError(f'{path}: expected at least {MIN_POSES} quiet rests of '
-                               f'{SETTLE_TIME + AVERAGE_TIME:g} s, found {len(readings)}')
-    return identify_tool(readings, np.array(controller.robot.gravity_world))
-
-
-def _arm(files: Sequence[Path]) -> tuple[ControllerConfig, RobotModel]:
-    read = read_controller_files(files)
-    controller = read.config()
-    if controller.wrench_input == 'momentum':
-        raise ConfigError('wrench_input', 'raw or filtered: a wrist sensor that is calibrated',
-                          controller.wrench_input)
-    return controller, RobotModel(controller.robot, read.urdf_dir)
+            mean = q[(q_time >= begin) & (q_time <= end)].mean(axis=0)
+            pose = robot.update(mean, np.zeros(robot.joint_count)).sensor_pose
+            found.append(PoseReading(pose.rotation_world, chosen.mean(axis=0)))
+    if len(found) < MIN_POSES:
+        raise CalibrationError(f'calibrate: expected at least {MIN_POSES} quiet rests of '
+                               f'{SETTLE_TIME + AVERAGE_TIME:g} s, found {len(found)}')
+    return identify_tool(found, np.array(gravity_world))
 
 
 def find_rests(time: Vector, q: Matrix) -> list[tuple[float, float]]:
@@ -141,6 +126,45 @@ def _restless(wrenches: Matrix) -> str:
     return ''
 
 
+def _arm(files: Sequence[Path]) -> tuple[ControllerConfig, RobotModel]:
+    read = read_controller_files(files)
+    controller = read.config()
+    if controller.wrench_input == 'momentum':
+        raise ConfigError('wrench_input', 'raw or filtered: a wrist sensor that is calibrated',
+                          controller.wrench_input)
+    return controller, RobotModel(controller.robot, read.urdf_dir)
+
+
+def weigh_recording(
+    path: Path, files: Sequence[Path], namespace: str | None = None,
+    tell: Tell = lambda text: None,
+) -> Identification:
+    """
+    Identify a tool from a recording, whose joint states and wrenches may have clocks of their own.
+
+    `files` are the parameter files of the controller, for the arm and the sensor's frame;
+    `namespace` is that of the topics, the only one in the recording by default. As `weigh`, and
+    raises ConfigError or RunError if a file or the recording lacks something.
+    """
+    controller, robot = _arm(files)
+    wrench, names = f'ft_sensor/{controller.wrench_series}', controller.robot.joint_names
+    found = read_messages(path, {JOINTS: JOINT_STATE, wrench: WRENCH}, namespace)
+    for topic in (JOINTS, wrench):
+        if topic not in found.by_topic:
+            text = '; '.join((f'found {describe_others(found)}', *found.unreadable))
+            raise RunError(f'{path}: expected messages on {topic}, {text}')
+    joints, felt = found.by_topic[JOINTS], found.by_topic[wrench]
+    q = joints.values('position', names)
+    if not np.isfinite(q).all():
+        raise RunError(f'{path}: joint_states: expected positions of the joints '
+                       f'{", ".join(names)}, found {", ".join(joints.names) or "none"}')
+    q_time, f_time = (1e-9 * x.stamps.astype(np.float64) for x in (joints, felt))
+    if f_time[0] > q_time[-1] or q_time[0] > f_time[-1]:  # clocks of their own
+        q_time, f_time = (1e-9 * x.published.astype(np.float64) for x in (joints, felt))
+    return weigh(robot, controller.robot.gravity_world, (q_time, q),
+                 (f_time, felt.values('wrench')), tell)
+
+
 def weigh_running(
     files: Sequence[Path], *, namespace: str = '', domain_id: int | None = None,
     tilt: float = np.deg2rad(25.0), move_time: float = 3.0, timeout: float = 10.0,
@@ -152,10 +176,10 @@ def weigh_running(
     The operational point stays where it is. No contact may be pressed meanwhile, and the bias of
     the running controller is that of the first pose afterwards. `files` are the controller's
     parameter files; `tilt` is the angle about world x and y, to either side [rad]; `move_time` the
-    least time from pose to pose [s]; `timeout` the longest wait for an answer, a sample or a rest
-    [s]; `tell` is called with what is being done. Raises ConfigError if a parameter file is not
-    acceptable, RunError if no controller answers, a contact is pressed, or a pose is not reached,
-    CalibrationError if the readings do not tell.
+    least time from pose to pose [s]; `timeout` the longest wait for an answer or a sample [s];
+    `tell` is called with what is being done. As `weigh`, and raises ConfigError if a parameter
+    file is not acceptable, RunError if no controller answers, a contact is pressed, or a pose is
+    not reached.
     """
     from multicontact_control.client import MultiContactClient
     from multicontact_control.nodes import topics
@@ -164,11 +188,8 @@ def weigh_running(
     controller, robot = _arm(files)
     where: dict[str, Any] = {'namespace': namespace, 'domain_id': domain_id, 'timeout': timeout}
     heard = (topics.JOINT_STATES, topics.WRENCHES[controller.wrench_input])
-    readings = []
+    samples: list[Vector] = []  # time, angles and wrench
     with MultiContactClient(**where) as arm, ControllerLink(heard, **where) as link:
-        def sample() -> Sample:
-            return _sample(link.fresh(*heard), controller.robot.joint_names)
-
         start = arm.read()
         if pressed := [name for name, force in start.forces_desired.items() if force > 0.0]:
             raise RunError(f'calibrate: expected free space, found {", ".join(pressed)} pressed')
@@ -180,13 +201,20 @@ def weigh_running(
         before = Rotation.from_quat(start.quaternion_desired)
         for number, (x, y) in enumerate(TILTS, 1):
             tell(f'pose {number} of {len(TILTS)}')
-            pose = Rotation.from_rotvec([tilt * x, tilt * y, 0.0]) * before
-            readings.append(_weigh_tilted(arm, start.position_desired, pose, slowest,
-                                          lambda: weigh_at_rest(sample, robot, timeout)))
+            _turn(arm, start.position_desired, slowest,
+                  Rotation.from_rotvec([tilt * x, tilt * y, 0.0]) * before)
+            begin = len(samples)
+            while len(samples) < begin + 2 or samples[-1][0] < samples[begin][0] + REST_TIME:
+                samples.append(_sample(link.fresh(*heard), controller.robot.joint_names))
+                if samples[-1][0] < samples[max(len(samples) - 2, 0)][0]:
+                    raise RunError('joint_states: expected stamps that go on, found one before '
+                                   'the last: samples begin anew')
         tell('back to the first pose')
         arm.move(start.position_desired, slowest, quaternion_xyzw=before.as_quat())
         tell('the running controller keeps its tare; what is found is for the next run')
-    return identify_tool(readings, np.array(controller.robot.gravity_world))
+    found = np.array(samples)
+    return weigh(robot, controller.robot.gravity_world, (found[:, 0], found[:, 1:-6]),
+                 (found[:, 0], found[:, -6:]), tell)
 
 
 def _await_control(arm: Any, timeout: float) -> None:
@@ -208,17 +236,14 @@ def _await_control(arm: Any, timeout: float) -> None:
                            f'found {"no status" if status is None else status.text}')
 
 
-def _weigh_tilted(
-    arm: Any, position: Vector, pose: Rotation, duration: float,
-    weigh: Callable[[], PoseReading],
-) -> PoseReading:
+def _turn(arm: Any, position: Vector, duration: float, pose: Rotation) -> None:
     """Turn the tool, again if the supervisor has held it meanwhile; RunError if it stays off."""
     for _ in range(ATTEMPTS):
         arm.move(position, duration, quaternion_xyzw=pose.as_quat())
-        reading = weigh()
-        off = (Rotation.from_quat(arm.read().quaternion_xyzw) * pose.inv()).magnitude()
+        for _ in range(2 * MIN_SAMPLES):  # until it has come to rest
+            off = (Rotation.from_quat(arm.read().quaternion_xyzw) * pose.inv()).magnitude()
         if off <= REACHED:
-            return reading
+            return
         with contextlib.suppress(RunError):  # if control does not wait
             arm.retry()
     raise RunError(
@@ -227,43 +252,12 @@ def _weigh_tilted(
         'weigh it --from-bag')
 
 
-def _sample(messages: Sequence[Any], names: Sequence[str]) -> Sample:
-    """Return joint state and wrench as numbers; RunError if a joint is not there."""
+def _sample(messages: Sequence[Any], names: Sequence[str]) -> Vector:
+    """Return stamp [s], joint angles and wrench in a row; RunError if a joint is not there."""
     joints, felt = messages
-    angles, w = dict(zip(joints.name, joints.position)), felt.wrench
+    angles, stamp, w = dict(zip(joints.name, joints.position)), joints.header.stamp, felt.wrench
     if lacking := [name for name in names if name not in angles]:
         raise RunError(f'joint_states: expected the joints {", ".join(lacking)}, found '
                        f'{", ".join(joints.name) or "none"}')
-    stamp = joints.header.stamp
-    return Sample(
-        stamp.sec + 1e-9 * stamp.nanosec, np.array([angles[name] for name in names]),
-        np.array([w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z]))
-
-
-def weigh_at_rest(sample: Callable[[], Sample], robot: RobotModel, timeout: float) -> PoseReading:
-    """
-    Return the mean reading of the first rest of new samples, within `timeout` [s] of their time.
-
-    Raises RunError if that does not go on, CalibrationError without a quiet rest.
-    """
-    length, waited = SETTLE_TIME + AVERAGE_TIME, 0.0
-    while waited <= timeout:
-        samples = [sample()]
-        while (passed := samples[-1].time - samples[0].time) < length:
-            samples.append(sample())
-            if samples[-1].time < samples[-2].time:
-                raise RunError('joint_states: expected stamps that go on, found one before the '
-                               'last: samples begin anew')
-        q = np.array([x.q for x in samples])
-        if np.ptp(q, axis=0).max() <= SPEED * length:
-            break
-        waited += passed
-    else:
-        raise CalibrationError(
-            f'calibrate: expected an arm at rest (no joint faster than {SPEED:g} rad/s) for '
-            f'{length:g} s within {timeout:g} s, found none')
-    settled = np.array([x.time for x in samples]) >= samples[0].time + SETTLE_TIME
-    wrenches = np.array([x.wrench_sensor for x in samples])[settled]
-    if restless := _restless(wrenches):
-        raise CalibrationError(f'calibrate: expected readings at rest, found {restless}')
-    return mean_reading(robot, q[settled], wrenches)
+    return np.array([stamp.sec + 1e-9 * stamp.nanosec, *(angles[name] for name in names),
+                     w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z])

@@ -1,16 +1,21 @@
-"""The real graph: processes, middleware, bag; run to its end, interrupted, and with a death."""
+"""The real graph: processes, middleware, bag; run to its end, commanded, and with a death."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
 import subprocess
 import sys
-import threading
 
-from multicontact_control.errors import RunError
-from multicontact_control.experiment.graph.domain import domain_in_use, reserve_domain
+from multicontact_control.client import MultiContactClient
+from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.experiment.graph.domain import (
+    check_namespace,
+    domain_in_use,
+    reserve_domain,
+)
 from multicontact_control.experiment.graph.run import run_graph
 from multicontact_control.experiment.graph.spec import (
     CONTROLLER,
@@ -20,6 +25,8 @@ from multicontact_control.experiment.graph.spec import (
     SIM,
     START_ORDER,
 )
+from multicontact_control.experiment.report import run_claims
+from multicontact_control.experiment.results import load_run
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes.topics import (
     CLOCK,
@@ -32,7 +39,7 @@ from multicontact_control.nodes.topics import (
 )
 import numpy as np
 import pytest
-from ros_graph import ROOT, wait_for
+from ros_graph import end_of, PATIENCE, ROOT, start_graph, wait_for
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 from runs import run_of
@@ -150,35 +157,12 @@ def test_node_that_is_killed_ends_the_run_and_is_named(tmp_path, name):
         assert counts(spec.bag)[CONTROL_TOPICS[0]] > 0
 
 
-@pytest.mark.parametrize('name', [RECORDER, CONTROLLER])
-def test_node_that_is_killed_during_the_start_is_named(tmp_path, name):
-    _, spec = make_spec(tmp_path)
-
-    def kill():
-        os.kill(wait_for(lambda: node_processes(tmp_path).get(name), 'its start'), signal.SIGKILL)
-
-    thread = threading.Thread(target=kill)
-    thread.start()
-    with pytest.raises(RunError, match=f'^{name} was killed by SIGKILL'):
-        run_graph(spec)
-    thread.join()
-
-
 def test_node_that_cannot_start_ends_the_run_with_its_log(tmp_path):
     _, spec = make_spec(tmp_path)
     path = spec.parameter_files[CONTROLLER]
     path.write_text(path.read_text(encoding='utf-8').replace('joint6', 'joint7'))
     with pytest.raises(RunError, match='controller_node cannot configure(.|\n)*joint7'):
         run_graph(spec)
-    assert node_processes(tmp_path) == {}
-
-
-def test_run_that_is_interrupted_closes_the_bag(tmp_path):
-    _, spec = make_spec(tmp_path, ticks=ENDLESS)
-    result = run_graph(spec, once(lambda: os.kill(os.getpid(), signal.SIGINT)))
-    assert result.interrupted == signal.SIGINT
-    recorded = counts(result.bag)
-    assert recorded['/joint_states'] >= recorded['/contact_forces/measured'] > 0
     assert node_processes(tmp_path) == {}
 
 
@@ -192,17 +176,72 @@ def test_nodes_end_when_the_process_that_started_them_is_killed(tmp_path):
     assert wait_for(lambda: not node_processes(tmp_path / 'run'), 'nodes ended')
 
 
-def test_reserve_domain_gives_two_runs_two_domains():
-    with reserve_domain() as first, reserve_domain() as second:
-        assert first != second
-    assert not domain_in_use(first)
+@pytest.mark.slow
+def test_commanded_arm_obeys_until_a_signal_and_is_judged_by_what_was_commanded(tmp_path):
+    out = tmp_path / 'run'
+    with reserve_domain() as domain_id:
+        process = subprocess.Popen(
+            [sys.executable, '-m', 'multicontact_control.cli', 'run', '--commanded',
+             '--speed', '0', '--scenario', 'quick', '--plant', 'rigid',
+             '--domain-id', str(domain_id), '--out', str(out)],
+            cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        try:
+            with MultiContactClient(domain_id=domain_id, timeout=PATIENCE) as arm:
+                arm.set_forces({'table': 10.0, 'board': 5.0})
+                state = arm.wait_until_reached(timeout=PATIENCE)
+                arm.move(state.position_world + [0.02, 0.0, 0.0], duration=1.0)
+                moved = arm.wait_until_reached(timeout=PATIENCE)
+                while (end := arm.read()).time < moved.time + 1.5:  # rest begins after 1 s
+                    pass
+        finally:
+            process.send_signal(signal.SIGINT)
+            text, _ = end_of(process)
+    assert process.returncode == 0 and 'stable' in text, text
+    assert node_processes(out) == {}
+    summary = json.loads((out / 'summary.json').read_text(encoding='utf-8'))
+    assert (summary['verdict'], summary['commanded_by_topic']) == ('stable', True)
+    assert summary['ticks'] / summary['rate_hz'] > end.time - state.time
+    assert summary['contacts']['table']['rest']['true_error_rms_n'] < 0.1
+    run = load_run(out)
+    assert summary['claims'] == run_claims(run) == []  # no scenario was played
+    assert run.data.command[-1].tolist() == [10.0, 5.0]
+    assert run.setup.scenario.duration == pytest.approx(run.data.ticks / run.data.rate)
+
+
+@pytest.mark.nightly
+def test_two_graphs_in_one_domain_record_their_own_topics_only(tmp_path):
+    sides = ('left', 'arms/right')
+    with reserve_domain() as domain_id:
+        folders = [tmp_path / side.replace('/', '_') for side in sides]
+        for folder in folders:
+            folder.mkdir()
+        runs = [start_graph(folder, domain_id, namespace=side, ticks=TICKS, seed=seed, speed=1.0)
+                for seed, (folder, side) in enumerate(zip(folders, sides))]
+        for run in runs:
+            _, errors = end_of(run)
+            assert run.returncode == 0, errors
+    for folder, side in zip(folders, sides):
+        with Reader(folder / 'bag') as reader:
+            found = {x.topic: x.msgcount for x in reader.connections}
+        assert {x for x in found if not x.startswith(f'/{side}/')} == {'/clock'}
+        assert found[f'/{side}/joint_states'] == found[f'/{side}/joint_effort_command'] == TICKS
+    wrenches = [read(folder / 'bag', f'/{side}/ft_sensor/wrench')[-1].wrench.force.z
+                for folder, side in zip(folders, sides)]
+    assert wrenches[0] != wrenches[1]  # the seeds differ, and so do the graphs
+
+
+@pytest.mark.parametrize('namespace', ['1st', 'a b', 'a//b', 'ä', 'a-b'])
+def test_check_namespace_refuses_what_ros_would(namespace):
+    assert (check_namespace('/'), check_namespace('/arms/right/')) == ('', 'arms/right')
+    with pytest.raises(ConfigError, match='namespace: expected names of letters'):
+        check_namespace(namespace)
 
 
 @pytest.mark.parametrize('participant', [0, 7])
-def test_domain_is_in_use_while_any_participant_is_there(participant):
-    with reserve_domain() as domain_id, socket.socket(
+def test_domain_is_reserved_once_and_in_use_while_any_participant_is_there(participant):
+    with reserve_domain() as first, reserve_domain() as domain_id, socket.socket(
             socket.AF_INET, socket.SOCK_DGRAM) as listener:
-        assert not domain_in_use(domain_id)
+        assert first != domain_id and not domain_in_use(domain_id)
         listener.bind(('', 7400 + 250 * domain_id + 10 + 2 * participant))
         assert domain_in_use(domain_id)
     assert not domain_in_use(domain_id)
