@@ -76,24 +76,16 @@ class FakeArm:
         """Return the newest command that has come since, None without any."""
         return self._middleware.take(self._commands, JointState)
 
-    def commands(self):
-        """Return the stamps of the commands that have come since [ns]."""
-        stamps = []
-        while (taken := take(self._commands)) is not None:
-            stamps.append(messages.stamp_to_ns(taken[0].header.stamp))
-        return stamps
-
     def answer(self, stamp):
-        """Return the torque of the newest command if it answers this sample."""
+        """Return the newest command, if it answers this sample."""
         command = self.newest_command()
         answers = command is not None and messages.stamp_to_ns(command.header.stamp) == stamp
-        return np.array(command.effort) if answers else None
+        return command if answers else None
 
     def step(self):
         """Publish a sample and return the torque that answers it."""
         stamp = self.send()
-        return wait_for(lambda: [x for x in [self.answer(stamp)] if x is not None],
-                        f'answer to sample {self.k}')[0]
+        return np.array(wait_for(lambda: self.answer(stamp), f'answer to sample {self.k}').effort)
 
     def settle(self, count=60):
         """Return the torque that answers the last of so many samples."""

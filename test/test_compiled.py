@@ -7,13 +7,10 @@ import subprocess
 import sys
 
 ROOT = Path(__file__).parents[1]
-CALLER = (
-    'from multicontact_control.compiled import compiled\n'
-    'from multicontact_control.inner import inner\n'
-    '@compiled\ndef outer(x):\n    return inner(x)\n')
-INNER = (
-    'from multicontact_control.compiled import compiled\n'
-    '@compiled\ndef inner(x):\n    return x + {}\n')
+HEAD = 'from multicontact_control.compiled import compiled\n'
+CALLER = HEAD + (
+    'from multicontact_control.inner import inner\n@compiled\ndef outer(x): return inner(x)\n')
+INNER = HEAD + '@compiled\ndef inner(x): return x + {}\n'
 RUN = (
     'from multicontact_control import compiled\n'
     'from multicontact_control.outer import outer\n'

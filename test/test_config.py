@@ -38,7 +38,6 @@ import pytest
     ({'force': {'law': 'pi', 'allocation': 'paper'}}, 'force.allocation'),
     ({'force': {'active_state_order': 0, 'stiffness': 'adaptive'}}, 'force.stiffness'),
     ({'force': {'damping_rate': 0.0, 'stiffness': 'adaptive'}}, 'force.damping_rate'),
-    ({'force': {'adaptive': {'lowest': 10.0, 'highest': 5.0}}}, 'adaptive.highest'),
     ({'rate': 'fast'}, "rate: expected a valid number, .* found 'fast'"),
     ({'robot': {'gravity_world': [0.0, 0.0, float('inf')]}},
      'robot.gravity_world.2: expected a finite number'),

@@ -1,18 +1,25 @@
-"""What setup.py and package.xml promise, held against the sources."""
+"""What is installed: as setup.py and package.xml promise, as a wheel, and by colcon."""
 
 from importlib.util import find_spec
+import json
+import os
 from pathlib import Path
 import runpy
+import shutil
+import site
+import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
 import multicontact_control
 from packaging.requirements import Requirement
 import pytest
+from ros_graph import PATIENCE, ROOT
 import setuptools
-from source_imports import imports_of, is_ros, PACKAGES
+from test_architecture import imports, is_ros
 
-ROOT = Path(__file__).resolve().parents[1]
+NAME = 'multicontact_control'
+PACKAGES = (NAME, 'sim_bridge')
 NODES = {'controller_node', 'noise_estimator_node', 'recorder_node', 'sim_node'}
 IMPORT_NAMES = {'pin': 'pinocchio', 'pyyaml': 'yaml', 'mcap-ros2-support': 'mcap_ros2'}
 MANIFEST = ElementTree.parse(ROOT / 'package.xml').getroot()
@@ -42,6 +49,19 @@ def test_both_packages_are_installed_with_all_files(keywords):
     assert beside and all(any(map(path.match, patterns)) for path in beside)
 
 
+def test_every_import_is_declared(keywords):
+    extras = keywords['extras_require']
+    declared = {Requirement(line).name.lower() for line in sum(
+        (extras.get(name, []) for name in ('dask', 'mujoco', 'view')),
+        keywords['install_requires'])}
+    outside = {target.split('.')[0] for targets in imports().values()
+               for target in targets} - set(PACKAGES) - sys.stdlib_module_names
+    assert {name for name in outside if not is_ros(name)} <= {
+        IMPORT_NAMES.get(name, name) for name in declared}
+    assert {name for name in outside if is_ros(name)} <= {
+        element.text for element in MANIFEST.iter('exec_depend')}
+
+
 def test_console_scripts_exist(keywords):
     scripts = dict(line.split(' = ') for line in keywords['entry_points']['console_scripts'])
     assert set(scripts) == NODES | {'multicontact'}
@@ -50,14 +70,84 @@ def test_console_scripts_exist(keywords):
         assert function in Path(find_spec(module).origin).read_text(encoding='utf-8')
 
 
-def test_every_import_is_declared(keywords):
-    extras = keywords['extras_require']
-    declared = {Requirement(line).name.lower() for line in sum(
-        (extras.get(name, []) for name in ('dask', 'mujoco', 'view')),
-        keywords['install_requires'])}
-    outside = {target.split('.')[0] for targets in imports_of(ROOT).values()
-               for target in targets} - set(PACKAGES) - sys.stdlib_module_names
-    assert {name for name in outside if not is_ros(name)} <= {
-        IMPORT_NAMES.get(name, name) for name in declared}
-    assert {name for name in outside if is_ros(name)} <= {
-        element.text for element in MANIFEST.iter('exec_depend')}
+@pytest.fixture
+def installed(tmp_path):
+    """Install the wheel, without its clone, into a venv that has the dependencies of this one."""
+    folder = tmp_path / 'wheel'
+    source = shutil.copytree(ROOT, folder / 'source', ignore=shutil.ignore_patterns(
+        '.*', 'build', '*.egg-info', '__pycache__', 'runs', 'test'))
+    venv = folder / 'venv'
+
+    def pip(*arguments):
+        subprocess.run([sys.executable, '-m', 'pip', '--quiet', '--disable-pip-version-check',
+                        *arguments], check=True, capture_output=True)
+
+    pip('wheel', '--no-deps', '--no-build-isolation', '--wheel-dir', folder, source)
+    subprocess.run([sys.executable, '-m', 'venv', '--without-pip', venv], check=True)
+    pip('--python', venv / 'bin/python', 'install', '--no-deps', '--no-index', '--no-compile',
+        '--ignore-installed', *folder.glob('*.whl'))
+    (packages,) = venv.glob('lib/python*/site-packages')
+    (packages / 'dependencies.pth').write_text(''.join(
+        f'import site; site.addsitedir({path!r})\n' for path in site.getsitepackages()))
+    # Root may write everywhere: a file where the folder would be has the same effect.
+    (packages / 'multicontact_control/__pycache__').write_text('')
+    return venv
+
+
+@pytest.mark.ros
+@pytest.mark.nightly
+def test_installed_commands_compile_once_and_run_from_any_folder(installed, tmp_path):
+    environment = {name: value for name, value in os.environ.items() if name not in (
+        'PYTHONPATH', 'NUMBA_CACHE_DIR', 'XDG_CACHE_HOME')}
+    environment.setdefault('AMENT_PREFIX_PATH', sys.prefix)  # where the messages are
+    environment |= {'HOME': str(tmp_path), 'PYTHONDONTWRITEBYTECODE': '1'}
+    commands = [subprocess.Popen(
+        [installed / 'bin/multicontact', *command, '--scenario', 'quick', '--duration', '3',
+         '--out', command[0]], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        text=True, env=environment) for command in (['simulate'], ['run', '--speed', '0'])]
+    outputs = [command.communicate()[0] for command in commands]
+    assert [command.returncode for command in commands] == [0, 0], outputs
+    # Of two that begin at once one compiles, before anything else, and the other waits.
+    compiled = ['compiling the numerical kernels, once' in text for text in outputs]
+    assert sorted(compiled) == [False, True]
+    summaries = [json.loads((tmp_path / name / 'summary.json').read_text(encoding='utf-8'))
+                 for name in ('simulate', 'run')]
+    assert len({summary['trajectory_sha256'] for summary in summaries}) == 1
+    for counts in tmp_path.glob('run/logs/*.json'):
+        assert json.loads(counts.read_text(encoding='utf-8'))['kernels_compiled'] == 0
+
+
+@pytest.mark.colcon
+@pytest.mark.ros
+@pytest.mark.nightly
+def test_colcon_installs_what_ros2_looks_for(tmp_path):
+    for module in ('colcon_core', 'colcon_ros', 'colcon_python_setup_py'):
+        pytest.importorskip(module, reason='colcon is not installed')
+    (tmp_path / 'src').mkdir()
+    (tmp_path / 'src' / NAME).symlink_to(ROOT, target_is_directory=True)
+    environment = {**os.environ, 'COLCON_HOME': str(tmp_path / 'home')}
+    built = subprocess.run(
+        [sys.executable, '-c', 'from colcon_core.command import main; main()', 'build',
+         '--event-handlers', 'console_direct+'],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stdout + built.stderr
+    environment.pop('PYTHONPATH', None)
+    folder, share = (tmp_path / 'install' / NAME / name for name in (f'lib/{NAME}', 'share'))
+
+    def run(*command):
+        """Run a command where the workspace is sourced."""
+        return subprocess.run(
+            ['sh', '-c', f'. "{tmp_path}/install/setup.sh" && exec "$@"', 'sh', *command],
+            env=environment, capture_output=True, text=True, timeout=PATIENCE, check=False)
+
+    assert {path.name for path in folder.iterdir() if os.access(path, os.X_OK)} == {
+        *NODES, 'multicontact'}
+    assert (share / NAME / 'package.xml').is_file()
+    assert (share / 'ament_index/resource_index/packages' / NAME).is_file()
+    done = run(sys.executable, '-c',
+               'from multicontact_control.paths import config_dir; print(config_dir())')
+    assert Path(done.stdout.strip()) == share / NAME / 'config', done.stderr
+    for name in NODES:  # each starts, and reads its parameters
+        done = run(folder / name, '--autostart', '--ros-args', '-p', 'no_such:=1')
+        assert done.returncode == 2, done.stderr
+        assert "found unknown 'no_such'" in done.stderr.splitlines()[-1]

@@ -1,9 +1,8 @@
 """The faults of a running graph: of its nodes, messages and commands, beside those in process."""
 
-from collections.abc import Callable
+from collections import namedtuple
 from dataclasses import dataclass
 import math
-from typing import Any
 
 from multicontact_control.experiment.faults.fault import ClockShift, Edit, Fault
 from multicontact_control.experiment.faults.vocabulary import (
@@ -27,25 +26,11 @@ ONLY_IN_PROCESS = {  # a message always has six numbers; and what messages canno
     ('too_slow', CLOCK), ('jump_ahead', CLOCK)}
 
 
-@dataclass(frozen=True)
-class Resending:
-    """Other messages than the n-th since the fault began, by how many messages ago they came."""
-
-    ages: Callable[[Any, int], tuple[int, ...]]
-
-
-@dataclass(frozen=True)
-class NodeChange:
-    """What is done to a node: ``kill``, ``halt``, or the transitions that it is led through."""
-
-    steps: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Command:
-    """A wrong command: a change of a rightful message, sent beside those."""
-
-    change: Callable[[Any], None]
+# Other messages than the n-th of a fault, by how many messages ago they came; what is done to a
+# node: kill, halt, or transitions; a change of a rightful command, sent beside those.
+Resending, NodeChange, Command = (
+    namedtuple(name, field) for name, field in (
+        ('Resending', 'ages'), ('NodeChange', 'steps'), ('Command', 'change')))
 
 
 @dataclass(frozen=True)

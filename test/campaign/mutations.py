@@ -5,8 +5,6 @@ Try the mutations of mutations.md: each changes one line of a copy, and its test
 survives. A mutation of a kernel is compiled anew: half a minute each.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 import shutil
@@ -15,18 +13,17 @@ import sys
 import tempfile
 
 HERE = Path(__file__).resolve().parent
-ROOT = HERE.parents[1]
 LEFT_OUT = shutil.ignore_patterns('.git', '.venv', 'runs', 'build', '.*_cache', '__pycache__')
 
 
-def read_mutations() -> list[list[str]]:
-    """Return number, file, line before, line after and test of each."""
-    rows = [line.split(' | ') for line in (HERE / 'mutations.md').read_text().splitlines()
-            if line[:3].strip('| ').isdigit()]
-    return [[cell.strip('| `') for cell in row] for row in rows]
+def read_mutations():
+    """Yield number, file, line before, line after and test of each."""
+    for line in (HERE / 'mutations.md').read_text().splitlines():
+        if line[:3].strip('| ').isdigit():
+            yield [cell.strip('| `') for cell in line.split(' | ')]
 
 
-def is_caught(folder: Path, file: str, before: str, after: str, test: str) -> bool:
+def is_caught(folder, file, before, after, test):
     """Return whether a test fails in a copy of the sources with one change."""
     path = folder / 'multicontact_control' / file
     text = path.read_text()
@@ -41,18 +38,13 @@ def is_caught(folder: Path, file: str, before: str, after: str, test: str) -> bo
     return code == 1
 
 
-def main() -> None:
-    """Try the mutations that are asked for, or all."""
+if __name__ == '__main__':
     survived = []
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(shutil.copytree(ROOT, Path(name) / 'copy', ignore=LEFT_OUT))
+        copy = Path(shutil.copytree(HERE.parents[1], Path(name) / 'copy', ignore=LEFT_OUT))
         for number, *mutation in read_mutations():
             if number in sys.argv[1:] or not sys.argv[1:]:
-                caught = is_caught(folder, *mutation)
+                caught = is_caught(copy, *mutation)
                 survived += [] if caught else [number]
                 print(number, 'caught' if caught else 'SURVIVED', *mutation[::3], flush=True)
     sys.exit(f'survived: {", ".join(survived)}' if survived else 0)
-
-
-if __name__ == '__main__':
-    main()
