@@ -3,12 +3,7 @@
 from functools import cache
 from typing import get_args
 
-from force_loop import observer_of
-from multicontact_control.config import (
-    ForceConfig,
-    LawName,
-    read_yaml,
-)
+from multicontact_control.config import ForceConfig, LawName, read_yaml
 from multicontact_control.experiment.law_report import (
     contact_loop,
     design_for_range,
@@ -44,13 +39,9 @@ def config_of(law, **force):
         'law': law, 'damping_rate': 100.0, **force}}).controller
 
 
-def model_of(config, stiffness=K):
-    return loop_model(config, stiffness)
-
-
 def law_of(name, **force):
     config = config_of(name, **force)
-    design = design_law(name, config.force, model_of(config))
+    design = design_law(name, config.force, loop_model(config, K))
     return design if isinstance(design, LinearLaw) else steady_law(
         design, steady_gain(design, 0.6))
 
@@ -104,23 +95,6 @@ def test_impedance_is_a_spring_from_the_touch_on():
     depth = alphas[0] / K + np.concatenate(
         [[0.0], np.cumsum(0.5 * H * (speeds[1:] + speeds[:-1]))]) + 0.5 * H * speeds[0]
     np.testing.assert_allclose(found, 900.0 * (desired / K - depth), rtol=1e-9)
-
-
-@pytest.mark.parametrize('order', [1, 2])
-def test_settled_observer_is_a_linear_law(order):
-    """On the same samples as the compiled observer once its gain no longer changes."""
-    observer = observer_of(order)
-    for _ in range(5000):
-        observer.update(0.0, 0.6)
-    law = steady_law(observer.design, steady_gain(observer.design, 0.6))
-    x = np.zeros(law.states)
-    for alpha in series()[0]:
-        observer.update(alpha, 0.6)
-        y = [alpha, 12.0, 0.0]
-        np.testing.assert_allclose(
-            [observer.command(12.0), observer.x_est[0], observer.x_est[-order]],
-            law.C @ x + law.D @ y, rtol=1e-6, atol=1e-6)
-        x = law.A @ x + law.B @ y
 
 
 def one_contact(desired):
@@ -202,7 +176,7 @@ def test_law_knows_what_acts_beyond_its_answer(name):
 @pytest.mark.parametrize('name', [name for name in LAWS if name != 'feedforward'])
 def test_margins_are_where_the_loop_becomes_unstable(name):
     config = config_of(name)
-    law, model = law_of(name), model_of(config)
+    law, model = law_of(name), loop_model(config, K)
     margins = margins_of(law, model)
     if np.isfinite(margins.stiffest):
         assert spectral_radius(contact_loop(law, model, 0.98 * margins.stiffest)) < 1.0
@@ -213,7 +187,7 @@ def test_margins_are_where_the_loop_becomes_unstable(name):
         delay = DELAY + share * margins.delay
         if delay > 10 * H:
             continue
-        late = model_of(config_of(name, input_delay=delay))
+        late = loop_model(config_of(name, input_delay=delay), K)
         assert (spectral_radius(contact_loop(law, late)) < 1.0 + 1e-9) == stable
 
 
@@ -223,12 +197,12 @@ def test_design_for_a_range_has_its_margins_on_every_surface(name):
         name, input_delay=DELAY, softest=2000.0, stiffest=8000.0, noise_variance=2.0)
     force = ForceConfig(**found.values)
     config = resolve('quick').controller.model_copy(update={'force': force})
-    design = design_law(name, force, model_of(config, found.stiffness))
+    design = design_law(name, force, loop_model(config, found.stiffness))
     law = design if isinstance(design, LinearLaw) else steady_law(design, steady_gain(design, 2.0))
     for stiffness in (2000.0, 4000.0, 8000.0, 15900.0):
-        model = model_of(config, stiffness)
+        model = loop_model(config, stiffness)
         assert spectral_radius(contact_loop(law, model)) < 1.0 + 1e-9
-    late = model_of(config.model_copy(update={'force': force.model_copy(
+    late = loop_model(config.model_copy(update={'force': force.model_copy(
         update={'input_delay': DELAY + 0.99 * H})}), 8000.0)
     assert spectral_radius(contact_loop(law, late)) < 1.0 + 1e-9
 

@@ -9,12 +9,7 @@ from multicontact_control.config import ToolConfig
 from multicontact_control.contact.wrench import contact_wrench
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CalibrationError
-from multicontact_control.sensor.tool import (
-    identify_tool,
-    PoseReading,
-    tare_bias,
-    weight_reading,
-)
+from multicontact_control.sensor.tool import identify_tool, PoseReading, tare_bias, weight_reading
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
