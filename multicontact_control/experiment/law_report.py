@@ -98,11 +98,8 @@ def margins_of(law: LinearLaw, model: LoopModel) -> Margins:
     gain, phase, _, _, crossover, _ = control.stability_margins(response)
     phase = math.radians(float(phase)) if np.isfinite(phase) else math.inf
     crossover = float(crossover) if np.isfinite(crossover) else 0.0
-
-    softest, stiffest = stable_ratios(law, model)
-    return Margins(
-        gain=float(gain), phase=phase, delay=phase / crossover if crossover else math.inf,
-        crossover=crossover, softest=softest, stiffest=stiffest)
+    return Margins(float(gain), phase, phase / crossover if crossover else math.inf, crossover,
+                   *stable_ratios(law, model))
 
 
 def stable_ratios(law: LinearLaw, model: LoopModel) -> tuple[float, float]:
@@ -200,14 +197,15 @@ def show_design(found: DesignedLaw) -> str:
     margins = found.margins
     stiffest, softest = ('never' if math.isinf(time) else f'{1e3 * time:.0f} ms'
                          for time in (found.rise_stiffest, found.rise_softest))
-    return '\n'.join([
-        yaml.safe_dump({'force': rounded(found.values)}, sort_keys=False).rstrip(),
-        f'model: {_model(found)}',
-        f'on the stiffest surface: phase margin {math.degrees(margins.phase):.0f} deg, delay '
-        f'margin {1e3 * margins.delay:.1f} ms, crossover {margins.crossover:.1f} rad/s, stable '
-        f'up to {margins.stiffest:.2f} times as stiff',
-        f'63 % of a step after {stiffest} on the stiffest surface, {softest} on the softest',
-        f'noise moves u by {found.input_rms:.3f} m/s^2 rms'])
+    return f"""{yaml.safe_dump({'force': rounded(found.values)}, sort_keys=False).rstrip()}
+model: {_model(found)}
+on the stiffest surface:
+  phase margin     {math.degrees(margins.phase):.0f} deg
+  delay margin     {1e3 * margins.delay:.1f} ms
+  crossover        {margins.crossover:.1f} rad/s
+  stable           up to {margins.stiffest:.2f} times as stiff
+  63 % of a step   after {stiffest}, on the softest after {softest}
+  noise moves u    by {found.input_rms:.3f} m/s^2 rms"""
 
 
 def rounded(values: Mapping[str, Any]) -> dict[str, Any]:

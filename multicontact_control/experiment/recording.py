@@ -163,7 +163,7 @@ class BagContent:
     start: int = 0  # stamp of the first sample [ns]
 
     @property
-    def told(self) -> list[str]:
+    def run_remarks(self) -> list[str]:
         """Return the remarks on a run of this package, which need not have every topic."""
         return [text for text in self.remarks if not text.startswith(NOT_RECORDED)]
 

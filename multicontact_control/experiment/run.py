@@ -134,7 +134,7 @@ def run_on_graph(
         timing=graph_timing(result.timing, content),
         ended_early=result.ended or (INTERRUPTED if interrupted else ''),
         events=result.timing[CONTROLLER].get('events', []) if supervised else None)
-    summary |= {'ros_domain_id': result.domain_id, 'remarks': content.told}
+    summary |= {'ros_domain_id': result.domain_id, 'remarks': content.run_remarks}
     return _finish(data, setup, folder, summary, console), interrupted
 
 

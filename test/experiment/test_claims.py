@@ -60,30 +60,6 @@ def unstable(data):
     return changed(data, 'alpha_true', (data.time >= MOTION + 1.6, 1), 0.0)
 
 
-CALM, SIDEWAYS = 'none |  | holding, holding', 'hold | wrench_sideways | holding, holding'
-
-
-@pytest.mark.parametrize('summarised', [
-    {'mode': 'real_time', 'ended_early': INTERRUPTED},
-    {'events': [(0.0, CALM), *((12.0 + 0.1 * k, (SIDEWAYS, CALM)[k % 2]) for k in range(20))]}])
-def test_interrupted_and_held_runs_do_not_tell_whether_control_works(
-        data, setup, fixed, summarised):
-    for each, words in ((setup, 'keeps the control working'), (setup, 'not too affected'),
-                        (fixed, 'Without on-line R')):
-        claim = claim_of(data, each, words, **summarised)
-        assert claim.holds is None
-
-
-SINGLE = ('designed time constant', 'motion is tracked', 'orientation stays', '0.6 N² at rest',
-          'about 100 N²',
-          'keeps the control working', 'not too affected', 'disturbs both')
-
-
-@pytest.mark.parametrize('words', SINGLE)
-def test_claim_of_one_run_holds_on_data_made_to_the_paper(data, setup, words):
-    assert claim_of(data, setup, words).holds is True
-
-
 def late_rise(data):
     return replace(data, alpha_true=delayed(data, 0.1))
 
@@ -114,18 +90,20 @@ BREAKERS = [
 
 
 @pytest.mark.parametrize('words, breaker', BREAKERS)
-def test_claim_of_one_run_does_not_hold_on_data_that_break_it(data, setup, words, breaker):
-    claim = claim_of(breaker(data), setup, words)
-    assert claim.holds is False and claim.measured and claim.why
+def test_claim_of_one_run_follows_its_data(data, setup, words, breaker):
+    assert claim_of(data, setup, words).holds is True
+    assert claim_of(breaker(data), setup, words).holds is False
 
 
-def test_claims_that_compare_are_not_judged_from_one_run(data, setup, fixed):
+def test_claims_that_the_run_does_not_tell_of_are_not_judged(data, setup, fixed):
+    single = {words for words, _ in BREAKERS}
     for claim in STATEMENTS:
         assert (claim_of(data, setup, claim.text).holds is None) == (
-            not any(words in claim.text for words in SINGLE))
+            not any(words in claim.text for words in single))
     for words in ('0.6 N² at rest', 'keeps the control working'):  # not with another estimator
         assert claim_of(data, fixed, words).holds is None
     assert claim_of(data, fixed, 'Without on-line R').holds is False
+    assert claim_of(data, setup, 'not too affected', ended_early=INTERRUPTED).holds is None
 
 
 def test_fixed_claim_follows_the_runs_with_a_fixed_variance(data, setup, fixed):
@@ -151,8 +129,7 @@ def pushed(setup, duration):
 def test_filter_claim_compares_the_recoveries(data, setup, lead, slow, holds):
     rows = [row('lead_window', pushed(setup, lead), setup),
             row('window rescaled', pushed(setup, slow), setup)]
-    claim = claim_of(data, setup, 'Without the high-pass filter', rows)
-    assert claim.holds is holds and 'inf' not in claim.measured
+    assert claim_of(data, setup, 'Without the high-pass filter', rows).holds is holds
 
 
 @pytest.mark.parametrize('peak, holds', [(60.0, True), (1.2, False)])
@@ -162,7 +139,7 @@ def test_maybeck_claim_compares_the_reactions_of_the_estimates(data, setup, peak
     assert claim_of(data, setup, 'Maybeck', rows).holds is holds
 
 
-def test_stiffness_claim_needs_a_wrong_stiffness_that_is_compensated():
+def test_stiffness_claims_need_a_wrong_stiffness():
     stiff = disturbance_setup(plant_overrides={'surfaces': {
         name: {'stiffness': 12000.0} for name in ('table', 'board')}})
     data = paper_run(stiff)

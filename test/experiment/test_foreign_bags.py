@@ -10,7 +10,6 @@ from foreign_bag import (
     COMMANDED,
     controller_file,
     header,
-    joint_state,
     JOINTS,
     MADE,
     MEASURED,
@@ -23,8 +22,6 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from multicontact_control.cli import app
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.experiment.bag import BagColumns, JOINT_STATE
-from multicontact_control.experiment.contact_identification import read_recording
 from multicontact_control.experiment.display import summary_table, verdict_lines
 from multicontact_control.experiment.figures import draw_figures, interactive_figures, run_figures
 from multicontact_control.experiment.judge import verdict_text
@@ -203,27 +200,3 @@ def test_path_without_a_recording_is_refused(tmp_path):
     (tmp_path / 'x.mcap').rename(tmp_path / 'x.db3')
     with pytest.raises(RunError, match='ros2 bag convert'):
         load(tmp_path)
-
-
-def test_identification_names_what_a_recording_lacks(bag, tmp_path):
-    file = controller_file(tmp_path)
-    data, config, base_dir = read_recording(bag, file)
-    assert data.ticks and config.contact_names == ('wall',) and base_dir == tmp_path
-    with pytest.raises(ConfigError, match='--config: expected the parameter file'):
-        read_recording(bag, None)
-    with pytest.raises(RunError, match=r'the wrench \(ft_sensor/wrench_filtered\), found none'):
-        read_recording(bag, controller_file(tmp_path, wrench_input='filtered'))
-
-
-def test_columns_are_those_asked_for_in_whatever_order_messages_have_them():
-    """Two nodes on one topic, and messages that lack names or numbers."""
-    columns = BagColumns(JOINT_STATE)
-    for k, (names, position) in enumerate([
-            ((), ()), ('ab', (1.0, 2.0)), ('c', (3.0,)), ('ba', (4.0, 5.0)), ('ab', (6.0,)),
-            ('aa', (9.0, 10.0)), ('ab', (11.0, 12.0))]):
-        columns.take(joint_state(10 ** 9 + k, names, position), 10 + k)
-    assert len(columns) == 7 and columns.names == ('a', 'b')
-    np.testing.assert_array_equal(columns.values('position', ('b', 'a', 'x')), [
-        [NAN] * 3, [2.0, 1.0, NAN], [NAN] * 3, [4.0, 5.0, NAN], [NAN, 6.0, NAN],
-        [NAN, 10.0, NAN], [12.0, 11.0, NAN]])
-    assert np.isnan(columns.values('effort', ('a',))).all()

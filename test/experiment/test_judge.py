@@ -72,6 +72,9 @@ def test_loss_and_saturation_may_last_a_tenth_of_a_second(setup, data, fault, re
     assert (verdict.name == NOT_STABLE) == (seconds > 0.1)
     assert all(reason in line for line in verdict.reasons)
     assert verdict.unstable_at == (pytest.approx(6.1) if seconds > 0.1 else None)
+    weak = replace(setup, plant=setup.plant.model_copy(update={'torque_limit': (12.0,) * 6}))
+    assert any('simulated drives' in line for line in judge(data, weak).reasons) == (
+        fault is saturate and seconds > 0.1)
 
 
 @pytest.mark.parametrize(('losses', 'every', 'lasting', 'name'), [
@@ -144,14 +147,6 @@ def test_contact_without_truth_is_judged_by_its_measured_force(setup, data, hidd
     assert verdict.reasons == ('board: contact lost for 6.00 s',) and verdict.name == NOT_STABLE
 
 
-def test_torque_is_saturated_at_the_smaller_limit_of_controller_and_drives(setup, data):
-    weak = replace(setup, plant=setup.plant.model_copy(
-        update={'torque_limit': (97.6, 186.4, 89.4, 24.2, 10.0, 21.3)}))
-    data.torque[3000:3100, 4] = -12.0
-    assert judge(data, setup).name == STABLE
-    assert 'simulated drives' in judge(data, weak).reasons[0]
-
-
 @pytest.mark.parametrize('caught', [
     SIDEWAYS, LOST, 'none | torque_rate | holding, holding'])
 def test_supervisor_that_steps_in_more_than_five_times_holds_the_run(setup, data, caught):
@@ -173,13 +168,6 @@ def test_bounces_before_load_and_slow_references_are_no_interventions(setup, dat
                      ).name == STABLE
 
 
-@pytest.mark.parametrize('plant', ['rigid', 'puma'])
-def test_run_with_the_paper_s_estimator_is_stable(plant):
-    verdict = verdict_of_run('quick', plant=plant, seed=51, duration=7.0, supervised=False,
-                             scenario_overrides=SOON)
-    assert (verdict.name, verdict.reasons) == (STABLE, ())
-
-
 @pytest.mark.parametrize('supervised', [True, False])
 @pytest.mark.parametrize(('scenario', 'changes', 'reason'), [
     ('quick', {'plant': 'puma', 'seed': 51, 'duration': 7.0, 'scenario_overrides': SOON,
@@ -192,4 +180,3 @@ def test_limit_cycle_is_named_with_and_without_supervisor(scenario, changes, rea
     assert verdict.name == NOT_STABLE and verdict.unstable_at is not None
     assert any(line.startswith(reason) for line in verdict.reasons)
     assert any('stepped in' in line for line in verdict.reasons) == supervised
-

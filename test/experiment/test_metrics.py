@@ -62,17 +62,6 @@ def test_step_response_of_a_known_lag(setup, data):
     assert RunMetrics(data, setup).contact_summary(0)['step_rise_63_s'] == first.rise_63
 
 
-@pytest.mark.parametrize('by', ['push', 'tool_push'])
-def test_answer_to_a_push_is_no_overshoot_of_the_step_before(setup, data, by):
-    pushes = replace(setup, plant=setup.plant.model_copy(update={
-        f'{by}_start': (5.0,), f'{by}_duration': (0.1,),
-        f'{by}_force_world': (0.0, 0.0, -5.0)}))
-    data.alpha_true[(data.time >= 4.2) & (data.time < 4.3), 0] += 0.2
-    data.alpha_true[(data.time >= 5.0) & (data.time < 5.2), 0] += 2.0
-    assert RunMetrics(data, pushes).step_responses(0)[1].overshoot_percent == pytest.approx(4.0)
-    assert RunMetrics(data, setup).step_responses(0)[1].overshoot_percent == pytest.approx(40.0)
-
-
 def test_commanded_step_begins_at_the_force_pressed_before(setup, data):
     setup, before = replace(setup, commanded_by_topic=True), data.time < 3.0
     lagging = np.where(before, 2.0, 10.0 - 8.0 * np.exp(-(data.time - 3.0) / 0.05))
@@ -138,17 +127,6 @@ def test_recovery_is_the_time_until_the_error_stays_in_the_band(pushed, push, er
     assert answer['band'] == pytest.approx(0.05 * 15.0)
 
 
-def test_recovery_band_widens_with_the_run_s_own_noise(pushed):
-    data = with_error(perfect_run(pushed), MOVING - 1.0, MOVING, np.resize([1.0, -1.0], 500))
-    assert RunMetrics(data, pushed).recoveries(0)[2]['band'] == pytest.approx(3.0)
-    assert RunMetrics(data, pushed).recoveries(0)[2]['moving']
-
-
-def test_recovery_is_none_once_the_run_is_unstable(pushed):
-    run = RunMetrics(perfect_run(pushed), pushed)
-    assert all(answer['recovery'] is None for answer in run.recoveries(0, unstable_at=4.0))
-
-
 def test_growing_line_is_the_frequency_before_instability(pushed):
     data = perfect_run(pushed)
     time = data.time[(data.time >= 10.0) & (data.time < 11.0)]
@@ -156,3 +134,5 @@ def test_growing_line_is_the_frequency_before_instability(pushed):
     found = disturbance_summary(data, pushed, 11.0)
     assert found['oscillation_hz'] == pytest.approx(42.0, abs=0.5)
     assert found['unstable_after_motion_s'] == pytest.approx(2.0)
+    early = disturbance_summary(data, pushed, 4.0)['contacts']['table']['recoveries']
+    assert all(answer['recovery'] is None for answer in early)

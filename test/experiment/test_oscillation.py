@@ -48,14 +48,9 @@ def test_oscillation_lasts_two_seconds():
         assert len(found_in(np.where(window, tone(42.0, 2.0), 0.0))) == many
 
 
-@pytest.mark.parametrize(('share', 'many'), [(0.02, 0), (0.03, 1)])
-def test_oscillation_is_measured_by_the_command(share, many):
-    for command in (10.0, 40.0):
-        assert len(found_in(tone(42.0, share * command), command=command + 0.0 * TIME)) == many
-
-
 def test_tone_that_is_small_slow_not_judged_or_not_asked_for_is_left_out():
     assert found_in(tone(2.0, 3.0)) == []
+    assert found_in(tone(42.0, 0.2)) == [] != found_in(tone(42.0, 0.3))
     assert found_in(tone(42.0, 0.08), command=0.0 * TIME + 1.0) == []
     assert found_in(tone(42.0, 5.0), command=0.0 * TIME) == []
     assert found_in(tone(42.0, 5.0), judged=TIME < 1.5) == []
