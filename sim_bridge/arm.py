@@ -8,9 +8,8 @@ A chain of joints that turn about the z axis of their own frame, each with one r
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 import math
-from typing import Any
 
 from multicontact_control.config import Vector3
 from multicontact_control.dynamics.robot import load_model
@@ -88,11 +87,7 @@ class Arm:
     """
     A chain of links with a wrist sensor and a tool on the last one.
 
-    Raises
-    ------
-    ConfigError
-        If a tip has the name of a link or joint of the arm.
-
+    Raises ConfigError if a tip has the name of a link or joint of the arm.
     """
 
     name: str  # of the robot, in the URDF
@@ -140,9 +135,8 @@ class Arm:
     @property
     def carried_com(self) -> Vector3:
         """Centre of mass of that, in the sensor's frame [m]."""
-        x, y, z = (self.tool.mass / self.carried_mass * value for value in
-                   self.tool.com.position)
-        return (x, y, z)
+        share = self.tool.mass / self.carried_mass
+        return triple(share * value for value in self.tool.com.position)
 
     @property
     def urdf(self) -> str:
@@ -152,10 +146,6 @@ class Arm:
     def model(self) -> pin.Model:
         """Return a rigid-body model of the arm with its tool, without armature."""
         return load_model(self.urdf)
-
-    def content(self) -> dict[str, Any]:
-        """Return everything as JSON values; infinite limits as text."""
-        return {key: _plain(value) for key, value in asdict(self).items()}
 
 
 def urdf_text(arm: Arm, *, for_bullet: bool = False) -> str:
@@ -238,11 +228,3 @@ def triple(values: Iterable[float]) -> Vector3:
     """Return three numbers as floats."""
     x, y, z = (float(value) for value in values)
     return (x, y, z)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (tuple, list)):
-        return [_plain(item) for item in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

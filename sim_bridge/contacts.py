@@ -13,11 +13,7 @@ import pinocchio as pin
 from sim_bridge.arm import Arm, TOOL_LINK
 from sim_bridge.config import PlantConfig
 from sim_bridge.drives import advance_drives
-from sim_bridge.kinematics import (
-    add_joint_torque,
-    forward_kinematics,
-    place_point,
-)
+from sim_bridge.kinematics import add_joint_torque, forward_kinematics, place_point
 from sim_bridge.surface import build_surfaces, move, press
 
 # What pushes the last link or the tool at one point; world axes.

@@ -46,22 +46,10 @@ class NewRobot(NamedTuple):
 
 def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:
     """
-    Write a file for a robot, check it, and say what is missing.
+    Write a file for a robot from its vendor's URDF, check it, and say what is missing.
 
-    Parameters
-    ----------
-    urdf
-        The vendor's, with or without a tool.
-    sensor, tip
-        Links of it: the one that carries the wrist sensor, and the one that is to touch.
-    out
-        The file.
-
-    Raises
-    ------
-    ConfigError
-        If the URDF is not that of an arm, has no such links, or has impossible figures.
-
+    `sensor` is the link that carries the wrist sensor, `tip` the one that touches. Raises
+    ConfigError if the URDF is not that of an arm, has no such links, or has impossible figures.
     """
     text, suspicious = read_urdf(urdf), list[str]()
     joints, locked = _joints(parse_urdf(text), sensor, tip)
@@ -104,18 +92,8 @@ def write_controller(made: NewRobot, out: Path) -> None:
     """
     Write what the controller on the real arm needs, beside the URDF of the arm with its tool.
 
-    Parameters
-    ----------
-    made
-        The robot's file; what it still needs is guessed here, too, and listed in the head.
-    out
-        Parameter file to write; the URDF is written next to it.
-
-    Raises
-    ------
-    ConfigError
-        If a value in the robot's file is not acceptable.
-
+    What the robot's file still needs is guessed here, too, and listed in the head. Raises
+    ConfigError if a value in it is not acceptable.
     """
     robot = find_robot(str(made.path))
     values = robot.controller_base()

@@ -130,7 +130,6 @@ class SimNode(Node):
         self._watch = LoopStatistics(config.rate)
         self._inputs = Inputs(self, config.rate, topics.EFFORT_COMMAND)
         self._diagnostics = Diagnostics(self, self._statuses)
-        # Kept by the publisher for whoever comes late.
         description.publish(String(data=self._plant.description.urdf))
         self._gate = StartupGate(self, config)
         self._origin = 0  # stamp of sample 0 [ns]
@@ -162,17 +161,15 @@ class SimNode(Node):
     def close(self) -> None:
         """Write the counts and times of this run, if asked to, and free the plant."""
         self._plant.close()
-        samples = max(1, self._tick + 1)
         self._config.write_counts({
             'ticks': self._tick + 1, 'rate_hz': self._config.rate,
             'lockstep': self._config.lockstep, 'deadline_misses': self._misses,
             'pace_slips': self._slips, 'command_timeouts': self._timeouts,
-            'wall_s': self._wall * 1e-9, 'on_time_share': self._on_time / samples,
+            'wall_s': self._wall * 1e-9, 'on_time_share': self._on_time / (self._tick + 1),
             'latency_us': self._watch.latencies.percentiles(),
             'latency_histogram': histogram(self._watch.latencies.microseconds()),
-            'plant_us': self._step_times.percentiles(),
-            'saturated_ticks': self._saturated, 'saturated_fraction':
-            self._saturated / samples, 'refused': dict(self._refusals.counts)})
+            'plant_us': self._step_times.percentiles(), 'saturated_ticks': self._saturated,
+            'refused': dict(self._refusals.counts)})
 
     def _start_up(self, spinner: Spinner) -> None:
         """Publish sample 0 until it is answered; nothing moves before that."""
@@ -268,12 +265,6 @@ class SimNode(Node):
         if late > CATCH_UP:
             self._due += late
 
-    @property
-    def _realtime_factor(self) -> float:
-        """Return simulated time over wall time of the run so far."""
-        wall = (time.monotonic_ns() - self._start) * 1e-9
-        return self._tick / self._config.rate / wall if self._tick else 0.0
-
     def _advance(self, torque: Any) -> None:
         start = time.perf_counter_ns()
         self._sample = self._plant.step(torque)
@@ -323,7 +314,6 @@ class SimNode(Node):
             self._publish_surfaces()
 
     def _publish_surfaces(self) -> None:
-        """Publish what there is to be touched; kept by the publisher for whoever comes late."""
         self._surface_publisher.publish(self._surfaces.message(
             self._stamp(self._tick), self._plant.contacts.places_world))
 
@@ -375,10 +365,11 @@ class SimNode(Node):
         self._plant_config = config
 
     def _statuses(self) -> list[Status]:
+        wall = (time.monotonic_ns() - self._start) * 1e-9
         loop = {**self._watch.report(), 'ticks': self._tick + 1, 'pace_slips': self._slips,
                 'command_timeouts': self._timeouts, 'saturated_ticks': self._saturated,
                 'lockstep': self._config.lockstep,
-                'realtime_factor': round(self._realtime_factor, 3)}
+                'realtime_factor': round(self._tick / self._config.rate / wall, 3)}
         missed = loop['deadline_misses']
         forces = zip(self._plant.contact_names, self._sample.contact_force.tolist())
         return [
@@ -394,7 +385,7 @@ class SimNode(Node):
 
 
 def histogram(microseconds: Vector) -> dict[str, list[float] | list[int]]:
-    """Return how many there are from one edge [us] to the next, first and last with all."""
+    """Return counts between edges [us]; the first and the last take all beyond."""
     kept = np.clip(microseconds, EDGES[0], EDGES[-1])
     return {'edges_us': EDGES.round(1).tolist(), 'counts': np.histogram(kept, EDGES)[0].tolist()}
 

@@ -36,11 +36,7 @@ SLIDING = 1e-9  # share of an axis along which a joint slides, from which on it 
 
 
 def read_arm(path: Path, file: RobotFile) -> Arm:
-    """
-    Read the arm of a robot's file from its URDF; ConfigError if the URDF is not such an arm.
-
-    Rotor inertia, friction, and limits that the file has are not laid over it.
-    """
+    """Read an arm from a URDF, without the limits and friction of its file; ConfigError."""
     text = read_urdf(path)
     if not file.mount_link:
         arm = arm_of_urdf(text)
@@ -185,7 +181,7 @@ def arm_of_urdf(text: str) -> Arm:
     """Return the arm of a URDF with sensor, tool and tips; ConfigError names what is missing."""
     root = parse_urdf(text)
     joints = {_value(joint, 'child', 'link'): joint for joint in root.findall('joint')}
-    elements = {link.get('name', ''): link for link in root.findall('link')}
+    bodies = {link.get('name', ''): link for link in root.findall('link')}
     missing = {SENSOR_FRAME, TOOL_LINK, OPERATIONAL_FRAME} - joints.keys()
     if missing:
         raise ConfigError('mount_link', 'a link of a URDF that lacks '
@@ -201,13 +197,13 @@ def arm_of_urdf(text: str) -> Arm:
         range_of = [_numbers(joint, 'limit', end)[0] if kind == 'revolute' else sign * math.inf
                     for end, sign in (('lower', -1.0), ('upper', 1.0))]
         links.append(Link(
-            joint.get('name', ''), _placement(joint), _own_body(elements[child]), *range_of,
+            joint.get('name', ''), _placement(joint), _own_body(bodies[child]), *range_of,
             *_numbers(joint, 'limit', 'velocity'), *_numbers(joint, 'limit', 'effort')))
     tips = {child: _placement(joint).position for child, joint in joints.items()
             if _value(joint, 'parent', 'link') == TOOL_LINK}
     return Arm(root.get('name', 'arm'), tuple(links), _placement(joints[OPERATIONAL_FRAME]),
-               _placement(joints[SENSOR_FRAME]), _own_body(elements[SENSOR_FRAME]).mass,
-               _own_body(elements[TOOL_LINK]), tips, text)
+               _placement(joints[SENSOR_FRAME]), _own_body(bodies[SENSOR_FRAME]).mass,
+               _own_body(bodies[TOOL_LINK]), tips, text)
 
 
 def _value(element: ElementTree.Element, path: str, name: str) -> str:

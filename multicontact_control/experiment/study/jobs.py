@@ -61,7 +61,7 @@ def setup_content(setup: Setup) -> dict[str, Any]:
         name: getattr(setup, name).model_dump(mode='json')
         for name in ('scenario', 'controller', 'noise_estimator', 'plant')}
     return {'seed': setup.seed, 'urdf': hashlib.sha256(urdf).hexdigest(),
-            'arm': find_robot(setup.plant.robot).arm.content(), **configurations}
+            'arm': repr(find_robot(setup.plant.robot).arm), **configurations}
 
 
 @dataclass(frozen=True, slots=True)
