@@ -188,6 +188,7 @@ def test_arm_that_carries_itself_presses_and_stays_in_every_reaction(with_tool, 
         for _ in range(400):
             loop.act()
             loop.command = loop.control.step(loop.inputs())
-            assert np.abs(loop.sample.q - start).max() < 0.1  # the surfaces let go
+            # Without any torque, a push by the surfaces that let go is not braked.
+            assert kind == 'zero_torque' or np.abs(loop.sample.q - start).max() < 0.05
         if kind == 'zero_torque':
             np.testing.assert_allclose(loop.command, 0.0, atol=1e-9)
