@@ -18,7 +18,6 @@ from multicontact_control.experiment.figures import (
 from multicontact_control.experiment.judge import STABLE, verdict_text
 from multicontact_control.experiment.page import claims_table, HELP, image, table, write_page
 from multicontact_control.experiment.results import FIGURE_FOLDER, LoadedRun, REPORT_FILE
-from multicontact_control.experiment.study.table import short_names
 import yaml
 
 FORMATS = ('png', 'pdf')
@@ -44,7 +43,7 @@ def write_report(
         raise ConfigError('out', 'a folder that can be made',
                           f'{out} ({error.strerror})') from None
     paths, parts = [], []
-    names = short_names([run.folder.resolve().as_posix().strip('/') for run in runs], '/')
+    names = short_names([run.folder.resolve().as_posix().strip('/') for run in runs])
     for number, (name, run) in enumerate(zip(names, runs)):
         paths += draw_figures(
             run.data, run.setup, out / FIGURE_FOLDER / (name if len(runs) > 1 else ''),
@@ -96,3 +95,14 @@ def _text(value: Any) -> str:
     if isinstance(value, dict):
         return ', '.join(f'{key} {_text(each)}' for key, each in value.items())
     return f'{value:.4g}' if isinstance(value, float) else '-' if value is None else str(value)
+
+
+def short_names(names: Sequence[str], separator: str = '/') -> list[str]:
+    """Return the last parts of names, as many as it takes to tell them apart."""
+    short = []
+    for name in names:
+        parts = name.split(separator)
+        count = next(n for n in range(1, len(parts) + 1) if n == len(parts) or sum(
+            other.split(separator)[-n:] == parts[-n:] for other in names) == 1)
+        short.append(separator.join(parts[-count:]))
+    return short

@@ -18,7 +18,6 @@ from multicontact_control.experiment.overrides import (
 )
 from multicontact_control.experiment.scenario import plant_source, resolve, Setup
 from multicontact_control.experiment.study.config import (
-    ConditionConfig,
     PartConfig,
     StudyConfig,
 )
@@ -40,13 +39,7 @@ def run_cells(study: StudyConfig) -> list[Cell]:
     Return the runs of a study by part, plant, combination and seed.
 
     A parameter that is no factor of a part has the value of its files there; other factors are
-    empty, or 1 if they are multiples.
-
-    Raises
-    ------
-    ConfigError
-        With the first parameter or value that is not acceptable.
-
+    empty, or 1 if they are multiples. ConfigError with the first value that is not acceptable.
     """
     absent = {name: 1.0 if factor.multiples_of else ''
               for part in study.parts.values() for name, factor in part.factors.items()}
@@ -88,11 +81,11 @@ def _job(
     scenario, robot = files.pop('scenario'), files.pop('robot', '')
     name = plant_source(plant.rpartition('/')[2], robot).name if robot else plant
     base = _base(scenario, name, part.duration, files['preset'])
-    if not _fulfilled(part, base):
+    if not _fulfilled(part.where, base):
         return None
     values = dict(part.fixed)
     for adjustment in study.adjustments:
-        if _fulfilled(adjustment, base):
+        if _fulfilled(adjustment.where, base):
             values |= adjustment.values
     for factor in part.factors.values():
         if factor.multiples_of:
@@ -110,9 +103,8 @@ def _base(scenario: str, plant: str, duration: float | None, preset: str) -> Set
     return resolve(scenario, plant=plant, duration=duration, preset=preset)
 
 
-def _fulfilled(condition: ConditionConfig, setup: Setup) -> bool:
-    return all(value_of(name, setup) == value for name, value in condition.where.items()) and all(
-        value_of(name, setup) != value for name, value in condition.unless.items())
+def _fulfilled(where: Mapping[str, Any], setup: Setup) -> bool:
+    return all(value_of(name, setup) == value for name, value in where.items())
 
 
 def _multiples(name: str, factor: float, of: str, setup: Setup) -> dict[str, float]:

@@ -17,8 +17,7 @@ import yaml
 
 DIGITS = 12  # of the values of a range, such that 0.1 is not 0.09999999999999999
 Kind = Literal['sweep', 'compare', 'map', 'robots', 'tune', 'faults']
-Aggregate = Literal[
-    'median', 'max', 'count', 'share', 'true', 'set', 'times', 'survived', 'stable_range']
+Aggregate = Literal['median', 'min', 'max', 'share', 'set', 'survived', 'stable_range']
 Choices = Mapping[str, Sequence[Any]]  # values by factor
 
 
@@ -82,22 +81,17 @@ def _factor(name: str, given: Any) -> FactorConfig:
         raise ConfigError(f'factors.{name}.{error.field}', error.expected, error.found) from None
 
 
-class ConditionConfig(Config):
-    """What parameters must be for something to hold."""
-
-    where: dict[str, Any] = parameter({}, 'Values that parameters must have.')
-    unless: dict[str, Any] = parameter({}, 'Values that parameters must not have.')
-
-
-class AdjustmentConfig(ConditionConfig):
+class AdjustmentConfig(Config):
     """Parameters of those runs that fulfil a condition."""
 
+    where: dict[str, Any] = parameter(..., 'Values that parameters must have.')
     values: dict[str, Any] = parameter(..., 'Parameters and their values.')
 
 
-class PartConfig(ConditionConfig):
+class PartConfig(Config):
     """What is run: every combination of the factors with every plant and seed."""
 
+    where: dict[str, Any] = parameter({}, 'Values that parameters must have; else nothing is run.')
     scenario: str = parameter('', 'What is run: a name from config/scenarios, or a path.')
     plants: tuple[str, ...] = parameter(
         ('',), 'Names or paths, everything is run on each; the default one if not given.',
@@ -149,23 +143,14 @@ class ColumnConfig(Config):
     value: str = parameter(
         '', 'Column of study.csv; `*` for the largest over the contacts; the head if empty.')
     aggregate: Aggregate = parameter(
-        'median', 'What is shown of the runs of a line: a statistic, how many there are '
-        '(`count`) or are true (`share`, `true`), all that there is (`set`), first and last time '
-        '(`times`), at which values of a factor all are good (`survived`, `stable_range`).')
+        'median', 'What is shown of the runs of a line: a statistic, how many are true '
+        '(`share`), all that there is (`set`), at which values of a factor all are good '
+        '(`survived`, or around 1 `stable_range`).')
     scale: Real = parameter(1.0, 'What values are multiplied by.')
     digits: int | None = parameter(None, 'After the point; four significant ones if not given.')
     part: str = parameter('', 'Only runs of this part; of all parts if empty.')
     each: bool = parameter(False, 'Whether `*` shows every contact.')
     wide: bool = parameter(False, 'Left out where the terminal is narrow.')
-
-
-class FigureConfig(Config):
-    """Medians of some columns against a factor, with a line for each value of another."""
-
-    x: str = parameter('', 'Factor along the horizontal axis; the first if empty.')
-    lines: str = parameter('', 'Factor with a line for each value; the second if empty.')
-    values: tuple[str, ...] = parameter((), 'Columns; those of the table if not given.')
-    parts: tuple[str, ...] = parameter((), 'Parts that are drawn; all if not given.')
 
 
 class StudyConfig(PartConfig):
@@ -191,7 +176,8 @@ class StudyConfig(PartConfig):
     truth: str = parameter('stable', 'Column that tells whether a run is good.')
     medians: Literal['stable', 'all'] = parameter(
         'stable', 'Which runs the statistics are of: good ones, or all.')
-    figure: FigureConfig | None = FigureConfig()
+    figure: bool = parameter(
+        True, 'Whether the columns are drawn over the first factor, by part and second factor.')
     notes: str = parameter('', 'What stands below the table.')
 
     @field_validator('columns', mode='before')
@@ -248,23 +234,11 @@ def read_choices(texts: Iterable[str]) -> dict[str, Sequence[Any]]:
 
 def select(study: StudyConfig, choices: Choices, *, robot: str = '') -> StudyConfig:
     """
-    Return a study of `read_study` with what a user chooses.
+    Return a study of `read_study` with what a user chooses; ConfigError if there is no such thing.
 
-    Parameters
-    ----------
-    study
-        The study.
-    choices
-        Values of factors, or labels of their levels, and of `part`, `plant` and `seed`, the latter
-        not of parts with their own. A parameter that is no factor becomes one.
-    robot
-        Name or path: the study's plants that this robot has, or its default one.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such robot, plant, part or level.
-
+    Choices are values of factors, or labels of their levels, and of `part`, `plant` and `seed`,
+    the latter not of parts with their own; a parameter that is no factor becomes one. Of a robot,
+    name or path, the study's plants that it has are taken, or its default one.
     """
     parts = dict(study.parts)
     for name, values in choices.items():
@@ -278,7 +252,8 @@ def select(study: StudyConfig, choices: Choices, *, robot: str = '') -> StudyCon
     return study.model_copy(update={'parts': {
         title: part.model_copy(update={
             'plants': _plants(robot, plants or part.plants, chosen=bool(plants)),
-            'seeds': part.seeds if 'seeds' in part.model_fields_set or not seeds else seeds})
+            'seeds': part.seeds if 'seeds' in part.model_fields_set or not seeds else (
+                tuple(seeds))})
         for title, part in parts.items()}})
 
 

@@ -16,16 +16,16 @@ from multicontact_control.experiment.overrides import unit_of
 from multicontact_control.experiment.page import image, write_page
 from multicontact_control.experiment.study.cells import Cell, is_parameter, run_cells
 from multicontact_control.experiment.study.config import StudyConfig
-from multicontact_control.experiment.study.execute import (
+from multicontact_control.experiment.study.jobs import (
     dask_client,
     prepare_folder,
     read_cell,
     run_jobs,
+    RunJob,
 )
-from multicontact_control.experiment.study.figure import draw_study
-from multicontact_control.experiment.study.jobs import RunJob
 from multicontact_control.experiment.study.measure import metrics_row
 from multicontact_control.experiment.study.table import (
+    draw_study,
     html_tables,
     Listing,
     listing_of,
@@ -112,15 +112,12 @@ class Study:
             *(f'<h2>{escape(heading)}</h2>{text}'
               for heading, text in self.sections(results).items())]))
 
-    def succeeded(self, results: Results) -> bool:
-        """Return whether the command ends with 0; most studies only measure."""
-        return True
-
     def warnings(self, results: Results) -> list[str]:
         """Return which runs ended early and why, and which columns are not in the table."""
         frame = results.frame
         failed = frame[frame['error'].notna()]
-        texts = [', '.join(f'{name} {row[name]}' for name in frame.attrs['factors'] if row[name])
+        names = dict.fromkeys([*self.config.lines, *frame.attrs['factors'], 'seed'])
+        texts = [', '.join(f'{name} {row[name]}' for name in names if row[name] != '')
                  + f': {row["error"]}' for _, row in failed.head(MOST_WARNINGS).iterrows()]
         if len(failed) > MOST_WARNINGS:
             texts.append(f'{len(failed) - MOST_WARNINGS} more are in {CSV_FILE}')
@@ -144,16 +141,11 @@ class Study:
         return Results(metrics, frame, folder)
 
 
-KINDS = {  # modules with a class of the kind, capitalised
-    'compare': 'compare', 'map': 'robustness', 'robots': 'robots', 'tune': 'tune',
-    'faults': 'faults'}
-
-
 def study_of(config: StudyConfig) -> Study:
-    """Return the study of a configuration, with the code that its kind has of its own."""
-    if config.kind not in KINDS:
+    """Return the study of a configuration, with the code that its kind has in `presets`."""
+    if config.kind == 'sweep':
         return Study(config)
-    module = import_module(f'{__package__}.presets.{KINDS[config.kind]}')
+    module = import_module(f'{__package__}.presets.{config.kind}')
     study: Study = getattr(module, f'{config.kind.capitalize()}Study')(config)
     return study
 
@@ -173,33 +165,11 @@ def run_study(
     """
     Run a study, write its files, and show and return what came out; None of a dry run.
 
-    Parameters
-    ----------
-    study
-        What is run.
-    out
-        Folder of the results; None for ``runs/<name>``.
-    jobs
-        How many at once on this machine, 0 for every core.
-    dask
-        Address of a Dask scheduler to use instead.
-    dry_run
-        Only show what would be run.
-    overwrite
-        Run finished jobs again.
-    console
-        Where it is shown.
-
-    Raises
-    ------
-    ConfigError
-        If the study is not acceptable, before anything is run.
-    RunError
-        If a worker dies; what is finished is kept.
-
+    The folder is `out`, or ``runs/<name>``; `jobs` run at once here, 0 for every core, or on the
+    Dask cluster at the address `dask`. ConfigError if the study is not acceptable, before anything
+    is run; RunError if a worker dies: what is finished is kept.
     """
     console, name = console or terminal(), study.config.name
-    check_workers(jobs, dask)
     cells, folder = study.cells(), out or Path('runs') / name
     keys = {cell.key for cell in cells}
     with dask_client(dask) as client:

@@ -1,13 +1,14 @@
-"""The table of a study: its cells as a frame, and lines that stand for several of them."""
+"""The table of a study: lines that stand for several of its runs, in texts and in a figure."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 import math
 from typing import Any
 
+from matplotlib.figure import Figure
 from multicontact_control.experiment.overrides import EVERY
 from multicontact_control.experiment.page import table
 from multicontact_control.experiment.study.config import ColumnConfig, StudyConfig
@@ -17,8 +18,9 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape as plain
 from rich.table import Table
 
-LABEL = 20  # characters of a label that stay in one line
+WIDE_RANGE = 20.0  # largest over smallest, from which an axis is logarithmic
 WIDE = 110  # columns of a terminal that has room for every column of a table
+STATISTICS = ('median', 'min', 'max')
 NOT_FACTORS = ('part', 'plant', 'seed')
 CHOICE = (  # of columns to show
     'contacts.*.step_rise_63_s', 'contacts.*.rest.true_error_rms_n',
@@ -56,17 +58,6 @@ def table_columns(frame: pd.DataFrame, study: StudyConfig) -> list[ColumnConfig]
         for column in columns]
 
 
-def short_names(names: Sequence[str], separator: str = '.') -> list[str]:
-    """Return the last parts of names, as many as it takes to tell them apart."""
-    short = []
-    for name in names:
-        parts = name.split(separator)
-        count = next(n for n in range(1, len(parts) + 1) if n == len(parts) or sum(
-            other.split(separator)[-n:] == parts[-n:] for other in names) == 1)
-        short.append(separator.join(parts[-count:]))
-    return short
-
-
 @dataclass(frozen=True)
 class Listing:
     """A table to be looked at."""
@@ -92,8 +83,8 @@ def listing_of(frame: pd.DataFrame, study: StudyConfig) -> Listing:
         sections.append((', '.join(filter(None, map(str, title))), [row for _, row in rows],
                          [bool(group[study.truth].all()) for group, _ in rows]))
     units = frame.attrs['units']
-    heads = [f'{short} [{units[name]}]' if name in units else short.replace('_', ' ')
-             for name, short in zip(lines, short_names(lines))]
+    heads = [name.rpartition('.')[2].replace('_', ' ') + (
+        f' [{units[name]}]' if units.get(name) else '') for name in lines]
     return Listing(
         [*heads, *(column.name for column in columns)], sections, len(lines),
         frozenset(len(lines) + i for i, column in enumerate(columns) if column.wide))
@@ -120,7 +111,7 @@ def _number(values: pd.Series, column: ColumnConfig) -> str:
     known = values.dropna()
     if known.empty:
         return '-'
-    value = float(known.max() if column.aggregate == 'max' else known.median())
+    value = float(known.agg(column.aggregate))
     if math.isinf(value):
         return 'never'
     value *= column.scale
@@ -129,12 +120,9 @@ def _number(values: pd.Series, column: ColumnConfig) -> str:
 
 def _cell(column: ColumnConfig, group: pd.DataFrame, study: StudyConfig) -> str:
     cells = group if not column.part else group[group['part'] == column.part]
-    if column.aggregate == 'count':
-        return str(len(cells))
-    if column.aggregate in ('survived', 'stable_range'):
-        function = survived if column.aggregate == 'survived' else stable_range
-        return function(cells, column.value, study.truth)
-    if column.aggregate in ('median', 'max'):
+    if column.aggregate in FUNCTIONS:
+        return FUNCTIONS[column.aggregate](cells, column.value, study.truth)
+    if column.aggregate in STATISTICS:
         cells = judged(cells, study)
         if column.each:
             return ' / '.join(_number(cells[name].astype(float), column)
@@ -144,21 +132,7 @@ def _cell(column: ColumnConfig, group: pd.DataFrame, study: StudyConfig) -> str:
     values = cells.get(column.value, pd.Series(dtype=float)).dropna()
     if column.aggregate == 'share':
         return f'{int(values.sum())}/{len(values)}'
-    if column.aggregate == 'true':
-        return str(int(values.sum())) if values.any() else '-'
-    if column.aggregate == 'set':
-        return ', '.join(sorted(set(map(str, values)))) or '-'
-    return times_text(values)
-
-
-def times_text(times: pd.Series) -> str:
-    """Return the first and the last of times from the start of the motion, or ``rest``."""
-    known = times.dropna()
-    moving = known[known >= 0.0]
-    texts = ['rest'] if len(moving) < len(known) else []
-    if len(moving):
-        texts += dict.fromkeys(f'{value:.1f}' for value in (moving.min(), moving.max()))
-    return '-'.join(texts)
+    return ', '.join(sorted(set(map(str, values)))) or '-'
 
 
 def survived(frame: pd.DataFrame, factor: str, truth: str) -> str:
@@ -184,6 +158,10 @@ def stable_range(frame: pd.DataFrame, factor: str, truth: str) -> str:
     return f'{good.index[low]:g} - {good.index[high]:g}'
 
 
+FUNCTIONS: Mapping[str, Callable[[pd.DataFrame, str, str], str]] = {
+    'survived': survived, 'stable_range': stable_range}
+
+
 def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
     """Return the sections for a terminal of some width; a narrow one lacks some columns."""
     shown = [i for i in range(len(listing.heads)) if width >= WIDE or i not in listing.wide]
@@ -195,7 +173,7 @@ def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
             longest = max(len(line[i]) for line in lines)
             found.add_column(plain(listing.heads[i]), overflow='fold',
                              justify='left' if i < listing.labels else 'right',
-                             min_width=min(longest, LABEL) if i < listing.labels else None)
+                             min_width=min(longest, width // 8) if i < listing.labels else None)
         for line, fine in zip(lines, good):
             found.add_row(*(plain(line[i]) for i in shown), style=None if fine else 'red')
         tables.append(found)
@@ -210,3 +188,52 @@ def html_tables(listing: Listing) -> str:
             [[escape(cell) if fine else f'<span class=no>{escape(cell)}</span>' for cell in line]
              for line, fine in zip(lines, good)], numbers_from=listing.labels)
         for section, lines, good in listing.sections)
+
+
+def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
+    """
+    Return the figure of a study, a column for each plant, a row for each value.
+
+    The first factor is along the horizontal axis; there is a line for each part and value of the
+    second: medians over seeds and whatever else is varied, or the share of good runs. None
+    without a factor or a value to draw.
+    """
+    names = [name for name in frame.attrs['factors'] if name not in NOT_FACTORS]
+    values = [column.value for column in table_columns(frame, study)
+              if column.aggregate in ('median', 'share') and (
+                  column.value == study.truth or worst(frame, column.value).notna().any())]
+    if not (study.figure and names and values):
+        return None
+    lines = ['part'] if frame['part'].nunique() > 1 else []
+    lines += names[1:2] or ['part'] * (not lines)
+    plants = list(frame['plant'].unique())
+    figure = Figure(figsize=(4.6 * len(plants) + 1.0, 2.6 * len(values) + 1.0),
+                    layout='constrained')
+    grid = figure.subplots(len(values), len(plants), sharex=True, sharey='row', squeeze=False)
+    for column, plant in enumerate(plants):
+        for axes, value in zip(grid[:, column], values):
+            share = value == study.truth
+            here = frame[frame['plant'] == plant]
+            _draw(axes, here if share else judged(here, study), names[0], lines, value)
+            axes.set_ylabel('share of good runs' if share else value.replace(
+                '*', 'worst').replace('.', '\n'), fontsize=8)
+        grid[0, column].set_title(f'plant {plant}', fontsize=9)
+    return figure
+
+
+def _draw(axes: Any, frame: pd.DataFrame, x: str, lines: list[str], value: str) -> None:
+    share = value in frame and frame[value].dtype == bool
+    series = frame[value].astype(float) if share else worst(frame, value)
+    table = frame.assign(drawn=series.replace(np.inf, np.nan)).pivot_table(
+        index=x, columns=lines, values='drawn', aggfunc='mean' if share else 'median', sort=False)
+    if table.empty:
+        return
+    if pd.api.types.is_numeric_dtype(table.index):
+        table = table.sort_index()
+        logarithmic = table.index[0] > 0.0 and table.index[-1] / table.index[0] >= WIDE_RANGE
+        table.plot(ax=axes, style='o-', markersize=3, logx=bool(logarithmic), fontsize=8)
+    else:
+        table.plot(ax=axes, style='o-', markersize=3, fontsize=8, rot=30)
+        axes.set_xticks(range(len(table)), table.index, ha='right')
+    axes.legend(fontsize=7, title=', '.join(lines), title_fontsize=7)
+    axes.grid(alpha=0.3)

@@ -8,14 +8,14 @@ from typing import ClassVar
 from mortal_jobs import MortalJob
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.study import jobs as jobs_module
-from multicontact_control.experiment.study.execute import (
+from multicontact_control.experiment.study.jobs import (
     dask_client,
+    job_of,
     prepare_folder,
     read_cell,
     run_jobs,
     WORKER_DIED,
 )
-from multicontact_control.experiment.study.jobs import job_of
 from multicontact_control.experiment.study.presets.faults import FaultJob
 import pytest
 

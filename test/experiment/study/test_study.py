@@ -64,12 +64,12 @@ def test_lines_are_statistics_over_the_seeds(frame):
         ['k [N/m]', 'stable', 'step_rise_63_s', 'rest.true_error_rms_n'],
         [['600', '3/3', '2', '0.1'], ['6e+04', '2/3', '3.5', '0.1']])
     columns = [
-        {'name': 'n', 'value': 'stable', 'aggregate': 'count'},
+        {'name': 'n', 'value': 'stable', 'aggregate': 'share'},
         {'name': 'ms', 'value': 'late', 'scale': 1000.0, 'digits': 0},
         {'name': 'most', 'value': RISE, 'aggregate': 'max', 'digits': 1},
         {'name': 'all', 'value': 'contacts.*.step_rise_63_s', 'each': True}]
     assert cells_of(frame, columns=columns, medians='all')[1] == [
-        ['600', '3', 'never', '9.0', '1 / 4.75'], ['6e+04', '3', '312', '5.0', '4 / 0.5']]
+        ['600', '3/3', 'never', '9.0', '1 / 4.75'], ['6e+04', '2/3', '312', '5.0', '4 / 0.5']]
 
 
 def test_ranges_of_a_factor_are_where_all_runs_are_good():

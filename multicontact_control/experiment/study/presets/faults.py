@@ -28,7 +28,7 @@ from multicontact_control.experiment.faults.vocabulary import FAULTS, pairs_of_f
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.cells import Cell
 from multicontact_control.experiment.study.jobs import content_key, setup_content
-from multicontact_control.experiment.study.study import Metrics, Results, Study
+from multicontact_control.experiment.study.study import Metrics, Study
 import pandas as pd
 
 PHASE_TIMES = {START: 0.0, APPROACH: 0.65, REST: 4.9, SLIDING: 8.2}  # s
@@ -157,7 +157,7 @@ class FaultsStudy(Study):
     def rows(self, metrics: Metrics) -> list[dict[str, Any]]:
         """Return a row for each fault; what never came is infinite, what is not known is none."""
         return [{**row, 'error': row['problems'] or row['shortfalls'] or None,
-                 'short': bool(row['shortfalls']),
+                 'back': not row['shortfalls'],
                  'time_to_safe_s': row['time_to_safe_s'] if row['time_to_safe_s'] >= 0.0 else (
                      math.inf),
                  'off_command_s': row['off_command_s'] if row['off_command_s'] >= 0.0 else None}
@@ -171,7 +171,3 @@ class FaultsStudy(Study):
         return frame.assign(
             pair=pairs, input=frame['input'].mask(frame['kind'] == TWO, ''), place=places,
         ).sort_values(['place', 'seed'], kind='stable', ignore_index=True).drop(columns='place')
-
-    def succeeded(self, results: Results) -> bool:
-        """Return whether every fault was safe."""
-        return bool(results.frame['safe'].all())
