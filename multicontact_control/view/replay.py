@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-import time
+from time import monotonic
 from typing import Any
 import warnings
 
@@ -54,16 +54,14 @@ class ReplaySource:
     Plays a recording: the series in `data`.
 
     `scene` gets its duration and further marks. `events` are times [s] and lines of the
-    supervisor's log, `places` times from when on points of surfaces were where [m], by name;
-    `clock` returns monotonic time [s].
+    supervisor's log, `places` times from when on points of surfaces were where [m], by name.
     """
 
     def __init__(
         self, scene: Scene, data: RunData, events: Sequence[tuple[float, str]] = (),
         places: Sequence[tuple[float, Mapping[str, Vector3]]] = (),
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._data, self._clock = data, clock
+        self._data = data
         self._places = [each for _, each in places]
         self._place_times = [moment for moment, _ in places]
         config = scene.config
@@ -79,7 +77,7 @@ class ReplaySource:
         self.refusals: Mapping[str, str] = REFUSALS
         self.scene = replace(scene, duration=self._end, marks=tuple(sorted(
             [*scene.marks, *((moment, text) for moment, text in self._texts if text)])))
-        self._since, self._from = clock(), 0.0
+        self._since, self._from = monotonic(), 0.0
         self._speed, self._playing, self._changed = 1.0, True, True
         self._shown, self._next = -np.inf, 0.0
 
@@ -87,7 +85,7 @@ class ReplaySource:
         """Return the time in the recording [s], and stop at its end."""
         if not self._playing:
             return self._from
-        now = self._from + self._speed * (self._clock() - self._since)
+        now = self._from + self._speed * (monotonic() - self._since)
         if now >= self._end:
             self._from, self._playing, self._changed = self._end, False, True
             return self._end
@@ -96,9 +94,9 @@ class ReplaySource:
     def poll(self) -> list[Snapshot]:
         """Return a snapshot of now, if that is another one than the last."""
         now = self._now()
-        if not self._changed and (not self._playing or self._clock() < self._next):
+        if not self._changed and (not self._playing or monotonic() < self._next):
             return []
-        self._changed, self._next = False, self._clock() + 1.0 / RATE
+        self._changed, self._next = False, monotonic() + 1.0 / RATE
         last, self._shown = self._shown, now
         return [self._snapshot(now, last)]
 
@@ -131,7 +129,7 @@ class ReplaySource:
         """Play, pause, jump, or play at another speed; see `Source.command`."""
         refuse(name, REFUSALS)
         now = self._now()
-        self._from, self._since, self._changed = now, self._clock(), True
+        self._from, self._since, self._changed = now, monotonic(), True
         if name == source.PLAY:
             self._playing = values['on']
             if self._playing and now >= self._end:

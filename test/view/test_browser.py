@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import closing, ExitStack
 import threading
 
 from browser import Tab
@@ -27,16 +27,15 @@ def page():
     from multicontact_control.view.page import Page
 
     with own_domain() as domain_id, ExitStack() as stack:
-        page = Page(started(
-            resolve('paper', plant='rigid'), None, domain_id, stack, (), print), 8481)
+        shown = stack.enter_context(closing(started(
+            resolve('paper', plant='rigid'), None, domain_id, stack, (), print)))
+        page = stack.enter_context(closing(Page(shown, 8481)))
         stop = threading.Event()
         thread = threading.Thread(target=page.run, args=(stop.is_set,), daemon=True)
         thread.start()
         yield page
         stop.set()
         thread.join()
-        page.close()
-        page.source.close()
 
 
 def test_buttons_press_and_move_and_sliders_command_forces(page, chromium):

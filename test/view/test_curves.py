@@ -3,23 +3,14 @@ from multicontact_control.view.source import CurveLayout, POINTS, RATE
 import numpy as np
 import pytest
 
-LAYOUT = CurveLayout(1, 1)
-COUNT = round(60.0 * RATE * POINTS)
-
-
-@pytest.fixture
-def points():
-    """Return a minute of ones, of which the first curve has a single peak."""
-    points = np.ones((COUNT, LAYOUT.width))
-    points[:, 0] = np.arange(COUNT) / (RATE * POINTS)
-    points[1234, 1] = 9.0
-    points[2000, 2] = np.nan
-    return points
-
 
 @pytest.mark.parametrize('window', [40.0, 60.0])
-def test_history_keeps_a_peak_in_every_window(points, window):
-    history = History(LAYOUT)
+def test_history_keeps_a_peak_in_every_window(window):
+    layout, count = CurveLayout(1, 1), round(60.0 * RATE * POINTS)
+    points = np.ones((count, layout.width))
+    points[:, 0] = np.arange(count) / (RATE * POINTS)
+    points[1234, 1], points[2000, 2] = 9.0, np.nan
+    history = History(layout)
     for part in np.array_split(points, 100):
         history.add(part)
     drawn = history.last(window)

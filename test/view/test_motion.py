@@ -47,15 +47,13 @@ def test_motion_goes_to_a_point_within_its_speed_and_rests_there(motion, period)
     assert motion.advance(PERIOD) is None and motion.goal is None
 
 
-def test_motion_to_a_dragged_handle_has_no_jump(motion):
+def test_dragged_handle_and_sine_make_no_jump(motion):
     parts = []
     for goal in (START + [0.05, 0, 0], START + [0.05, -0.1, 0], START + [-0.1, 0, 0.2]):
         motion.go_to(goal)
         parts.append(path(motion, 150))
     assert_smooth(*(np.concatenate(each) for each in zip(*parts)))
-
-
-def test_sine_comes_and_goes_without_a_jump(motion):
+    motion.start(START, np.array([0.0, 0.0, 0.0, 1.0]))
     motion.start_sine('x', 0.08, 4.0)
     parts = [path(motion, 3000)]
     motion.stop()

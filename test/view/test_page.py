@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from unittest.mock import Mock
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
@@ -26,25 +27,18 @@ PORT = 8471
 class Silent:
     """A source without samples, that refuses a tare."""
 
+    refusals = dict.fromkeys((*source.PLAYING, *source.SIMULATED), 'another source')
+
     def __init__(self):
         setup = resolve('paper')
         self.scene = Scene('nothing', setup.controller, setup.urdf_dir, surfaces_of(setup))
-        self.refusals = dict.fromkeys((*source.PLAYING, *source.SIMULATED), 'another source')
-        self.given, self.why = [], ''
-
-    def poll(self):
-        if self.why:
-            raise RunError(self.why)
-        return []
+        self.given, self.poll = [], list
 
     def command(self, name, /, **values):
         if name == source.TARE:
             raise CommandError('contacts', 'none', '<some>')
         self.given.append((name, values))
         return 'done'
-
-    def close(self):
-        pass
 
 
 @pytest.fixture
@@ -81,9 +75,9 @@ def test_page_gives_the_last_command_of_an_element_and_shows_refusals_and_the_en
     page.update()
     assert 'expected none, found &lt;some&gt;' in page.answer.content
     assert page.source.given == [(source.FORCES, {'table': 4.0})]
-    page.source.why = 'sim_node ended: <killed>'
+    page.source.poll = Mock(side_effect=RunError('sim_node ended: <killed>'))
     page.update()
-    assert page.ended == page.source.why and '&lt;killed&gt;' in page.status.content
+    assert page.ended == 'sim_node ended: <killed>' and '&lt;killed&gt;' in page.status.content
 
 
 def test_view_without_viser_exits_with_two_and_one_line():

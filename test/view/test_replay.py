@@ -8,10 +8,10 @@ from multicontact_control.errors import CommandError, ConfigError, RunError
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.files import read_json, write_json
+from multicontact_control.files import write_json
 from multicontact_control.nodes import messages
 from multicontact_control.view import source
-from multicontact_control.view.replay import load_replay, ReplaySource
+from multicontact_control.view.replay import load_replay
 from multicontact_control.view.run import replayed
 import numpy as np
 import pytest
@@ -40,16 +40,16 @@ def recorded_run(tmp_path_factory):
 
 
 @pytest.fixture
-def clock():
-    return SimpleNamespace(now=100.0)
+def clock(monkeypatch):
+    """Return the time that a replay goes by."""
+    clock = SimpleNamespace(now=100.0)
+    monkeypatch.setattr('multicontact_control.view.replay.monotonic', lambda: clock.now)
+    return clock
 
 
 @pytest.fixture
 def replay(recorded_run, clock):
-    scene = load_replay(recorded_run, resolve('paper')).scene
-    events = [(event['time_s'], event['what'])
-              for event in read_json(recorded_run / SUMMARY_FILE)['events']]
-    return ReplaySource(scene, RunData.load(recorded_run), events, clock=lambda: clock.now)
+    return load_replay(recorded_run, resolve('paper'))
 
 
 def seek(replay, moment):
@@ -95,12 +95,8 @@ def test_seek_shows_states_events_and_curves_of_then(replay):
     assert any(moment == touched for moment, _ in snapshot.events)
     with pytest.raises(CommandError, match='time: expected 0 to 14.998 s, found 90 s'):
         replay.command(source.SEEK, time=90.0)
-
-
-def test_replay_refuses_to_be_steered(replay):
-    for name in source.STEERING:
-        with pytest.raises(CommandError, match=replay.refusals[name]):
-            replay.command(name)
+    with pytest.raises(CommandError, match='tare: expected a controller that runs'):
+        replay.command(source.TARE)
 
 
 def test_folder_without_a_recording_is_refused(tmp_path, recorded_run):
