@@ -84,16 +84,12 @@ def read_recording(
     if controller.wrench_input == 'momentum':
         raise ConfigError('wrench_input', 'raw or filtered: the forces of a wrist sensor',
                           controller.wrench_input)
-    series = {'positions of the joints': data.q, 'speeds of the joints': data.qd,
-              f'the wrench (ft_sensor/{controller.wrench_series})': getattr(
-                  data, controller.wrench_series), 'commanded torques': data.torque}
-    known = [np.isfinite(values).all(axis=1) for values in series.values()]
-    if not np.all(known, axis=0).any():
-        lacking = [text for text, there in zip(series, known) if not there.any()]
+    wrench = controller.wrench_series
+    rows = np.hstack([data.q, data.qd, getattr(data, wrench), data.torque])
+    if not np.isfinite(rows).all(axis=1).any():
         raise RunError('; '.join((
-            f'{folder}: expected {", ".join(lacking)}, found none' if lacking else
-            f'{folder}: expected joint states, wrenches and commands with equal stamps, found '
-            'none', *remarks)))
+            f'{folder}: expected samples with positions and speeds of the joints, ft_sensor/'
+            f'{wrench} and commanded torques of one stamp, found none', *remarks)))
     return data, controller, base_dir
 
 

@@ -160,9 +160,7 @@ def _show_graph(spec: GraphSpec, setup: Setup, console: Console) -> GraphResult:
     with progress_bar(
             f'run {setup.scenario.name}', duration, console, 'starting the nodes') as show:
         result = run_graph(
-            spec, lambda progress: show(
-                progress.time, progress.forces, progress.realtime_factor), tell=tell,
-            on_domain=lambda number: tell(
+            spec, lambda progress: show(*progress), tell=tell, on_domain=lambda number: tell(
                 f'ROS domain {number}: ROS_DOMAIN_ID={number} multicontact topic list'))
         if duration is not None and result.interrupted is None:
             show(duration, {})

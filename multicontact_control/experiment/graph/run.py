@@ -20,7 +20,7 @@ import signal
 import sys
 import time
 from types import FrameType
-from typing import Any
+from typing import Any, NamedTuple
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.graph.domain import reserve_domain
@@ -50,8 +50,7 @@ class InterruptedRunError(Exception):
     """A signal came while a graph was started."""
 
 
-@dataclass(frozen=True)
-class GraphProgress:
+class GraphProgress(NamedTuple):
     """Where a run is."""
 
     time: float  # since the first sample that was seen [s]
