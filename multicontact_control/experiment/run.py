@@ -145,8 +145,7 @@ def _robot_of(external: External, timeout: float) -> Robot:
     controller = external.setup.controller
     node = validate(ControllerNodeConfig, external.node, 'controller_node')
     return Robot(controller.robot.joint_names, controller.wrench_input,
-                 node.pair_tolerance * controller.period, node.effort_output_topic, timeout,
-                 external.duration)
+                 node.effort_output_topic, timeout, external.duration)
 
 
 def _show_graph(spec: GraphSpec, setup: Setup, console: Console) -> GraphResult:

@@ -218,11 +218,6 @@ def resolve(
         Name or path of what is laid over the files of controller and estimator first; empty for
         the files as they are.
 
-    Returns
-    -------
-    Setup
-        The frozen configurations.
-
     Raises
     ------
     ConfigError

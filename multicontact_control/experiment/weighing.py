@@ -60,23 +60,10 @@ def weigh(
     """
     Identify a tool from samples of an arm that is at rest in at least four poses.
 
-    Parameters
-    ----------
-    robot
-        The arm.
-    gravity_world
-        Shape (3,) [m/s^2].
-    joints, wrenches
-        Times, shape (m,) [s], with the angles, shape (m, n) [rad], and with the readings of the
-        sensor, shape (m, 6) [N, N m]; one clock, each with times of its own.
-    tell
-        Called with each rest; one whose readings vary is left out.
-
-    Raises
-    ------
-    CalibrationError
-        If there are too few rests, or the readings do not tell.
-
+    Joints are times [s] and angles, shapes (m,) and (m, n) [rad]; wrenches are times of the same
+    clock and readings of the sensor, shape (m, 6) [N, N m]; gravity is in world axes [m/s^2].
+    `tell` is called with each rest; one whose readings vary is left out. Raises CalibrationError
+    if there are too few rests, or the readings do not tell.
     """
     (q_time, q), (f_time, readings) = joints, wrenches
     found = []

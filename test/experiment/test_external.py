@@ -58,19 +58,14 @@ def test_later_files_preset_scenario_law_and_settings_are_laid_over(file, tmp_pa
 def test_what_a_file_says_for_every_node_lies_below_the_sections_of_both(file):
     content = yaml.safe_load(file.read_text())
     content['/**'] = {'ros__parameters': {
-        'rate': 250.0, 'tool': {'mass': 0.8}, 'window': 30, 'variance_scale': 2.0,
-        'contact_names': ['wall']}}
-    content['/**/controller_node'] = content.pop('controller_node')
-    content['/**/controller_node']['ros__parameters'].pop('rate')
+        'rate': 250.0, 'tool': {'mass': 0.8}, 'window': 30, 'variance_scale': 2.0}}
+    content['controller_node']['ros__parameters'].pop('rate')
     content['/left/noise_estimator_node'] = {'ros__parameters': {'window': 20}}
     file.write_text(yaml.safe_dump(content))
-    external = resolve_external([file])
-    setup, node = external.setup, external.node
+    setup, node, _ = resolve_external([file])
     assert (setup.controller.rate, setup.controller.tool.mass, node) == (250.0, 0.8, {})
     estimator = setup.noise_estimator
     assert (estimator.rate, estimator.window, estimator.variance_scale) == (250.0, 20, 2.0)
-    file.write_text(yaml.safe_dump({'/**': content['/**/controller_node']}))
-    assert resolve_external([file]).setup.noise_estimator.contact_names == ('wall',)
 
 
 @pytest.mark.parametrize('change', [

@@ -1,8 +1,6 @@
 """Robots in the loop: other arms, other rates, encoders with steps, a sensor mounted wrong."""
 
-from multicontact_control.config import (
-    WatchdogConfig,
-)
+from multicontact_control.config import WatchdogConfig
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
@@ -51,11 +49,9 @@ def test_engines_agree_in_the_loop_and_on_their_own_contacts():
             assert c[window]['true_error_rms_n'] < 0.3
 
 
-@pytest.mark.parametrize('scenario', [
-    'tilt', *(pytest.param(name, marks=nightly) for name in ('moving_surface', 'curved'))])
-def test_surfaces_that_are_not_as_told_are_followed(scenario):
+def test_tilted_surfaces_are_followed():
     """Without losing the contact, and off by what tilt and friction take of 15 N at most."""
-    for contact in run(scenario, robot='panda')[1]:
+    for contact in run('tilt', robot='panda')[1]:
         assert contact['moving']['true_error_rms_n'] < 2.0
         assert contact['moving']['contact_loss_fraction'] == 0.0
 
@@ -89,16 +85,12 @@ def test_a_robot_of_another_rate_presses_without_any_reaction(rate, force):
 def test_encoder_with_steps_is_not_taken_for_a_frozen_one(samples, trips):
     """A joint that moves by less than a step in a period repeats itself."""
     step = 2.0 * np.pi / 2 ** 16
-
-    def rounded(inputs):
-        joints = inputs.joints
-        return inputs._replace(joints=joints._replace(
-            q=step * np.round(joints.q / step), qd=1e-3 * np.round(1e3 * joints.qd)))
-
     loop = ClosedLoop(resolve('quick', plant='rigid', controller={
         'watchdog': {'frozen_joint_ticks': samples}}))
     for _ in range(700):
-        loop.advance(rounded)
+        loop.advance(lambda inputs: inputs._replace(joints=inputs.joints._replace(
+            q=step * np.round(inputs.joints.q / step),
+            qd=1e-3 * np.round(1e3 * inputs.joints.qd))))
     loop.close()
     assert ('joints_frozen' in loop.control.events.rejected) == trips
     assert trips or set(loop.control.events.reactions) == {'none'}

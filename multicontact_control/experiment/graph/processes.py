@@ -40,6 +40,7 @@ class NodeProcesses:
 
     def start(self, name: str, parameters: Mapping[str, Any] | None = None) -> None:
         """Start a node, again if it has ended, with parameters over those of the graph."""
+        self._log(name).touch()  # it may be read before the node has opened it
         self.running[name] = start_node(
             MODULES[name], node_arguments(name, self.spec, parameters),
             {**os.environ, 'ROS_DOMAIN_ID': str(self.domain_id)}, self._log(name).resolve(),
@@ -77,10 +78,17 @@ class NodeProcesses:
 
     def report(self, name: str, event: str) -> str:
         """Return what happened to a node, with the end of its log."""
-        text = self._log(name).read_text(encoding='utf-8', errors='replace') if (
-            self._log(name).exists()) else ''
-        tail = '\n'.join(f'  {line}' for line in text.splitlines()[-LOG_LINES:])
-        return f'{name} {event}; the end of {self._log(name)}:\n{tail or "  (nothing)"}'
+        tail = '\n'.join(f'  {line}' for line in self._lines(name)) or '  (nothing)'
+        return f'{name} {event}; the end of {self._log(name)}:\n{tail}'
+
+    def last_line(self, name: str) -> str:
+        """Return the last line of a node's log, without time and name."""
+        return ''.join(self._lines(name)[-1:]).rpartition(f'[{name}]: ')[2]
+
+    def _lines(self, name: str) -> list[str]:
+        """Return the end of a node's log."""
+        return self._log(name).read_text(
+            encoding='utf-8', errors='replace').splitlines()[-LOG_LINES:]
 
     def _log(self, name: str) -> Path:
         return self.spec.logs / f'{name}.log'

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
-import contextlib
 from dataclasses import dataclass
-from statistics import median
 import time
 from typing import Any
 
-from multicontact_control.errors import MessageError
-from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.graph import ignore, take
 from multicontact_control.nodes.link import GuestNode
-import numpy as np
 
 OURS = (topics.CONTROLLER, topics.ESTIMATOR, topics.RECORDER)
-HEARD = 100  # samples that are looked at for a rate, and for stamps that make pairs
 SILENCE = 2.0  # s without a message, after which a robot that is waited for is silent
 UNNAMED = '_NODE_NAME_UNKNOWN_'  # of a topic's end, until its node is known, too
-RATE_BAND = 1.5  # rates beyond 1 / this to this times the right one are doubted
 
 
 @dataclass(frozen=True)
@@ -29,7 +22,6 @@ class Robot:
 
     joint_names: Sequence[str]  # that it has, among others
     wrench_input: str = 'raw'  # which wrench the controller reads: raw, filtered or momentum
-    pair_tolerance: float = 0.0  # between the stamps of joints and wrench of a sample [s]
     effort_output_topic: str = ''  # that it takes efforts from instead of joint_effort_command
     timeout: float = 5.0  # time without a message after which it counts as gone [s]
     duration: float | None = None  # of the run by its stamps [s]; None until a signal comes
@@ -40,7 +32,6 @@ class _Stream:
 
     def __init__(self, subscription: Any, joints: Sequence[str]) -> None:
         self.subscription, self._joints = subscription, joints
-        self.stamps: deque[int] = deque(maxlen=HEARD)
         self.newest: Any = None
         self.other: Any = None  # the newest message, if it lacks joints
         self.at = time.monotonic()  # of the newest
@@ -55,8 +46,6 @@ class _Stream:
                 self.other = taken[0]
                 continue
             self.newest, self.other, self.at = taken[0], None, time.monotonic()
-            with contextlib.suppress(MessageError):  # the controller refuses and counts it
-                self.stamps.append(messages.stamp_to_ns(self.newest.header.stamp))
 
     @property
     def age(self) -> float:
@@ -65,11 +54,11 @@ class _Stream:
 
 
 class RobotWatch(GuestNode):
-    """Listens to the topics of a `robot` that is to publish at a `rate` [Hz]."""
+    """Listens to the topics of a `robot`."""
 
-    def __init__(self, domain_id: int, namespace: str, robot: Robot, rate: float) -> None:
+    def __init__(self, domain_id: int, namespace: str, robot: Robot) -> None:
         super().__init__('robot_watch', domain_id, namespace)
-        self._robot, self._rate = robot, rate
+        self._robot = robot
         self._streams = {topic: _Stream(
             self.node.create_subscription(topic.message, topic.name, ignore, qos.WATCH),
             robot.joint_names if topic is topics.JOINT_STATES else ())
@@ -125,24 +114,6 @@ class RobotWatch(GuestNode):
         return '' if names == positions and velocities in (0, names) else (
             f'the position of every joint in joint_states, and all velocities or none; it has '
             f'{names} names, {positions} positions and {velocities} velocities')
-
-    def doubts(self) -> str:
-        """Return what keeps the controller from answering samples; empty if nothing."""
-        self.poll()
-        stamps = [np.array(stream.stamps) for stream in self._streams.values()]
-        if min(map(len, stamps)) < HEARD:
-            return ''
-        apart = 1e-9 * np.abs(np.subtract.outer(stamps[0], stamps[-1])).min()
-        if apart > self._robot.pair_tolerance:
-            return (f'joint_states and wrench with stamps that differ by at most '
-                    f'{1e3 * self._robot.pair_tolerance:g} ms; the newest are {stamps[0][-1]} '
-                    f'and {stamps[-1][-1]} ns')
-        period = 1e-9 * median(np.diff(stamps[0]))  # a few may have been lost on the way here
-        rate = 1.0 / period if period > 0.0 else 0.0
-        if not self._rate / RATE_BAND < rate < self._rate * RATE_BAND:
-            return (f'joint_states at {self._rate:g} Hz, the rate of the controller; its stamps '
-                    f'come at {rate:.4g} Hz')
-        return ''
 
     def silent(self) -> str:
         """Return which topic has not come for the robot's `timeout`, and from whom, or empty."""

@@ -117,7 +117,7 @@ class RunningGraph:
         self.processes = NodeProcesses(spec, domain_id)
         self.progress = ProgressListener(domain_id, spec.namespace)
         self.robot = None if spec.robot is None else RobotWatch(
-            domain_id, spec.namespace, spec.robot, spec.rate)
+            domain_id, spec.namespace, spec.robot)
         self._keep_waiting, self._activated = keep_waiting, False
 
     def start(self) -> None:
@@ -239,8 +239,8 @@ def _watch(
     newest: GraphProgress | None = None
     due = 0.0
 
-    def missing() -> str:
-        return (watch.doubts() if watch else '') or 'the first answered sample'
+    def missing() -> str:  # of samples that cannot be answered the controller says why
+        return f'the first answered sample; {CONTROLLER}: {graph.processes.last_line(CONTROLLER)}'
 
     while not signals and not graph.processes.ended(SIM):
         graph.processes.check_running()
