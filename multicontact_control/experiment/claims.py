@@ -51,33 +51,17 @@ Rows = Sequence[Row]
 
 @dataclass(frozen=True)
 class Statement:
-    """
-    What the paper says, and between which numbers it holds.
-
-    Attributes
-    ----------
-    text, paper
-        The claim, and where it stands, or the figure that the paper gives.
-    select, measure
-        Which of the runs, of which that to be judged is the first, and the numbers of each.
-    what, form
-        What the numbers are, and how one is written, with its unit.
-    low, high
-        Bounds of every number.
-    over
-        The estimator that the numbers are relative to: medians of the worst in each run.
-
-    """
+    """What the paper says, and between which numbers it holds."""
 
     text: str
-    paper: str
-    select: Callable[[Rows], Rows]
-    measure: Callable[[Row], Numbers]
-    what: str
-    form: str = '{:.2f}'
-    low: float = 0.0
+    paper: str  # where, or the figure it gives
+    select: Callable[[Rows], Rows]  # runs that tell, of which that to be judged is the first
+    measure: Callable[[Row], Numbers]  # of one of them
+    what: str  # the numbers are
+    form: str = '{:.2f}'  # of a number, with its unit
+    low: float = 0.0  # bounds of every number
     high: float = math.inf
-    over: str = ''
+    over: str = ''  # estimator that medians of the worst of each run are relative to
 
     def numbers(self, rows: Rows) -> Numbers:
         """Return the numbers of the runs that it is about, none if they do not tell."""

@@ -68,22 +68,13 @@ def _force(data: RunData, i: int, truth: bool) -> RunFigure:
     name, number = data.contact_names[i], 3 + i if i < 2 else f'3_{i + 1}'
     commanded = Trace('commanded', data.alpha_des[:, i], COMMANDED, 1.0, dashed=True)
     label = 'force [N]' if truth else f'force [N], {NO_TRUTH}'
-    limits = _force_limits(data, i)
     return RunFigure(
         re.sub(r'[^\w.-]', '_', f'fig{number}_force_{name}'),
         f'Fig. {3 + i if i < 2 else "3/4"}: contact force {name}', (
-            Panel(label, (Trace('measured', data.alpha_meas[:, i]), commanded), limits),
+            Panel(label, (Trace('measured', data.alpha_meas[:, i]), commanded)),
             Panel(label, (Trace('true', data.alpha_true[:, i], TRUE, 0.4, faint=True),
-                          Trace('estimated (AOB)', data.alpha_est[:, i], ESTIMATED), commanded),
-                  limits)))
-
-
-def _force_limits(data: RunData, i: int) -> tuple[float, float]:
-    """Return the limits of the axis of a contact's force [N]."""
-    series = ((data.alpha_des, 1.6), (data.alpha_meas, 1.1), (data.alpha_true, 1.1))
-    known = [(values[np.isfinite(values[:, i]), i], margin) for values, margin in series]
-    return (min(-2.0, *(margin * float(np.min(values, initial=0.0)) for values, margin in known)),
-            max(5.0, *(margin * float(np.max(values, initial=0.0)) for values, margin in known)))
+                          Trace('estimated (AOB)', data.alpha_est[:, i], ESTIMATED),
+                          commanded))))
 
 
 def _motion(data: RunData, setup: Setup) -> RunFigure:
@@ -155,7 +146,8 @@ def draw_figures(
         count = len(drawn.panels)
         sheet = Figure(figsize=(9.0, 6.0 if count > 1 else 4.5), layout='constrained')
         sheet.suptitle(f'{drawn.title}\n{title}', fontsize=10)
-        all_axes = np.atleast_1d(sheet.subplots(count, 1, sharex=True))
+        all_axes = np.atleast_1d(sheet.subplots(
+            count, 1, sharex=True, sharey=len({panel.label for panel in drawn.panels}) == 1))
         for panel, axes in zip(drawn.panels, all_axes):
             _draw_panel(axes, panel, data.time, shaded)
         all_axes[-1].set_xlabel('time [s]')
@@ -243,5 +235,3 @@ def _draw_panel(axes: Axes, panel: Panel, time: Vector, shaded: Sequence[Span]) 
     axes.grid(alpha=0.3, which='both' if panel.levels else 'major')
     if len(panel.traces) > 1:
         axes.legend(loc='upper right' if panel.logarithmic else 'upper left', fontsize=8)
-    if panel.limits is not None:
-        axes.set_ylim(*panel.limits)

@@ -63,7 +63,6 @@ class Panel(NamedTuple):
 
     label: str  # of the vertical axis
     traces: Sequence[Trace]
-    limits: tuple[float, float] | None = None  # those of the data if not given
     levels: Sequence[tuple[float, str]] = ()  # horizontal lines and what they stand for
     logarithmic: bool = False
 
@@ -95,20 +94,14 @@ def envelope(
         return time, list(series), 1
     starts = np.arange(0, len(time), size)
     middles = (starts + np.minimum(starts + size, len(time))) // 2
-    return (np.stack([time[starts], time[middles]], axis=1).ravel(),
-            [_extremes(values, size) for values in series], size)
-
-
-def _extremes(values: Vector, size: int) -> Vector:
-    filled = np.full(-(-len(values) // size) * size, np.nan)
-    filled[:len(values)] = values
-    rows = filled.reshape(-1, size)
-    known = np.isfinite(rows)
-    places = np.stack([np.argmin(np.where(known, rows, np.inf), axis=1),
-                       np.argmax(np.where(known, rows, -np.inf), axis=1)], axis=1)
-    found: Vector = np.take_along_axis(
-        np.where(known, rows, np.nan), np.sort(places, axis=1), axis=1).ravel()
-    return found
+    thinned = []
+    for values in series:
+        rows = np.full((len(starts), size), np.nan)
+        rows.flat[:len(values)] = np.where(np.isfinite(values), values, np.nan)
+        places = [np.argmin(np.nan_to_num(rows, nan=np.inf), axis=1),
+                  np.argmax(np.nan_to_num(rows, nan=-np.inf), axis=1)]
+        thinned.append(np.take_along_axis(rows, np.sort(places, axis=0).T, axis=1).ravel())
+    return np.stack([time[starts], time[middles]], axis=1).ravel(), thinned, size
 
 
 def plot(
@@ -125,8 +118,8 @@ def plot(
     least = 0.0 if panel.on_log_axis else -np.inf
     return {
         'heading': heading, 'label': panel.label, 'height': height, 'xlabel': 'time [s]',
-        'limits': panel.limits, 'logarithmic': panel.on_log_axis, 'levels': panel.levels,
-        'thinned': size, 'shaded': [list(span) for span in shaded], 'shade': WINDOW,
+        'logarithmic': panel.on_log_axis, 'levels': panel.levels, 'thinned': size,
+        'shaded': [list(span) for span in shaded], 'shade': WINDOW,
         'curves': [{'label': trace.label, 'colour': trace.colour, 'dashed': trace.dashed,
                     'faint': trace.faint} for trace in panel.traces],
         'data': [np.round(thinned, 4).tolist(), *(

@@ -27,7 +27,6 @@ function limits(plot) {
     return (_, low, high) => low === null || low === undefined ? [0.1, 10] :
       uPlot.rangeLog(Math.min(low, ...levels), Math.max(high, ...levels), 10, false);
   }
-  if (plot.limits) return () => plot.limits;
   return (_, low, high) => low === null || low === undefined ? [0, 1] :
     uPlot.rangeNum(low, high, 0.1, false);
 }
