@@ -1,7 +1,10 @@
-"""The verdict on a run: on recordings made by hand, and on short runs that went wrong."""
+"""The verdict on a run and its summary: of recordings made by hand, and of runs that fail."""
 
 from dataclasses import replace
 
+from multicontact_control.cli.exits import end_by_verdict
+from multicontact_control.experiment import figures
+from multicontact_control.experiment.display import headline, summary_table, verdict_lines
 from multicontact_control.experiment.judge import (
     HELD,
     INTERRUPTED,
@@ -11,19 +14,20 @@ from multicontact_control.experiment.judge import (
     STABLE,
     UNJUDGED,
 )
+from multicontact_control.experiment.results import summarise
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
 from runs import run_of
 from synthetic_run import perfect_run
+import typer
 
 RATE = 500.0
 LOADED = 2.5  # s, the first force step of `quick`
 CALM = 'none |  | holding, holding'
 LOST = 'none |  | holding, lost'
-LATE = 'hold | joints_stale wrench_stale | holding, holding'
-RECOVERING = 'hold | recovering | holding, holding'
 SIDEWAYS = 'hold | wrench_sideways | holding, holding'
+CAUGHT = [(0.0, CALM), *((3.0 + 0.1 * k, (LOST, CALM)[k % 2]) for k in range(20))]
 SOON = {'reference': {
     'force_steps': [{'time': 1.5, 'forces': {'table': 15.0, 'board': 15.0}}],
     'motion': {'start_time': 2.0, 'blend_time': 1.0}}}
@@ -124,15 +128,6 @@ def test_missing_contacts_answers_and_infinite_numbers_are_not_stable(setup, dat
         *judge(data, setup).reasons}
 
 
-def test_interrupted_run_is_not_judged_but_for_what_was_seen(setup, data):
-    verdict = judge(data.truncated(3000), setup, ended_early=INTERRUPTED)
-    assert (verdict.name, verdict.unjudged, verdict.reasons, verdict.unstable_at) == (
-        UNJUDGED, INTERRUPTED, (), None)
-    lose(data, 6.0, 0.2)
-    verdict = judge(data.truncated(4000), setup, ended_early=INTERRUPTED)
-    assert (verdict.name, verdict.reasons) == (NOT_STABLE, ('board: contact lost for 0.20 s',))
-
-
 @pytest.mark.parametrize(('hidden', 'whose'), [
     (lambda data: (slice(None), 1), ' of board'),
     (lambda data: np.arange(data.ticks) % 10 > 0, ''),  # published at 50 Hz
@@ -180,3 +175,56 @@ def test_limit_cycle_is_named_with_and_without_supervisor(scenario, changes, rea
     assert verdict.name == NOT_STABLE and verdict.unstable_at is not None
     assert any(line.startswith(reason) for line in verdict.reasons)
     assert any('stepped in' in line for line in verdict.reasons) == supervised
+
+
+@pytest.mark.parametrize(('ticks', 'changes', 'verdict', 'stable', 'code'), [
+    (6000, {'events': [(0.0, CALM)]}, 'stable', True, None),
+    (6000, {'events': CAUGHT}, 'held by the supervisor', False, 1),
+    (3000, {'ended_early': 'tick 3000: singular'}, 'not stable', False, 1),
+    (5000, {'ended_early': INTERRUPTED, 'mode': 'real_time'}, 'not judged', None, None),
+    (1000, {}, 'not judged', None, None)])
+def test_verdict_is_shown_and_decides_the_exit_code(
+        setup, data, ticks, changes, verdict, stable, code):
+    summary = summarise(
+        data.truncated(ticks), setup, **{'mode': 'in_process', 'timing': {}, **changes})
+    assert (summary['verdict'], summary['stable']) == (verdict, stable)
+    assert summary['ended_early'] == changes.get('ended_early')
+    assert len(summary.get('events', ())) == len(changes.get('events', ()))
+    assert f']{verdict}' in verdict_lines(summary, 'here')[1]
+    if code is None:
+        end_by_verdict(summary)
+        return
+    with pytest.raises(typer.Exit) as ended:
+        end_by_verdict(summary)
+    assert ended.value.exit_code == code
+
+
+def test_truth_is_that_of_each_contact(setup, data):
+    data.alpha_true[:, 1] = np.nan
+    data.alpha_meas[:, 1] += 0.5
+    summary = summarise(data, setup, mode='external', timing={})
+    assert (summary['truth'], summary['forces'], summary['without_truth']) == (
+        False, 'measured', ['board'])
+    table, board = (summary['contacts'][name]['rest'] for name in ('table', 'board'))
+    assert (table['true_error_rms_n'], table['measured_error_rms_n']) == (0.0, None)
+    assert (board['true_error_rms_n'], board['measured_error_rms_n']) == (None, 0.5)
+    assert board['estimate_error_rms_n'] is None
+    assert 'no ground truth of board' in headline(summary)
+    labels = summary_table(summary).columns[0].cells
+    assert {'rest: true error rms [N]', 'rest: measured error rms [N]'} < set(labels)
+    shown = {panel.label for drawn in figures.run_figures(data, setup)[:2]
+             for panel in drawn.panels}
+    assert shown == {'force [N]', 'force [N], no ground truth'}
+
+
+@pytest.mark.parametrize('verdict', ['stable', 'not stable: face: oscillates at 42 Hz'])
+def test_figures_have_legal_file_names_and_a_bad_verdict(verdict, tmp_path, monkeypatch):
+    titles = {}
+    monkeypatch.setattr(figures.Figure, 'savefig', lambda figure, path, **_: titles.update(
+        {path.name: figure.get_suptitle()}))
+    setup = resolve('plane', plant='rigid', duration=10.0)
+    figures.draw_figures(perfect_run(setup), setup, tmp_path, verdict=verdict)
+    assert sorted(titles) == sorted(f'{name}.png' for name in (
+        'fig3_force_face', 'fig4_force_face_along', 'fig3_3_force_face_across', 'fig5_motion',
+        'fig6_noise_variance'))
+    assert all((verdict in title) == (verdict != 'stable') for title in titles.values())
