@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from external_arm import Arm
 from multicontact_control.config import (
     ControllerConfig,
     merge,
@@ -14,11 +13,8 @@ from multicontact_control.config import (
 from multicontact_control.control.arm import AMBIGUOUS
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.loop import ControlLoop
 from multicontact_control.paths import config_dir
-from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.contact_task import ContactTask
-from multicontact_control.supervision.inputs import JointInput, TickInputs, WrenchInput
 import numpy as np
 from sim_bridge.config import PlantConfig
 
@@ -118,32 +114,3 @@ def seven_joint_config(path: Path) -> RobotConfig:
     return RobotConfig(
         urdf=path.name, joint_names=tuple(f'j{i}' for i in range(7)), armature=(0.1,) * 7,
         operational_frame='wrist', sensor_frame='wrist')
-
-
-def seven_joint_loop(folder, **changes):
-    """Return that arm before a wall along x, and a commanded loop of it, with nested changes."""
-    urdf = seven_joint_urdf(folder)
-    config = controller_config(**merge({
-        'robot': {**seven_joint_config(urdf).model_dump()}, 'tool': {
-            'mass': 0.0, 'com_sensor': [0.0, 0.0, 0.0]},
-        'torque_limit': [100.0] * 7, 'limits': {
-            'joint_lower': [], 'joint_upper': [], 'joint_speed': [], 'torque_rate': [],
-            'workspace_lower': [], 'workspace_upper': []},
-        'contact_names': ['wall'], 'contacts': {'wall': {
-            'normal_world': [1.0, 0.0, 0.0], 'point_operational': [0.0, 0.0, 0.0],
-            'stiffness': 5000.0}}}, changes))
-    arm = Arm(urdf, config.robot.armature, [1.0, 0.0, 0.0], 0.005, 5000.0)
-    return arm, ControlLoop(config, None, CommandLimits(), folder)
-
-
-def run_loop(arm, loop, seconds, first=0, each=None):
-    """Take an arm and its loop through some time; return what `each` says at every tick."""
-    config, found = loop.config, []
-    for k in range(first, first + round(seconds * config.rate)):
-        time = k * config.period
-        torque = loop.step(TickInputs(
-            time, JointInput(time, arm.q, arm.v), WrenchInput(time, arm.wrench_sensor())))
-        arm.step(torque, config.period)
-        if each is not None:
-            found.append(each())
-    return np.array(found)

@@ -1,7 +1,5 @@
 """What each message, or its absence, leads to: the rows of the table of `SampleTiming`."""
 
-from hypothesis import given
-from hypothesis import strategies as st
 from multicontact_control.sampling import Action, SampleTiming
 from multicontact_control.supervision.inputs import JointInput, WrenchInput
 import numpy as np
@@ -81,18 +79,11 @@ def test_late_half_of_an_answered_sample_is_not_paired_with_the_next():
     assert timing.what_now(0).action is STEP and timing.last_stamp == 2 * PERIOD
 
 
-@given(st.integers(0, 2 ** 31 * 10 ** 9))
-def test_time_starts_at_zero_wherever_the_clock_starts(origin):
-    timing = timing_of()
-    for k in range(5):
-        assert sample(timing, origin + k * PERIOD).inputs.time == pytest.approx(k * H, abs=1e-12)
-
-
 def test_time_is_counted_on_and_does_not_go_back_when_late_samples_come():
     """Samples that are late by three periods, as those of a simulator that has slipped."""
     timing = timing_of(patience=1.5)
     assert timing.due == 0
-    sample(timing, 0)
+    assert sample(timing, 0).inputs.time == 0.0
     found = [timing.late(round(x * PERIOD)) for x in (1.4, 1.5, 2.5, 3.5)]
     assert [x.action for x in found] == [WAIT, WAIT, WITHOUT, WITHOUT]
     assert [x.inputs.time for x in found[2:]] == pytest.approx([2 * H, 3 * H])
@@ -101,17 +92,12 @@ def test_time_is_counted_on_and_does_not_go_back_when_late_samples_come():
     assert times == pytest.approx([4 * H, 5 * H, 6 * H])
     times = [timing.late(round(x * PERIOD)).inputs.time for x in (56.9, 57.5)]
     assert times == pytest.approx([56 * H, 57 * H])  # what was slept through counts once
+    assert sample(timing, 66 * PERIOD).action is STEP
+    assert timing.skipped == 62
+    assert sample(timing, 1_800_000 * PERIOD).action is STEP and timing.skipped == 62  # set ahead
     timing.restart()
     assert timing.due == 0
-
-
-def test_skipped_samples_are_counted_unless_a_clock_is_set_by_hours():
-    timing = timing_of(patience=1.5)
-    sample(timing, 0)
-    timing.late(round(2.5 * PERIOD))
-    assert sample(timing, 7 * PERIOD).inputs.time == pytest.approx(7 * H)
-    assert timing.skipped == 6
-    assert sample(timing, 1_800_000 * PERIOD).action is STEP and timing.skipped == 6
+    assert sample(timing, 2 ** 31 * 10 ** 9).inputs.time == 0.0
 
 
 @pytest.mark.parametrize('options', [
