@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, TYPE_CHECKING
+from typing import Annotated
 
 from multicontact_control.cli import options
-from multicontact_control.cli.exits import EXIT_FAILED
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.terminal import terminal
 import typer
-
-if TYPE_CHECKING:
-    from multicontact_control.experiment.calibration import Calibration
 
 SIMULATED = ('robot', 'plant', 'seed')
 RUNNING = ('tilt', 'move_time', 'domain_id')  # of a robot that runs
@@ -73,19 +69,10 @@ def calibrate(
         title = f'tool of {setup.plant_name}, seed {seed}'
     calibration.write_tool(out, result.found)
     terminal().print(calibration.calibration_table(result, title))
-    show(result)
-    typer.echo(f'written to {target}')
-    if not result.good:
-        raise typer.Exit(EXIT_FAILED)
-
-
-def show(result: Calibration) -> None:
-    """Print how well the result is known, and how far it is off where the truth is known."""
     found = result.found
     typer.echo(f'{found.poses} poses, condition {found.condition:.3g}, residual '
-               f'{found.force_residual:.3g} N and {found.torque_residual:.3g} N m rms')
-    if result.errors is not None:
-        mass, com, bias = result.errors
-        typer.echo(
-            f'mass {100.0 * mass:.3f} %, centre of mass {1e3 * com:.3f} mm, force bias '
-            f'{bias:.4f} N off: {"within" if result.good else "NOT within"} 2 %, 3 mm and 0.1 N')
+               f'{found.force_residual:.3g} N and {found.torque_residual:.3g} N m rms; written to '
+               f'{target}')
+    if not result.good:
+        raise RunError('tool: expected the true one within 2 % of the mass, 3 mm and 0.1 N, found '
+                       'the errors in the table')

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated
 
@@ -73,8 +72,9 @@ def run(
         setup = robot.setup
     else:
         refuse_options(given, ('controller', 'robot_timeout'), 'a simulated plant')
-        if commanded:
-            refuse_scenario(options.settings or ())
+        if commanded and any(x.startswith('scenario.') for x in options.settings or ()):
+            raise ConfigError('--set scenario', 'nothing with --commanded, which plays no '
+                              'scenario (its length is --duration)', 'it')
         setup = replace(options.setup(), commanded_by_topic=commanded)
     folder = options.folder(setup)
     # Only now: bad input is refused before the simulator is loaded.
@@ -103,13 +103,3 @@ def simulate(options: RunOptions) -> None:
     from multicontact_control.experiment.run import run_simulate
 
     end_by_verdict(run_simulate(setup, folder, supervised=not options.bare))
-
-
-def refuse_scenario(settings: Sequence[str]) -> None:
-    """Refuse settings of a scenario that is not played; ConfigError naming the first."""
-    from multicontact_control.experiment.overrides import read_settings
-
-    for name in read_settings(settings):
-        if name.startswith('scenario.'):
-            raise ConfigError(f'--set {name}', 'nothing with --commanded, which plays no scenario '
-                              '(its length is --duration)', 'it')

@@ -20,7 +20,7 @@ import typer
     (('view', 'nowhere'), 'recording: expected a folder of `multicontact run` or `simulate`'),
     (('view', '.'), 'recording: expected bag/*.mcap or samples.npz in it, found .'),
     (('run', '--commanded', '--set', 'scenario.duration=20'),
-     '--set scenario.duration: expected nothing with --commanded'),
+     '--set scenario: expected nothing with --commanded'),
     (('run', '--namespace', '1st'), 'namespace: expected names of letters, digits and _'),
     (('run', '--external'), '--controller: expected the parameter file of your controller'),
     (('run', '--external', '--plant', 'rigid'), '--plant: expected nothing with --external'),

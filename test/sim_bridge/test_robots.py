@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from arms import seven_joint_urdf
-from multicontact_control.config import ControllerConfig, merge, read_yaml, validate
+from multicontact_control.config import ControllerConfig, read_yaml, validate
 from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.external import read_controller_files
@@ -14,13 +14,10 @@ import pinocchio as pin
 import pytest
 from robots import OTHERS, ROBOTS
 from sim_bridge.config import PlantConfig
-from sim_bridge.contacts import act_on_arm, Contacts, HAND
-from sim_bridge.drives import DRIVE
-from sim_bridge.kinematics import chain_of
 from sim_bridge.new_robot import new_robot, write_controller
-from sim_bridge.posture import condition, frame_jacobian, frame_pose
+from sim_bridge.posture import condition, frame_pose
 from sim_bridge.robots import find_robot, urdf_path
-from sim_bridge.urdf_arm import arm_of_urdf, read_urdf
+from sim_bridge.urdf_arm import arm_of_urdf
 import yaml
 
 TABLE = read_yaml(Path(__file__).parents[1] / 'data' / 'puma560.yaml')
@@ -110,34 +107,6 @@ def test_controller_and_plant_have_the_same_arm_at_home_before_its_surfaces(name
     assert {len(pose) for pose in robot.weighing_poses()} == {len(plant.home)}
 
 
-def test_several_tips_meet_one_plane_each_with_its_own_friction(rng):
-    """The force on each is k depth along the normal and friction against its own sliding."""
-    feet = [f'face_{i}' for i in (1, 2, 3, 4)]
-    robot = find_robot('panda')
-    config = validate(PlantConfig, merge(robot.plant_values('', ('face',)), {
-        'contact_names': feet, 'surfaces': {name: {
-            'contact': '', 'roughness_std': 0.0, 'stiffness': 6000.0, 'damping': 30.0}
-            for name in feet}}))
-    model, home = robot.arm.model(), np.array(config.home)
-    contacts = Contacts(config, robot.arm, model, [rng] * len(feet))
-    for contact in range(4):
-        contacts.shift(contact, -8e-3)  # 1 mm into the tips
-    qd = rng.uniform(-0.01, 0.01, model.nv)
-    torques, pushes, load = np.zeros((4, model.nv)), np.zeros((6, 7)), np.zeros(model.nv)
-    assert act_on_arm(
-        np.array([home, qd]), torques, np.ones(model.nv), chain_of(model), np.zeros(0, DRIVE),
-        contacts.surfaces, contacts.profiles, np.zeros(2, HAND), pushes, 1e-3) == 4
-    for push, name in zip(pushes[:, :3], feet):
-        jacobian = frame_jacobian(model, home, name)[:3]
-        speed = jacobian @ qd
-        alpha, slide = 6000.0 * 1e-3 - 30.0 * speed[2], speed * [1.0, 1.0, 0.0]
-        expected = alpha * np.array([0.0, 0.0, -1.0]) + 0.1 * alpha * slide / np.sqrt(
-            slide @ slide + 0.01 ** 2)
-        np.testing.assert_allclose(push, -expected, atol=1e-4)
-        load += jacobian.T @ push
-    np.testing.assert_allclose(torques[1], load, atol=1e-9)
-
-
 @pytest.mark.parametrize(('changes', 'field'), [
     ({'home': [0.0]}, 'home'), ({'mount_link': 'hand'}, 'mount_link'),
     ({'mount_link': 'panda_link5'}, 'joint_names'), ({'mount_link': ''}, 'mount_link'),
@@ -151,17 +120,6 @@ def test_robot_file_names_the_bad_field(tmp_path, changes, field):
     with pytest.raises(ConfigError) as caught:
         assert find_robot(str(path)).arm
     assert caught.value.field == field
-
-
-@pytest.mark.parametrize('encode', [
-    lambda text: text.encode('utf-8-sig'), lambda text: text.encode('utf-16'),
-    lambda text: text.replace('><', '>\r\n\t<!-- > -->\r\n<').encode(),
-    lambda text: f'<?xml version="1.0" encoding="latin-1"?><!-- ö -->{text}'.encode('latin-1')])
-def test_urdf_is_read_in_any_encoding_and_layout(tmp_path, encode):
-    urdf = seven_joint_urdf(tmp_path)
-    wanted = load_model(urdf)
-    urdf.write_bytes(encode(urdf.read_text()))
-    assert load_model(urdf) == load_model(read_urdf(urdf)) == wanted
 
 
 WELDED = """<link name="sensor"/><joint name="sensor_joint" type="fixed"><parent link="l6"/>

@@ -23,13 +23,16 @@ def readings(instrument, wrenches):
     return np.array(raw), np.array(filtered)
 
 
-def test_sensor_quantises_to_14_bits_and_saturates_at_full_scale(rng):
+def test_reading_is_mounted_biased_saturated_and_quantised(rng):
     steps = quantum(SensorConfig())
     np.testing.assert_allclose(steps[[0, 2, 3]], [200 / 16384, 400 / 16384, 10 / 16384])
     wrenches = rng.uniform(-1, 1, (200, 6))
     raw, _ = readings(sensor(quantise=True), wrenches)
     np.testing.assert_allclose(raw / steps, np.round(raw / steps), atol=1e-9)
     assert np.all(np.abs(raw - wrenches) <= 0.5 * steps + 1e-15)
+    turned = (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    raw, _ = readings(sensor(mounting=turned, bias=(0.5, 0, 0, 0, 0, 0)), [np.arange(1.0, 7.0)])
+    np.testing.assert_array_equal(raw[0], [-1.5, 1.0, 3.0, -5.0, 4.0, 6.0])
     raw, _ = readings(sensor(saturate=True), [np.full(6, 1e3), np.full(6, -1e3)])
     np.testing.assert_array_equal(raw, np.outer((1, -1), [100, 100, 200, 5, 5, 5]))
 
@@ -64,13 +67,6 @@ def test_low_pass_gain_at_the_cutoff(cutoff, decibel):
     late = slice(len(time) // 2, None)
     phasor = 2 * np.mean(filtered[late, 0] * np.exp(-2j * np.pi * cutoff * time[late]))
     assert 20 * np.log10(abs(phasor)) == pytest.approx(decibel, abs=0.03)
-
-
-def test_mounting_turns_forces_and_torques_before_the_bias():
-    turned = (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-    instrument = sensor(mounting=turned, bias=(0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
-    raw, _ = readings(instrument, [np.arange(1.0, 7.0)])
-    np.testing.assert_array_equal(raw[0], [-1.5, 1.0, 3.0, -5.0, 4.0, 6.0])
 
 
 def test_coefficients_of_a_low_pass_are_scipys(rng):
