@@ -206,8 +206,9 @@ def _show_factors(cells: Sequence[Cell], console: Console) -> None:
 
 def _show(study: Study, results: Results, listing: Listing, console: Console) -> None:
     """Show what came out, and where the files are."""
-    if sum(len(lines) for _, lines, _ in listing.sections) <= SHOWN:
-        console.print(*terminal_tables(study.config.name, listing, console.width))
+    if sum(map(len, listing.values())) <= SHOWN:
+        console.print(*terminal_tables(
+            study.config.name, listing, study.config, console.width))
     for text in study.warnings(results):
         console.print(f'[red]{plain(text)}[/red]', highlight=False)
     for text in study.findings(results):

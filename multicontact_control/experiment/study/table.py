@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 import math
 from typing import Any
@@ -21,6 +20,7 @@ from rich.table import Table
 WIDE_RANGE = 20.0  # largest over smallest, from which an axis is logarithmic
 WIDE = 110  # columns of a terminal that has room for every column of a table
 STATISTICS = ('median', 'min', 'max')
+Listing = Mapping[str, pd.DataFrame]  # texts of lines and columns, by section
 NOT_FACTORS = ('part', 'plant', 'seed')
 CHOICE = (  # of columns to show
     'contacts.*.step_rise_63_s', 'contacts.*.rest.true_error_rms_n',
@@ -58,36 +58,24 @@ def table_columns(frame: pd.DataFrame, study: StudyConfig) -> list[ColumnConfig]
         for column in columns]
 
 
-@dataclass(frozen=True)
-class Listing:
-    """A table to be looked at."""
-
-    heads: Sequence[str]
-    sections: Sequence[tuple[str, Sequence[Sequence[str]], Sequence[bool]]]  # lines, good ones
-    labels: int  # columns at the left that are no numbers
-    wide: frozenset[int] = frozenset()  # columns that a narrow terminal does without
-
-
 def listing_of(frame: pd.DataFrame, study: StudyConfig) -> Listing:
-    """Return the table of a study: a line for each value of its factors, from all seeds."""
-    columns = table_columns(frame, study)
-    lines = list(study.lines) or [name for name in frame.attrs['factors']
-                                  if name not in (*NOT_FACTORS, *study.sections)]
-    lines = [name for name in lines if len(frame) and frame[name].astype(str).ne('').any()]
-    by = [name for name in study.sections if frame[name].nunique() > 1]
-    sections = []
-    for title, section in _groups(frame, by):
-        rows = [(group, [*map(show, label),
-                         *(_cell(column, group, study) for column in columns)])
-                for label, group in _groups(section, lines)]
-        sections.append((', '.join(filter(None, map(str, title))), [row for _, row in rows],
-                         [bool(group[study.truth].all()) for group, _ in rows]))
-    units = frame.attrs['units']
+    """Return the tables of a study: a line for each value of its factors, from all seeds."""
+    columns, units = table_columns(frame, study), frame.attrs['units']
+    lines = [name for name in study.lines or frame.attrs['factors']
+             if name not in (*NOT_FACTORS, *study.sections)
+             and frame[name].astype(str).ne('').any()]
     heads = [name.rpartition('.')[2].replace('_', ' ') + (
         f' [{units[name]}]' if units.get(name) else '') for name in lines]
-    return Listing(
-        [*heads, *(column.name for column in columns)], sections, len(lines),
-        frozenset(len(lines) + i for i, column in enumerate(columns) if column.wide))
+    by = [name for name in study.sections if frame[name].nunique() > 1]
+    listing = {}
+    for title, section in _groups(frame, by):
+        shown = pd.DataFrame([
+            {**dict(zip(heads, map(show, label))),
+             **{column.name: _cell(column, group, study) for column in columns}}
+            for label, group in _groups(section, lines)])
+        shown.attrs = {'labels': len(lines)}  # columns at the left that are no numbers
+        listing[', '.join(filter(None, map(str, title)))] = shown
+    return listing
 
 
 def _groups(frame: pd.DataFrame, by: Sequence[str]) -> list[tuple[tuple[Any, ...], pd.DataFrame]]:
@@ -162,32 +150,33 @@ FUNCTIONS: Mapping[str, Callable[[pd.DataFrame, str, str], str]] = {
     'survived': survived, 'stable_range': stable_range}
 
 
-def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
-    """Return the sections for a terminal of some width; a narrow one lacks some columns."""
-    shown = [i for i in range(len(listing.heads)) if width >= WIDE or i not in listing.wide]
+def terminal_tables(title: str, listing: Listing, study: StudyConfig, width: int) -> list[Table]:
+    """Return a listing for a terminal of some width; a narrow one lacks some columns."""
+    left_out = {column.name for column in study.columns if column.wide and width < WIDE}
     tables = []
-    for section, lines, good in listing.sections:
+    for section, frame in listing.items():
+        labels = list(frame)[:frame.attrs['labels']]
+        shown = frame[[name for name in frame if name not in left_out]]
         found = Table(title=plain(section or title), title_justify='left', box=SIMPLE_HEAD,
                       padding=(0, 1, 0, 0), pad_edge=False)
-        for i in shown:
-            longest = max(len(line[i]) for line in lines)
-            found.add_column(plain(listing.heads[i]), overflow='fold',
-                             justify='left' if i < listing.labels else 'right',
-                             min_width=min(longest, width // 8) if i < listing.labels else None)
-        for line, fine in zip(lines, good):
-            found.add_row(*(plain(line[i]) for i in shown), style=None if fine else 'red')
+        for name in shown:
+            longest = min(frame[name].str.len().max(), width // 8)
+            found.add_column(
+                plain(name), overflow='fold', justify='left' if name in labels else 'right',
+                min_width=longest if name in labels else None)
+        for line in shown.itertuples(index=False):
+            found.add_row(*map(plain, line))
         tables.append(found)
     return tables
 
 
 def html_tables(listing: Listing) -> str:
-    """Return the sections of a listing as HTML."""
+    """Return a listing as HTML."""
     return ''.join(
         f'<h2>{escape(section)}</h2>' + table(
-            [escape(head) for head in listing.heads],
-            [[escape(cell) if fine else f'<span class=no>{escape(cell)}</span>' for cell in line]
-             for line, fine in zip(lines, good)], numbers_from=listing.labels)
-        for section, lines, good in listing.sections)
+            list(map(escape, frame)), [list(map(escape, line)) for line in frame.to_numpy()],
+            numbers_from=frame.attrs['labels'])
+        for section, frame in listing.items())
 
 
 def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:

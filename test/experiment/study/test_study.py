@@ -50,8 +50,8 @@ def fixture_frame():
 
 def cells_of(frame, **study):
     config = StudyConfig(name='s', scenario='step', **study)
-    listing = listing_of(frame, config)
-    return list(listing.heads), [list(line) for _, lines, _ in listing.sections for line in lines]
+    shown, = listing_of(frame, config).values()
+    return list(shown), shown.to_numpy().tolist()
 
 
 def test_star_is_the_worst_contact(frame):
