@@ -94,7 +94,7 @@ class BagColumns:
         `names` are the order of the columns, of messages with names.
         """
         names = AXES.get(field, names)
-        found = np.full((len(self), len(names)), np.nan)
+        result = np.full((len(self), len(names)), np.nan)
         for (known, *widths), (rows, numbers) in self._parts.items():
             columns, first = {}, 0
             for name, width in widths:
@@ -104,8 +104,8 @@ class BagColumns:
             block = np.asarray(numbers).reshape(len(rows), first)
             for column, name in enumerate(names):
                 if name in columns:
-                    found[rows, column] = block[:, columns[name]]
-        return found
+                    result[rows, column] = block[:, columns[name]]
+        return result
 
 
 @dataclass(frozen=True)
@@ -135,12 +135,12 @@ def mcap_files(path: Path) -> list[Path]:
 
 
 def read_messages(
-    path: Path, wanted: Mapping[str, str], namespace: str | None = None,
+    path: Path, types: Mapping[str, str], namespace: str | None = None,
 ) -> BagMessages:
     """
     Read the messages of some topics of an MCAP file or a folder, as far as the files go.
 
-    `wanted` has the type of each topic, one of `READERS`, by its name without namespace;
+    `types` has the type of each topic, one of `READERS`, by its name without namespace;
     `namespace` is that of the graph; if not given, the only one that such topics are in. Raises
     RunError if there is no file, or it holds the topics of several graphs.
     """
@@ -148,7 +148,7 @@ def read_messages(
     counts: dict[str, tuple[int, int, int]] = {}  # by full name; first and last [ns]
     unreadable: dict[str, str] = {}
     cut_off = False
-    suffix = re.compile(rf'(?:(.*)/)?({"|".join(map(re.escape, wanted))})')
+    suffix = re.compile(rf'(?:(.*)/)?({"|".join(map(re.escape, types))})')
     for record in _records(path):
         if record is None:
             cut_off = True
@@ -160,7 +160,7 @@ def read_messages(
         place = suffix.fullmatch(name)
         if place is None or name in unreadable:
             continue
-        kind, key = wanted[place[2]], (place[1] or '', place[2])
+        kind, key = types[place[2]], (place[1] or '', place[2])
         if schema is None or schema.name != kind:
             unreadable[name] = f'expected {kind}, found {schema.name if schema else "no type"}'
             continue
@@ -187,9 +187,9 @@ def _records(path: Path) -> Iterator[tuple[Any, Any, Any, Callable[[], Any]] | N
     if not files and path.is_file():
         raise RunError(f'{path}: expected an .mcap file or a folder with one')
     if not files:
-        found = 'none; `ros2 bag convert` makes MCAP of a database' if any(
+        content = 'none; `ros2 bag convert` makes MCAP of a database' if any(
             path.glob('*.db3*')) else 'none' if path.is_dir() else 'nothing'
-        raise RunError(f'{path}: expected an .mcap file, found {found}')
+        raise RunError(f'{path}: expected an .mcap file, found {content}')
     for file in files:
         try:
             stream: Any = file.open('rb')
@@ -232,9 +232,9 @@ def _namespace(path: Path, spaces: Sequence[str], namespace: str | None) -> str:
     return known.pop() if namespace is None and known else (namespace or '').strip('/')
 
 
-def describe_others(found: BagMessages) -> str:
+def describe_others(messages: BagMessages) -> str:
     """Return the names of the first other topics, for a line that says what is missing."""
-    names = found.others
+    names = messages.others
     more = f' and {len(names) - NAMED} more' if len(names) > NAMED else ''
     what = ', '.join(names[:NAMED]) + more if names else 'nothing'
-    return what + (', and a file that is cut off' if found.cut_off else '')
+    return what + (', and a file that is cut off' if messages.cut_off else '')

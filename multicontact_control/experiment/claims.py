@@ -205,9 +205,9 @@ def paper_run(rows: Rows) -> Rows:
 def runs_with(*labels: str) -> Callable[[Rows], Rows]:
     """Select the runs of the first estimator that has any, with active state and right model."""
     def select(rows: Rows) -> Rows:
-        found = ([row for row in rows[1:] if row.label == label and not _mismatched(row)
+        candidates = ([row for row in rows[1:] if row.label == label and not _mismatched(row)
                   and row.evidence['active_state_order'] > 0] for label in labels)
-        return next(filter(None, found), [row for row in rows[:1] if row.label in labels])
+        return next(filter(None, candidates), [row for row in rows[:1] if row.label in labels])
     return select
 
 

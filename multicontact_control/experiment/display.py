@@ -130,7 +130,7 @@ def achievement(summary: Mapping[str, Any]) -> str:
 
 
 def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
-    """Return what is said below the table: verdict, warnings, where the results are."""
+    """Return the lines below the table: verdict, warnings, where the results are."""
     timing, text = summary['timing'], verdict_text(summary)
     colour = COLOURS[HELD if summary['stable'] and text != STABLE else summary['verdict']]
     lines = [achievement(summary), f'[{colour}]{escape(text)}[/{colour}]']

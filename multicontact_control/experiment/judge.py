@@ -134,17 +134,17 @@ def judge(
     `ended_early` is why it ended before its time; `INTERRUPTED` speaks neither for nor against it.
     """
     run = RunMetrics(data, setup)
-    found = findings(run, ended_early)
+    passed = findings(run, ended_early)
     missing = max(float(np.isnan(values).any(axis=1).mean()) for values in (
         data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas))
     if mode in ('in_process', LOCKSTEP) and missing > LARGEST_GAP:
-        found.append(Finding(f'{100.0 * missing:.1f} % of the samples were not answered'))
+        passed.append(Finding(f'{100.0 * missing:.1f} % of the samples were not answered'))
     helped = interventions(run, events)
-    name = NOT_STABLE if found else HELD if helped else STABLE
+    name = NOT_STABLE if passed else HELD if helped else STABLE
     unjudged = _doubt(run, ended_early) if name == STABLE else ''
-    times = [finding.time for finding in found if finding.time is not None]
+    times = [finding.time for finding in passed if finding.time is not None]
     return Verdict(
-        UNJUDGED if unjudged else name, tuple(finding.text for finding in found + helped),
+        UNJUDGED if unjudged else name, tuple(finding.text for finding in passed + helped),
         min(times, default=None), unjudged)
 
 
@@ -176,15 +176,15 @@ def findings(run: RunMetrics, ended_early: str = '') -> list[Finding]:
     judged as forces are, while their contact is pressed.
     """
     data, setup, interrupted = run.data, run.setup, ended_early == INTERRUPTED
-    found = [Finding(ended_early, float(data.time[-1]))] if (
+    passed = [Finding(ended_early, float(data.time[-1]))] if (
         ended_early and not interrupted) else []
     series = (data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas)
     infinite = np.any([np.isinf(values).any(axis=1) for values in series], axis=0)
     if infinite.any():
-        found.append(Finding('a number is not finite', _first(data, infinite)))
+        passed.append(Finding('a number is not finite', _first(data, infinite)))
     saturated = run.saturation()
     of_drives = saturated & (least_torque_limit(setup) < torque_limit(setup))
-    found += _lasting(data, 'torque saturated' + (
+    passed += _lasting(data, 'torque saturated' + (
         ' at the limit of the simulated drives' if of_drives.any() else ''),
         *stretches(np.asarray(saturated.any(axis=1))))
     for i, name in enumerate(data.contact_names):
@@ -192,27 +192,27 @@ def findings(run: RunMetrics, ended_early: str = '') -> list[Finding]:
         idle = setup.commanded_by_topic and not pressed.any()
         made = run.couples[i] or idle or (desired > 0.0).any() or not np.isfinite(desired).any()
         if made:
-            found += [Finding(f'{name}: {text}', time)
+            passed += [Finding(f'{name}: {text}', time)
                       for text, time in _contact_findings(run, i, run.windows.loaded & pressed)]
         elif not interrupted:
-            found.append(Finding(f'{name}: no contact was made'))
-    return found
+            passed.append(Finding(f'{name}: no contact was made'))
+    return passed
 
 
 def _contact_findings(run: RunMetrics, i: int, loaded: Mask) -> list[Finding]:
     data, couple = run.data, run.couples[i]
     begins, ends = run.losses(i, loaded)
     lost = 'contact lost at one end' if couple else 'contact lost'
-    found = _lasting(data, lost, begins, ends)
+    passed = _lasting(data, lost, begins, ends)
     # An end is near being lost wherever the centre of pressure is asked to be: noise will do.
     again = None if couple else again_at(data.time[begins])
     if again is not None:
-        found.append(Finding(f'{lost} {len(begins)} times', again))
+        passed.append(Finding(f'{lost} {len(begins)} times', again))
     oscillating = run.oscillations(i, loaded)
     if oscillating:
         worst = max(oscillating, key=lambda oscillation: oscillation.rms)
         total = sum(oscillation.duration for oscillation in oscillating)
-        found.append(Finding(
+        passed.append(Finding(
             f'oscillates at {worst.frequency:.0f} Hz with {worst.rms:.2g} N rms for {total:.1f} s',
             oscillating[0].known))
     force, command = run.force[:, i], run.command[:, i]
@@ -222,10 +222,10 @@ def _contact_findings(run: RunMetrics, i: int, loaded: Mask) -> list[Finding]:
     beyond = size > np.maximum(LARGEST_FORCE * asked, IMPACT_SHARE * ceiling)
     if beyond.any():
         worst_at = int(np.argmax(np.where(beyond, size, 0.0)))
-        found.append(Finding(
+        passed.append(Finding(
             f'{"couple" if couple else "force"} of {force[worst_at]:.0f} N at a command of '
             f'{command[worst_at]:.3g} N', _first(data, beyond)))
-    return found
+    return passed
 
 
 def interventions(run: RunMetrics, events: Sequence[Event]) -> list[Finding]:
@@ -247,21 +247,21 @@ def interventions(run: RunMetrics, events: Sequence[Event]) -> list[Finding]:
     for before, event, place in zip(events, events[1:], places[1:]):
         if place < data.ticks and loaded[place] and _steps_in(before, event):
             times.append(event.time)
-    found = []
+    passed = []
     if full:
-        found.append(Finding(
+        passed.append(Finding(
             f'the supervisor changed something {CAPACITY} times: what it did later is not known',
             events[-1].time))
     again = again_at(np.array(times))
     if again is not None:
-        found.append(Finding(f'the supervisor stepped in {len(times)} times under load', again))
+        passed.append(Finding(f'the supervisor stepped in {len(times)} times under load', again))
     share = float(held[loaded].mean())
     if share > LARGEST_HELD_SHARE:
         enough = np.cumsum(held & loaded) > LARGEST_HELD_SHARE * loaded.sum()
-        found.append(Finding(
+        passed.append(Finding(
             f'the supervisor held the arm for {100.0 * share:.0f} % of the time under load',
             _first(data, enough)))
-    return found
+    return passed
 
 
 def _steps_in(before: Event, event: Event) -> bool:

@@ -192,20 +192,20 @@ def design_for_range(
         f'{GAIN_MARGIN:g} and a period of delay left', f'{softest:g} to {stiffest:g} N/m')
 
 
-def show_design(found: DesignedLaw) -> str:
+def show_design(design: DesignedLaw) -> str:
     """Return gains and margins as a few lines of text."""
-    margins = found.margins
+    margins = design.margins
     stiffest, softest = ('never' if math.isinf(time) else f'{1e3 * time:.0f} ms'
-                         for time in (found.rise_stiffest, found.rise_softest))
-    return f"""{yaml.safe_dump({'force': rounded(found.values)}, sort_keys=False).rstrip()}
-model: {_model(found)}
+                         for time in (design.rise_stiffest, design.rise_softest))
+    return f"""{yaml.safe_dump({'force': rounded(design.values)}, sort_keys=False).rstrip()}
+model: {_model(design)}
 on the stiffest surface:
   phase margin     {math.degrees(margins.phase):.0f} deg
   delay margin     {1e3 * margins.delay:.1f} ms
   crossover        {margins.crossover:.1f} rad/s
   stable           up to {margins.stiffest:.2f} times as stiff
   63 % of a step   after {stiffest}, on the softest after {softest}
-  noise moves u    by {found.input_rms:.3f} m/s^2 rms"""
+  noise moves u    by {design.input_rms:.3f} m/s^2 rms"""
 
 
 def rounded(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -215,16 +215,16 @@ def rounded(values: Mapping[str, Any]) -> dict[str, Any]:
         for name, value in values.items()}
 
 
-def _model(found: DesignedLaw) -> str:
+def _model(design: DesignedLaw) -> str:
     """Return the stiffness that the gains go with; contacts have names, which no law knows."""
-    return (f'{found.stiffness:.0f} N/m '
-            f"(--set 'controller.contacts.*.stiffness={found.stiffness:.0f}')")
+    return (f'{design.stiffness:.0f} N/m '
+            f"(--set 'controller.contacts.*.stiffness={design.stiffness:.0f}')")
 
 
-def write_design(found: DesignedLaw, path: Path) -> None:
+def write_design(design: DesignedLaw, path: Path) -> None:
     """Write gains as a parameter file, as `--preset` takes it."""
-    write_preset({'controller': {'force': rounded(found.values)}}, path,
-                 f'designed with a model of {_model(found)}, which is not in here')
+    write_preset({'controller': {'force': rounded(design.values)}}, path,
+                 f'designed with a model of {_model(design)}, which is not in here')
 
 
 def write_preset(sections: Mapping[str, Any], path: Path, what: str) -> None:

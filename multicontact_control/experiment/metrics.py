@@ -218,9 +218,9 @@ class RunMetrics:
             # The loss of the whole contact is that of the normal force.
             gone = ~gone & (np.abs(couple) >= ALL_OF_IT * force)
         least = LOSS_TIME * self.data.rate - 1e-9
-        found = [(begin, end) for begin, end in zip(*stretches(judged & gone))
+        lost = [(begin, end) for begin, end in zip(*stretches(judged & gone))
                  if end - begin >= least]
-        return [begin for begin, _ in found], [end for _, end in found]
+        return [begin for begin, _ in lost], [end for _, end in lost]
 
     def lost_share(self, i: int, window: Mask) -> float | None:
         """Return in what share of a window a contact's force was 0 N; None for a couple."""
@@ -239,7 +239,7 @@ class RunMetrics:
         largest = max(responses, key=lambda response: response.size, default=None)
         loaded = judged.loaded & asked
         begins, ends = self.losses(i, loaded)
-        found = max(self.oscillations(i, loaded),
+        longest = max(self.oscillations(i, loaded),
                     key=lambda oscillation: oscillation.duration, default=None)
         return {
             'step_rise_63_s': largest.rise_63 if largest else None,
@@ -252,9 +252,9 @@ class RunMetrics:
                 loaded.any()) else None,
             'longest_loss_s': max((end - begin for begin, end in zip(begins, ends)),
                                   default=0) / self.data.rate,
-            'oscillation_hz': found.frequency if found else None,
-            'oscillation_rms_n': found.rms if found else None,
-            'oscillation_s': found.duration if found else None,
+            'oscillation_hz': longest.frequency if longest else None,
+            'oscillation_rms_n': longest.rms if longest else None,
+            'oscillation_s': longest.duration if longest else None,
             'rest': self._window_summary(i, judged.rest & asked),
             'moving': self._window_summary(i, judged.moving & asked)}
 
@@ -321,7 +321,7 @@ class RunMetrics:
         """
         last = float(self.data.time[-1])
         error, command = self.error[:, i], self.setup.commanded(self.data.time)[:, i]
-        found = []
+        answers = []
         for start, duration in zip(self.setup.plant.push_start, self.setup.plant.push_duration):
             lasting = duration >= LASTING
             from_time = start if lasting else start + duration
@@ -336,12 +336,12 @@ class RunMetrics:
             after = _settled(np.abs(error[judged]) <= band, round(BAND_HELD * self.data.rate))
             # The end of a run that ended before its time takes no recovery back.
             lost = unstable_at is not None and unstable_at < min(until, last)
-            found.append({
+            answers.append({
                 'start': start, 'duration': duration, 'moving': start >= self.motion_start,
                 'peak': float(np.nanmax(np.abs(error[self.between(start, until)]))),
                 'band': band,
                 'recovery': None if after is None or lost else after / self.data.rate})
-        return found
+        return answers
 
     def growing_line(self, unstable_at: float) -> float | None:
         """Return the strongest frequency of the true forces over the 0.5 s before that [Hz]."""
@@ -394,8 +394,8 @@ def rms_in(window: Mask, values: Vector) -> float | None:
 
 def percentiles(values: Vector) -> dict[str, float]:
     """Return p50, p99, p99.9 and the largest of some times."""
-    found = np.percentile(values, [50.0, 99.0, 99.9, 100.0]) if len(values) else np.zeros(4)
-    return dict(zip(('p50', 'p99', 'p999', 'max'), found.tolist()))
+    marks = np.percentile(values, [50.0, 99.0, 99.9, 100.0]) if len(values) else np.zeros(4)
+    return dict(zip(('p50', 'p99', 'p999', 'max'), marks.tolist()))
 
 
 def disturbance_summary(

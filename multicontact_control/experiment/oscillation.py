@@ -73,14 +73,14 @@ def oscillations(
     limit = np.maximum(LARGEST_LINE * command[index].max(axis=1), LEAST_LINE)
     oscillates, frequency, rms = lines(*spectrum(known[index], rate), limit)
     covered = np.convolve(oscillates, np.ones(STRETCH)) > 0.0  # windows of any such stretch
-    found = []
+    spans = []
     for begin, end in zip(*stretches(covered)):
         inside = begin + np.flatnonzero(oscillates[begin:end])
-        found.append(Oscillation(
+        spans.append(Oscillation(
             starts[begin] / rate, (starts[end - 1] + length) / rate,
             (starts[begin + STRETCH - 1] + length - 1) / rate,
             float(np.median(frequency[inside])), float(np.median(rms[inside]))))
-    return found
+    return spans
 
 
 def lines(
@@ -95,7 +95,7 @@ def lines(
     6,).
     """
     band, flank = frequencies >= LOWEST, round(FLANK / frequencies[1])
-    found = []
+    stretch_lines = []
     for begin in range(len(power) - STRETCH + 1):
         stretch = power[begin:begin + STRETCH]
         mean = stretch.mean(axis=0)
@@ -105,9 +105,9 @@ def lines(
         strong = (line >= LINE_SHARE * all_of_it) & (
             np.sqrt(line) >= limit[begin:begin + STRETCH])
         stands_out = mean[peak] >= CONTRAST * mean[peak - flank]
-        found.append((stands_out and int(strong.sum()) >= STRETCH - EXCEPTIONS,
+        stretch_lines.append((stands_out and int(strong.sum()) >= STRETCH - EXCEPTIONS,
                       frequencies[peak], np.sqrt(line.mean())))
-    oscillates, frequency, rms = (np.array(values) for values in zip(*found))
+    oscillates, frequency, rms = (np.array(values) for values in zip(*stretch_lines))
     return oscillates, frequency, rms
 
 

@@ -186,26 +186,26 @@ def read_bag(
 
 def read_graph(path: Path, namespace: str | None = None) -> BagMessages:
     """Read the messages of a graph of this package; RunError if there are none."""
-    found = read_messages(path, TYPES, namespace)
-    if not any(topic in SERIES for topic in found.by_topic):
-        unreadable = ''.join(f'; {text}' for text in found.unreadable)
+    messages = read_messages(path, TYPES, namespace)
+    if not any(topic in SERIES for topic in messages.by_topic):
+        unreadable = ''.join(f'; {text}' for text in messages.unreadable)
         raise RunError(f'{path}: expected samples on joint_states, or another topic of the '
-                       f'controller, found {describe_others(found)}{unreadable}')
-    return found
+                       f'controller, found {describe_others(messages)}{unreadable}')
+    return messages
 
 
-def sample_topic(found: BagMessages) -> str:
+def sample_topic(messages: BagMessages) -> str:
     """Return the topic that has a message for every sample."""
-    there = [topic for topic in SERIES if topic in found.by_topic]
-    return SAMPLES if SAMPLES in there else max(there, key=lambda x: len(found.by_topic[x]))
+    there = [topic for topic in SERIES if topic in messages.by_topic]
+    return SAMPLES if SAMPLES in there else max(there, key=lambda x: len(messages.by_topic[x]))
 
 
 def content_of(
-    path: Path, found: BagMessages, controller: ControllerConfig, *, commanded: bool = False,
+    path: Path, messages: BagMessages, controller: ControllerConfig, *, commanded: bool = False,
 ) -> BagContent:
     """Return the series of the messages that `read_graph` found; see `read_bag`."""
-    topic = sample_topic(found)
-    samples = found.by_topic[topic]
+    topic = sample_topic(messages)
+    samples = messages.by_topic[topic]
     stamps, newest = np.unique(samples.stamps[::-1], return_index=True)
     ticks = np.rint((stamps - stamps[0]) * 1e-9 * controller.rate).astype(np.int64)
     count = int(ticks[-1]) + 1
@@ -215,21 +215,21 @@ def content_of(
             f'{len(samples)} messages with {len(stamps)} stamps over '
             f'{(int(stamps[-1]) - int(stamps[0])) * 1e-9:.3g} s')
     data = empty_run_data(count, controller)
-    for name, columns in found.by_topic.items():
+    for name, columns in messages.by_topic.items():
         names = data.joint_names if name.startswith('joint') else data.contact_names
         places = np.searchsorted(stamps, columns.stamps).clip(max=len(stamps) - 1)
         known = stamps[places] == columns.stamps
         for series, field in SERIES.get(name, {}).items():
             getattr(data, series)[ticks[places[known]]] = columns.values(field, names)[known]
-    missing = {name: data.ticks - len(np.intersect1d(stamps, found.by_topic[name].stamps))
-               if name in found.by_topic else data.ticks for name in SERIES}
+    missing = {name: data.ticks - len(np.intersect1d(stamps, messages.by_topic[name].stamps))
+               if name in messages.by_topic else data.ticks for name in SERIES}
     if commanded:
         data = replace(data, command=_commands(
-            data, found.by_topic.get(FORCE_COMMAND), samples.published[::-1][newest], ticks))
+            data, messages.by_topic.get(FORCE_COMMAND), samples.published[::-1][newest], ticks))
     return BagContent(
-        data, dict(found.rates), {name: count for name, count in missing.items()
+        data, dict(messages.rates), {name: count for name, count in missing.items()
                                   if name not in OPTIONAL or count < data.ticks},
-        _remarks(found, data), int(stamps[0]))
+        _remarks(messages, data), int(stamps[0]))
 
 
 def answered(content: BagContent) -> BagContent:
@@ -283,16 +283,16 @@ def _commands(
     return command
 
 
-def _remarks(found: BagMessages, data: RunData) -> tuple[str, ...]:
-    remarks = list(found.unreadable)
-    lacking = [x for x in SERIES if x not in found.by_topic and x not in OPTIONAL]
+def _remarks(messages: BagMessages, data: RunData) -> tuple[str, ...]:
+    remarks = list(messages.unreadable)
+    lacking = [x for x in SERIES if x not in messages.by_topic and x not in OPTIONAL]
     if lacking:
         remarks.append(f'{NOT_RECORDED}: {", ".join(lacking)}')
     for topic, values, expected in ((SAMPLES, data.q, data.joint_names),
                                     (MEASURED, data.alpha_meas, data.contact_names)):
-        if topic in found.by_topic and expected and not np.isfinite(values).any():
-            names = ', '.join(found.by_topic[topic].names) or 'none'
+        if topic in messages.by_topic and expected and not np.isfinite(values).any():
+            names = ', '.join(messages.by_topic[topic].names) or 'none'
             remarks.append(f'{topic}: expected {", ".join(expected)}, found {names}')
-    if found.cut_off:
+    if messages.cut_off:
         remarks.append(CUT_OFF)
     return tuple(remarks)

@@ -229,9 +229,9 @@ def load_recording(
     ConfigError if a parameter file is not acceptable, RunError if nothing of a controller can be
     read.
     """
-    found = read_graph(path, namespace)
-    setup = setup_of_recording(path, found, files)
-    content = answered(content_of(path, found, setup.controller, commanded=True))
+    messages = read_graph(path, namespace)
+    setup = setup_of_recording(path, messages, files)
+    content = answered(content_of(path, messages, setup.controller, commanded=True))
     summary = summarise(content.data, setup, mode=RECORDED, timing={
         'unanswered_samples': content.missing['joint_effort_command'],
         'topic_rates_hz': {name: round(rate, 3) for name, rate in content.topic_rates.items()}})

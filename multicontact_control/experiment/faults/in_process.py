@@ -85,10 +85,10 @@ class Occurrence:
             delattr(*self._broken(self._action.part))
 
 
-def advance_with(found: Sequence[Occurrence], loop: ClosedLoop) -> None:
+def advance_with(occurrences: Sequence[Occurrence], loop: ClosedLoop) -> None:
     """Take a tick of a loop in which all of these happen."""
-    loop.advance(lambda inputs: reduce(lambda some, each: each.corrupt(some), found, inputs))
-    for each in found:
+    loop.advance(lambda inputs: reduce(lambda some, each: each.corrupt(some), occurrences, inputs))
+    for each in occurrences:
         each.advanced()
 
 
@@ -112,17 +112,17 @@ def run_fault(
     for _ in range(int(random.integers(5, 60)) * (phase != START)):
         loop.advance()
     begin, known = loop.tick, loop.control.events.collisions.total()
-    found = [Occurrence(fault, random, loop)]
+    occurrences = [Occurrence(fault, random, loop)]
     if other is not None:
-        found.append(Occurrence(other, other.random(seed), loop))
-    lasted = max(each.lasts for each in found)
+        occurrences.append(Occurrence(other, other.random(seed), loop))
+    lasted = max(each.lasts for each in occurrences)
     before = loop.command.copy()
     breaks = any(isinstance(each.action, Breakdown) for each in (fault, other) if each)
     torques, forces, met, reactions, speeds = [], [], [], [], []
     problems: set[str] = set()
 
     for _ in range(RUN_TICKS):
-        advance_with(found, loop)
+        advance_with(occurrences, loop)
         torques.append(loop.command.copy())
         forces.append(loop.true_forces)
         met.append(loop.obstacle_forces)
