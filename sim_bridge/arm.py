@@ -54,7 +54,7 @@ class Body:
 
     @classmethod
     def of(cls, inertia: pin.Inertia) -> Body:
-        """Return pinocchio's inertia, with its principal axes found."""
+        """Return pinocchio's inertia about its principal axes."""
         matrix = np.array(inertia.inertia)
         if np.count_nonzero(matrix - np.diag(np.diag(matrix))) == 0:
             moments, axes = np.diag(matrix), np.eye(3)

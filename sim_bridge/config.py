@@ -133,7 +133,7 @@ class PlantConfig(Config):
     contact_names: tuple[str, ...] = parameter(
         ..., 'Contacts in the order of every contact vector.')
     obstacle_names: tuple[str, ...] = parameter(
-        (), 'Further ones of the surfaces, that are in the way and that no controller is told of.')
+        (), 'Surfaces that are in the way, and no contacts of the controller.')
     surfaces: dict[str, SurfaceConfig]
     sensor: SensorConfig = SensorConfig()
     push_start: Vector = parameter((), 'When each push begins.', unit='s')
@@ -220,10 +220,10 @@ class PlantConfig(Config):
     @property
     def drawn(self) -> dict[str, str]:
         """Name of one surface for each contact and obstacle: the tips of a contact share it."""
-        found: dict[str, str] = {}
+        drawn: dict[str, str] = {}
         for name in self.met:
-            found.setdefault(self.contacts[name] if name in self.touched else name, name)
-        return found
+            drawn.setdefault(self.contacts[name] if name in self.touched else name, name)
+        return drawn
 
     @property
     def columns(self) -> dict[str, dict[str, float]]:

@@ -41,7 +41,7 @@ class NewRobot(NamedTuple):
 
     path: Path
     missing: tuple[str, ...]  # what it still needs, in sentences
-    found: tuple[str, ...]  # what is known of it, in sentences
+    remarks: tuple[str, ...]  # what is known of it, in sentences
 
 
 def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:

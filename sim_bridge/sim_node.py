@@ -340,7 +340,7 @@ class SimNode(Node):
                 if tick > 0:  # the answer to the first sample waits for everything to start
                     latency = received - int(self._published[tick % REMEMBERED])
                     self._watch.latencies.add(latency)
-                    # The node may have been late itself, so that nobody saw the deadline pass.
+                    # The node was late itself, and has not counted this deadline.
                     if tick == self._tick and latency > self._period:
                         self._miss()
 

@@ -9,16 +9,16 @@ from typing import Annotated, Any
 from multicontact_control import __version__
 from multicontact_control.cli.calibrate import calibrate
 from multicontact_control.cli.design import design
-from multicontact_control.cli.exits import errors_in_one_line
 from multicontact_control.cli.identify import identify
 from multicontact_control.cli.new_robot import new_robot
-from multicontact_control.cli.options import flattened
+from multicontact_control.cli.options import EXIT_FAILED, EXIT_USAGE, flattened
 from multicontact_control.cli.push_test import push_test
 from multicontact_control.cli.report import report
 from multicontact_control.cli.run import run, simulate
 from multicontact_control.cli.study import study
 from multicontact_control.cli.topic import echo, list_topics
 from multicontact_control.cli.view import view
+from multicontact_control.errors import ConfigError, MulticontactError
 from multicontact_control.process import limit_threads
 import typer
 from typer.core import TyperCommand
@@ -73,8 +73,12 @@ class Command(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
-        with errors_in_one_line():
+        try:
             return super().invoke(ctx)
+        except MulticontactError as error:
+            typer.echo(f'multicontact: {error}', err=True)
+            usage = isinstance(error, ConfigError)
+            raise typer.Exit(EXIT_USAGE if usage else EXIT_FAILED) from None
 
 
 for name, function in COMMANDS.items():

@@ -40,7 +40,7 @@ def new_robot(
 
     robot = write(urdf, sensor, tip, target)
     write_controller(robot, controller)
-    for text in (*robot.found, *(f'missing: {text}' for text in robot.missing)):
+    for text in (*robot.remarks, *(f'missing: {text}' for text in robot.missing)):
         typer.echo(text)
     typer.echo(f'written to {target}; try: multicontact simulate --robot {target} '
                '--scenario one_contact')

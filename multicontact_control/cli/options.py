@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from multicontact_control.experiment.external import External
     from multicontact_control.experiment.scenario import Setup
 
+EXIT_FAILED, EXIT_USAGE, EXIT_SIGNAL = 1, 2, 128  # and the number of the signal
+
 Scenario = Annotated[str, typer.Option(
     help='Scenario: a name from config/scenarios (paper, quick) or a YAML file.')]
 Robot = Annotated[str, typer.Option(
@@ -47,7 +49,7 @@ Namespace = Annotated[str | None, typer.Option(
 
 @dataclass(frozen=True)
 class SetupOptions:
-    """What is simulated, as `run`, `simulate` and `view` are told."""
+    """Options of `run`, `simulate` and `view`: what is simulated."""
 
     scenario: Scenario = 'paper'
     robot: Robot = ''
@@ -73,7 +75,7 @@ class SetupOptions:
 
 @dataclass(frozen=True)
 class RunOptions(SetupOptions):
-    """What `run` and `simulate` are told beside that."""
+    """Options of `run` and `simulate`."""
 
     duration: Annotated[float | None, typer.Option(
         help="Length of the run [s]; the scenario's own if not given.")] = None

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated
 
 from multicontact_control.cli import options
-from multicontact_control.cli.exits import EXIT_FAILED
 import typer
 
 
@@ -37,4 +36,4 @@ def push_test(
         setup = test.push_setup(plant, seed, config, test.fault_mounting(fault, seed), robot)
         passed = test.push_simulated(setup, config, typer.echo).passed
     if not passed:
-        raise typer.Exit(EXIT_FAILED)
+        raise typer.Exit(options.EXIT_FAILED)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Any
 
-from multicontact_control.cli.exits import end_by_verdict, EXIT_FAILED, EXIT_SIGNAL
 from multicontact_control.cli.options import (
     ControllerFiles,
+    EXIT_FAILED,
+    EXIT_SIGNAL,
     given_options,
     refuse_options,
     RunOptions,
@@ -103,3 +104,9 @@ def simulate(options: RunOptions) -> None:
     from multicontact_control.experiment.run import run_simulate
 
     end_by_verdict(run_simulate(setup, folder, supervised=not options.bare))
+
+
+def end_by_verdict(summary: dict[str, Any]) -> None:
+    """Exit with 1 if the run was not stable, or was held by the supervisor."""
+    if summary['stable'] is False:
+        raise typer.Exit(EXIT_FAILED)

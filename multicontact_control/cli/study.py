@@ -7,7 +7,7 @@ import signal
 from typing import Annotated
 
 from multicontact_control.cli import options
-from multicontact_control.cli.exits import EXIT_FAILED, EXIT_SIGNAL
+from multicontact_control.cli.options import EXIT_FAILED, EXIT_SIGNAL
 from multicontact_control.errors import check_all, ConfigError
 import typer
 

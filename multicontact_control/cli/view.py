@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from multicontact_control.cli.exits import EXIT_FAILED
 from multicontact_control.cli.options import (
     DomainId,
+    EXIT_FAILED,
     given_options,
     Namespace,
     refuse_options,

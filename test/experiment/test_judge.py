@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from multicontact_control.cli.exits import end_by_verdict
+from multicontact_control.cli.run import end_by_verdict
 from multicontact_control.experiment import figures
 from multicontact_control.experiment.display import headline, summary_table, verdict_lines
 from multicontact_control.experiment.judge import (
