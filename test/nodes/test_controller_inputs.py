@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 
 from arms import HOME
@@ -52,37 +51,28 @@ def controller(host):
 
 def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host, controller):
     controller(*PATIENT)
-    arm = FakeArm(host)
-    parts, running = BOTH, True
+    arm, parts = FakeArm(host), BOTH
 
     def send():
-        """Send samples at their rate, with stamps of a clock of their own."""
-        start, k = time.monotonic(), 0
-        while running:
-            k += 1
-            arm.send_parts(1_700_000_000 * 10 ** 9 + k * PERIOD, parts)
-            time.sleep(max(0.0, start + 0.002 * k - time.monotonic()))
+        arm.send_parts(time.monotonic_ns() // PERIOD * PERIOD, parts)
+
+    def commanded():
+        arm.newest_command()
+        wait_for(lambda: send() or arm.newest_command(), f'commands while there is {parts}')
 
     def supervisor_with(reaction, cause=''):
         return arm.diagnostics(lambda x: (
             (values := x['supervisor'][2])['reaction'] == reaction
-            and cause in values.get('causes', '')), host.pause)['supervisor']
+            and cause in values.get('causes', '')), send)['supervisor']
 
-    source = threading.Thread(target=send, daemon=True)
-    source.start()
-    try:
-        wait_for(arm.newest_command, 'a command')  # before the first one nothing is missing
-        for parts, reaction, cause in (({'joints'}, 'hold', 'wrench_stale'),
-                                       ({'wrench'}, 'float', 'joints_stale')):
-            level, _, values = supervisor_with(reaction, cause)
-            assert level == 2 and int(values[f'ticks with {reaction}']) > 0
-            arm.newest_command()
-            wait_for(arm.newest_command, f'commands while there is {parts}')
-            parts = BOTH
-            supervisor_with('none')
-    finally:
-        running = False
-        source.join()
+    commanded()  # before the first one nothing is missing
+    for parts, reaction, cause in (({'joints'}, 'hold', 'wrench_stale'),
+                                   ({'wrench'}, 'float', 'joints_stale')):
+        level, _, values = supervisor_with(reaction, cause)
+        assert level == 2 and int(values[f'ticks with {reaction}']) > 0
+        commanded()
+        parts = BOTH
+        supervisor_with('none')
 
 
 def test_older_sample_is_refused_and_a_clock_that_was_set_back_is_not(host, controller):
