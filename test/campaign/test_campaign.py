@@ -2,10 +2,12 @@
 
 from campaign.faults import run_faults
 from campaign.graph_faults import GRAPH_FAULTS
+from campaign.mutations import read_mutations
 from campaign.soak import episodes, Soak
 from multicontact_control.nodes.topics import CONTROLLER
 import numpy as np
 import pytest
+from ros_graph import ROOT
 
 
 def test_soak_in_process_sees_nothing_unsafe():
@@ -28,6 +30,15 @@ def test_soak_reports_an_oscillating_force():
     shaken = Shaken('rigid', 0)
     assert any(x.startswith('table oscillates at 32 Hz') for x in shaken.episode()['problems'])
     shaken.loop.close()
+
+
+@pytest.mark.parametrize(('file', 'before', 'test'), [
+    pytest.param(file, before, test, id=number)
+    for number, file, before, _, test in read_mutations()])
+def test_mutation_names_a_line_and_a_test(file, before, test):
+    path, _, name = test.partition('::')
+    assert before in (ROOT / 'multicontact_control' / file).read_text(encoding='utf-8')
+    assert f'def {name}(' in (ROOT / path).read_text(encoding='utf-8')
 
 
 @pytest.mark.nightly

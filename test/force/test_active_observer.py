@@ -27,7 +27,7 @@ K = 6000.0
 @pytest.mark.parametrize('k_2', [0.0, 20.0, 100.0])
 @pytest.mark.parametrize('delay', [0.0, 0.0005, 0.002, 0.0061])
 def test_delayed_plant_agrees_with_the_continuous_one(k_2, delay):
-    """alpha'' + K_2 alpha' = k u(t - T_d) (eq. 32), for whole and broken periods."""
+    """The plant alpha'' + K_2 alpha' = k u(t - T_d) (eq. 32), for whole and broken periods."""
     inputs, fine = np.random.default_rng(2).standard_normal(12), 20  # steps of 0.1 ms
     plant = delayed_plant(K, k_2, delay, H)
     assert len(plant.Gamma) == 2 + int(np.ceil(delay / H - 1e-9))
