@@ -18,8 +18,7 @@ from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, S
 
 NAN, INF = math.nan, math.inf
 KILL, HALT = ('kill',), ('halt',)
-BURST = 10  # messages that come at once
-JUMP = 0.1  # m
+BURST, JUMP = 10, 0.1  # messages that come at once; m
 ONLY_IN_PROCESS = {  # a message always has six numbers; and what messages cannot tell
     ('wrong_count', 'wrench'), ('scaled_x3', 'wrench'), ('saturated_qd', 'joints'),
     ('frozen_q', 'joints'), ('frozen_qd', 'joints'), ('wrapped_q', 'joints'), ('nan', CLOCK),
@@ -77,12 +76,6 @@ def _number(field, part, axis, value, *, add=False):
     return change
 
 
-def _poses(count):
-    def change(message):
-        message.transforms = (list(message.transforms) * count)[:count]
-    return change
-
-
 FORCES = {
     'nan': _efforts(NAN, 5.0), 'infinite': _efforts(5.0, INF), 'negative': _efforts(-5.0),
     'beyond_ceiling': _efforts(1000.0), 'wrong_count': _efforts(5.0, 5.0, names=['table']),
@@ -91,7 +84,8 @@ MOTIONS = {
     'nan': _number('transforms', 'translation', 'x', NAN),
     'nan_twist': _number('velocities', 'linear', 'y', NAN),
     'infinite': _number('accelerations', 'linear', 'z', INF),
-    'no_pose': _poses(0), 'two_poses': _poses(2),
+    'no_pose': lambda message: message.transforms.clear(),
+    'two_poses': lambda message: message.transforms.append(message.transforms[0]),
     'no_rotation': _number('transforms', 'rotation', 'w', 5.0),
     'outside_box': _number('transforms', 'translation', 'z', 50.0),
     'jump': _number('transforms', 'translation', 'x', JUMP, add=True)}

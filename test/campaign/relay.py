@@ -29,15 +29,13 @@ def read_field(message, name):
     if name == 'wrench':
         f, t = message.wrench.force, message.wrench.torque
         return np.array([f.x, f.y, f.z, t.x, t.y, t.z])
-    values = getattr(message, FIELDS[name])
-    return list(values) if name == 'names' else np.array(values)
+    return np.array(getattr(message, FIELDS[name]))
 
 
 def write_field(message, name, values):
-    if name == 'wrench':
-        message.wrench = wrench_message(0, values, '').wrench
-    else:
-        setattr(message, FIELDS[name], list(values))
+    field, values = ('wrench', wrench_message(0, values, '').wrench) if name == 'wrench' else (
+        FIELDS[name], list(values))
+    setattr(message, field, values)
 
 
 class Stream:

@@ -198,7 +198,7 @@ def main(arguments=None):
     print(lines.groupby(['plant', 'seed']).agg(
         seconds=('time_s', 'max'), episodes=('episode', 'size'), error_n=('error_n', 'mean'),
         problems=('problems', lambda x: sum(map(len, x)))).to_string())
-    print(problems.to_string() if len(problems) else 'no problems')
+    print(problems.to_string())
     return 1 if len(problems) else 0
 
 
