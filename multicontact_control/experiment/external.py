@@ -30,12 +30,11 @@ from multicontact_control.experiment.scenario import (
     NO_PLANT,
     PRESET_NODES,
     preset_values,
-    scenario_path,
     scenario_with,
     ScenarioConfig,
     Setup,
 )
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import config_dir, named_file
 import numpy as np
 
 CONTROLLER, ESTIMATOR = PRESET_NODES
@@ -120,7 +119,7 @@ def resolve_external(
     read, laid_over = read_controller_files(files), preset_values(preset)
     path, values = Path(COMMANDS), {'name': COMMANDS, 'duration': UNTIL_STOPPED}
     if scenario is not None:
-        path = scenario_path(scenario)
+        path = named_file('scenario', 'scenarios', scenario)
         values = read_yaml(path)
     elif scenario_overrides:
         raise ConfigError(f'scenario.{min(scenario_overrides)}',

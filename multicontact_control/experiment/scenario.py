@@ -143,11 +143,6 @@ def scenario_with(
     return validate(ScenarioConfig, merge(values, overrides), str(path))
 
 
-def scenario_path(name: str) -> Path:
-    """Return the file of a scenario in config/scenarios, or at a path; ConfigError without."""
-    return named_file('scenario', 'scenarios', name)
-
-
 class PlantSource(NamedTuple):
     """A robot, and the way to simulate it."""
 
@@ -226,7 +221,7 @@ def resolve(
     """
     if seed < 0:
         raise ConfigError('seed', 'a whole number >= 0', seed)
-    path, source = scenario_path(scenario), plant_source(plant, robot)
+    path, source = named_file('scenario', 'scenarios', scenario), plant_source(plant, robot)
     config = scenario_with(read_yaml(path), scenario_overrides or {}, duration, path)
     laid_over = preset_values(preset)
     contacts = merge(config.controller, controller or {}).get('contact_names', ())

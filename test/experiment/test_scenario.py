@@ -1,8 +1,8 @@
 """Scenarios, presets, and values laid over everything by name."""
 
-from multicontact_control.cli.options import resolve_settings
 from multicontact_control.config import read_yaml
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.overrides import resolve_with
 from multicontact_control.experiment.scenario import preset_values, resolve
 from multicontact_control.paths import config_dir
 import pytest
@@ -70,7 +70,7 @@ def test_preset_that_is_not_acceptable_is_refused(tmp_path, text, message):
 
 
 def test_settings_reach_every_part():
-    setup = resolve_settings('quick', {'plant': 'rigid', 'controller': {
+    setup = resolve_with(resolve, {'scenario': 'quick', 'plant': 'rigid', 'controller': {
         'force': {'law': 'dob'}}}, [
         'plant.surfaces.*.stiffness=60000', 'controller.force.damping_rate=60',
         'noise_estimator.estimator=fixed', 'scenario.duration=3',
@@ -89,4 +89,4 @@ def test_settings_reach_every_part():
     ('plant.surfaces.*.stiffness=-1', 'stiffness: expected greater than 0')])
 def test_bad_setting_is_refused(setting, message):
     with pytest.raises(ConfigError, match=message):
-        resolve_settings('quick', {'plant': 'rigid', 'duration': 4.0}, [setting])
+        resolve_with(resolve, {'scenario': 'quick', 'plant': 'rigid', 'duration': 4.0}, [setting])

@@ -20,7 +20,6 @@ from multicontact_control.experiment.graph.spec import (
     node_arguments,
     RECORDER,
     SIM,
-    timing_file,
 )
 
 STOP_ORDER = (SIM, CONTROLLER, ESTIMATOR, RECORDER)
@@ -112,6 +111,6 @@ class NodeProcesses:
 
     def timing(self) -> dict[str, dict[str, Any]]:
         """Return what each node wrote about its run; nothing for one that could not."""
-        files = {name: timing_file(self.spec, name) for name in self.spec.nodes}
+        files = {name: self.spec.logs / f'{name}.json' for name in self.spec.nodes}
         return {name: json.loads(file.read_text(encoding='utf-8')) if file.is_file() else {}
                 for name, file in files.items()}

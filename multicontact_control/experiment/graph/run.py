@@ -17,7 +17,7 @@ import math
 import os
 from pathlib import Path
 import signal
-import sys
+import stat
 import time
 from types import FrameType
 from typing import Any, NamedTuple
@@ -268,7 +268,10 @@ def collected_signals() -> Iterator[list[int]]:
     def note(number: int, _frame: FrameType | None) -> None:
         received.append(number)
         if number == signal.SIGHUP:  # the terminal is gone, and refuses output
-            sys.stdout = sys.stderr = open(os.devnull, 'w')  # noqa: SIM115
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            for stream in (1, 2):
+                if not stat.S_ISREG(os.fstat(stream).st_mode):
+                    os.dup2(nowhere, stream)
 
     previous = {number: signal.signal(number, note) for number in ENDING
                 if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN}  # nohup

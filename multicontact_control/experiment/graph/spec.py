@@ -60,11 +60,6 @@ class GraphSpec:
         return self.out / 'logs'
 
 
-def timing_file(spec: GraphSpec, name: str) -> Path:
-    """Return where a node writes its counts and times."""
-    return spec.logs / f'{name}.json'
-
-
 def node_arguments(
     name: str, spec: GraphSpec, overrides: Mapping[str, Any] | None = None,
 ) -> list[str]:
@@ -85,7 +80,8 @@ def node_arguments(
 def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
     """Return the parameters that belong to the run, not to a file."""
     values: dict[str, Any] = {
-        'timing_file': str(timing_file(spec, name).resolve()), 'startup_peers': list(spec.nodes)}
+        'timing_file': str((spec.logs / f'{name}.json').resolve()),
+        'startup_peers': list(spec.nodes)}
     if name == RECORDER:
         values['folder'] = str(spec.bag.resolve())
         bare = spec.extra_parameters.get(CONTROLLER, {}).get('effort_output_topic')
