@@ -4,7 +4,7 @@ from arms import HOME, Law, Measurement, pressed_wrench, still_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from multicontact_control.compiled import compiled_here
-from multicontact_control.control.tasks import CommandedTask, MotionReading
+from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.errors import CalibrationError, CommandError, ConfigError
 from multicontact_control.experiment.judge import read_event
 from multicontact_control.loop import ControlLoop
@@ -214,19 +214,6 @@ def test_hold_keeps_pose_and_force_and_its_release_has_no_jump():
     np.testing.assert_array_equal(bench.step(), before)
     bench.step(100)
     assert bench.states == {'table': 'holding', 'board': 'approaching'}
-
-
-def test_motion_has_no_effect_along_a_contact_that_is_sought_or_held():
-    bench = Bench()
-    make_contact(bench)
-    before = bench.loop.output.pose_des.position_world
-    wanted = bench.state.pose.position_world + [0.004, 0.002, 0.05]
-    bench.loop.set_motion(MotionReading(
-        wanted, bench.state.pose.quaternion_xyzw, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]),
-        np.zeros(6)))
-    bench.step()
-    np.testing.assert_allclose(
-        bench.loop.output.pose_des.position_world - before, [0.004, 0.002, 0.0], atol=1e-9)
 
 
 def put(source, **values):

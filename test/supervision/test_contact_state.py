@@ -24,6 +24,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+H = 0.002
 FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = contacts.NAMES
 # Every transition there is, as docs/architecture.md has them.
 GRAPH = {
@@ -194,7 +195,6 @@ def test_force_beyond_the_ceiling_makes_it_retract_and_a_retry_reaches_the_surfa
         assert each.state is (HOLDING if wanted else FREE)
 
 
-H = 0.002
 POSE = Pose(np.array([0.0, 0.55, 0.64]), np.eye(3))
 STILL = np.zeros(6)
 AHEAD = np.array([0, 0, 0, 1.0])
