@@ -1,10 +1,9 @@
 """Columns of N of edges and planes, what is measured along them, and estimated normals."""
 
 from multicontact_control.config.contact import ACROSS, ALONG, FORCE
-from multicontact_control.contact.geometry import check_columns, friction_coupling, normal_space
+from multicontact_control.contact.geometry import friction_coupling, normal_space
 from multicontact_control.contact.surfaces import follow_surfaces
 from multicontact_control.contact.wrench import measure_contacts
-from multicontact_control.errors import ConfigError
 from multicontact_control.records import CONTACT, CONTROL, FRAME
 import numpy as np
 import pytest
@@ -15,13 +14,12 @@ POINT = np.array([0.02, -0.05, 0.2])
 HALF = 0.04
 
 
-def columns(kinds, *, friction=0.0, direction=(0.0, 1.0, 0.0), points=None):
+def columns(kinds, *, friction=0.0, direction=(0.0, 1.0, 0.0)):
     records = np.zeros(len(kinds), dtype=CONTACT)
     config = records['config']
     config['kind'], config['direction'], config['half_length'] = kinds, direction, HALF
     records['normal'] = [NORMAL if kind == FORCE else np.zeros(3) for kind in kinds]
-    config['point'] = POINT if points is None else points
-    config['leader'] = np.arange(len(kinds)) if points is not None else 0
+    config['point'] = POINT
     config['friction_std'] = [friction if kind == FORCE else 0.0 for kind in kinds]
     config['torsion_std'] = HALF * config['friction_std']
     return records
@@ -86,16 +84,6 @@ def test_measured_forces_are_generalised_least_squares():
     np.testing.assert_allclose(
         records['friction'][0], 0.3 ** 2 * (shift @ T).T @ weight @ residual, rtol=1e-8,
         atol=1e-12)
-
-
-def test_columns_that_depend_are_refused():
-    side, across = np.array([0.0, 1.0, 0.0]), np.cross(NORMAL, [0.0, 1.0, 0.0])
-    records = columns([FORCE] * 4, points=POINT + HALF * np.array(
-        [-side - across, side - across, side + across, across - side]))
-    check_columns(['a', 'b', 'c'], records[:3])
-    with pytest.raises(ConfigError, match='a, b, c, d'):
-        check_columns(['a', 'b', 'c', 'd'], records)
-    assert not measure_contacts(control(np.ones(6)), records)
 
 
 def test_friction_coupling_is_the_worst_misreading():

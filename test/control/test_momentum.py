@@ -48,31 +48,28 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
         push_force_world=PUSH.tolist(), tool_push_start=[0.0], tool_push_duration=[9.0],
         tool_push_force_world=TOOL_PUSH.tolist(), sensor={'noise': False, 'quantise': False}),
         rate=1.0 / H, seed=0)
-    residuals, expected, found, q, v, efforts, felt = [], [], [], [], [], [], []
+    rows, tip = [], plant.model.getFrameId('tip_board')
     try:
         sample = plant.reset()
         for k in range(500):
             controls['wrench'], arm.joints['effort'] = sample.wrench, sample.effort
             controls['momentum']['elapsed'] = H if k else 0.0
             arm.update(sample.q, sample.qd)
-            residuals.append(arm.joints['residual'].copy())
-            found.append(bool(arm.flags & TOUCHED))
             state = robot.update(sample.q, sample.qd)
-            expected.append(-state.jacobian[:3].T @ PUSH if k * H > 0.55 else np.zeros(6))
-            q.append(sample.q), v.append(sample.qd), efforts.append(sample.effort)
-            tip = plant.model.getFrameId('tip_board')
-            felt.append(pin.computeFrameJacobian(
+            felt = pin.computeFrameJacobian(
                 plant.model, plant.model.createData(), sample.q, tip,
-                pin.LOCAL_WORLD_ALIGNED)[:3].T @ TOOL_PUSH)
+                pin.LOCAL_WORLD_ALIGNED)[:3].T @ TOOL_PUSH
+            rows.append((arm.joints['residual'].copy(), bool(arm.flags & TOUCHED) * np.ones(6),
+                         -state.jacobian[:3].T @ PUSH * (k * H > 0.55), sample.q, sample.qd,
+                         sample.effort + felt))
             wanted = HOME + 0.15 * np.sin(6.0 * k * H)
             sample = plant.step(state.gravity + state.coriolis + state.mass_matrix @ (
                 400.0 * (wanted - sample.q) - 40.0 * sample.qd))
-        reference = classic_observer(
-            plant.model, np.array(q), np.array(v), np.array(efforts) + np.array(felt))
+        residuals, found, expected, q, v, torque = np.swapaxes(rows, 0, 1)
+        reference = classic_observer(plant.model, q, v, torque)
     finally:
         plant.close()
     assert np.abs(v).max() > 0.5
-    residuals, expected, found = np.array(residuals), np.array(expected), np.array(found)
     assert np.abs(expected[300:]).max() > 3.0
     np.testing.assert_allclose(residuals[20:250], expected[20:250], atol=0.2)
     np.testing.assert_allclose(residuals[290:], expected[290:], atol=0.2)
