@@ -197,19 +197,10 @@ def test_every_law_has_ranges_whose_ends_are_acceptable():
         assert cells[0].job.setup().controller.force.law == law
 
 
-@pytest.fixture(name='setup', scope='module')
-def fixture_setup():
-    return resolve('step', plant='rigid')
-
-
-@pytest.mark.parametrize(('name', 'value', 'unit'), [
-    ('controller.force.input_delay', 0.006, 's'), (ESTIMATOR, 'lead_window', ''),
-    ('scenario.reference.approach.speed', 0.02, 'm/s')])
-def test_parameter_is_found_by_its_dotted_name(setup, name, value, unit):
-    assert (value_of(name, setup), unit_of(name, setup)) == (value, unit)
-
-
-def test_star_stands_for_every_contact(setup):
+def test_parameter_has_a_dotted_name_in_which_a_star_stands_for_every_contact():
+    setup = resolve('step', plant='rigid')
+    name = 'controller.force.input_delay'
+    assert (value_of(name, setup), unit_of(name, setup)) == (0.006, 's')
     assert overrides_of({
         STIFFNESS: 5.0, 'plant.surfaces.board.stiffness': 7.0, DAMPING: 30.0}, setup, 'x') == {
             'plant': {'surfaces': {'table': {'stiffness': 5.0}, 'board': {'stiffness': 7.0}}},

@@ -14,7 +14,6 @@ from multicontact_control.experiment.claims import (
 from multicontact_control.experiment.page import claims_table
 from multicontact_control.experiment.study.study import read_results, Results, Study
 
-DAMPING = 'controller.force.damping_rate'
 LIKE_THE_PAPER = ('active state', 'K_2')  # parts
 
 
@@ -58,7 +57,8 @@ def comparison_claims(results: Results) -> dict[str, dict[float, list[Claim]]]:
         if row['part'] in LIKE_THE_PAPER and row['estimator'] == PAPER_ESTIMATOR and (
                 metrics['summary']):
             here = claims.setdefault(str(row['plant']), {})
-            here.setdefault(row[DAMPING], judge_claims(metrics['evidence'], rows))
+            evidence = metrics['evidence']
+            here.setdefault(evidence['damping_rate'], judge_claims(evidence, rows))
     return claims
 
 

@@ -65,7 +65,7 @@ class MapStudy(Study):
                 lines.setdefault(f'linear loop of the arm, R = {variance:g} N²', {})[delay] = (
                     loop.boundary(variance))
             lines.setdefault(f'eq. 32 alone, R = {VARIANCES[0]:g} N²', {})[delay] = (
-                loop.paper_boundary(VARIANCES[0]))
+                loop.boundary(VARIANCES[0], paper=True))
         return found
 
     def findings(self, results: Results) -> list[str]:
@@ -135,13 +135,6 @@ class ArmLoop:
     tool_inertia: Matrix
 
     @property
-    def delay(self) -> float:
-        """Return the delay the loop really has: of actuators and sensor's low-pass [s]."""
-        controller = self.setup.controller
-        return (self.setup.plant.actuator_delay_ticks * controller.period
-                + controller.sensor.filter_delay(controller.rate))
-
-    @property
     def fed_share(self) -> float:
         """Return the share of the desired force in what is fed forward, of the first contact."""
         controller = self.setup.controller
@@ -161,32 +154,31 @@ class ArmLoop:
         law = steady_law(self.observer, steady_gain(self.observer, noise_variance))
         stiffness = np.array([controller.contacts[name].stiffness for name in names])
         damping = np.array([self.setup.plant.surfaces[name].damping for name in names])
-        none = np.zeros((1, 1))
+        none, damping_rate = np.zeros((1, 1)), controller.force.damping_rate
+        # What the loop really has: of actuators and sensor's low-pass [s].
+        delay = (self.setup.plant.actuator_delay_ticks * controller.period
+                 + controller.sensor.filter_delay(controller.rate))
 
         def spectral_radius_at(ratio: float) -> float:
             if paper:
-                plant = LinearArmPlant(none, ratio * stiffness[:1], none[0], none, self.delay,
-                                       controller.force.damping_rate)
-            else:  # where the real delay counts in whole periods
                 plant = LinearArmPlant(
-                    self.mobility, ratio * stiffness, damping, self.tool_inertia,
-                    round(self.delay * controller.rate) * controller.period)
+                    none, ratio * stiffness[:1], none[0], none, delay, damping_rate)
+                return spectral_radius(closed_loop(
+                    plant, law, 0.0, controller.period, fed_share=0.0))
+            plant = LinearArmPlant(  # where the real delay counts in whole periods
+                self.mobility, ratio * stiffness, damping, self.tool_inertia,
+                round(delay * controller.rate) * controller.period)
             return spectral_radius(closed_loop(
-                plant, law, 0.0 if paper else controller.force.damping_rate, controller.period,
-                fed_share=0.0 if paper else self.fed_share))
+                plant, law, damping_rate, controller.period, fed_share=self.fed_share))
 
         return spectral_radius_at
 
-    def boundary(self, noise_variance: float) -> float:
-        """Return the largest ratio up to which the loops are stable, 0 for none; infinity."""
-        radius = self.radius(noise_variance)
-        return math.sqrt(math.prod(
-            last_stable(lambda ratio: radius(ratio) < 1.0, ARM_RATIOS, 1e-7)))
-
-    def paper_boundary(self, noise_variance: float) -> float:
-        """Return the largest ratio up to which eq. 32 is stable, 0 for none; infinity."""
-        radius = self.radius(noise_variance, paper=True)
-        return last_stable(lambda ratio: radius(ratio) < 1.0, PAPER_RATIOS, 1e-4)[0]
+    def boundary(self, noise_variance: float, *, paper: bool = False) -> float:
+        """Return the largest stable ratio, 0 for none or infinity, with R held [N^2]."""
+        radius = self.radius(noise_variance, paper=paper)
+        found = last_stable(lambda ratio: radius(ratio) < 1.0, PAPER_RATIOS if paper else (
+            ARM_RATIOS), 1e-4 if paper else 1e-7)
+        return found[0] if paper else math.sqrt(math.prod(found))
 
 
 def arm_loop(setup: Setup) -> ArmLoop:

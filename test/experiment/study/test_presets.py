@@ -1,0 +1,132 @@
+"""What kinds of studies have beside their file, against simulations and by hand."""
+
+import math
+
+from multicontact_control.experiment.closed_loop import run_in_process
+from multicontact_control.experiment.faults.vocabulary import FAULTS
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.experiment.study.config import read_study, select, study_path
+from multicontact_control.experiment.study.measure import measure_run, metrics_row
+from multicontact_control.experiment.study.presets.compare import CompareStudy, read_claim_rows
+from multicontact_control.experiment.study.presets.faults import FaultJob, PHASE_TIMES
+from multicontact_control.experiment.study.presets.map import arm_loop
+from multicontact_control.experiment.study.presets.tune import cost, SCALES
+from multicontact_control.experiment.study.study import run_study, study_of
+import pytest
+from rich.console import Console
+
+QUIET = Console(quiet=True)
+LOW_PASS = {'sensor': {'filter_order': 2, 'filter_cutoff': 60.0}}
+
+
+def study(name, law='', **choices):
+    config = read_study(study_path(name)).model_copy(update={'law': law})
+    return study_of(select(config, choices))
+
+
+def setup_of(ratio, damping_rate=60.0, controller=None, **plant):
+    """Return a run on surfaces of another stiffness, without noise, friction and roughness."""
+    surface = {'stiffness': 6000.0 * ratio, 'roughness_std': 0.0, 'friction': 0.0}
+    return resolve(
+        'step', plant='rigid', duration=3.5,
+        noise_estimator={'estimator': 'fixed', 'fixed_variance': 0.6},
+        controller={**(controller or {}), 'friction': {'coulomb': [], 'viscous': []}, 'force': {
+            'damping_rate': damping_rate, 'input_delay': 0.002}},
+        plant_overrides={
+            **plant, 'actuator_delay_ticks': 1, 'joint_friction_scale': 0.0,
+            'sensor': {'noise': False, 'quantise': False},
+            'surfaces': {'table': surface, 'board': surface}})
+
+
+def settles(setup):
+    return metrics_row(measure_run(setup, supervised=False))['settled']
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('damping_rate', [20.0, 60.0, 100.0])
+def test_linear_boundary_is_the_simulated_one_within_a_tenth(damping_rate):
+    """With R fixed, the model's T_d that of the actuator, no friction, roughness or noise."""
+    def setup(ratio):
+        return setup_of(ratio, damping_rate, substep=2.5e-4)
+
+    loop = arm_loop(setup(1.0))
+    linear = loop.boundary(0.6)
+    assert loop.radius(0.6)(linear) == pytest.approx(1.0, abs=1e-5)
+    assert settles(setup(0.9 * linear))
+    assert not settles(setup(1.1 * linear))
+    # What eq. 32 leaves out makes it more robust.
+    assert loop.boundary(0.6, paper=True) < 0.9 * linear
+
+
+@pytest.mark.slow
+def test_linear_boundary_with_a_low_pass_is_the_simulated_one_within_a_quarter():
+    loop = arm_loop(setup_of(1.0, controller=LOW_PASS))
+    linear = loop.boundary(0.6)
+    assert settles(setup_of(0.75 * linear, controller=LOW_PASS))
+    assert settles(setup_of(loop.boundary(0.6, paper=True), controller=LOW_PASS))
+    assert not settles(setup_of(1.25 * linear, controller=LOW_PASS))
+    assert linear < 0.8 * arm_loop(setup_of(1.0)).boundary(0.6)
+
+
+def test_every_fault_happens_once_for_each_seed_in_every_situation_and_early_phases_first():
+    for seeds, singles, pairs in (((3,), 1, 12), ((0, 1, 5), 3, 300)):
+        jobs = [cell.job for cell in study('faults', seed=seeds).cells()]
+        faults = [fault for job in jobs for fault in job.faults]
+        assert len(faults) == len(set(faults)) == singles * len(FAULTS) + pairs
+        assert {(job.plant, job.phase) for job in jobs} == {
+            (plant, phase) for plant in ('rigid', 'puma') for phase in PHASE_TIMES}
+        times = [PHASE_TIMES[job.phase] for job in jobs]
+        assert times == sorted(times)
+
+
+@pytest.mark.slow
+def test_row_of_a_fault_does_not_depend_on_the_faults_before_it():
+    job = FaultJob('quick', 'rigid', 'approach', 0,
+                   (('nan', 'wrench', 1), ('biased', 'wrench', 5)))
+    later = FaultJob('quick', 'rigid', 'rest', 0, (('nan', 'wrench', 1),))
+    fresh = [piece.run() for piece in (later, job)]
+    assert [piece.run() for piece in (job, later)] == fresh[::-1]
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize('plant', ['rigid', 'puma'])
+def test_one_fault_of_every_kind_is_safe(tmp_path, plant):
+    results = run_study(study('faults', seed=(20,), plant=(plant,)), tmp_path, console=QUIET)
+    frame = results.frame
+    assert frame['safe'].all() and len(frame) == len(FAULTS) + 12
+    # Pairs of faults are recovered from later.
+    assert frame[~frame['back']]['pair'].ne('').all() and (~frame['back']).sum() <= 3
+
+
+def test_cost_adds_figures_and_refuses_what_is_not_stable():
+    row = {'stable': True, **SCALES}
+    assert cost(row) == pytest.approx(len(SCALES))
+    for changed in ({'stable': False}, {'rise_s': math.inf}, {'rest_rms_n': math.nan}):
+        assert cost(row | changed) == math.inf
+
+
+@pytest.mark.slow
+def test_best_gains_are_written_and_judged_on_other_seeds(tmp_path):
+    tried = study('tune', 'dob', plant=('rigid',), **{
+        'controller.force.damping_rate': (40.0, 100.0)})
+    for name, factor in tried.config.parts[''].factors.items():
+        if name != 'controller.force.damping_rate':
+            tried.config = select(tried.config, {name: factor.values[:1]})
+    frame = run_study(tried, tmp_path, console=QUIET).frame
+    assert frame['part'].tolist() == ['', '', *['on other seeds'] * 3]
+    assert frame['cost'][0] <= frame['cost'][1] and frame['seed'].tolist()[2:] == [1, 2, 3]
+    force = resolve('quick', preset=str(tmp_path / 'dob.yaml')).controller.force
+    assert (force.law, force.damping_rate) == (
+        'dob', frame['controller.force.damping_rate'][0])
+
+
+@pytest.mark.slow
+def test_comparison_judges_the_claims_and_gives_its_runs_to_a_report(tmp_path):
+    small = study('compare', plant=('rigid',), seed=(0,), part=('active state',), estimator=(
+        'lead_window', 'fixed'))
+    assert isinstance(small, CompareStudy)
+    results = run_study(small, tmp_path, console=QUIET)
+    assert 'K_2 = 20 1/s' in small.findings(results)[1]
+    assert [row.label for row in read_claim_rows(tmp_path)] == ['lead_window', 'fixed']
+    direct = run_in_process(small.cells()[0].job.setup())
+    assert results.frame['trajectory_sha256'][0] == direct.data.trajectory_sha256()
