@@ -166,10 +166,8 @@ def draw_side_by_side(runs: Sequence[tuple[str, RunData, Setup]], path: Path) ->
         column[0].set_title(label, fontsize=11)
         run = RunMetrics(data, setup)
         for i, (name, axes) in enumerate(zip(data.contact_names, column)):
-            _draw_panel(axes, Panel(f'{name} [N]', (
-                Trace('measured', data.alpha_meas[:, i], width=0.4),
-                Trace('commanded', data.alpha_des[:, i], COMMANDED, 1.0, dashed=True))),
-                data.time, ())
+            measured = _force(data, i, True).panels[0]
+            _draw_panel(axes, measured._replace(label=f'{name} [N]'), data.time, ())
         last = max((step.time for i in range(len(data.contact_names))
                     for step in run.step_responses(i)), default=0.0)
         shown = (data.time >= last - STEP_SHOWN[0]) & (data.time < last + STEP_SHOWN[1])

@@ -72,10 +72,9 @@ def input_rms(law: LinearLaw, model: LoopModel, noise_variance: float) -> float:
     return math.sqrt(float(output @ P @ output) + noise_variance * law.D[0, 0] ** 2)
 
 
-def rise_time(law: LinearLaw, model: LoopModel, ratio: float = 1.0) -> float:
+def rise_time(law: LinearLaw, model: LoopModel) -> float:
     """Return when the force first passes 63 % of a step of the command [s]; infinite if never."""
-    loop = contact_loop(law, model, ratio)
-    plant = replace(model, stiffness=ratio * model.stiffness).plant
+    loop, plant = contact_loop(law, model), model.plant
     entering = np.concatenate([plant.Gamma * law.D[0, 1], law.B[:, 1]])
     state = np.zeros(len(loop))
     for tick in range(round(LONGEST_RISE / model.period)):

@@ -10,18 +10,6 @@ import pytest
 NOW = datetime(2026, 1, 2, 3, 4, 5)
 
 
-def test_folder_with_a_run_is_kept_unless_overwritten(tmp_path):
-    run = tmp_path / 'run'
-    (run / 'config').mkdir(parents=True)
-    (run / 'config' / 'scenario.yaml').write_text('')
-    (run / 'summary.json').write_text('{}')
-    with pytest.raises(ConfigError, match='--overwrite'):
-        prepare_folder(run, 'paper', overwrite=False, now=NOW)
-    assert (run / 'summary.json').is_file()
-    assert prepare_folder(run, 'paper', overwrite=True, now=NOW) == run
-    assert list(run.iterdir()) == []
-
-
 def test_run_that_latest_leads_to_is_overwritten_where_it_is(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     runs = [prepare_folder(None, 'paper', overwrite=False, now=NOW) for _ in range(3)]

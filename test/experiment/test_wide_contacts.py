@@ -111,23 +111,3 @@ def test_centres_of_pressure_follow_the_force_and_stay_inside():
                             ({}, {'edge': 0.01}), ({'edge/along': np.nan}, {})):
         with pytest.raises((CommandError, ConfigError), match='edge'):
             loop.control.set_forces(forces, centres)
-
-
-def test_normals_may_be_set_while_in_use_unless_contacts_then_depend_on_each_other():
-    point = {'point_operational': [0.0, 0.0, 0.24]}
-    loop = ClosedLoop(resolve('quick', plant='rigid', controller={
-        'contacts': {'board': point, 'table': point}}))
-    loop.advance()
-    config = loop.control.config
-
-    def with_table(**changes):
-        table = config.contacts['table'].model_copy(update=changes)
-        return config.model_copy(update={'contacts': {**config.contacts, 'table': table}})
-
-    for changes in ({'normal_world': config.contacts['board'].normal_world}, {'stiffness': 1.0}):
-        with pytest.raises(ConfigError, match='table'):
-            loop.control.supervisor.reconfigure(with_table(**changes))
-        assert loop.control.config is config
-    loop.control.supervisor.reconfigure(with_table(normal_world=(0.0, 0.6, -0.8)))
-    np.testing.assert_array_equal(
-        loop.control.supervisor.controller.contacts['normal'][0], (0.0, 0.6, -0.8))
