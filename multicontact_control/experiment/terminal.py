@@ -20,18 +20,14 @@ def terminal(*, stderr: bool = False) -> Console:
     return Console(stderr=stderr, color_system=None if os.environ.get('NO_COLOR') else 'auto')
 
 
-def is_lively(console: Console) -> bool:
-    """Return whether a console shows moving text and colours."""
-    return console.is_terminal and not console.is_dumb_terminal and not console.no_color
-
-
 def moving_bar(
     *columns: ProgressColumn, console: Console | None = None, kind: type[Progress] = Progress,
     **options: Any,
 ) -> Progress:
-    """Return a bar of some columns, shown on a lively console only."""
+    """Return a bar of some columns, shown where text can move."""
     console = console or terminal()
-    return kind(*columns, console=console, disable=not is_lively(console), **options)
+    lively = console.is_terminal and not console.is_dumb_terminal and not console.no_color
+    return kind(*columns, console=console, disable=not lively, **options)
 
 
 class CountBar(Progress):

@@ -28,7 +28,6 @@ from scipy.spatial.transform import Rotation
 HOLD, FLOAT, INFLATE = ('hold',), ('float',), ('inflate',)
 STOPPED = ('hold', 'float', 'damp')
 REACTIONS = {'joints': FLOAT, 'wrench': HOLD, 'variance': INFLATE}
-STREAMS = tuple(REACTIONS)
 CLOCK = 'clock'
 
 NAN, INF = math.nan, math.inf
@@ -95,7 +94,7 @@ def _deliveries() -> Iterator[Fault]:
     for stream, reactions in REACTIONS.items():
         for kind, age, noticed in ways:
             yield Fault(kind, stream, Delivery(age), reactions if noticed else ())
-    for stream in STREAMS:
+    for stream in REACTIONS:
         yield Fault('gap', stream, Delivery(lambda random, n: None), ticks=(1, 51))
 
 
