@@ -41,7 +41,7 @@ class ActiveObserver:
 
     @property
     def innovation(self):
-        """What a noise estimator gets, arrays of one contact."""
+        """Return what a noise estimator gets, arrays of one contact."""
         return Innovation(*(self.contact['answer'][name] for name in (
             'innovation', 'prior_variance', 'variance_used')))
 
