@@ -237,7 +237,7 @@ class Controls:
             text = f'**{snapshot.push_test}**' if snapshot.push_test else ''
             if self._instruction.content != text:
                 self._instruction.content = text
-        if self._time is not None and snapshot.playing and quiet > SCRUBBED:
+        if self._time is not None and quiet > SCRUBBED:
             _show(self._time, round(min(snapshot.time, self._time.max), 2))
         if snapshot.gains != self._shown_gains:  # at the start, and when they have been changed
             self._shown_gains = snapshot.gains

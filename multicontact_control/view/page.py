@@ -22,7 +22,7 @@ import viser
 
 HOST = '127.0.0.1'
 TURN = 0.01  # s
-TEXT_EVERY, CURVES_EVERY = 6, 4  # snapshots
+TEXT_TIME, CURVES_TIME = 0.25, 0.15  # s
 LISTED = 12  # events
 TOAST_TIME = 6.0  # s
 AGAIN = 3.0  # s, after which the same refusal is told again
@@ -70,7 +70,7 @@ class Page:
         self._events: deque[tuple[float, str]] = deque(maxlen=LISTED)
         self._listed: list[tuple[float, str]] = []
         self._told = ('', 0.0)
-        self._count = 0
+        self._next_texts = self._next_curves = 0.0
         self._build(server.gui, source.scene)
 
     def _build(self, gui: Any, scene: Scene) -> None:
@@ -121,8 +121,8 @@ class Page:
             self.newest = snapshot
             self.curves.history.add(snapshot.points)
             self._events.extend(snapshot.events)
-        if found and self.server.get_clients():
-            self._show(found[-1])
+        if self.newest is not None and self.server.get_clients():
+            self._show(self.newest, bool(found))
 
     def _give(self, name: str, values: dict[str, Any]) -> None:
         try:
@@ -132,12 +132,15 @@ class Page:
             self._notify('refused', str(error))
         self.answer.content = _line(f'<span style="color:{colour}">{html.escape(text)}</span>')
 
-    def _show(self, snapshot: Snapshot) -> None:
-        self._count += 1
-        texts, scene, events = self._count % TEXT_EVERY == 1, self.source.scene, [*self._events]
+    def _show(self, snapshot: Snapshot, new: bool) -> None:
+        """Show a `new` snapshot; of the newest one, now and then what follows the user as well."""
+        now, scene, events = time.monotonic(), self.source.scene, [*self._events]
+        texts = now >= self._next_texts
         with self.server.atomic():
-            self.scene_view.show(snapshot, labels=texts)
+            if new or texts:
+                self.scene_view.show(snapshot, labels=texts)
             if texts:
+                self._next_texts = now + TEXT_TIME
                 self.status.content = status_html(scene.title, snapshot)
                 self.contacts.content = contacts_html(
                     scene.config.column_names, scene.config.leaders, snapshot)
@@ -145,7 +148,8 @@ class Page:
             if events != self._listed:
                 self._listed = events
                 self.events.content = events_html(events)
-            if self._count % CURVES_EVERY == 0:
+            if new and now >= self._next_curves:
+                self._next_curves = now + CURVES_TIME
                 self.curves.draw()
 
     def _notify(self, title: str, text: str) -> None:
