@@ -47,7 +47,8 @@ PATIENCE = 10.0  # s; until a process has found the others may take three
 SIMULATOR_WAIT = 3.0  # s, until a graph without surfaces has no simulator
 SILENCE = 1.0  # s without a sample, after which that is shown
 PACE_TIME = 2.0  # s, over which the real-time factor is taken
-LONGEST_STEP = 0.1  # s of a motion at once: a page that was busy does not make up for more
+# Of a motion: a page that was busy makes up for that in short steps, at little more speed.
+LONGEST_STEP, LONGEST_DELAY, CATCH_UP = 0.012, 0.2, 1.3  # s, s
 LISTENED = (
     topics.JOINT_STATES, topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
     topics.INNOVATION, topics.NOISE_VARIANCE, topics.EFFORT_COMMAND, topics.POSE,
@@ -90,6 +91,7 @@ class GraphSource:
             on_status=self._note)
         self._push_publisher = create_publisher(self._link.node, topics.PUSH)
         self._motion, self._motion_identifier = Motion(config.limits), ''
+        self._delay = 0.0  # of a motion, that is still to be made up for [s]
         self._changes = ChangeReader(config.contact_names)
         self._timing = Timing()
         self._events: list[tuple[float, str]] = []
@@ -281,7 +283,12 @@ class GraphSource:
 
     def _move_on(self, period: float) -> None:
         """Command the next pose of a motion, a time [s] of the samples after the last."""
-        if period > 0.0 and (pose := self._motion.advance(min(period, LONGEST_STEP))) is not None:
+        if not (self._motion.what and period > 0.0):
+            return
+        self._delay = min(self._delay + period, LONGEST_DELAY)
+        step = min(self._delay, CATCH_UP * period, LONGEST_STEP)
+        self._delay -= step
+        if (pose := self._motion.advance(step)) is not None:
             self._link.send(
                 topics.MOTION_COMMAND, messages.motion_message(*pose), self._motion_identifier)
 
@@ -290,7 +297,7 @@ class GraphSource:
         if self._link.last_status is not None and self._link.last_status.held:
             raise CommandError('~/hold', 'released, to obey commands', 'held')
         if not self._motion.what:
-            self._motion_identifier = new_identifier()
+            self._motion_identifier, self._delay = new_identifier(), 0.0
             pose = self._link.fresh(topics.POSE_DESIRED)[0].pose
             p, q = pose.position, pose.orientation
             self._motion.start(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
