@@ -35,7 +35,7 @@ import pandas as pd
 import pinocchio as pin
 import psutil
 import pybullet
-from sim_bridge.engines import BulletArm
+from sim_bridge.bullet_arm import BulletArm
 from sim_bridge.plant import Plant
 
 RATE = 500.0  # Hz

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, Body, numbers, Placement, SENSOR_FRAME, TOOL_LINK
 from sim_bridge.config import PlantConfig, SurfaceConfig
-from sim_bridge.engines import EngineArm
+from sim_bridge.engine_arm import EngineArm
 from sim_bridge.posture import frame_pose
 
 # Impedance of the engine's contacts. Beside the spring it makes a contact as heavy as

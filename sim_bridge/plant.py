@@ -15,7 +15,7 @@ from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME, triple
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import act_on_arm, Contacts, HAND, Pushes
 from sim_bridge.drives import DRIVE, flexible_drives, joint_friction, RigidDrives
-from sim_bridge.engines import BulletArm, EngineArm
+from sim_bridge.engine_arm import EngineArm
 from sim_bridge.kinematics import chain_of
 from sim_bridge.robots import find_robot
 from sim_bridge.wrench_sensor import WrenchSensor
@@ -208,8 +208,10 @@ class Plant:
 
 
 def make_engine(config: PlantConfig, arm: Arm) -> EngineArm:
-    """Return the engine of a plant; ConfigError if it is not installed."""
+    """Return the engine of a plant, loaded here alone; ConfigError if it is not installed."""
     if config.engine == 'pybullet':
+        from sim_bridge.bullet_arm import BulletArm
+
         return BulletArm(arm, config.gravity_world, config.substep)
     try:
         from sim_bridge.mujoco_arm import MujocoArm

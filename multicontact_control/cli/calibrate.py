@@ -16,8 +16,7 @@ RUNNING = ('tilt', 'move_time', 'domain_id')  # of a robot that runs
 
 
 def calibrate(
-    context: typer.Context, robot: options.Robot = '', plant: options.Plant = '',
-    seed: options.Seed = 0,
+    context: typer.Context, simulated: options.PlantOptions,
     from_bag: Annotated[Path | None, typer.Option(
         metavar='BAG', help='Weigh the tool of your robot from a recording of joint_states and '
         'ft_sensor/wrench, with 4 or more rests of 1.5 s that tilt the tool differently. Needs '
@@ -64,9 +63,10 @@ def calibrate(
             files, namespace=namespace or '', domain_id=domain_id, tilt=math.radians(tilt),
             move_time=move_time, tell=typer.echo), None)
     else:
-        setup = calibration.sensor_setup(plant, seed, robot)
+        setup = calibration.sensor_setup(
+            simulated.plant, simulated.seed, simulated.robot)
         result = calibration.calibrate(setup)
-        title = f'tool of {setup.plant_name}, seed {seed}'
+        title = f'tool of {setup.plant_name}, seed {setup.seed}'
     calibration.write_tool(out, result.found)
     terminal().print(calibration.calibration_table(result, title))
     found = result.found

@@ -48,13 +48,19 @@ Namespace = Annotated[str | None, typer.Option(
 
 
 @dataclass(frozen=True)
-class SetupOptions:
-    """Options of `run`, `simulate` and `view`: what is simulated."""
+class PlantOptions:
+    """Options of all that simulates: a plant."""
 
-    scenario: Scenario = 'paper'
     robot: Robot = ''
     plant: Plant = ''
     seed: Seed = 0
+
+
+@dataclass(frozen=True)
+class SetupOptions(PlantOptions):
+    """Options of `run`, `simulate` and `view`: what is simulated."""
+
+    scenario: Scenario = 'paper'
     preset: Preset = 'best'
     settings: Settings = None
     engine: Engine = ''

@@ -9,8 +9,7 @@ import typer
 
 
 def push_test(
-    context: typer.Context, robot: options.Robot = '', plant: options.Plant = '',
-    seed: options.Seed = 0,
+    context: typer.Context, simulated: options.PlantOptions,
     fault: Annotated[str, typer.Option(
         help='What is wrong with the simulated sensor: none, sign (flipped), rotate (by 90 deg '
         'about x, y, z for seeds 0, 1, 2, the other way for 3, 4, 5) or scale (half).')] = 'none',
@@ -33,7 +32,9 @@ def push_test(
     else:
         options.refuse_options(given, ('domain_id', 'namespace'), 'a simulated plant')
         config = test.PushTestConfig()
-        setup = test.push_setup(plant, seed, config, test.fault_mounting(fault, seed), robot)
+        setup = test.push_setup(
+            simulated.plant, simulated.seed, config, test.fault_mounting(fault, simulated.seed),
+            simulated.robot)
         passed = test.push_simulated(setup, config, typer.echo).passed
     if not passed:
         raise typer.Exit(options.EXIT_FAILED)

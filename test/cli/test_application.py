@@ -50,7 +50,7 @@ def test_help_describes_every_command_and_option(multicontact):
 
 
 def test_process_ends_as_the_application_does(multicontact, tmp_path):
-    for arguments in (('--version',), ('simulate', '--plant', 'x')):
+    for arguments in (('--version',), ('simulate', '--plant', 'x'), ('push-test', '--fault', 'x')):
         here = multicontact(*arguments)
         there = subprocess.run(
             [sys.executable, '-m', 'multicontact_control.cli', *arguments], cwd=tmp_path,

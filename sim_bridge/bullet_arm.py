@@ -1,74 +1,16 @@
-"""
-What an engine does for a plant, and PyBullet: an arm without surroundings, step by step.
-
-All that acts on the arm is applied to it from outside.
-"""
+"""The arm in PyBullet: links and joints only, everything else is applied to it from outside."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from multicontact_control.arrays import Matrix, Vector
-import numpy as np
+from multicontact_control.arrays import Vector
 import pybullet as bullet
 from sim_bridge.arm import Arm, SENSOR_FRAME, TOOL_LINK, urdf_text
+from sim_bridge.engine_arm import EngineArm
 
 MAX_JOINT_SPEED = 1e4
-
-
-class EngineArm(ABC):
-    """
-    An arm of n joints alone in a world of its own; `reset` puts it there.
-
-    Attributes
-    ----------
-    motion
-        Joint angles and speeds now, shape (2, n) [rad, rad/s].
-    q, qd
-        Its rows.
-
-    """
-
-    def __init__(self, joint_count: int) -> None:
-        self.motion: Matrix = np.zeros((2, joint_count))
-        self.q: Vector = self.motion[0]
-        self.qd: Vector = self.motion[1]
-
-    def reset(self, q: Vector) -> None:
-        """Start afresh from rest at joint angles `q`; nothing of the past is left."""
-        self._place(q)
-        self.q[:], self.qd[:] = q, 0.0
-
-    @abstractmethod
-    def _place(self, q: Vector) -> None:
-        """Make the world anew, with the arm at rest at joint angles `q`."""
-
-    @abstractmethod
-    def push(self, pushes: list[list[float]]) -> None:
-        """
-        Apply forces at points for one step.
-
-        Of each x y z of force and of point, world axes [N], [m], and the number of a joint, for
-        the link behind it, or n for the tool.
-        """
-
-    @abstractmethod
-    def step(self, torque: Vector) -> tuple[float, ...]:
-        """
-        Advance `q` and `qd` by one step of symplectic Euler under torques, shape (n,) [N m].
-
-        Return what the arm exerts on the tool at the start of the step, in the sensor's frame, six
-        numbers [N, N m].
-        """
-
-    def native_forces(self) -> Vector:
-        """Return the normal forces of the engine's own contacts in that step, shape (no,) [N]."""
-        return np.zeros(0)
-
-    def close(self) -> None:  # noqa: B027 - not every engine has anything to give back
-        """Give the world back."""
 
 
 class BulletArm(EngineArm):
