@@ -50,10 +50,10 @@ def test_quick_is_stable_and_holds_its_forces(plant):
         assert 0.02 <= summary['step_rise_63_s'] <= 0.06
 
 
-@pytest.mark.parametrize('name', ['innovation', 'sage_husa', 'variational_bayes'])
-def test_estimators_get_the_innovations_of_the_loop(name):
+def test_estimators_get_the_innovations_of_the_loop():
     """R moves away from its start once there is contact, not before, and stays in its limits."""
-    setup = resolve('quick', plant='rigid', duration=2.5, noise_estimator={'estimator': name})
+    setup = resolve('quick', plant='rigid', duration=2.5, noise_estimator={
+        'estimator': 'variational_bayes'})
     data = run_of(setup, supervised=False).data
     for i in range(2):
         start = np.flatnonzero(data.innovation[:, i])[0]
