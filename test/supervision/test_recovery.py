@@ -2,7 +2,7 @@
 
 from contextlib import closing
 
-from campaign.velocities import Cell, LARGEST, run
+from campaign.velocities import Cell, FARTHEST, FASTER, LARGEST_FORCE, run
 from multicontact_control.config import WatchdogConfig
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError, ConfigError
@@ -366,9 +366,10 @@ def test_cause_of_a_collision_is_named(tmp_path, corrupt, controller, ticks, wha
     Cell('puma', False, False, 'wrench:biased_by_50%', 2)])
 def test_wrong_speeds_and_an_unproven_sensor_are_named_and_move_nothing(cell):
     """From the first sample on; unchecked: 24 rad/s and 1100 N, and 0.3 m within 10 s."""
-    speeds, force, way, causes = run(cell)
+    found = run(cell)
     if cell.fault.startswith('wrench'):
-        assert way < LARGEST['mm'] and causes
+        assert found['way'] < FARTHEST and found['causes']
     else:
-        assert (speeds - run(Cell(*cell[:3]))[0]).max() < LARGEST['rad/s beyond']
-        assert force < LARGEST['N'] and 'joints_velocity' in causes
+        right = run(Cell(*cell[:3]))
+        assert (found['speed'] - right['speed']).max() < FASTER
+        assert found['force'] < LARGEST_FORCE and 'joints_velocity' in found['causes']
