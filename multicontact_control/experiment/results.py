@@ -130,8 +130,8 @@ def summarise(
     Return the content of ``summary.json`` (schema 1).
 
     `mode` is ``in_process``, ``lockstep``, ``free_running``, ``external`` or ``recorded``;
-    `timing` has deadline misses, tick times and latencies. `ended_early` is as for `judge`. `events` of the
-    supervisor are times [s] and what changed; None if there was no supervisor.
+    `timing` has deadline misses, tick times and latencies. `ended_early` is as for `judge`.
+    `events` of the supervisor are times [s] and what changed; None if there was no supervisor.
     """
     # What the supervisor did after the run is not part of it.
     during = [(time, what) for time, what in events or () if time < data.ticks / data.rate]
