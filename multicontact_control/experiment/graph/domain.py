@@ -8,10 +8,10 @@ import fcntl
 import os
 from pathlib import Path
 import re
-import socket
 import tempfile
 
 from multicontact_control.errors import ConfigError, RunError
+import psutil
 
 LARGEST_DOMAIN = 101
 PORT_BASE, PORTS_PER_DOMAIN, FIRST_PARTICIPANT_OFFSET = 7400, 250, 10
@@ -48,16 +48,7 @@ def domain_in_use(domain_id: int) -> bool:
     """Return whether a participant listens on a port that DDS gives the first ones of a domain."""
     first = PORT_BASE + PORTS_PER_DOMAIN * domain_id + FIRST_PARTICIPANT_OFFSET
     ports = range(first, first + PORTS_PER_PARTICIPANT * PARTICIPANTS, PORTS_PER_PARTICIPANT)
-    return any(_is_bound(port) for port in ports)
-
-
-def _is_bound(port: int) -> bool:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(('', port))
-        except OSError:
-            return True
-    return False
+    return any(end.laddr and end.laddr.port in ports for end in psutil.net_connections('udp'))
 
 
 def check_namespace(namespace: str) -> str:
