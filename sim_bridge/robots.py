@@ -23,10 +23,9 @@ from multicontact_control.config import merge, read_parameters, read_yaml, valid
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir, named_file
 import numpy as np
-import pinocchio as pin
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
 from sim_bridge.config import SurfaceConfig
-from sim_bridge.posture import frame_jacobian, frame_pose, limits_of, reach
+from sim_bridge.posture import frame_jacobian, frame_pose, limits_of
 from sim_bridge.robot_file import PlantVariant, RobotFile, WideConfig
 from sim_bridge.urdf_arm import read_arm
 
@@ -43,9 +42,6 @@ FACE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
 RANGE_OF_CONTINUOUS = 1e3  # rad, which no run gets to
 TORQUE_RATE_SHARE = 0.4  # of the torque limit in one period
 WORKSPACE = ((-0.6, -0.45, -0.4), (0.6, 0.4, 0.6))  # m, around the operational point at home
-LIFT, TILT = 0.12, 0.8  # m and rad, for weighing the tool
-TILTS = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0),
-         (1.0, 1.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -169,22 +165,6 @@ class Robot:
         """Return the folder that the controller's `robot.urdf` is relative to."""
         file = self.file.controller_file
         return (self._path(file) if file else _urdf_file(self.arm)).parent
-
-    def weighing_poses(self) -> list[list[float]]:
-        """Return joint angles away from the surfaces, in which the tool is tilted [rad]."""
-        model, q = self.arm.model(), self._home()
-        pose = frame_pose(model, q)
-        away = pose.translation - LIFT * sum(
-            (np.array(contact['normal_world']) for contact in
-             self.controller_base()['contacts'].values()), np.zeros(3))
-        poses = []
-        for turn in TILTS:
-            tilted = pin.exp3(TILT * np.array(turn)) @ pose.rotation
-            reached = reach(model, pin.SE3(tilted, away), q)
-            if reached is not None:
-                q = reached
-                poses.append(q.tolist())
-        return poses
 
     def _home(self) -> Vector:
         return np.array(self.plant_values('')['home'])

@@ -48,18 +48,12 @@ Namespace = Annotated[str | None, typer.Option(
 
 
 @dataclass(frozen=True)
-class PlantOptions:
-    """Options of all that simulates: a plant."""
+class SetupOptions:
+    """Options of `run`, `simulate` and `view`: what is simulated."""
 
     robot: Robot = ''
     plant: Plant = ''
     seed: Seed = 0
-
-
-@dataclass(frozen=True)
-class SetupOptions(PlantOptions):
-    """Options of `run`, `simulate` and `view`: what is simulated."""
-
     scenario: Scenario = 'paper'
     preset: Preset = 'best'
     settings: Settings = None

@@ -1,14 +1,14 @@
 """
 Weighing the tool of a robot, whose rests in several poses tell weight and bias apart.
 
-The samples come from a recording, or from the running controller, which tilts the tool. In
-simulation they come from drives that hold the arm; see `calibration`.
+The samples come from a recording, or from the running controller, which tilts the tool.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import contextlib
+from itertools import product
 from pathlib import Path
 import time
 from typing import Any
@@ -25,6 +25,7 @@ from multicontact_control.experiment.bag import (
 )
 from multicontact_control.experiment.external import read_controller_files
 from multicontact_control.experiment.oscillation import stretches
+from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.sensor.tool import (
     Identification,
     identify_tool,
@@ -35,8 +36,10 @@ from multicontact_control.sensor.tool import (
 )
 from multicontact_control.supervision.reactions import INFLATE, NONE
 import numpy as np
+from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+TOOL_FILE = 'tool.yaml'
 JOINTS = 'joint_states'
 # A rest: largest speed of any joint [rad/s]; its beginning that is left out, and the least time
 # over which readings are averaged [s].
@@ -248,3 +251,30 @@ def _sample(messages: Sequence[Any], names: Sequence[str]) -> Vector:
                        f'{", ".join(joints.name) or "none"}')
     return np.array([stamp.sec + 1e-9 * stamp.nanosec, *(angles[name] for name in names),
                      w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z])
+
+
+def write_tool(folder: Path, found: Identification) -> Path:
+    """Write a tool as a parameter file to lay over the controller's, and return it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / TOOL_FILE
+    write_parameters(
+        path, {'/**': {'tool': found.tool().model_dump(mode='json')}},
+        f'# Identified from {found.poses} poses: residual {found.force_residual:.3g} N and '
+        f'{found.torque_residual:.3g} N m rms, condition {found.condition:.3g}.\n'
+        f'# Give it to the controller after its own parameter file.\n')
+    return path
+
+
+def tool_table(found: Identification) -> Table:
+    """Return what was identified, with the standard errors."""
+    table = Table('', title='tool')
+    for name in ('identified', 'std. error'):
+        table.add_column(name, justify='right')
+    tool = found.tool()
+    table.add_row('mass (kg)', f'{tool.mass:.4f}', f'{found.mass_std:.4f}')
+    for axis, value, spread in zip('xyz', tool.com_sensor, found.com_std):
+        table.add_row(f'centre of mass {axis} (mm)', f'{1e3 * value:.4f}', f'{1e3 * spread:.4f}')
+    for (what, axis), value in zip(product(('force bias {} (N)', 'torque bias {} (N m)'), 'xyz'),
+                                   tool.bias_sensor):
+        table.add_row(what.format(axis), f'{value:.4f}', '')
+    return table

@@ -16,7 +16,6 @@ import typer
 @pytest.mark.parametrize(('arguments', 'message'), [
     (('simulate', '--scenario', 'papper'), 'scenario: expected one of'),
     (('simulate', '--plant', 'x'), "plant: expected one of rigid, puma, or a path, found 'x'"),
-    (('push-test', '--fault', 'x'), "fault: expected one of none, sign, rotate, scale, found 'x'"),
     (('view', 'nowhere'), 'recording: expected a folder of `multicontact run` or `simulate`'),
     (('view', '.'), 'recording: expected bag/*.mcap or samples.npz in it, found .'),
     (('run', '--commanded', '--set', 'scenario.duration=20'),
@@ -26,7 +25,7 @@ import typer
     (('run', '--external', '--plant', 'rigid'), '--plant: expected nothing with --external'),
     (('run', '--controller', 'x'), '--controller: expected nothing with a simulated plant'),
     (('calibrate', '--from-bag', 'x'), '--controller: expected the parameter file'),
-    (('calibrate', '--tilt', '30'), '--tilt: expected nothing with a simulated plant'),
+    (('calibrate', '--from-bag', 'x', '--tilt', '30'), '--tilt: expected nothing with --from-bag'),
     (('design', 'pi', '--stiffness', '9'), 'stiffness: expected two numbers')])
 def test_bad_input_exits_with_two_and_one_line(multicontact, tmp_path, arguments, message):
     done = multicontact(*arguments, cwd=tmp_path)
