@@ -22,9 +22,9 @@ def motion():
 
 def path(motion, ticks, period=PERIOD):
     """Return position, velocity and acceleration tick by tick, until it comes to rest."""
-    readings = [reading for _ in range(ticks) if (reading := motion.advance(period)) is not None]
-    return [np.array([getattr(reading, name)[:3] for reading in readings]) for name in (
-        'position_world', 'twist_world', 'acceleration_world')]
+    readings = filter(None, (motion.advance(period) for _ in range(ticks)))
+    return [np.array(x) for x in zip(*(
+        (x.position_world, x.twist_world[:3], x.acceleration_world[:3]) for x in readings))]
 
 
 def assert_smooth(position, velocity, acceleration):
@@ -48,10 +48,8 @@ def test_motion_goes_to_a_point_within_its_speed_and_rests_there(motion, period)
 
 
 def test_dragged_handle_and_sine_make_no_jump(motion):
-    parts = []
-    for goal in (START + [0.05, 0, 0], START + [0.05, -0.1, 0], START + [-0.1, 0, 0.2]):
-        motion.go_to(goal)
-        parts.append(path(motion, 150))
+    parts = [path(motion, 150) for goal in ([0.05, 0, 0], [0.05, -0.1, 0], [-0.1, 0, 0.2])
+             if motion.go_to(START + goal)]
     assert_smooth(*(np.concatenate(each) for each in zip(*parts)))
     motion.start(START, np.array([0.0, 0.0, 0.0, 1.0]))
     motion.start_sine('x', 0.08, 4.0)

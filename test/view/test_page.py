@@ -58,9 +58,8 @@ def test_page_is_served_to_this_machine_only_and_holds_the_scene(page):
                     {'Origin': 'http://localhost:9'}, {'Origin': 'null'}):
         with pytest.raises(HTTPError, match='403'):
             urlopen(Request(page.url, headers=headers))
-    for name in ('/arm/tool', '/arm/link2', '/surfaces/table', '/surfaces/board', '/handle',
-                 '/forces/measured', '/forces/estimated', '/forces/desired',
-                 '/contacts/table', '/labels/board'):
+    for name in ('/arm/tool', '/arm/link2', '/surfaces/table', '/handle', '/forces/measured',
+                 '/forces/estimated', '/forces/desired', '/contacts/table', '/labels/board'):
         assert page.server.scene.get_handle_by_name(name) is not None, name
     assert page.server.request_share_url() is None, 'a public tunnel'
 
@@ -91,21 +90,18 @@ def test_view_without_viser_exits_with_two_and_one_line():
 @pytest.mark.slow
 @pytest.mark.ros
 def test_view_serves_a_page_and_ends_with_the_graph_it_started(tmp_path):
-    with own_domain() as domain_id:
-        process = subprocess.Popen(
+    with own_domain() as domain_id, subprocess.Popen(
             [sys.executable, '-m', 'multicontact_control.cli', 'view', '--port', str(PORT + 1),
              '--plant', 'rigid', '--domain-id', str(domain_id)], stdout=subprocess.PIPE, text=True,
-            start_new_session=True, env={**os.environ, 'TMPDIR': str(tmp_path)})
+            start_new_session=True, env={**os.environ, 'TMPDIR': str(tmp_path)}) as process:
         try:
             while 'http' not in (line := process.stdout.readline()):
                 assert line, 'it has ended'
             assert urlopen(line.split()[-1]).status == 200
             os.killpg(process.pid, signal.SIGINT)  # as a terminal does
             assert process.wait(60.0) == 0
-            listed = subprocess.run(['ps', '-e', '-o', 'args'], capture_output=True, text=True)
-            assert str(tmp_path) not in listed.stdout  # of a node, with its folder
-            assert not list(tmp_path.iterdir())
         finally:
-            if process.poll() is None:
-                process.kill()
-            process.communicate()
+            process.kill()  # nothing to one that has ended
+    listed = subprocess.run(['ps', '-e', '-o', 'args'], capture_output=True, text=True)
+    assert str(tmp_path) not in listed.stdout  # of a node, with its folder
+    assert not list(tmp_path.iterdir())

@@ -37,9 +37,6 @@ def test_links_without_visuals_are_rods_to_the_next_joint():
     np.testing.assert_allclose(axis, [0.0, 0.6, 0.8], atol=1e-12)
 
 
-@pytest.mark.parametrize(('urdf', 'message'), [
-    ('<robot>', 'robot.urdf: expected XML'),
-    (TWO_JOINTS.replace('0 0.3 0.4', 'a b c'), "expected numbers, found 'a b c'")])
-def test_text_that_is_no_urdf_is_refused(urdf, message):
-    with pytest.raises(ConfigError, match=message):
-        read_shapes(urdf)
+def test_text_that_is_no_urdf_is_refused():
+    with pytest.raises(ConfigError, match='robot.urdf: expected XML'):
+        read_shapes('<robot>')
