@@ -110,7 +110,7 @@ class SimNode(Node):
         self._hold = PositionHold(self._plant.model)
         # Longest time to a command that is no miss [ns].
         self._period = np.inf if config.lockstep else NANOSECONDS / config.rate
-        self._saturated = self._misses = self._slips = self._timeouts = self._on_time = 0
+        self._saturated = self._misses = self._slips = self._timeouts = 0
         self._due = 0  # when the newest sample was due [ns]
         self._step_times = DurationLog()
         self._start = time.monotonic_ns()
@@ -165,7 +165,7 @@ class SimNode(Node):
             'ticks': self._tick + 1, 'rate_hz': self._config.rate,
             'lockstep': self._config.lockstep, 'deadline_misses': self._misses,
             'pace_slips': self._slips, 'command_timeouts': self._timeouts,
-            'wall_s': self._wall * 1e-9, 'on_time_share': self._on_time / (self._tick + 1),
+            'wall_s': self._wall * 1e-9,
             'latency_us': self._watch.latencies.percentiles(),
             'latency_histogram': histogram(self._watch.latencies.microseconds()),
             'plant_us': self._step_times.percentiles(), 'saturated_ticks': self._saturated,
@@ -261,7 +261,6 @@ class SimNode(Node):
         self._due += int(period / self._config.speed)
         self._spin_until(spinner, self._due)
         late = time.monotonic_ns() - self._due
-        self._on_time += late <= period
         if late > CATCH_UP:
             self._due += late
 
