@@ -18,7 +18,8 @@ from rich.markup import escape as plain
 from rich.table import Table
 
 WIDE_RANGE = 20.0  # largest over smallest, from which an axis is logarithmic
-WIDE = 110  # columns of a terminal that has room for every column of a table
+WIDE = 130  # columns of a terminal that has room for every column of a table
+LABEL = 18  # characters of a label that stay in one line
 STATISTICS = ('median', 'min', 'max')
 Listing = Mapping[str, pd.DataFrame]  # texts of lines and columns, by section
 NOT_FACTORS = ('part', 'plant', 'seed')
@@ -160,10 +161,10 @@ def terminal_tables(title: str, listing: Listing, study: StudyConfig, width: int
         found = Table(title=plain(section or title), title_justify='left', box=SIMPLE_HEAD,
                       padding=(0, 1, 0, 0), pad_edge=False)
         for name in shown:
-            longest = min(frame[name].str.len().max(), width // 8)
+            short = name in labels and frame[name].str.len().max() <= LABEL
             found.add_column(
-                plain(name), overflow='fold', justify='left' if name in labels else 'right',
-                min_width=longest if name in labels else None)
+                plain(name.replace(' ', '\n') if short else name), overflow='fold',
+                justify='left' if name in labels else 'right', no_wrap=short)
         for line in shown.itertuples(index=False):
             found.add_row(*map(plain, line))
         tables.append(found)
