@@ -24,24 +24,21 @@ JOINT_STATE, WRENCH, POSE = (
     'sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped',
     'geometry_msgs/msg/PoseStamped')
 MARKERS = 'visualization_msgs/msg/MarkerArray'
-# Names of the numbers of a field in messages without names.
-AXES = {
-    'wrench': ('force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z'),
-    'point': ('x', 'y', 'z'), 'quaternion': ('x', 'y', 'z', 'w')}
-# What the messages of a type hold: names, and for every field its numbers.
-Content = tuple[Sequence[str], Mapping[str, Sequence[float]]]
-READERS: dict[str, Callable[[Any], Content]] = {
-    JOINT_STATE: lambda message: (message.name, {
-        field: getattr(message, field) for field in ('position', 'velocity', 'effort')}),
-    WRENCH: lambda message: ((), {'wrench': [
-        getattr(part, axis) for part in (message.wrench.force, message.wrench.torque)
-        for axis in 'xyz']}),
-    POSE: lambda message: ((), {
-        'point': [getattr(message.pose.position, axis) for axis in 'xyz'],
-        'quaternion': [getattr(message.pose.orientation, axis) for axis in 'xyzw']}),
-    MARKERS: lambda message: ([marker.ns.rpartition('/')[2] for marker in message.markers], {
-        axis: [getattr(marker.pose.position, axis) for marker in message.markers]
-        for axis in 'xyz'})}
+# The numbers of a message of a type by field and name.
+READERS: dict[str, Callable[[Any], dict[tuple[str, str], float]]] = {
+    JOINT_STATE: lambda message: {
+        (field, name): number for field in ('position', 'velocity', 'effort')
+        for name, number in zip(message.name, getattr(message, field))},
+    WRENCH: lambda message: {
+        ('wrench', f'{part}.{axis}'): getattr(getattr(message.wrench, part), axis)
+        for part in ('force', 'torque') for axis in 'xyz'},
+    POSE: lambda message: {
+        (field, axis): getattr(part, axis) for field, part, axes in (
+            ('point', message.pose.position, 'xyz'),
+            ('quaternion', message.pose.orientation, 'xyzw')) for axis in axes},
+    MARKERS: lambda message: {
+        (axis, marker.ns.rpartition('/')[2]): getattr(marker.pose.position, axis)
+        for axis in 'xyz' for marker in message.markers}}
 
 
 class BagColumns:
@@ -50,19 +47,17 @@ class BagColumns:
     def __init__(self, type_name: str) -> None:
         self._type = type_name
         self._stamps, self._published = array('q'), array('Q')
-        # Rows and numbers of the messages with the same names and count of numbers by field:
-        # several nodes may share a topic. A number takes 8 bytes.
-        self._parts: dict[tuple[Any, ...], tuple[array[int], array[float]]] = {}
+        # Rows and numbers of the messages with the same fields and names: several nodes may share
+        # a topic. A number takes 8 bytes.
+        self._parts: dict[tuple[tuple[str, str], ...], tuple[array[int], array[float]]] = {}
 
     def take(self, message: Any, published: int) -> None:
         """Add a message that was sent at a time [ns since the epoch], or nothing if it fails."""
         stamp = (message.markers[0] if self._type == MARKERS else message).header.stamp
-        names, content = READERS[self._type](message)
-        numbers = array('d', [number for values in content.values() for number in values])
+        content = READERS[self._type](message)
+        numbers = array('d', content.values())
         stamps = array('q', [stamp.sec * 1_000_000_000 + stamp.nanosec])
-        rows, kept = self._parts.setdefault(
-            (tuple(names), *((field, len(values)) for field, values in content.items())),
-            (array('q'), array('d')))
+        rows, kept = self._parts.setdefault(tuple(content), (array('q'), array('d')))
         rows.append(len(self))
         kept.extend(numbers)
         self._stamps.extend(stamps)
@@ -85,26 +80,21 @@ class BagColumns:
     @property
     def names(self) -> tuple[str, ...]:
         """Names in the first message that has any."""
-        return next((names for names, *_ in self._parts if names), ())
+        return tuple(dict.fromkeys(name for _, name in next(filter(None, self._parts), ())))
 
     def values(self, field: str, names: Sequence[str] = ()) -> Matrix:
         """
         Return the numbers of a field, shape (m, k); NaN where a message has none of a name.
 
-        `names` are the order of the columns, of messages with names.
+        `names` are the order of the columns, by default that of the first message.
         """
-        names = AXES.get(field, names)
+        names = names or [name for label, name in next(iter(self._parts)) if label == field]
         result = np.full((len(self), len(names)), np.nan)
-        for (known, *widths), (rows, numbers) in self._parts.items():
-            columns, first = {}, 0
-            for name, width in widths:
-                if name == field:
-                    columns = dict(zip(known or AXES.get(field, ()), range(first, first + width)))
-                first += width
-            block = np.asarray(numbers).reshape(len(rows), first)
+        for labels, (rows, numbers) in self._parts.items():
+            block = np.asarray(numbers).reshape(len(rows), len(labels))
             for column, name in enumerate(names):
-                if name in columns:
-                    result[rows, column] = block[:, columns[name]]
+                if (field, name) in labels:
+                    result[rows, column] = block[:, labels.index((field, name))]
         return result
 
 
@@ -119,6 +109,13 @@ class BagMessages:
     cut_off: bool = False  # whether the recording ends in the middle
     unreadable: tuple[str, ...] = ()  # what could not be read of these topics, in words
 
+    def __str__(self) -> str:
+        """Return what else is there, for a line that says what is missing."""
+        more = len(self.others) - NAMED
+        what = ', '.join(self.others[:NAMED]) + (f' and {more} more' if more > 0 else '')
+        cut_off = ', and a file that is cut off' if self.cut_off else ''
+        return '; '.join((f'{what or "nothing"}{cut_off}', *self.unreadable))
+
 
 def mcap_files(path: Path) -> list[Path]:
     """Return the MCAP files of a recording, or that file, also those compressed as a whole."""
@@ -126,12 +123,9 @@ def mcap_files(path: Path) -> list[Path]:
     # Of a file that is there twice, the one that is not compressed comes last.
     by_stem = {match[1]: file for file in files
                if (match := re.fullmatch(r'(.*)\.mcap(\.zstd?)?', file.name))}
-
-    def place(stem: str) -> tuple[int, str]:  # rosbag2 counts bag_0, bag_1, ..., bag_10
-        number = re.search(r'_(\d+)$', stem)
-        return int(number[1]) if number else -1, stem
-
-    return [by_stem[stem] for stem in sorted(by_stem, key=place)]
+    # rosbag2 counts bag_0, bag_1, ..., bag_10.
+    return [by_stem[stem] for stem in sorted(by_stem, key=lambda stem: [
+        int(part) if part.isdigit() else part for part in re.split(r'(\d+)', stem)])]
 
 
 def read_messages(
@@ -230,11 +224,3 @@ def _namespace(path: Path, spaces: Sequence[str], namespace: str | None) -> str:
         raise RunError(f'{path}: expected the topics of one graph, found the namespaces {names}; '
                        '--namespace chooses one')
     return known.pop() if namespace is None and known else (namespace or '').strip('/')
-
-
-def describe_others(messages: BagMessages) -> str:
-    """Return the names of the first other topics, for a line that says what is missing."""
-    names = messages.others
-    more = f' and {len(names) - NAMED} more' if len(names) > NAMED else ''
-    what = ', '.join(names[:NAMED]) + more if names else 'nothing'
-    return what + (', and a file that is cut off' if messages.cut_off else '')

@@ -220,7 +220,7 @@ def run_in_process(
     finally:
         loop.close()
     return LoopResult(
-        data=data.truncated(done), tick_us=tick_us[:done],
+        data=data.part(0, done), tick_us=tick_us[:done],
         wall_time=time.perf_counter() - start, ended_early=ended_early,
         events=tuple(loop.control.events.events))
 

@@ -15,7 +15,6 @@ from multicontact_control.errors import RunError
 from multicontact_control.experiment.bag import (
     BagColumns,
     BagMessages,
-    describe_others,
     JOINT_STATE,
     POSE,
     read_messages,
@@ -54,7 +53,6 @@ TYPES = dict.fromkeys((*SERIES, FORCE_COMMAND), JOINT_STATE) | {
     'operational_point/pose': POSE, 'operational_point/pose_desired': POSE}
 SPARSE = 20.0  # ticks per sample beyond which the stamps are no clock
 CUT_OFF = 'the recording is cut off'
-NOT_RECORDED = 'not in the recording'
 REACHED = 0.99  # share of a commanded force at which the contact counts as made
 
 
@@ -87,7 +85,7 @@ class RunData:
     stiffness_std: Matrix
     margin: Matrix
     # Forces commanded over topics, shape (m, r) [N]: from when the contact was made on, 0 where
-    # none is asked for; NaN throughout where a scenario says what is asked for.
+    # none is asked for; NaN of a run in process.
     command: Matrix
     position: Matrix  # operational point, world axes, shape (m, 3)
     quaternion: Matrix  # scalar last, shape (m, 4)
@@ -102,10 +100,6 @@ class RunData:
     def trajectory_sha256(self) -> str:
         """Return the hash of the commanded torques as little-endian float64, tick by tick."""
         return hashlib.sha256(np.ascontiguousarray(self.torque, dtype='<f8').tobytes()).hexdigest()
-
-    def truncated(self, ticks: int) -> RunData:
-        """Return the first `ticks` samples."""
-        return self.part(0, ticks)
 
     def part(self, begin: int, end: int) -> RunData:
         """Return the samples from one up to another; time begins with the first of them."""
@@ -158,39 +152,38 @@ class BagContent:
 
     data: RunData  # by sample stamp
     topic_rates: dict[str, float]  # messages per second, of topics with more than one [Hz]
-    missing: dict[str, int]  # messages that the samples call for and the bag lacks, by topic
-    remarks: tuple[str, ...] = ()  # what the bag lacks, and what could not be read, in words
-    start: int = 0  # stamp of the first sample [ns]
+    lacking: tuple[str, ...]  # topics of the controller that are not in the bag
+    remarks: tuple[str, ...]  # what could not be read, in words
+    start: int  # stamp of the first sample [ns]
 
     @property
-    def run_remarks(self) -> list[str]:
-        """Return the remarks on a run of this package, which need not have every topic."""
-        return [text for text in self.remarks if not text.startswith(NOT_RECORDED)]
+    def unanswered(self) -> int:
+        """Return the number of samples without a commanded torque."""
+        return int(np.isnan(self.data.torque).all(axis=1).sum())
 
 
 def read_bag(
     path: Path, controller: ControllerConfig, *, namespace: str | None = None,
-    commanded: bool = False,
+    answered: bool = False,
 ) -> BagContent:
     """
     Read a recording of the graph: a bag's folder, or its MCAP file, up to its last whole chunk.
 
     `controller` gives rate, contacts and joints; `namespace` is that of the graph, if not given
-    the only one in the bag; `commanded` says whether forces were commanded over topics. Returns
-    one row per sample of ``joint_states``, without these of the topic with the most messages; NaN
-    where another message is missing. Raises RunError if the bag cannot be read or holds no
-    samples.
+    the only one in the bag; if `answered`, what lies before the first and behind the last sample
+    that was answered is left out. Returns one row per sample of ``joint_states``, without these of
+    the topic with the most messages; NaN where another message is missing. Raises RunError if the
+    bag cannot be read or holds no samples.
     """
-    return content_of(path, read_graph(path, namespace), controller, commanded=commanded)
+    return content_of(path, read_graph(path, namespace), controller, answered=answered)
 
 
 def read_graph(path: Path, namespace: str | None = None) -> BagMessages:
     """Read the messages of a graph of this package; RunError if there are none."""
     messages = read_messages(path, TYPES, namespace)
     if not any(topic in SERIES for topic in messages.by_topic):
-        unreadable = ''.join(f'; {text}' for text in messages.unreadable)
         raise RunError(f'{path}: expected samples on joint_states, or another topic of the '
-                       f'controller, found {describe_others(messages)}{unreadable}')
+                       f'controller, found {messages}')
     return messages
 
 
@@ -201,7 +194,7 @@ def sample_topic(messages: BagMessages) -> str:
 
 
 def content_of(
-    path: Path, messages: BagMessages, controller: ControllerConfig, *, commanded: bool = False,
+    path: Path, messages: BagMessages, controller: ControllerConfig, *, answered: bool = False,
 ) -> BagContent:
     """Return the series of the messages that `read_graph` found; see `read_bag`."""
     topic = sample_topic(messages)
@@ -216,34 +209,28 @@ def content_of(
             f'{(int(stamps[-1]) - int(stamps[0])) * 1e-9:.3g} s')
     data = empty_run_data(count, controller)
     for name, columns in messages.by_topic.items():
-        names = data.joint_names if name.startswith('joint') else data.contact_names
+        names = () if TYPES[name] != JOINT_STATE else (
+            data.joint_names if name.startswith('joint') else data.contact_names)
         places = np.searchsorted(stamps, columns.stamps).clip(max=len(stamps) - 1)
         known = stamps[places] == columns.stamps
         for series, field in SERIES.get(name, {}).items():
             getattr(data, series)[ticks[places[known]]] = columns.values(field, names)[known]
-    missing = {name: data.ticks - len(np.intersect1d(stamps, messages.by_topic[name].stamps))
-               if name in messages.by_topic else data.ticks for name in SERIES}
-    if commanded:
-        data = replace(data, command=_commands(
-            data, messages.by_topic.get(FORCE_COMMAND), samples.published[::-1][newest], ticks))
+    data = replace(data, command=_commands(
+        data, messages.by_topic.get(FORCE_COMMAND), samples.published[::-1][newest], ticks))
+    begin, end = _answered(data) if answered else (0, count)
     return BagContent(
-        data, dict(messages.rates), {name: count for name, count in missing.items()
-                                  if name not in OPTIONAL or count < data.ticks},
-        _remarks(messages, data), int(stamps[0]))
+        data.part(begin, end), dict(messages.rates),
+        tuple(x for x in SERIES if x not in messages.by_topic and x not in OPTIONAL),
+        _remarks(messages, data), int(stamps[0]) + round(begin / data.rate * 1e9))
 
 
-def answered(content: BagContent) -> BagContent:
-    """Return what lies between the first and the last sample that was answered, if any was."""
-    data, start = content.data, content.start
+def _answered(data: RunData) -> tuple[int, int]:
+    """Return the first sample that was answered, and the one behind the last, if any was."""
     for series in (data.alpha_meas, data.torque):
         known = np.flatnonzero(np.isfinite(series).any(axis=1))
         if known.size:
-            data = data.part(int(known[0]), int(known[-1]) + 1)
-            start += round(known[0] / data.rate * 1e9)
-            break
-    missing = {topic: int(np.isnan(getattr(data, next(iter(SERIES[topic])))).all(axis=1).sum())
-               for topic in content.missing}
-    return replace(content, data=data, start=start, missing=missing)
+            return int(known[0]), int(known[-1]) + 1
+    return 0, data.ticks
 
 
 def _commands(
@@ -285,9 +272,6 @@ def _commands(
 
 def _remarks(messages: BagMessages, data: RunData) -> tuple[str, ...]:
     remarks = list(messages.unreadable)
-    lacking = [x for x in SERIES if x not in messages.by_topic and x not in OPTIONAL]
-    if lacking:
-        remarks.append(f'{NOT_RECORDED}: {", ".join(lacking)}')
     for topic, values, expected in ((SAMPLES, data.q, data.joint_names),
                                     (MEASURED, data.alpha_meas, data.contact_names)):
         if topic in messages.by_topic and expected and not np.isfinite(values).any():

@@ -33,7 +33,6 @@ from multicontact_control.experiment.judge import (
 )
 from multicontact_control.experiment.metrics import RunMetrics
 from multicontact_control.experiment.recording import (
-    answered,
     content_of,
     read_bag,
     read_graph,
@@ -208,9 +207,8 @@ def load_run(folder: Path) -> LoadedRun:
     """
     setup = load_setup(folder)
     if (folder / BAG_FOLDER).is_dir():
-        content = read_bag(
-            folder / BAG_FOLDER, setup.controller, commanded=setup.commanded_by_topic)
-        data = (content if setup.simulated else answered(content)).data
+        data = read_bag(
+            folder / BAG_FOLDER, setup.controller, answered=not setup.simulated).data
     elif (folder / SERIES_FILE).is_file():
         data = RunData.load(folder)
     else:
@@ -231,12 +229,13 @@ def load_recording(
     """
     messages = read_graph(path, namespace)
     setup = setup_of_recording(path, messages, files)
-    content = answered(content_of(path, messages, setup.controller, commanded=True))
+    content = content_of(path, messages, setup.controller, answered=True)
     summary = summarise(content.data, setup, mode=RECORDED, timing={
-        'unanswered_samples': content.missing['joint_effort_command'],
+        'unanswered_samples': content.unanswered,
         'topic_rates_hz': {name: round(rate, 3) for name, rate in content.topic_rates.items()}})
+    lacking = [f'not in the recording: {", ".join(content.lacking)}'] if content.lacking else []
     return LoadedRun(path, setup, content.data, {
-        **summary, 'supervised': None, 'remarks': list(content.remarks)})
+        **summary, 'supervised': None, 'remarks': [*lacking, *content.remarks]})
 
 
 def run_of(path: Path) -> tuple[Path, bool]:

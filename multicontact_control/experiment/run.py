@@ -29,7 +29,7 @@ from multicontact_control.experiment.judge import (
     verdict_text,
 )
 from multicontact_control.experiment.metrics import percentiles
-from multicontact_control.experiment.recording import answered, BagContent, read_bag, RunData
+from multicontact_control.experiment.recording import BagContent, read_bag, RunData
 from multicontact_control.experiment.results import (
     CONFIG_FOLDER,
     FIGURE_FOLDER,
@@ -120,8 +120,7 @@ def run_on_graph(
         console.print(UNANSWERED, highlight=False, soft_wrap=True)
         return None, result.interrupted
     content = read_bag(result.bag, setup.controller, namespace=spec.namespace,
-                       commanded=setup.commanded_by_topic)
-    content = content if external is None else answered(content)
+                       answered=external is not None)
     data = content.data
     interrupted = None if endless else result.interrupted
     if endless:  # it lasts as long as it has, in the files, too
@@ -134,7 +133,7 @@ def run_on_graph(
         timing=graph_timing(result.timing, content),
         ended_early=result.ended or (INTERRUPTED if interrupted else ''),
         events=result.timing[CONTROLLER].get('events', []) if supervised else None)
-    summary |= {'ros_domain_id': result.domain_id, 'remarks': content.run_remarks}
+    summary |= {'ros_domain_id': result.domain_id, 'remarks': list(content.remarks)}
     return _finish(data, setup, folder, summary, console), interrupted
 
 
@@ -188,7 +187,7 @@ def graph_timing(
     never_came = max(0, sim.get('ticks', 0) - data.ticks)
     found = {
         'lost_messages': recorder['lost'] + never_came if 'lost' in recorder else None,
-        'unanswered_samples': content.missing['joint_effort_command'],
+        'unanswered_samples': content.unanswered,
         'kernels_compiled': sum(node.get('kernels_compiled', 0) for node in timing.values()),
         'tick_us': controller.get('tick_us'),
         'scheduling': {name: node['scheduling'] for name, node in timing.items()

@@ -18,7 +18,6 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, ConfigError, RunError
 from multicontact_control.experiment.bag import (
-    describe_others,
     JOINT_STATE,
     read_messages,
     WRENCH,
@@ -141,8 +140,7 @@ def weigh_recording(
     found = read_messages(path, {JOINTS: JOINT_STATE, wrench: WRENCH}, namespace)
     for topic in (JOINTS, wrench):
         if topic not in found.by_topic:
-            text = '; '.join((f'found {describe_others(found)}', *found.unreadable))
-            raise RunError(f'{path}: expected messages on {topic}, {text}')
+            raise RunError(f'{path}: expected messages on {topic}, found {found}')
     joints, felt = found.by_topic[JOINTS], found.by_topic[wrench]
     q = joints.values('position', names)
     if not np.isfinite(q).all():

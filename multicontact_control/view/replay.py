@@ -16,7 +16,6 @@ from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.bag import MARKERS, mcap_files, read_messages
 from multicontact_control.experiment.judge import read_event
 from multicontact_control.experiment.recording import (
-    answered,
     CUT_OFF,
     read_bag,
     RunData,
@@ -196,9 +195,9 @@ def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> Repla
                 run / SUMMARY_FILE).get('events', ())]
         marks = [] if setup.commanded_by_topic else scenario_marks(setup)
     if alone or mcap_files(bag):
-        content = read_bag(bag, setup.controller, namespace=namespace)
-        if of_run and not setup.simulated:
-            content = answered(content)  # from when on events and marks are timed
+        # Events and marks are timed from the first answer on.
+        content = read_bag(bag, setup.controller, namespace=namespace,
+                           answered=of_run and not setup.simulated)
         data, places = content.data, recorded_places(bag, content.start, namespace)
         # What is missing besides, curves show.
         title += f', {CUT_OFF}' if CUT_OFF in content.remarks else ''

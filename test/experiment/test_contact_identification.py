@@ -69,4 +69,4 @@ def test_gaps_are_left_out_and_a_recording_without_steps_is_refused(recording):
     found = identify_contacts(replace(data, q=q), setup.controller, setup.urdf_dir)
     assert found['table']['samples'] < whole['table']['samples']
     with pytest.raises(RunError):
-        identify_contacts(data.truncated(300), setup.controller, setup.urdf_dir)
+        identify_contacts(data.part(0, 300), setup.controller, setup.urdf_dir)

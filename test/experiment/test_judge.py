@@ -186,7 +186,7 @@ def test_limit_cycle_is_named_with_and_without_supervisor(scenario, changes, rea
 def test_verdict_is_shown_and_decides_the_exit_code(
         setup, data, ticks, changes, verdict, stable, code):
     summary = summarise(
-        data.truncated(ticks), setup, **{'mode': 'in_process', 'timing': {}, **changes})
+        data.part(0, ticks), setup, **{'mode': 'in_process', 'timing': {}, **changes})
     assert (summary['verdict'], summary['stable']) == (verdict, stable)
     assert summary['ended_early'] == changes.get('ended_early')
     assert len(summary.get('events', ())) == len(changes.get('events', ()))
