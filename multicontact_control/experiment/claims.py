@@ -1,14 +1,13 @@
 """
 The paper's claims (P04 sec. 4.1, 4.2, 5.2): a table of measures and bounds, and one loop.
 
-A claim is measured on the evidence of a run, and, where it compares ways of estimating R, on that
-of the runs of a comparison on the same plant. What the data do not tell is not judged.
+A claim is measured on the evidence of a run and of the runs of a comparison on the same plant.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 import math
 from statistics import median
 from typing import Any, NamedTuple
@@ -26,6 +25,7 @@ from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 import numpy as np
 from scipy.optimize import brentq
+from scipy.special import exprel
 
 AFTER_PUSH = 0.5  # s, in which the estimate of R is watched for a reaction
 MISMATCH = 0.1  # of the modelled stiffness, beyond which it counts as not known exactly
@@ -43,7 +43,6 @@ class Row(NamedTuple):
 
     label: str  # of the estimator and its variant, e.g. `fixed` or `window rescaled`
     evidence: Evidence  # as from `evidence_of`
-    recoveries: Mapping[str, Sequence[Mapping[str, Any]]]  # of each contact, from its pushes
 
 
 Rows = Sequence[Row]
@@ -83,8 +82,7 @@ class Statement:
         return f'{self.what}: {limit}'
 
 
-@dataclass(frozen=True)
-class Claim:
+class Claim(NamedTuple):
     """One row of the claims table: what the paper says, and what the data say of it."""
 
     claim: str
@@ -92,10 +90,6 @@ class Claim:
     measured: str
     holds: bool | None  # None if the data cannot tell
     why: str
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the row as in ``summary.json``."""
-        return asdict(self)
 
 
 def claims_of(
@@ -113,7 +107,7 @@ def claims_of(
 
 def judge_claims(evidence: Evidence, comparison: Rows = ()) -> list[Claim]:
     """Judge every claim by the evidence of a run; rows of another plant or K_2 are left out."""
-    rows = [Row(evidence['estimator'], evidence, {}), *(row for row in comparison if all(
+    rows = [Row(evidence['estimator'], evidence), *(row for row in comparison if all(
         row.evidence.get(name) == evidence.get(name) for name in ('plant', 'damping_rate')))]
     claims = []
     for each in STATEMENTS:
@@ -133,63 +127,63 @@ def designed_rise(force: ForceConfig) -> float:
 
     T_d of the input plus the time at which the response of the two poles reaches 1 - 1/e.
     """
-    tau, ratio = force.time_constant, force.second_pole_ratio
+    excess = 1.0 - force.second_pole_ratio
 
     def missing(t: float) -> float:
-        if abs(ratio - 1.0) < 1e-6:
-            return (1.0 + t) * math.exp(-t) - math.exp(-1.0)
-        return (ratio * math.exp(-t) - math.exp(-ratio * t)) / (ratio - 1.0) - math.exp(-1.0)
+        return float(math.exp(-t) * (1.0 + t * exprel(excess * t)) - math.exp(-1.0))
 
-    return float(force.input_delay + tau * brentq(missing, 0.0, 10.0))
+    return float(force.input_delay + force.time_constant * brentq(missing, 0.0, 10.0))
 
 
 def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the claims rest on, of a run and its summary, as JSON values."""
+    """Return what studies tabulate and claims rest on, of a simulated run, as JSON values."""
     force, run = setup.controller.force, RunMetrics(data, setup)
+    unstable_at, start = summary['unstable_at_s'], run.motion_start
     return {
-        'scenario': setup.scenario.name, 'plant': setup.plant_name, 'seed': setup.seed,
-        'drives': setup.plant.drives, 'estimator': setup.noise_estimator.estimator,
+        'plant': setup.plant_name, 'seed': setup.seed,
+        'estimator': setup.noise_estimator.estimator,
         'active_state_order': force.active_state_order, 'damping_rate': force.damping_rate,
-        'input_delay_s': force.input_delay, 'designed_rise_s': designed_rise(force),
-        **{name: summary[name] for name in (
-            'verdict', 'instabilities', 'unjudged', 'unstable_at_s')},
+        'designed_rise_s': designed_rise(force),
         # What the supervisor holds tells nothing of what the law alone would do.
         'stable': None if summary['verdict'] == HELD else summary['stable'],
-        'unstable_after_motion_s': run.after_motion(summary['unstable_at_s']),
-        'ran_in_motion': float(data.time[-1]) > run.motion_start + SETTLE_AFTER_START,
-        # The paper speaks of normal forces; couples may well be 0, or of either sign.
-        'contacts': {data.contact_names[i]: _contact_evidence(run, i)
-                     for i in setup.controller.leaders},
-        'motion': run.motion_summary(), 'torque': run.torque_summary()}
+        'unstable_after_motion_s': None if unstable_at is None or math.isinf(start) else (
+            unstable_at - start),
+        'oscillation_hz': None if unstable_at is None else run.growing_line(unstable_at),
+        'ran_in_motion': float(data.time[-1]) > start + SETTLE_AFTER_START,
+        'contacts': {name: {
+            **_contact_evidence(run, i), 'recoveries': run.recoveries(i, unstable_at),
+            'rises_s': [step['rise_63_s'] for step in summary['contacts'][name]['steps']
+                        if step['size_n'] > 0.0]}
+            for i, name in enumerate(data.contact_names)},
+        'motion': summary['motion']}
 
 
 def _contact_evidence(run: RunMetrics, i: int) -> dict[str, Any]:
-    plant, (rest, moving), start = run.setup.plant, run.quiet, run.motion_start
+    plant, start = run.setup.plant, run.motion_start
     error, variance = run.error[:, i], run.data.noise_variance[:, i]
-    command = run.setup.commanded(run.data.time)[:, i]
-    steps = [step for step in run.step_responses(i) if step.size > 0.0]
     ratios = [plant.stiffness_of(column.name) / column.stiffness
               for column in run.setup.controller.columns if column.leader == i]
     pushed = np.zeros(run.data.ticks, dtype=bool)
-    for begin, duration in zip(plant.push_start, plant.push_duration):
-        if begin < start:
-            end = min(begin + duration + AFTER_PUSH, start)
-            pushed |= (run.data.time >= begin) & (run.data.time < end)
+    for begin, duration in run.pushes:
+        pushed |= run.between(begin, min(begin + duration + AFTER_PUSH, start))
     return {
-        'stiffness_ratio': max(ratios, key=lambda ratio: abs(ratio - 1.0)),
-        'variance_rest_n2': value_in(rest, variance, np.median),
-        'variance_moving_n2': value_in(moving, variance, np.median),
-        'rises_s': [step.rise_63 for step in steps],
-        'overshoot_percent': max((step.overshoot_percent for step in steps), default=None),
-        'rest_command_n': value_in(rest, command, np.median),
-        'rest_mean_error_n': value_in(rest, error), 'rest_std_n': value_in(rest, error, np.std),
-        'moving_command_n': value_in(moving, command, np.median),
-        'moving_rms_n': rms_in(moving, error),
-        'moving_lost': run.lost_share(i, moving),
+        **{name: {
+            'command_n': value_in(window, run.command[:, i], np.median),
+            'rms_n': rms_in(window, error), 'mean_n': value_in(window, error),
+            'std_n': value_in(window, error, np.std), 'lost': run.lost_share(i, window),
+            'variance_n2': value_in(window, variance, np.median)}
+            for name, window in zip(('rest', 'moving'), run.quiet)},
+        # None of a couple.
+        'stiffness_ratio': max(ratios, key=lambda ratio: abs(ratio - 1.0), default=None),
         'start_peak_n': value_in(
-            (run.data.time >= start) & (run.data.time - start < SETTLE_AFTER_START),
-            np.abs(error), np.max),
+            run.between(start, start + SETTLE_AFTER_START), np.abs(error), np.max),
         'variance_peak_n2': value_in(pushed, variance, np.max)}
+
+
+def _pressed(row: Row) -> dict[str, Evidence]:
+    """Return the contacts: the paper speaks of normal forces, and couples may well be 0."""
+    return {name: contact for name, contact in row.evidence['contacts'].items()
+            if contact['stiffness_ratio'] is not None}
 
 
 def this_run(rows: Rows) -> Rows:
@@ -205,8 +199,9 @@ def paper_run(rows: Rows) -> Rows:
 def runs_with(*labels: str) -> Callable[[Rows], Rows]:
     """Select the runs of the first estimator that has any, with active state and right model."""
     def select(rows: Rows) -> Rows:
-        candidates = ([row for row in rows[1:] if row.label == label and not _mismatched(row)
-                  and row.evidence['active_state_order'] > 0] for label in labels)
+        candidates = (
+            [row for row in rows[1:] if row.label == label and not _mismatched(row)
+             and row.evidence['active_state_order'] > 0] for label in labels)
         return next(filter(None, candidates), [row for row in rows[:1] if row.label in labels])
     return select
 
@@ -219,21 +214,21 @@ def wrong_stiffness(rows: Rows) -> Rows:
 
 def _mismatched(row: Row) -> bool:
     return any(abs(contact['stiffness_ratio'] - 1.0) > MISMATCH
-               for contact in row.evidence['contacts'].values())
+               for contact in _pressed(row).values())
 
 
 def of_contacts(
     number: Callable[[Evidence, Evidence], float | None],
 ) -> Callable[[Row], Numbers]:
     """Return the measure of a number of each contact, from its evidence and that of the run."""
-    return lambda row: [(name, value) for name, contact in row.evidence['contacts'].items()
+    return lambda row: [(name, value) for name, contact in _pressed(row).items()
                         if (value := number(contact, row.evidence)) is not None]
 
 
 def _rises(row: Row) -> Numbers:
     """Return rise times over the designed one; a run that did not go on tells no `never`."""
     run = row.evidence
-    rises = [(name, rise) for name, contact in run['contacts'].items()
+    rises = [(name, rise) for name, contact in _pressed(row).items()
              for rise in contact['rises_s']]
     return [] if run['stable'] is None and any(rise is None for _, rise in rises) else [
         (name, math.inf if rise is None else rise / run['designed_rise_s'])
@@ -247,23 +242,24 @@ def _motion(name: str, scale: float) -> Callable[[Row], Numbers]:
 
 def _moving_error(contact: Evidence, run: Evidence) -> float | None:
     """Return the rms error in motion over the command, infinite where the contact is lost."""
-    if run['stable'] is None or run['stable'] and contact['moving_rms_n'] is None:
+    moving = contact['moving']
+    if run['stable'] is None or run['stable'] and moving['rms_n'] is None:
         return None
-    kept = run['stable'] and not contact['moving_lost']
-    return float(contact['moving_rms_n'] / contact['moving_command_n']) if kept else math.inf
+    kept = run['stable'] and not moving['lost']
+    return float(moving['rms_n'] / moving['command_n']) if kept else math.inf
 
 
 def _static_error(contact: Evidence, run: Evidence) -> float | None:
     """Return the mean error at rest over the command, infinite if the run is not stable."""
-    if run['stable'] is None or not contact['rest_command_n']:
+    rest = contact['rest']
+    if run['stable'] is None or not rest['command_n']:
         return None
-    return abs(contact['rest_mean_error_n']) / contact['rest_command_n'] if (
-        run['stable']) else math.inf
+    return abs(rest['mean_n']) / rest['command_n'] if run['stable'] else math.inf
 
 
 def _start_peak(contact: Evidence, run: Evidence) -> float | None:
     """Return the largest error after the start of the motion over the spread at rest."""
-    peak, spread = contact['start_peak_n'], contact['rest_std_n']
+    peak, spread = contact['start_peak_n'], contact['rest']['std_n']
     return peak / spread if run['ran_in_motion'] and peak is not None and spread else None
 
 
@@ -279,14 +275,14 @@ def _unstable(*, in_motion: bool) -> Callable[[Row], Numbers]:
 
 def _reaction(contact: Evidence, run: Evidence) -> float | None:
     """Return the largest R at a push at rest over that at rest."""
-    peak, rest = contact['variance_peak_n2'], contact['variance_rest_n2']
+    peak, rest = contact['variance_peak_n2'], contact['rest']['variance_n2']
     return peak / rest if peak is not None and rest else None
 
 
 def _recoveries(row: Row) -> Numbers:
     """Return how long lasting pushes at rest take to be controlled out [s]."""
     return [(name, math.inf if answer['recovery'] is None else answer['recovery'])
-            for name, answers in row.recoveries.items() for answer in answers
+            for name, contact in _pressed(row).items() for answer in contact['recoveries']
             if not answer['moving'] and answer['duration'] >= LASTING]
 
 
@@ -303,10 +299,10 @@ STATEMENTS = (
     Statement('The orientation stays fixed', 'Fig. 5', this_run,
               _motion('orientation_max_rad', 1.0), 'largest error', '{:.4f} rad', high=0.02),
     Statement('The noise variance is about 0.6 N² at rest', '0.6 N² (Fig. 6)', paper_run,
-              of_contacts(lambda contact, run: contact['variance_rest_n2']),
+              of_contacts(lambda contact, run: contact['rest']['variance_n2']),
               'median, for which the simulated noise is calibrated', '{:.2f} N²', 0.3, 1.2),
     Statement('It rises to about 100 N² when the arm moves', '100 N² (Fig. 6)', paper_run,
-              of_contacts(lambda contact, run: contact['variance_moving_n2']),
+              of_contacts(lambda contact, run: contact['moving']['variance_n2']),
               'median, for which the simulated roughness is calibrated', '{:.2f} N²',
               100.0 / 3.0, 300.0),
     Statement('On-line estimation of R keeps the control working in motion', 'Figs 3-6',

@@ -168,7 +168,7 @@ def draw_side_by_side(runs: Sequence[tuple[str, RunData, Setup]], path: Path) ->
         for i, (name, axes) in enumerate(zip(data.contact_names, column)):
             measured = _force(data, i, True).panels[0]
             _draw_panel(axes, measured._replace(label=f'{name} [N]'), data.time, ())
-        last = max((step.time for i in range(len(data.contact_names))
+        last = max((step.time_s for i in range(len(data.contact_names))
                     for step in run.step_responses(i)), default=0.0)
         shown = (data.time >= last - STEP_SHOWN[0]) & (data.time < last + STEP_SHOWN[1])
         _draw_panel(column[count], Panel('force [N]', [

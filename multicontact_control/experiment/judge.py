@@ -182,8 +182,9 @@ def findings(run: RunMetrics, ended_early: str = '') -> list[Finding]:
     infinite = np.any([np.isinf(values).any(axis=1) for values in series], axis=0)
     if infinite.any():
         passed.append(Finding('a number is not finite', _first(data, infinite)))
-    saturated = run.saturation()
-    of_drives = saturated & (least_torque_limit(setup) < torque_limit(setup))
+    least = least_torque_limit(setup)
+    saturated = np.abs(data.torque) >= 0.999999 * least
+    of_drives = saturated & (least < torque_limit(setup))
     passed += _lasting(data, 'torque saturated' + (
         ' at the limit of the simulated drives' if of_drives.any() else ''),
         *stretches(np.asarray(saturated.any(axis=1))))

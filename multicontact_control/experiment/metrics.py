@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.control.tasks import ReferenceConfig
 from multicontact_control.experiment.oscillation import (
     bridged,
     Oscillation,
@@ -37,8 +35,7 @@ LASTING = 0.5  # s; a push this long is to be controlled out while it lasts
 GROWTH = 0.5  # s before instability in which its oscillation is looked for
 
 
-@dataclass(frozen=True)
-class Windows:
+class Windows(NamedTuple):
     """The stretches of a run that are judged: masks of samples, shape (m,)."""
 
     rest: Mask  # under the last force step
@@ -46,25 +43,12 @@ class Windows:
     loaded: Mask  # from the first force step on
 
 
-def windows(reference: ReferenceConfig, time: Vector) -> Windows:
-    """Return the judged stretches of a scenario at the times of samples, shape (m,) [s]."""
-    steps = reference.force_steps
-    start = reference.motion.start_time if reference.motion else math.inf
-    first = steps[0].time if steps else math.inf
-    before_motion = [step.time for step in steps if step.time < start]
-    rest_from = before_motion[-1] + SETTLE_AFTER_STEP if before_motion else math.inf
-    return Windows(
-        rest=(time >= rest_from) & (time < start), moving=time >= start + SETTLE_AFTER_START,
-        loaded=time >= first)
-
-
-@dataclass(frozen=True)
-class StepResponse:
+class StepResponse(NamedTuple):
     """The answer of one contact to one commanded step."""
 
-    time: float  # s
-    size: float  # N
-    rise_63: float | None  # from command to true force beyond 63 % of the step [s]; None: never
+    time_s: float
+    size_n: float
+    rise_63_s: float | None  # from command to force beyond 63 % of the step; None: never
     overshoot_percent: float  # of the step
 
 
@@ -86,14 +70,19 @@ class RunMetrics:
     @cached_property
     def windows(self) -> Windows:
         """
-        The judged stretches: of the scenario, or of the forces commanded over topics.
+        Return the judged stretches: of the scenario, or of the forces commanded over topics.
 
         Of the latter `loaded` is while a force is asked for, `moving` while the pose asked for
         moves, and `rest` what is 1 s away from that and from every change of a command.
         """
-        data = self.data
+        data, start = self.data, self.motion_start
         if not self.setup.commanded_by_topic:
-            return windows(self.setup.scenario.reference, data.time)
+            steps = [step.time for step in self.setup.scenario.reference.force_steps]
+            last_step = max((time for time in steps if time < start), default=math.inf)
+            return Windows(
+                rest=(data.time >= last_step + SETTLE_AFTER_STEP) & (data.time < start),
+                moving=data.time >= start + SETTLE_AFTER_START,
+                loaded=data.time >= min(steps, default=math.inf))
         command = np.nan_to_num(data.command)
         loaded = np.asarray((command > 0.0).any(axis=1))
         moving, changed = np.zeros(data.ticks, dtype=bool), np.ones(data.ticks, dtype=bool)
@@ -107,38 +96,42 @@ class RunMetrics:
 
     @cached_property
     def quiet(self) -> tuple[Mask, Mask]:
-        """The windows `rest` and `moving` without the pushes and 1 s after each."""
-        judged = windows(self.setup.scenario.reference, self.data.time)
+        """Return the windows `rest` and `moving` without the pushes and 1 s after each."""
         quiet = np.ones(self.data.ticks, dtype=bool)
-        for start, duration in zip(self.setup.plant.push_start, self.setup.plant.push_duration):
+        for start, duration in self.pushes:
             quiet &= ~self.between(start, start + duration + SETTLE_AFTER_PUSH)
-        return judged.rest & quiet, judged.moving & quiet
+        return self.windows.rest & quiet, self.windows.moving & quiet
+
+    @property
+    def pushes(self) -> list[tuple[float, float]]:
+        """Return start and duration of each push of the simulated plant [s]."""
+        return list(zip(self.setup.plant.push_start, self.setup.plant.push_duration))
 
     @cached_property
     def command(self) -> Matrix:
-        """The forces asked for by the scenario or over topics, shape (m, r) [N]."""
+        """Return the forces asked for by the scenario or over topics, shape (m, r) [N]."""
         return self.data.command if self.setup.commanded_by_topic else (
             self.setup.commanded(self.data.time))
 
     @cached_property
     def pressing(self) -> Matrix:
-        """The normal force asked for at a contact, for a couple that of its contact [N]."""
+        """Return the normal force asked for at a contact, for a couple at its own [N]."""
         return self.command[:, self.leaders]
 
     @cached_property
     def truth(self) -> Mask:
-        """Of which contacts the true forces are known for 0.9 of the load, shape (r,)."""
+        """Return of which contacts the true force is known for 0.9 of the load."""
         return np.array([self.known_share(i, self.data.alpha_true) >= LEAST_TRUTH
                          for i in range(len(self.leaders))], dtype=bool)
 
     @cached_property
     def force(self) -> Matrix:
-        """The forces that errors are taken of, shape (m, r) [N]."""
+        """Return the forces that errors are taken of, shape (m, r) [N]."""
         return np.where(self.truth, self.data.alpha_true, self.data.alpha_meas)
 
     @cached_property
     def error(self) -> Matrix:
-        """The forces less the commands, shape (m, r) [N]."""
+        """Return the forces less the commands, shape (m, r) [N]."""
         error: Matrix = self.force - self.command
         return error
 
@@ -158,13 +151,12 @@ class RunMetrics:
 
     def next_event(self, time: float) -> float:
         """Return when the next push, or force step or motion of the scenario, begins [s]."""
-        plant, events = self.setup.plant, [self.motion_start]
+        plant, events = self.setup.plant, []
         if self.setup.simulated:
             events += [*plant.push_start, *plant.tool_push_start]
-        if self.setup.commanded_by_topic:
-            events.remove(self.motion_start)
-        else:
-            events += [step.time for step in self.setup.scenario.reference.force_steps]
+        if not self.setup.commanded_by_topic:
+            events += [self.motion_start, *(
+                step.time for step in self.setup.scenario.reference.force_steps)]
         return min((event for event in events if event > time + 1e-9), default=math.inf)
 
     def step_responses(self, i: int) -> list[StepResponse]:
@@ -236,39 +228,26 @@ class RunMetrics:
         """Return the numbers of one contact; of the steps those of the largest one up."""
         judged, asked = self.windows, ~(self.pressing[:, i] == 0.0)
         responses = self.step_responses(i)
-        largest = max(responses, key=lambda response: response.size, default=None)
-        loaded = judged.loaded & asked
-        begins, ends = self.losses(i, loaded)
-        longest = max(self.oscillations(i, loaded),
-                    key=lambda oscillation: oscillation.duration, default=None)
+        largest = max(responses, key=lambda response: response.size_n, default=None)
         return {
-            'step_rise_63_s': largest.rise_63 if largest else None,
+            'step_rise_63_s': largest.rise_63_s if largest else None,
             'step_overshoot_percent': largest.overshoot_percent if largest else None,
-            'steps': [{'time_s': response.time, 'size_n': response.size,
-                       'rise_63_s': response.rise_63,
-                       'overshoot_percent': response.overshoot_percent}
-                      for response in responses],
-            'loss_rate_hz': len(begins) * self.data.rate / int(loaded.sum()) if (
-                loaded.any()) else None,
-            'longest_loss_s': max((end - begin for begin, end in zip(begins, ends)),
-                                  default=0) / self.data.rate,
-            'oscillation_hz': longest.frequency if longest else None,
-            'oscillation_rms_n': longest.rms if longest else None,
-            'oscillation_s': longest.duration if longest else None,
-            'rest': self._window_summary(i, judged.rest & asked),
-            'moving': self._window_summary(i, judged.moving & asked)}
+            'steps': [response._asdict() for response in responses],
+            'oscillation_s': max((oscillation.duration for oscillation in self.oscillations(
+                i, judged.loaded & asked)), default=None),
+            **{name: self._window_summary(i, window & asked)
+               for name, window in (('rest', judged.rest), ('moving', judged.moving))}}
 
     def _window_summary(self, i: int, window: Mask) -> dict[str, float | None]:
-        error = rms_in(window, self.error[:, i])
-        estimate = rms_in(window, self.data.alpha_est[:, i] - self.force[:, i])
-        known = {'true_error_rms_n': error if self.truth[i] else None,
-                 'estimate_error_rms_n': estimate if self.truth[i] else None}
-        if not self.truth.all():
-            known['measured_error_rms_n'] = None if self.truth[i] else error
-        return {**known,
-                'noise_variance_median_n2': value_in(
-                    window, self.data.noise_variance[:, i], np.median),
-                'contact_loss_fraction': self.lost_share(i, window)}
+        error, known = rms_in(window, self.error[:, i]), self.truth[i]
+        return {
+            'true_error_rms_n': error if known else None,
+            'estimate_error_rms_n': rms_in(
+                window, self.data.alpha_est[:, i] - self.force[:, i]) if known else None,
+            **({} if self.truth.all() else {'measured_error_rms_n': None if known else error}),
+            'noise_variance_median_n2': value_in(
+                window, self.data.noise_variance[:, i], np.median),
+            'contact_loss_fraction': self.lost_share(i, window)}
 
     def motion_summary(self) -> dict[str, float | None]:
         """
@@ -297,19 +276,9 @@ class RunMetrics:
         limit = least_torque_limit(self.setup)
         fraction: Matrix = np.abs(self.data.torque) / limit
         return {'max_fraction_of_limit': value_in(
-                    np.isfinite(fraction) & np.isfinite(limit), fraction, np.max),
-                'saturated_fraction': float(self.saturation().any(axis=1).mean())}
+            np.isfinite(fraction) & np.isfinite(limit), fraction, np.max)}
 
-    def saturation(self) -> Mask:
-        """Return which commanded torques were at their limits, shape (m, n)."""
-        return np.asarray(np.abs(self.data.torque) >= 0.999999 * least_torque_limit(self.setup))
-
-    def after_motion(self, unstable_at: float | None) -> float | None:
-        """Return the time from the start of the motion until a run became unstable [s]."""
-        return None if unstable_at is None or math.isinf(self.motion_start) else (
-            unstable_at - self.motion_start)
-
-    def recoveries(self, i: int, unstable_at: float | None = None) -> list[dict[str, Any]]:
+    def recoveries(self, i: int, unstable_at: float | None) -> list[dict[str, Any]]:
         """
         Return the answers of one contact to the pushes of the plant.
 
@@ -320,9 +289,9 @@ class RunMetrics:
         band, None if it did not come back before the next event, or the run was unstable by then.
         """
         last = float(self.data.time[-1])
-        error, command = self.error[:, i], self.setup.commanded(self.data.time)[:, i]
+        error, command = self.error[:, i], self.command[:, i]
         answers = []
-        for start, duration in zip(self.setup.plant.push_start, self.setup.plant.push_duration):
+        for start, duration in self.pushes:
             lasting = duration >= LASTING
             from_time = start if lasting else start + duration
             until = min(self.next_event(start), last + 1.0 / self.data.rate,
@@ -344,7 +313,7 @@ class RunMetrics:
         return answers
 
     def growing_line(self, unstable_at: float) -> float | None:
-        """Return the strongest frequency of the true forces over the 0.5 s before that [Hz]."""
+        """Return the strongest frequency of the true forces in the 0.5 s before a time [Hz]."""
         forces = self.data.alpha_true[self.between(unstable_at - GROWTH, unstable_at)]
         if forces.shape[0] < GROWTH * self.data.rate - 1 or not np.isfinite(forces).all():
             return None
@@ -396,26 +365,3 @@ def percentiles(values: Vector) -> dict[str, float]:
     """Return p50, p99, p99.9 and the largest of some times."""
     marks = np.percentile(values, [50.0, 99.0, 99.9, 100.0]) if len(values) else np.zeros(4)
     return dict(zip(('p50', 'p99', 'p999', 'max'), marks.tolist()))
-
-
-def disturbance_summary(
-    data: RunData, setup: Setup, unstable_at: float | None,
-) -> dict[str, Any]:
-    """Return what a comparison needs beyond ``summary.json``, as JSON values."""
-    run = RunMetrics(data, setup)
-
-    def errors(i: int, window: Mask) -> dict[str, float | None]:
-        error = run.error[:, i]
-        return {'rms_n': rms_in(window, error), 'mean_n': value_in(window, error),
-                'std_n': value_in(window, error, np.std), 'lost': run.lost_share(i, window),
-                'variance_n2': value_in(window, data.noise_variance[:, i], np.median)}
-
-    rest, moving = run.quiet
-    return {
-        'contacts': {name: {
-            'rest': errors(i, rest), 'moving': errors(i, moving),
-            'recoveries': run.recoveries(i, unstable_at)}
-            for i, name in enumerate(data.contact_names)},
-        'unstable_at_s': unstable_at,
-        'oscillation_hz': None if unstable_at is None else run.growing_line(unstable_at),
-        'unstable_after_motion_s': run.after_motion(unstable_at)}

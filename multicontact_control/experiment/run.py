@@ -207,7 +207,7 @@ def _finish(
     data: RunData, setup: Setup, folder: Path, summary: dict[str, Any], console: Console,
 ) -> dict[str, Any]:
     """Judge the claims, write figures and summary, show the table."""
-    summary['claims'] = [claim.to_json() for claim in claims_of(data, setup, summary)]
+    summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
     draw_figures(data, setup, folder / FIGURE_FOLDER, verdict=verdict_text(summary))
     if summary['timing'].get('latency_histogram'):
         draw_latency(summary, folder / FIGURE_FOLDER)

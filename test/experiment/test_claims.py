@@ -10,7 +10,6 @@ from multicontact_control.experiment.claims import (
     STATEMENTS,
 )
 from multicontact_control.experiment.judge import INTERRUPTED
-from multicontact_control.experiment.metrics import disturbance_summary
 from multicontact_control.experiment.results import summarise
 import numpy as np
 import pytest
@@ -29,9 +28,7 @@ def claim_of(data, setup, words, rows=(), **summarised):
 
 def row(label, data, setup):
     summary = summarise(data, setup, mode='in_process', timing={})
-    contacts = disturbance_summary(data, setup, summary['unstable_at_s'])['contacts']
-    return Row(label, evidence_of(data, setup, summary),
-               {name: contact['recoveries'] for name, contact in contacts.items()})
+    return Row(label, evidence_of(data, setup, summary))
 
 
 def changed(data, name, window, values):

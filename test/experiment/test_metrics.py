@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from multicontact_control.experiment.metrics import disturbance_summary, RunMetrics, windows
+from multicontact_control.experiment.metrics import RunMetrics
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def data(setup):
 
 
 def test_windows_are_those_of_the_definition(setup, data):
-    judged = windows(setup.scenario.reference, data.time)
+    judged = RunMetrics(data, setup).windows
     rest, moving = data.time[judged.rest], data.time[judged.moving]
     assert (rest[0], rest[-1]) == pytest.approx((5.0, 6.498))
     assert (moving[0], moving[-1]) == pytest.approx((8.5, 11.998))
@@ -32,15 +32,14 @@ def test_windows_are_those_of_the_definition(setup, data):
 def test_losses_are_counted_under_load(setup, data):
     for start, samples in ((1000, 50), (3000, 20), (4000, 2), (5000, 1)):
         data.alpha_true[start:start + samples, 1] = 0.0
-    contact = RunMetrics(data, setup).contact_summary(1)
-    assert contact['loss_rate_hz'] == pytest.approx(2.0 / 9.5, rel=1e-3)
-    assert contact['longest_loss_s'] == pytest.approx(0.04)
+    run = RunMetrics(data, setup)
+    assert run.losses(1, run.windows.loaded) == ([3000, 4000], [3020, 4002])
     data.alpha_true[3010, 1] = np.nan
     assert RunMetrics(data, setup).losses(1, data.time >= 0.0)[0] == [1000, 3000, 4000]
 
 
 def test_contact_errors_are_root_mean_squares_in_their_window(setup, data):
-    judged = windows(setup.scenario.reference, data.time)
+    judged = RunMetrics(data, setup).windows
     data.alpha_true[judged.rest, 0] += 0.5 * np.where(np.arange(judged.rest.sum()) % 2, 1, -1)
     data.alpha_true[~judged.rest & (data.time > 4.5) & (data.time < 5.0), 0] += 3.0
     rest = RunMetrics(data, setup).contact_summary(0)['rest']
@@ -56,10 +55,10 @@ def test_step_response_of_a_known_lag(setup, data):
     response[(t > 0.5) & (t < 0.6)] = 1.1
     data.alpha_true[after, 0] = np.where(t < 1.5, 2.0 + 8.0 * response, 15.0)
     first = RunMetrics(data, setup).step_responses(0)[0]
-    assert (first.time, first.size) == (2.5, 8.0)
-    assert first.rise_63 == pytest.approx(0.05, abs=0.003)
+    assert (first.time_s, first.size_n) == (2.5, 8.0)
+    assert first.rise_63_s == pytest.approx(0.05, abs=0.003)
     assert first.overshoot_percent == pytest.approx(10.0)
-    assert RunMetrics(data, setup).contact_summary(0)['step_rise_63_s'] == first.rise_63
+    assert RunMetrics(data, setup).contact_summary(0)['step_rise_63_s'] == first.rise_63_s
 
 
 def test_commanded_step_begins_at_the_force_pressed_before(setup, data):
@@ -69,8 +68,8 @@ def test_commanded_step_begins_at_the_force_pressed_before(setup, data):
     data.alpha_des[:] = np.where(before, 2.0, 10.0)[:, None]
     data.alpha_true[:], data.command[:] = lagging[:, None], np.where(before, 0.0, 10.0)[:, None]
     (step,) = RunMetrics(data, setup).step_responses(0)
-    assert (step.time, step.size) == (3.0, 8.0)
-    assert step.rise_63 == pytest.approx(0.05, abs=0.003)
+    assert (step.time_s, step.size_n) == (3.0, 8.0)
+    assert step.rise_63_s == pytest.approx(0.05, abs=0.003)
     assert step.overshoot_percent == pytest.approx(10.0)
 
 
@@ -79,7 +78,7 @@ def test_couple_has_no_loss_and_its_steps_begin_at_zero():
     edge = resolve('edge', plant='rigid')
     data = perfect_run(edge)
     data.alpha_true[:] = edge.commanded(data.time)
-    assert [(step.time, step.size) for step in RunMetrics(data, edge).step_responses(1)] == [
+    assert [(step.time_s, step.size_n) for step in RunMetrics(data, edge).step_responses(1)] == [
         (6.0, 3.0), (7.5, -3.0)]
     data.alpha_true[::2, 1] = -1.0
     force, couple = (RunMetrics(data, edge).contact_summary(i)['moving'] for i in (0, 1))
@@ -120,7 +119,7 @@ def test_recovery_is_the_time_until_the_error_stays_in_the_band(pushed, push, er
     data = perfect_run(pushed)
     for error in errors:
         data = with_error(data, *error)
-    answer = RunMetrics(data, pushed).recoveries(0)[push]
+    answer = RunMetrics(data, pushed).recoveries(0, None)[push]
     assert answer['recovery'] == (
         recovery if recovery is None else pytest.approx(recovery, abs=0.003))
     assert answer['peak'] == pytest.approx(max(abs(size) for *_, size in errors))
@@ -131,8 +130,6 @@ def test_growing_line_is_the_frequency_before_instability(pushed):
     data = perfect_run(pushed)
     time = data.time[(data.time >= 10.0) & (data.time < 11.0)]
     data = with_error(data, 10.0, 11.0, np.sin(2.0 * np.pi * 42.0 * time))
-    found = disturbance_summary(data, pushed, 11.0)
-    assert found['oscillation_hz'] == pytest.approx(42.0, abs=0.5)
-    assert found['unstable_after_motion_s'] == pytest.approx(2.0)
-    early = disturbance_summary(data, pushed, 4.0)['contacts']['table']['recoveries']
-    assert all(answer['recovery'] is None for answer in early)
+    assert RunMetrics(data, pushed).growing_line(11.0) == pytest.approx(42.0, abs=0.5)
+    early = RunMetrics(data, pushed).recoveries(0, 4.0)
+    assert early and all(answer['recovery'] is None for answer in early)

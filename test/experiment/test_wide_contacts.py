@@ -3,7 +3,7 @@
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.judge import judge, STABLE
-from multicontact_control.experiment.metrics import rms_in, RunMetrics, windows
+from multicontact_control.experiment.metrics import rms_in, RunMetrics
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.loop import ControlLoop
 from multicontact_control.supervision.command_limits import CommandLimits
@@ -22,7 +22,7 @@ FRICTION = 0.1  # of the simulated surfaces
 def test_forces_and_couples_are_kept_at_rest_and_while_sliding(scenario, plant, bound):
     setup = resolve(scenario, plant=plant, seed=1, duration=13.0)
     data = run_of(setup).data
-    window = windows(setup.scenario.reference, data.time)
+    window = RunMetrics(data, setup).windows
     assert judge(data, setup, mode='in_process', events=()).name == STABLE
     for i, name in enumerate(data.contact_names):
         error = RunMetrics(data, setup).error[:, i]

@@ -8,7 +8,7 @@ import math
 from typing import Any, TYPE_CHECKING
 
 from multicontact_control.experiment.claims import evidence_of
-from multicontact_control.experiment.metrics import disturbance_summary, LASTING, RunMetrics
+from multicontact_control.experiment.metrics import LASTING, RunMetrics
 from multicontact_control.experiment.recording import empty_run_data
 from multicontact_control.experiment.results import summarise
 import numpy as np
@@ -41,7 +41,7 @@ def measure_run(
     -------
     dict
         The content of ``summary.json`` under `summary`, None after an exception; the answers to
-        disturbances under `disturbances`, what claims rest on under `evidence`;
+        disturbances, and what else claims rest on, under `evidence`;
         `final_error_share`, `activity_nm`, `neighbour_n` (see `metrics_row`); `error`.
 
     """
@@ -58,7 +58,6 @@ def measure_run(
             events=result.events if supervised else None)
         return {
             'summary': summary,
-            'disturbances': disturbance_summary(data, setup, summary['unstable_at_s']),
             'evidence': evidence_of(data, setup, summary),
             'final_error_share': _final_error_share(run), 'activity_nm': _activity(run),
             'neighbour_n': _neighbour_error(run, surface_gone), 'error': None}
@@ -128,7 +127,7 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
         'instabilities': '; '.join(summary.get('instabilities', ())) or None,
         'settled': share is not None and share <= SETTLED and not ended,
         'oscillates': any(contact['oscillation_s'] for contact in contacts),
-        **_disturbance_row(metrics.get('disturbances')),
+        **_disturbance_row(metrics.get('evidence')),
         'rise_s': _latest(step['rise_63_s'] for contact in contacts for step in contact['steps']),
         'overshoot_percent': _largest(
             step['overshoot_percent'] for contact in contacts for step in contact['steps']),
@@ -137,12 +136,12 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
         'trajectory_sha256': summary.get('trajectory_sha256')}
 
 
-def _disturbance_row(disturbances: Metrics | None) -> dict[str, Any]:
-    contacts = list(disturbances['contacts'].values()) if disturbances else []
+def _disturbance_row(evidence: Metrics | None) -> dict[str, Any]:
+    contacts = list(evidence['contacts'].values()) if evidence else []
     pushes = [push for contact in contacts for push in contact['recoveries']
               if not push['moving']]
     return {
-        **{name: (disturbances or {}).get(name) for name in (
+        **{name: (evidence or {}).get(name) for name in (
             'unstable_after_motion_s', 'oscillation_hz')},
         **{f'{window}_{name}': _largest(contact[window][name] for contact in contacts)
            for window, name in (

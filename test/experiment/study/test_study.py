@@ -87,7 +87,7 @@ def test_ranges_of_a_factor_are_where_all_runs_are_good():
 
 def test_row_has_the_worst_contact_and_infinite_times_of_what_never_came():
     push = {'moving': False, 'duration': 0.1, 'peak': 1.0, 'recovery': 0.2}
-    disturbances = {'unstable_after_motion_s': None, 'oscillation_hz': None, 'contacts': {
+    evidence = {'unstable_after_motion_s': None, 'oscillation_hz': None, 'contacts': {
         name: {**dict.fromkeys(('rest', 'moving'), {
             'rms_n': rms, 'lost': lost, 'variance_n2': None}), 'recoveries': [
                 push, {**push, 'duration': 1.0, 'recovery': recovery},
@@ -98,7 +98,7 @@ def test_row_has_the_worst_contact_and_infinite_times_of_what_never_came():
                    'oscillation_s': 2.0, 'rest': {'true_error_rms_n': 0.1}, 'steps': [
                        {'rise_63_s': None, 'overshoot_percent': 3.0},
                        {'rise_63_s': 0.1, 'overshoot_percent': 1.0}]}}}
-    row = metrics_row({'summary': summary, 'disturbances': disturbances, 'error': None,
+    row = metrics_row({'summary': summary, 'evidence': evidence, 'error': None,
                        'final_error_share': 0.05})
     expected = {
         'stable': False, 'settled': True, 'oscillates': True, 'instabilities': 'a: b; c',

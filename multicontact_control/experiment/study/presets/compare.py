@@ -42,11 +42,9 @@ class CompareStudy(Study):
 
 def claim_rows(results: Results) -> list[Row]:
     """Return the runs of a comparison as what claims are judged from."""
-    return [Row(label, metrics['evidence'], {
-        name: contact['recoveries']
-        for name, contact in metrics['disturbances']['contacts'].items()})
-        for label, metrics in zip(results.frame['estimator'], results.metrics)
-        if metrics['summary']]
+    return [Row(label, metrics['evidence'])
+            for label, metrics in zip(results.frame['estimator'], results.metrics)
+            if metrics['summary']]
 
 
 def comparison_claims(results: Results) -> dict[str, dict[float, list[Claim]]]:
