@@ -98,8 +98,7 @@ def study(
 
 def _end(number: int, _frame: object) -> None:
     """End at a signal with a line that says how to go on."""
-    typer.echo('multicontact: interrupted; what is finished is kept, and the same command goes on '
-               'from there', err=True)
+    typer.echo('multicontact: interrupted; the same command goes on from there', err=True)
     raise SystemExit(EXIT_SIGNAL + number)
 
 

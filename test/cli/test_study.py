@@ -39,7 +39,6 @@ def test_studies_are_listed(multicontact):
     listed = multicontact('study').stdout
     for name in ('compare', 'laws', 'map', 'robots', 'tune', 'faults', 'stiffness', 'delay'):
         assert f'{name} ' in listed
-        assert f'{name}: ' in (text := multicontact('study', '--help').stdout) or name in text
 
 
 def interrupt(process):

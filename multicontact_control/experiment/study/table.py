@@ -225,5 +225,6 @@ def _draw(axes: Any, frame: pd.DataFrame, x: str, lines: list[str], value: str) 
     else:
         table.plot(ax=axes, style='o-', markersize=3, fontsize=8, rot=30)
         axes.set_xticks(range(len(table)), table.index, ha='right')
-    axes.legend(fontsize=7, title=', '.join(lines), title_fontsize=7)
+    if len(table.columns) > 1:
+        axes.legend(fontsize=7, title=', '.join(lines), title_fontsize=7)
     axes.grid(alpha=0.3)
