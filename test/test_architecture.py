@@ -27,7 +27,6 @@ BUDGETS = {
 OUTSIDE = ('test', 'test/campaign', 'benchmarks')  # of the product
 MOST_LINES, MOST_TEST_LINES = 26_500, 13_000
 UNMET = ('experiment', 'cli', 'test')  # rooms that are being cleared
-MOST_COMPILED = 80  # functions
 
 
 def sources(*folders: str) -> dict[str, str]:
@@ -127,8 +126,3 @@ def test_rooms_stay_within_their_budgets():
     outside = sum(lines[name] for name in OUTSIDE)
     assert lines.total() - outside <= MOST_LINES or UNMET
     assert outside <= MOST_TEST_LINES or UNMET
-
-
-def test_compiled_functions_are_few():
-    assert sum(text.count('\n@compiled\n') for text in sources(
-        'multicontact_control', 'sim_bridge').values()) <= MOST_COMPILED

@@ -1,13 +1,7 @@
 """A contact and a noise estimator, made as CONTRIBUTING's recipes say, work."""
 
-from typing import Literal
 
-from multicontact_control.config import NoiseEstimatorConfig
-from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.force.noise import ESTIMATORS
-from multicontact_control.force.noise.base import VARIANCE_FLOOR
-from multicontact_control.force.noise.innovation import InnovationEstimator
 import numpy as np
 from runs import run_of
 
@@ -33,27 +27,3 @@ def test_contact_is_added_without_code():
     late = result.data.time > 5.0
     np.testing.assert_allclose(
         result.data.alpha_true[late].mean(axis=0), [10.0] * 3, atol=0.3)
-
-
-class HalfInnovation(InnovationEstimator):
-    """Half of the last residual squared, as a recipe's file of its own."""
-
-    def _forget(self):
-        pass
-
-    def _estimate_from(self, innovation):
-        return 0.5 * innovation.residual ** 2, innovation.valid
-
-
-def test_noise_estimator_is_added_by_a_class_and_its_name(monkeypatch):
-    class Config(NoiseEstimatorConfig):
-        estimator: Literal['half']
-
-    monkeypatch.setitem(ESTIMATORS, 'half', HalfInnovation)
-    setup = resolve('quick', plant='rigid', duration=2.5)
-    values = {**setup.noise_estimator.model_dump(), 'estimator': 'half'}
-    object.__setattr__(setup, 'noise_estimator', Config.model_validate(values))
-    data = run_in_process(setup, supervised=True).data
-    late = data.noise_variance[data.time > 2.0]
-    assert len(np.unique(late)) > 100
-    assert (late >= VARIANCE_FLOOR).all()

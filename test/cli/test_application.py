@@ -2,15 +2,12 @@
 
 import json
 import os
-import re
 import subprocess
 import sys
 
 from multicontact_control import __version__
-from multicontact_control.cli.application import app
 import pytest
 from ros_graph import ROOT
-import typer
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [
@@ -34,20 +31,6 @@ def test_bad_input_exits_with_two_and_one_line(multicontact, tmp_path, arguments
     assert list(tmp_path.iterdir()) == []
 
 
-def test_help_describes_every_command_and_option(multicontact):
-    """Every option of a number says its unit, and the list of commands has whole sentences."""
-    commands = typer.main.get_command(app).commands
-    listed = multicontact('--help').stdout
-    for name, command in commands.items():
-        if not command.hidden:
-            assert f'  {name} ' in listed
-        done = multicontact(name, '--help')
-        assert done.returncode == 0 and f'Usage: multicontact {name}' in done.stdout
-        for option in re.split(r'\n  (?=--)', done.stdout)[1:]:
-            if re.match(r'--[\w-]+ <float', option) and '--speed' not in option:
-                assert re.search(r'\[\w[^]]*\]', option.split('[default')[0]), option
-
-
 def test_process_ends_as_the_application_does(multicontact, tmp_path):
     for arguments in (('--version',), ('simulate', '--plant', 'x'), ('push-test', '--fault', 'x')):
         here = multicontact(*arguments)
@@ -57,13 +40,6 @@ def test_process_ends_as_the_application_does(multicontact, tmp_path):
         assert (there.returncode, there.stdout, there.stderr) == (
             here.returncode, here.stdout, here.stderr)
     assert multicontact('--version').stdout.strip() == f'multicontact {__version__}'
-
-
-def test_start_without_a_command_lists_commands_that_there_are(multicontact):
-    done = multicontact()
-    assert (done.returncode, done.stderr) == (0, '')
-    tried = re.findall(r'^  multicontact (\w[\w-]+)', done.stdout, re.MULTILINE)
-    assert len(tried) == 4 and set(tried) <= set(typer.main.get_command(app).commands)
 
 
 @pytest.mark.parametrize(('command', 'option', 'value'), [

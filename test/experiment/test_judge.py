@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from multicontact_control.cli.run import end_by_verdict
 from multicontact_control.experiment import figures
-from multicontact_control.experiment.display import headline, summary_table, verdict_lines
+from multicontact_control.experiment.display import verdict_lines
 from multicontact_control.experiment.judge import (
     HELD,
     INTERRUPTED,
@@ -197,24 +197,6 @@ def test_verdict_is_shown_and_decides_the_exit_code(
     with pytest.raises(typer.Exit) as ended:
         end_by_verdict(summary)
     assert ended.value.exit_code == code
-
-
-def test_truth_is_that_of_each_contact(setup, data):
-    data.alpha_true[:, 1] = np.nan
-    data.alpha_meas[:, 1] += 0.5
-    summary = summarise(data, setup, mode='external', timing={})
-    assert (summary['truth'], summary['forces'], summary['without_truth']) == (
-        False, 'measured', ['board'])
-    table, board = (summary['contacts'][name]['rest'] for name in ('table', 'board'))
-    assert (table['true_error_rms_n'], table['measured_error_rms_n']) == (0.0, None)
-    assert (board['true_error_rms_n'], board['measured_error_rms_n']) == (None, 0.5)
-    assert board['estimate_error_rms_n'] is None
-    assert 'no ground truth of board' in headline(summary)
-    labels = summary_table(summary).columns[0].cells
-    assert {'rest: true error rms [N]', 'rest: measured error rms [N]'} < set(labels)
-    shown = {panel.label for drawn in figures.run_figures(data, setup)[:2]
-             for panel in drawn.panels}
-    assert shown == {'force [N]', 'force [N], no ground truth'}
 
 
 @pytest.mark.parametrize('verdict', ['stable', 'not stable: face: oscillates at 42 Hz'])

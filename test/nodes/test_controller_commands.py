@@ -114,26 +114,6 @@ def test_set_points_are_obeyed_and_the_limits_can_be_moved(arm, driver):
     assert set_parameter(driver, NAME, 'command.force_ceiling', 30.0).successful
 
 
-def test_refused_commands_change_nothing_and_are_counted_by_cause(arm):
-    before = arm.settle()
-    for k in range(3):  # a cause is one, whatever was found
-        send_forces(arm, wall=1.0)
-        send_forces(arm, table=np.nan)
-        send_forces(arm, table=99.0 + k)
-        send_position(arm, [5.0 + k, 0.0, 0.0])
-        send_position(arm, [np.nan, 0.0, 0.0])
-
-    def counts(report):
-        return [int(value) for cause in (
-            'name: expected distinct names', 'effort: expected finite', 'force on table: expected',
-            'position x: expected -0.6 to 0.6 m', 'translation: expected finite')
-            for key, value in report['messages'][2].items() if cause in key]
-
-    arm.diagnostics(lambda report: counts(report) == [3] * 5)
-    np.testing.assert_allclose(arm.settle(), before, atol=1e-6)
-    assert arm.forces('desired') == NO_FORCE
-
-
 def test_tare_makes_the_compensated_wrench_zero_and_is_refused_under_force_control(arm, driver):
     bias = np.array([1.0, -2.0, 3.0, 0.1, 0.0, -0.1])
     arm.wrench = arm.wrench + bias

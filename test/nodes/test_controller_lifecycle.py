@@ -7,9 +7,7 @@ import re
 
 from fake_arm import EFFORT, FakeArm
 from fake_arm import PARAMETERS as STILL
-from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_node import ControllerNode
-from multicontact_control.nodes.graph import create_publisher, ignore
 from multicontact_control.nodes.lifecycle import FAILURE, FINALIZED, SUCCESS, UNCONFIGURED
 from multicontact_control.nodes.link import (
     ACTIVATE,
@@ -17,13 +15,11 @@ from multicontact_control.nodes.link import (
     DEACTIVATE,
     TransitionError,
 )
-from multicontact_control.nodes.noise_estimator_node import NoiseEstimatorNode
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
-from ros_graph import end_of, wait_for
-from sensor_msgs.msg import JointState
+from ros_graph import end_of
 
 pytestmark = pytest.mark.ros
 
@@ -107,32 +103,3 @@ def test_autostart_begins_alone_or_ends_with_the_reason(middleware):
     assert bad.returncode == 2
     assert errors.splitlines()[-1].endswith(
         'force.time_constant: expected greater than 0, found -1.0')
-
-
-def test_estimator_forgets_its_window_and_is_silent_while_inactive(host):
-    estimator = host.make(NoiseEstimatorNode, file=config_dir() / 'noise_estimator.yaml')
-    publisher = create_publisher(host.node, topics.MEASURED_FORCES)
-    variances = host.node.create_subscription(JointState, topics.NOISE_VARIANCE.name, ignore, 1000)
-    k, since = 0, 0
-
-    def answer(swing):
-        """Send a force that swings about 1 N; return R if it answers a sample from then on."""
-        nonlocal k
-        k += 1
-        publisher.publish(messages.joint_state_message(
-            2_000_000 * k, ['table', 'board'], effort=[1.0 + swing * (-1.0) ** k] * 2))
-        newest = host.take(variances, JointState)
-        late = newest is None or messages.stamp_to_ns(newest.header.stamp) <= since
-        return [] if late else list(newest.effort)
-
-    assert estimator.trigger_configure() == SUCCESS
-    for _ in range(2):
-        assert estimator.trigger_activate() == SUCCESS
-        since = 2_000_000 * k
-        # The fixed one, until the window is full.
-        assert wait_for(lambda: answer(0.0), 'first variance') == [0.6, 0.6]
-        wait_for(lambda: max(answer(1.0), default=0.0) > 1.0, 'variance of a force that swings')
-        assert estimator.trigger_deactivate() == SUCCESS
-        since = 2_000_000 * k
-        assert not any(answer(0.0) for _ in range(20))
-    assert estimator.trigger_cleanup() == SUCCESS

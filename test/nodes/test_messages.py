@@ -28,7 +28,6 @@ from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_node import ControllerNode
 from multicontact_control.nodes.graph import ignore, take
 from multicontact_control.nodes.lifecycle import SUCCESS
-from multicontact_control.nodes.parameters import LOCKED
 from multicontact_control.nodes.streams import (
     JOINT_FIELDS,
     MessageTemplate,
@@ -40,7 +39,6 @@ from multicontact_control.paths import config_dir
 from multicontact_control.supervision.inputs import JointInput
 import numpy as np
 import pytest
-from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from ros_graph import wait_for
 from rosgraph_msgs.msg import Clock
@@ -162,17 +160,6 @@ def six(scale=1.0):
     numbers = np.arange(6.0)
     return messages.joint_state_message(
         START, JOINTS, position=scale * numbers, velocity=-numbers, effort=numbers ** 2)
-
-
-def test_padding_and_bytes_behind_the_message_do_not_matter():
-    """Names of seven bytes with their zero: each is followed by one of padding."""
-    raw, reader = bytearray(serialize_message(six())), joint_state_reader(JOINTS)
-    reader.read(bytes(raw))
-    for name in JOINTS[:-1]:
-        raw[raw.index(name.encode()) + 7] = 0xA5
-    raw[2:4] = b'\0\3'
-    np.testing.assert_array_equal(reader.read(bytes(raw) + b'\xff' * 9).q, np.arange(6.0))
-    assert reader.slow == 1
 
 
 def test_template_writes_what_rclpy_reads():
@@ -352,33 +339,6 @@ def test_messages_and_bytes_are_answered_or_refused(live, data, events, good):
         live.good()
     live.node.look(live.host.spinner)
     live.take()
-
-
-INTEGER = st.integers(-2 ** 63, 2 ** 63 - 1)
-TEXT = st.text(st.characters(codec='utf-8', exclude_characters='\0'), max_size=5)
-VALUE = st.one_of(NUMBER, INTEGER, st.booleans(), TEXT, SIX, st.lists(NUMBER, min_size=1),
-                  st.lists(INTEGER, min_size=1, max_size=3),
-                  st.lists(TEXT, min_size=1, max_size=3),
-                  st.sampled_from(['zero_torque', 'hold_position']))
-
-
-@pytest.mark.ros
-@ANY
-@given(data=st.data(), value=VALUE)
-def test_values_of_parameters_are_taken_or_refused(live, data, value):
-    known = [name for name in sorted(live.node.list_parameters([], 0).names)
-             if not name.startswith(('use_sim_time', 'start_type', 'qos_'))]
-    live_ones = [name for name in known if not live.node.describe_parameter(name)
-                 .additional_constraints.endswith(LOCKED)]
-    name = data.draw(st.sampled_from(live_ones) | st.sampled_from(known))
-    before = live.node.get_parameter(name).value
-    result = live.node.set_parameters([Parameter(name, value=value)])[0]
-    if not result.successful:
-        assert result.reason
-        assert str(live.node.get_parameter(name).value) == str(before)
-    live.good()
-    if result.successful:
-        assert live.node.set_parameters([Parameter(name, value=before)])[0].successful
 
 
 @pytest.mark.ros

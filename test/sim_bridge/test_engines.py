@@ -1,7 +1,6 @@
 """Every robot on every engine: the same rigid bodies as pinocchio's."""
 
 from multicontact_control.config import validate
-from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -115,17 +114,4 @@ def test_contact_is_as_stiff_as_the_surface_is_configured(name, engine, contact)
     assert depth == pytest.approx(force / surface.stiffness, rel=0.05)
     assert sample.wrench[2] == pytest.approx(
         force - 9.81 * plant.description.carried_mass, abs=0.05)
-    plant.close()
-
-
-@needs_mujoco
-def test_native_contacts_are_met_by_tips_and_do_not_change():
-    config = plant_config('puma', engine='mujoco', contact='native')
-    link = config.surfaces['table'].model_copy(update={'tip_link': 'link6'})
-    with pytest.raises(ConfigError, match=r'^surfaces\.table\.tip_link'):
-        Plant(config.model_copy(update={'surfaces': {**config.surfaces, 'table': link}}),
-              rate=500.0, seed=0)
-    plant = Plant(config, rate=500.0, seed=0)
-    with pytest.raises(ConfigError, match='^contact'):
-        plant.contacts.scale_stiffness(0, 0.5)
     plant.close()

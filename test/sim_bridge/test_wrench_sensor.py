@@ -45,30 +45,6 @@ def test_sensor_noise_has_the_asked_deviation():
     assert abs(np.mean(raw[1:, 0] * raw[:-1, 0])) < 0.03 * 0.047 ** 2
 
 
-def test_readings_do_not_depend_on_how_many_are_taken_at_once(rng):
-    wrenches = rng.standard_normal((40, 6))
-    changes = {'noise': True, 'quantise': True, 'low_pass': True,
-               'mounting': (0.6, 0.8, 0.0, -0.8, 0.6, 0.0, 0.0, 0.0, 1.0)}
-    single, several = sensor(5, **changes), sensor(5, **changes)
-    raw, filtered = readings(single, wrenches)
-    for end in range(8, 41, 8):
-        several.read(wrenches[end - 8:end])
-        assert several.reading.tobytes() == raw[end - 1].tobytes()
-        assert several.filtered.tobytes() == filtered[end - 1].tobytes()
-
-
-@pytest.mark.parametrize(('cutoff', 'decibel'), [(500.0, -3.01), (125.0, -3.03), (31.25, -3.03)])
-def test_low_pass_gain_at_the_cutoff(cutoff, decibel):
-    """Measured with a sine, after the transient."""
-    instrument = sensor(low_pass=True, low_pass_cutoff=cutoff)
-    time = np.arange(int(0.64 / PERIOD)) * PERIOD
-    wave = np.sin(2 * np.pi * cutoff * time)
-    _, filtered = readings(instrument, np.repeat(wave[:, None], 6, axis=1))
-    late = slice(len(time) // 2, None)
-    phasor = 2 * np.mean(filtered[late, 0] * np.exp(-2j * np.pi * cutoff * time[late]))
-    assert 20 * np.log10(abs(phasor)) == pytest.approx(decibel, abs=0.03)
-
-
 def test_coefficients_of_a_low_pass_are_scipys(rng):
     for rate in (500.0, 1000.0, 4000.0, *rng.uniform(100.0, 1e4, 20)):
         for cutoff in (31.25, *rng.uniform(1.0, 0.49 * rate, 20)):

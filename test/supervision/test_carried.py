@@ -85,19 +85,6 @@ def test_exception_in_any_stage_leaves_the_arm_where_it_is_and_control_resumes(
         assert loop.status.reaction == 'none'
 
 
-def test_couple_is_held_on_with_whatever_its_sign():
-    """While the wrench is missing a plane presses on with -3 N across its face."""
-    with closing(ClosedLoop(resolve('plane', plant='rigid'))) as loop:
-        for _ in range(round(7.0 * loop.setup.controller.rate)):
-            loop.advance()
-        before = loop.true_forces.copy()
-        assert loop.control.output.alpha_est.min() < -2.0
-        for _ in range(60):
-            loop.advance(lambda inputs: inputs._replace(wrench=None))
-        assert loop.status.reaction == 'hold'
-        np.testing.assert_allclose(loop.true_forces, before, atol=2.0)
-
-
 @pytest.mark.parametrize(('limits', 'place'), [
     ({'workspace_upper': [0.6, 0.9, 0.6]}, 'operational point: expected z in 0.3 to 0.6 m'),
     ({'joint_upper': [2.793, 3.927, 2.9, 2.967, 1.745, 4.643]}, 'joint3: ')])

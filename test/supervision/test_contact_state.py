@@ -170,14 +170,6 @@ def test_lost_contact_returns_brakes_searches_and_gives_up():
     assert abs(trace[-1, 1]) < 1e-3
 
 
-def test_force_after_a_loss_rises_at_its_rate():
-    surface = holding()
-    surface.run(0.3, alpha=0.0)
-    limits = surface.run(0.3, alpha=3.0)[:, 3]
-    assert np.diff(limits).max() <= 100.0 * H + 1e-9
-    assert limits[-1] == 15.0
-
-
 def test_force_beyond_the_ceiling_makes_it_retract_and_a_retry_reaches_the_surface_again():
     """Also where no force was wanted; then it stays free."""
     surface, pressed = holding(), Surface()
@@ -268,42 +260,6 @@ def test_task_is_caught_up_with_slowly_after_a_pause(away, speed):
     np.testing.assert_allclose(gaps[0], gap(away), atol=2e-3)
     assert np.abs(np.diff(gaps, axis=0)).max() <= speed * H + 1e-9
     assert np.abs(gaps[-1]).max() < 1e-4
-
-
-def test_contact_that_leads_out_of_the_workspace_is_left_and_not_taken_up_again():
-    asked, felt = Asked(), (5.0, 0.0)
-    asked.source.set_forces({'table': 10.0})
-    for k in range(100):
-        asked.ask(k * H, felt)
-    assert asked.task.state_names[0] == 'holding'
-    asked.task.lead_back()
-    for k in range(100, 1500):
-        assert not asked.ask(k * H, felt).active.any()
-    assert asked.task.state_names[0] == 'given up'
-    asked.task.seek_again()
-    for k in range(1500, 1600):
-        asked.ask(k * H, felt)
-    assert asked.task.state_names[0] == 'holding'
-
-
-@pytest.mark.parametrize(('axis', 'lead'), [(0, 'reach'), (4, 'turn')])
-def test_twist_that_leads_beyond_the_limits_does_not_count(axis, lead):
-    """With an error of three quarters of the reach a quarter of the speed is left."""
-    asked = Asked(operational_speed=0.5, operational_turn=0.5)
-    length = 0.5 * 2.0 / 30.0  # k_v / k_p = 2 / omega
-    position, quaternion = POSE.position_world.copy(), AHEAD
-    if lead == 'reach':
-        position[0] += 0.75 * length
-    else:
-        quaternion = np.array([0.0, np.sin(0.375 * length), 0.0, np.cos(0.375 * length)])
-    for speed, counts in ((0.12, True), (0.13, False), (11.0, False), (-0.8, True)):
-        twist = np.zeros(6)
-        twist[axis] = speed
-        asked.move(position, quaternion, twist, 0.5 * twist)
-        out = asked.ask(0.0)
-        assert out.twist[axis] == (speed if counts else 0.0)
-        assert out.acceleration[axis] == (0.5 * speed if counts else 0.0)
-        assert asked.task.limited is not counts
 
 
 @pytest.mark.parametrize('way', ['hold', 'lock'])

@@ -3,10 +3,10 @@
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.fault import REST
-from multicontact_control.experiment.faults.in_process import RUN_TICKS, together
-from multicontact_control.experiment.faults.judge import FASTEST, judge, MET_FORCE, Observation
+from multicontact_control.experiment.faults.in_process import RUN_TICKS
+from multicontact_control.experiment.faults.judge import judge, Observation
 from multicontact_control.experiment.faults.situation import with_obstacles
-from multicontact_control.experiment.faults.vocabulary import ELBOW_WALL, FAULTS, SIDE_WALL
+from multicontact_control.experiment.faults.vocabulary import FAULTS
 from multicontact_control.experiment.study.presets.faults import in_fork
 import numpy as np
 import pytest
@@ -55,24 +55,3 @@ def test_declared_reaction_that_does_not_come_is_not_safe(world, kind):
     assert not judge(FAULTS[kind], 1, world.setup, seen, phase=REST).safe
     seen.reactions = [*['none'] * 2, *['float'] * 598]
     assert judge(FAULTS[kind], 1, world.setup, seen, phase=REST).safe
-
-
-@pytest.mark.parametrize(('speed', 'safe'), [(FASTEST - 0.1, True), (FASTEST + 0.1, False)])
-def test_joint_may_not_be_fast_while_its_speed_is_wrong(world, speed, safe):
-    seen = observed(world.setup, speed=speed)
-    for kind, limited in (('in_degrees_qd', True), ('nan_q', False)):
-        row = judge(FAULTS[kind, 'joints'], 1, world.setup, seen)
-        assert row.safe == (safe or not limited)
-
-
-@pytest.mark.parametrize(('wall', 'force', 'safe'), [
-    (SIDE_WALL, MET_FORCE - 1.0, True), (SIDE_WALL, MET_FORCE + 1.0, False),
-    (ELBOW_WALL, MET_FORCE - 1.0, False)])
-def test_obstacle_may_not_be_pressed_hard_and_is_to_be_noticed_at_the_elbow(
-        world, wall, force, safe):
-    met = np.zeros((RUN_TICKS, 2))
-    met[100, wall] = force
-    obstacle, other = FAULTS['elbow_obstacle', 'plant'], FAULTS['nan', 'wrench']
-    for fault in (obstacle, together(obstacle, other), together(other, obstacle)):
-        row = judge(fault, 1, world.setup, observed(world.setup, met=met))
-        assert (row.safe, row.peak_force_n) == (safe, force)

@@ -14,8 +14,8 @@ import signal
 import subprocess
 import sys
 
-from arms import seven_joint_urdf
 from external_arm import BIAS, TOOL_COM, TOOL_MASS
+from foreign_bag import controller_file
 from multicontact_control.client import MultiContactClient
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.recording import read_graph
@@ -101,18 +101,10 @@ def shell(tmp_path):
 
 def write_controller(folder, **changes):
     """Write what `new-robot` would, for the arm of seven joints, and return its URDF."""
-    urdf = seven_joint_urdf(folder)
-    values = {
-        'robot': {
-            'urdf': urdf.name, 'joint_names': [f'j{i}' for i in range(7)], 'armature': [0.1] * 7,
-            'operational_frame': 'wrist', 'sensor_frame': 'wrist'},
-        'torque_limit': [100.0] * 7, 'limits': {'operational_speed': 0.5}, 'watchdog': WATCHDOG,
-        'contact_names': ['wall'], 'contacts': {'wall': {
-            'normal_world': [1.0, 0.0, 0.0], 'point_operational': [0.0, 0.0, 0.0],
-            'stiffness': 5000.0}}, **NODE, **changes}
-    (folder / 'controller.yaml').write_text(
-        yaml.safe_dump({'controller_node': {'ros__parameters': values}}))
-    return urdf
+    controller_file(folder, **{
+        'rate': 500.0, 'limits': {'operational_speed': 0.5}, 'watchdog': WATCHDOG, **NODE,
+        **changes})
+    return folder / 'seven.urdf'
 
 
 @pytest.mark.nightly

@@ -2,8 +2,6 @@
 
 from multicontact_control.config import NoiseEstimatorConfig, read_yaml
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.overrides import overrides_of, unit_of, value_of
-from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.cells import run_cells
 from multicontact_control.experiment.study.config import (
     read_choices,
@@ -156,10 +154,6 @@ def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_fi
     labels = {label for part, label in setups if part == 'active state'}
     kinds = NoiseEstimatorConfig.model_fields['estimator'].annotation.__args__
     assert labels == {*kinds, 'window rescaled', 'innovation matched'}
-    for label in kinds:
-        assert setups['active state', label].noise_estimator.estimator == label
-        assert setups['active state', label].controller.force.active_state_order == 1
-        assert setups['no active state', label].controller.force.active_state_order == 0
     usual = setups['active state', 'lead_window']
     config = usual.noise_estimator
     gain = lead_filter(config.zero_frequency, config.pole_frequency, config.rate).variance_factor()
@@ -168,21 +162,6 @@ def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_fi
     assert rescaled.noise_estimator.variance_scale == pytest.approx(gain, rel=1e-12)
     assert matched.controller.force.process_noise == pytest.approx(
         usual.controller.force.process_noise / gain, rel=1e-12)
-    assert usual.controller.friction.coulomb
-    rigid = preset('compare', quick=True, plant=('rigid',)).cells()[0].job.setup()
-    assert not rigid.controller.friction.coulomb
-
-
-def test_race_has_every_law_in_every_situation_and_friction_where_there_is_some(preset):
-    cells = preset('laws').cells()
-    others = {f'laws/{path.stem}' for path in (config_dir() / 'presets/laws').glob('*.yaml')}
-    assert {cell.factors['preset'] for cell in cells} == {'paper', 'best', 'adaptive', *others}
-    assert len({cell.key for cell in cells}) == 9 * 3 * (2 * (2 + 8 + 3) + 3)
-    assert {cell.job.seed for cell in cells} == {1, 2, 3}  # tuned on 0
-    assert {cell.job.plant for cell in cells if cell.factors['part'] == 'friction'} == {'puma'}
-    rough = next(cell for cell in cells if cell.factors['joint friction x'] == 4.0).job.setup()
-    assert rough.plant.joint_friction_scale == 4.0 * resolve(
-        'quick', plant='puma').plant.joint_friction_scale
 
 
 def test_every_law_has_ranges_whose_ends_are_acceptable():
@@ -195,13 +174,3 @@ def test_every_law_has_ranges_whose_ends_are_acceptable():
         cells = run_cells(select(whole.config, ends))
         assert 2 <= len(cells) <= 2 ** len(ranges) and {cell.job.seed for cell in cells} == {0}
         assert cells[0].job.setup().controller.force.law == law
-
-
-def test_parameter_has_a_dotted_name_in_which_a_star_stands_for_every_contact():
-    setup = resolve('step', plant='rigid')
-    name = 'controller.force.input_delay'
-    assert (value_of(name, setup), unit_of(name, setup)) == (0.006, 's')
-    assert overrides_of({
-        STIFFNESS: 5.0, 'plant.surfaces.board.stiffness': 7.0, DAMPING: 30.0}, setup, 'x') == {
-            'plant': {'surfaces': {'table': {'stiffness': 5.0}, 'board': {'stiffness': 7.0}}},
-            'controller': {'force': {'damping_rate': 30.0}}}

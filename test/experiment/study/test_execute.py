@@ -6,7 +6,7 @@ import pickle
 from typing import ClassVar
 
 from mortal_jobs import MortalJob
-from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.errors import RunError
 from multicontact_control.experiment.study import jobs as jobs_module
 from multicontact_control.experiment.study.jobs import (
     dask_client,
@@ -82,20 +82,6 @@ def test_jobs_run_once_and_again_only_if_their_result_is_not_whole(tmp_path, see
     found = run_jobs(seeds, tmp_path, workers=1)
     assert SeedJob.ran == [0, 1, 1, 2, 3]
     assert found['seed3'] == read_cell(tmp_path, 'seed3') == {'seed': 3, 'unknown': None}
-
-
-def test_folder_keeps_other_files_and_drops_results_on_request(tmp_path, seeds):
-    run_jobs_folder = tmp_path / 'study'
-    prepare_folder(run_jobs_folder, overwrite=False)
-    run_jobs(seeds, run_jobs_folder, workers=1)
-    prepare_folder(run_jobs_folder, overwrite=True)
-    assert read_cell(run_jobs_folder, 'seed0') is None
-    (tmp_path / 'notes.txt').write_text('mine')
-    (tmp_path / 'study').rename(tmp_path.parent / f'{tmp_path.name}-moved')
-    with pytest.raises(ConfigError, match='^out: '):
-        prepare_folder(tmp_path, overwrite=True)
-    prepare_folder(tmp_path, overwrite=False, results=['notes.txt'])
-    assert (tmp_path / 'notes.txt').read_text() == 'mine'
 
 
 def test_dead_worker_ends_the_run_and_keeps_what_is_finished(tmp_path):

@@ -8,7 +8,7 @@ from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.config import read_study, select, study_path
 from multicontact_control.experiment.study.measure import measure_run, metrics_row
 from multicontact_control.experiment.study.presets.compare import CompareStudy, read_claim_rows
-from multicontact_control.experiment.study.presets.faults import FaultJob, PHASE_TIMES
+from multicontact_control.experiment.study.presets.faults import FaultJob
 from multicontact_control.experiment.study.presets.map import arm_loop
 from multicontact_control.experiment.study.presets.tune import cost, SCALES
 from multicontact_control.experiment.study.study import run_study, study_of
@@ -16,7 +16,6 @@ import pytest
 from rich.console import Console
 
 QUIET = Console(quiet=True)
-LOW_PASS = {'sensor': {'filter_order': 2, 'filter_cutoff': 60.0}}
 
 
 def study(name, law='', **choices):
@@ -56,27 +55,6 @@ def test_linear_boundary_is_the_simulated_one_within_a_tenth(damping_rate):
     assert not settles(setup(1.1 * linear))
     # What eq. 32 leaves out makes it more robust.
     assert loop.boundary(0.6, paper=True) < 0.9 * linear
-
-
-@pytest.mark.slow
-def test_linear_boundary_with_a_low_pass_is_the_simulated_one_within_a_quarter():
-    loop = arm_loop(setup_of(1.0, controller=LOW_PASS))
-    linear = loop.boundary(0.6)
-    assert settles(setup_of(0.75 * linear, controller=LOW_PASS))
-    assert settles(setup_of(loop.boundary(0.6, paper=True), controller=LOW_PASS))
-    assert not settles(setup_of(1.25 * linear, controller=LOW_PASS))
-    assert linear < 0.8 * arm_loop(setup_of(1.0)).boundary(0.6)
-
-
-def test_every_fault_happens_once_for_each_seed_in_every_situation_and_early_phases_first():
-    for seeds, singles, pairs in (((3,), 1, 12), ((0, 1, 5), 3, 300)):
-        jobs = [cell.job for cell in study('faults', seed=seeds).cells()]
-        faults = [fault for job in jobs for fault in job.faults]
-        assert len(faults) == len(set(faults)) == singles * len(FAULTS) + pairs
-        assert {(job.plant, job.phase) for job in jobs} == {
-            (plant, phase) for plant in ('rigid', 'puma') for phase in PHASE_TIMES}
-        times = [PHASE_TIMES[job.phase] for job in jobs]
-        assert times == sorted(times)
 
 
 @pytest.mark.slow
