@@ -14,8 +14,7 @@ from multicontact_control.errors import ConfigError
 import typer
 
 if TYPE_CHECKING:
-    from multicontact_control.experiment.external import External
-    from multicontact_control.experiment.scenario import Setup
+    from multicontact_control.experiment.scenario import External, Setup
 
 EXIT_FAILED, EXIT_USAGE, EXIT_SIGNAL = 1, 2, 128  # and the number of the signal
 
@@ -105,8 +104,8 @@ class RunOptions(SetupOptions):
 
     def external(self, files: Sequence[Path], given: set[str]) -> External:
         """Return that of a robot behind the topics; scenario and preset count if `given`."""
-        from multicontact_control.experiment.external import resolve_external
         from multicontact_control.experiment.overrides import resolve_with
+        from multicontact_control.experiment.scenario import resolve_external
 
         return resolve_with(resolve_external, {
             'files': files, 'duration': self.duration, 'estimator_file': self._estimator_file,

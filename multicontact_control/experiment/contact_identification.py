@@ -19,9 +19,9 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, counted, RunError
-from multicontact_control.experiment.external import read_controller_files
 from multicontact_control.experiment.recording import read_bag, RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, load_run
+from multicontact_control.experiment.scenario import read_controller_files
 from multicontact_control.force.stiffness import (
     adopt_band,
     CORRELATION,

@@ -120,27 +120,19 @@ def overrides_of(values: Mapping[str, Any], setup: Setup, field: str) -> dict[st
     return nested
 
 
-def overridden(
-    options: Mapping[str, Any], settings: Sequence[str], setup: Setup,
-) -> dict[str, Any]:
-    """
-    Return arguments of `resolve` with ``KEY=VALUE`` texts laid over them.
-
-    `setup` is what the arguments resolve to, in which the names are looked up. ConfigError if a
-    text or a name is not acceptable.
-    """
-    given = overrides_of(read_settings(settings), setup, '--set')
-    return {**options, **{
-        ARGUMENTS[section]: merge(options.get(ARGUMENTS[section]) or {}, values)
-        for section, values in given.items()}}
-
-
 def resolve_with(
     resolver: Callable[..., T], arguments: Mapping[str, Any], settings: Sequence[str],
 ) -> T:
-    """Return what `resolve` or `resolve_external` does, ``KEY=VALUE`` texts over its files."""
+    """
+    Return what `resolve` or `resolve_external` does, ``KEY=VALUE`` texts laid over its files.
+
+    ConfigError if a text, or a name in what the arguments resolve to, is not acceptable.
+    """
     resolved: Any = resolver(**arguments)
     if settings:
-        setup = getattr(resolved, 'setup', resolved)
-        resolved = resolver(**overridden(arguments, settings, setup))
+        nested = overrides_of(
+            read_settings(settings), getattr(resolved, 'setup', resolved), '--set')
+        resolved = resolver(**{**arguments, **{
+            ARGUMENTS[section]: merge(arguments.get(ARGUMENTS[section]) or {}, values)
+            for section, values in nested.items()}})
     return cast(T, resolved)

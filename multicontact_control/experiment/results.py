@@ -13,15 +13,17 @@ from typing import Any, NamedTuple, TypeVar
 
 from multicontact_control.config import (
     Config,
+    ContactConfig,
     ControllerConfig,
     NoiseEstimatorConfig,
     read_parameters,
     read_yaml,
+    RobotConfig,
     validate,
 )
+from multicontact_control.config.contact import ACROSS, ALONG, ContactType, SUFFIXES
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.experiment.bag import mcap_files
-from multicontact_control.experiment.external import setup_of_recording
+from multicontact_control.experiment.bag import BagMessages, mcap_files
 from multicontact_control.experiment.judge import (
     judge,
     MEASURED,
@@ -37,9 +39,17 @@ from multicontact_control.experiment.recording import (
     read_bag,
     read_graph,
     RunData,
+    sample_topic,
     SERIES_FILE,
 )
-from multicontact_control.experiment.scenario import EXTERNAL, NO_PLANT, ScenarioConfig, Setup
+from multicontact_control.experiment.scenario import (
+    EXTERNAL,
+    NO_PLANT,
+    read_controller_files,
+    ScenarioConfig,
+    Setup,
+    UNTIL_STOPPED,
+)
 from multicontact_control.files import read_json
 import numpy as np
 from sim_bridge.config import PlantConfig
@@ -51,6 +61,10 @@ SCENARIO_FILE = f'{CONFIG_FOLDER}/scenario.yaml'
 # All that a run and its report leave, and all that is ever deleted.
 LEFT_BY_RUNS = frozenset((CONFIG_FOLDER, BAG_FOLDER, FIGURE_FOLDER, LOG_FOLDER, SUMMARY_FILE,
                           REPORT_FILE, SERIES_FILE))
+WHOLE = 1e-3  # of a rate, within which it is taken for one of whole Hz
+NAMED_BY = ('contact_forces/measured', 'contact_forces/estimated', 'contact_forces/desired',
+            'contact_forces/noise_variance', 'contact_forces/command',
+            'ground_truth/contact_forces')
 
 SomeConfig = TypeVar('SomeConfig', bound=Config)
 
@@ -63,8 +77,6 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
     `overwrite` a run that is already in `out` is replaced. Raises ConfigError if the folder holds
     something else, or cannot be made.
     """
-    if any('\udc80' <= letter <= '\udcff' for letter in str(out or '')):
-        raise ConfigError('out', 'a name in UTF-8', ascii(str(out)))
     default = Path('runs') / f'{now:%Y%m%d-%H%M%S}-{scenario}'
     # Where a link leads now: `runs/latest` leads elsewhere as soon as another run begins.
     folder = Path(os.path.realpath(out)) if out is not None and out.is_symlink() else out
@@ -179,13 +191,8 @@ def load_setup(folder: Path) -> Setup:
     simulated = (config / 'plant.yaml').is_file()
     summary: dict[str, Any] = {'plant': 'unknown' if simulated else EXTERNAL, 'seed': 0}
     if (folder / SUMMARY_FILE).is_file():
-        summary = read_json(folder / SUMMARY_FILE)
-    try:
-        plant, seed = str(summary['plant']), int(summary['seed'])
-        commanded = bool(summary.get('commanded_by_topic'))
-    except (KeyError, TypeError, ValueError):
-        raise ConfigError(str(folder / SUMMARY_FILE), 'the summary of a run',
-                          'no plant and seed') from None
+        summary |= read_json(folder / SUMMARY_FILE)
+    plant = str(summary['plant'])
 
     def parameters(model: type[SomeConfig], name: str) -> SomeConfig:
         return validate(model, read_parameters(config / name), str(config / name))
@@ -196,7 +203,8 @@ def load_setup(folder: Path) -> Setup:
         controller=parameters(ControllerConfig, 'controller.yaml'),
         noise_estimator=parameters(NoiseEstimatorConfig, 'noise_estimator.yaml'),
         plant=NO_PLANT if plant == EXTERNAL else parameters(PlantConfig, 'plant.yaml'),
-        plant_name=plant, seed=seed, urdf_dir=config, commanded_by_topic=commanded)
+        plant_name=plant, seed=int(summary['seed']), urdf_dir=config,
+        commanded_by_topic=bool(summary.get('commanded_by_topic')))
 
 
 def load_run(folder: Path) -> LoadedRun:
@@ -236,6 +244,60 @@ def load_recording(
     lacking = [f'not in the recording: {", ".join(content.lacking)}'] if content.lacking else []
     return LoadedRun(path, setup, content.data, {
         **summary, 'supervised': None, 'remarks': [*lacking, *content.remarks]})
+
+
+def setup_of_recording(path: Path, found: BagMessages, files: Sequence[Path] = ()) -> Setup:
+    """
+    Return what is known of what a recording was made with.
+
+    Without parameter `files` of the controller, joints, contacts and rate are those of its
+    messages, and nothing else is known. Raises ConfigError if a file is not acceptable, RunError
+    if the messages have no rate.
+    """
+    urdf_dir = Path()
+    if files:
+        read = read_controller_files(files)
+        controller, urdf_dir = read.config(), read.urdf_dir
+    else:
+        robot = RobotConfig.model_construct(
+            urdf='', joint_names=_names(found, ('joint_states', 'joint_effort_command')),
+            operational_frame='', sensor_frame='')
+        types = contact_types(_names(found, NAMED_BY))
+        controller = ControllerConfig.model_construct(
+            rate=_rate(path, found), robot=robot, contact_names=tuple(types),
+            contacts={name: ContactConfig.model_construct(type=kind)
+                      for name, kind in types.items()})
+    unknown: Any = 'noise estimator not known'
+    estimator = NoiseEstimatorConfig.model_construct(
+        estimator=unknown, contact_names=controller.column_names, rate=controller.rate)
+    return Setup(
+        scenario=ScenarioConfig(name=path.stem or 'recording', duration=UNTIL_STOPPED),
+        controller=controller, noise_estimator=estimator, plant=NO_PLANT, plant_name=EXTERNAL,
+        seed=0, urdf_dir=urdf_dir, commanded_by_topic=True)
+
+
+def _names(found: BagMessages, topics: Sequence[str]) -> tuple[str, ...]:
+    """Return the names in the first message of the first topic that has any."""
+    named = (found.by_topic[topic].names for topic in topics if topic in found.by_topic)
+    return tuple(dict.fromkeys(next(filter(None, named), ())))
+
+
+def _rate(path: Path, found: BagMessages) -> float:
+    """Return the rate of the samples' stamps without their gaps [Hz], whole if it nearly is."""
+    topic = sample_topic(found)
+    apart = np.diff(np.unique(found.by_topic[topic].stamps))
+    if not len(apart):
+        raise RunError(f'{path}: {topic}: expected at least 2 samples, found 1')
+    usual = np.median(apart)
+    rate = 1e9 / float(np.mean(apart[np.abs(apart - usual) <= 0.5 * usual]))
+    return float(round(rate)) if abs(rate - round(rate)) <= WHOLE * rate else rate
+
+
+def contact_types(names: Sequence[str]) -> dict[str, ContactType]:
+    """Return the types of contacts by name, from the names of forces and couples."""
+    along, across = SUFFIXES[ALONG], SUFFIXES[ACROSS]
+    return {name: 'plane' if name + across in names else 'edge' if name + along in names
+            else 'point' for name in names if not name.endswith((along, across))}
 
 
 def run_of(path: Path) -> tuple[Path, bool]:

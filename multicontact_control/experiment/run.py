@@ -19,7 +19,6 @@ from multicontact_control.experiment.display import (
     summary_table,
     verdict_lines,
 )
-from multicontact_control.experiment.external import dotted, External
 from multicontact_control.experiment.figures import draw_figures, draw_latency
 from multicontact_control.experiment.judge import (
     EXTERNAL_RUN,
@@ -36,7 +35,7 @@ from multicontact_control.experiment.results import (
     summarise,
     SUMMARY_FILE,
 )
-from multicontact_control.experiment.scenario import Setup
+from multicontact_control.experiment.scenario import dotted, External, Setup
 from multicontact_control.experiment.terminal import terminal
 from multicontact_control.files import finite, write_json
 from rich.console import Console

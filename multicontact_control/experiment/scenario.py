@@ -1,8 +1,8 @@
-"""Scenarios, and everything they resolve to before a run starts."""
+"""Scenarios and a user's own parameter files, and what they resolve to before a run starts."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import reduce
@@ -23,7 +23,9 @@ from multicontact_control.config import (
     Real,
     validate,
 )
+from multicontact_control.config.base import EVERY_NODE
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
+from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import check_all, ConfigError
 from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.files import write_text
@@ -34,7 +36,10 @@ from sim_bridge.robots import DEFAULT, find_robot, Robot
 import yaml
 
 EXTERNAL = 'external'  # in the place of a plant's name
-PRESET_NODES = ('controller_node', 'noise_estimator_node')
+CONTROLLER, ESTIMATOR = PRESET_NODES = ('controller_node', 'noise_estimator_node')
+COMMANDS = 'commands'  # in the place of a scenario's name
+UNTIL_STOPPED = 1e6  # s, of a run that Ctrl-C ends
+OF_THE_RUN = ('autostart', 'startup_peers', 'timing_file', 'base_dir')
 
 
 class ScenarioConfig(Config):
@@ -195,29 +200,11 @@ def resolve(
     """
     Read and check everything a run needs.
 
-    Parameters
-    ----------
-    scenario
-        Name or path.
-    plant, robot
-        As for `plant_source`.
-    seed
-        Seed of the plant's noise and roughness.
-    duration
-        Overrides the scenario's [s]; not together with one of `scenario_overrides`.
-    noise_estimator, controller, plant_overrides
-        Values laid over the files' and the scenario's.
-    scenario_overrides
-        Values laid over the scenario's file.
-    preset
-        Name or path of what is laid over the files of controller and estimator first; empty for
-        the files as they are.
-
-    Raises
-    ------
-    ConfigError
-        With every value that is not acceptable.
-
+    `scenario` is its name or path, `plant` and `robot` are as for `plant_source`, `seed` is that
+    of the plant's noise and roughness, `duration` the length instead of the scenario's [s], and
+    `preset` the name or path of what is laid over the files of controller and estimator first.
+    `scenario_overrides` are laid over the scenario's file, the others over the files' and the
+    scenario's values. Raises ConfigError with every value that is not acceptable.
     """
     if seed < 0:
         raise ConfigError('seed', 'a whole number >= 0', seed)
@@ -276,3 +263,112 @@ def check_together(setup: Setup, path: Path) -> None:
         setup.reference()
     except ConfigError as error:
         raise ConfigError(error.field, error.expected, error.found, str(path)) from None
+
+
+class ControllerFiles(NamedTuple):
+    """What a user's parameter files say of controller and noise estimator."""
+
+    controller: dict[str, Any]
+    node: dict[str, Any]  # of the controller's node, and not of the controller in it
+    estimator: dict[str, Any]
+    urdf_dir: Path  # that a relative URDF is relative to
+    source: str
+
+    def config(self, overrides: Mapping[str, Any] | None = None) -> ControllerConfig:
+        """Return the controller's configuration; ConfigError if it is not acceptable."""
+        return validate(ControllerConfig, merge(self.controller, overrides or {}), self.source)
+
+
+def read_controller_files(files: Sequence[Path]) -> ControllerFiles:
+    """
+    Read the parameter files of a controller, each laid over those before.
+
+    One may have sections of both nodes, and one for every node (``/**``), below these: each node
+    gets what it knows. A relative URDF is looked for beside the file that names it. Raises
+    ConfigError if there is none, or one is no parameter file or has a section of another node.
+    """
+    if not files:
+        raise ConfigError('--controller', 'the parameter file of your controller', 'none')
+    own = ControllerConfig.model_fields.keys()
+    of_estimator = NoiseEstimatorConfig.model_fields.keys() - own
+    given: dict[str, Any] = {}
+    estimator: dict[str, Any] = {}
+    urdf_dir = Path()
+    for path in files:
+        sections = read_node_parameters(path, (EVERY_NODE, *PRESET_NODES))
+        # What both know, the rate and the contacts, the estimator gets from the controller's.
+        shared = sections.get(EVERY_NODE, {})
+        section = merged({name: value for name, value in shared.items()
+                          if name not in of_estimator}, sections.get(CONTROLLER))
+        given = merge(given, section)
+        estimator = merged(estimator, {name: value for name, value in shared.items()
+                                       if name in of_estimator}, sections.get(ESTIMATOR))
+        robot = section.get('robot')
+        if isinstance(robot, Mapping) and 'urdf' in robot:
+            urdf_dir = path.resolve().parent
+    return ControllerFiles(
+        {name: value for name, value in given.items() if name in own},
+        {name: value for name, value in given.items() if name not in own},
+        estimator, urdf_dir, ', '.join(map(str, files)))
+
+
+class External(NamedTuple):
+    """Everything a run needs on the user's own robot."""
+
+    setup: Setup
+    node: dict[str, Any]  # parameters of the controller's node
+    duration: float | None  # s; None until it is stopped
+
+
+def resolve_external(
+    files: Sequence[Path], *, scenario: str | None = None, duration: float | None = None,
+    estimator_file: Path | None = None, preset: str = '',
+    noise_estimator: dict[str, Any] | None = None, controller: dict[str, Any] | None = None,
+    scenario_overrides: dict[str, Any] | None = None,
+) -> External:
+    """
+    Read and check everything for a run on the user's own robot; ConfigError.
+
+    Parameter `files` are those of the controller. Without a `scenario` it obeys the command
+    topics; `duration` is the length of the run [s], by default that of the scenario. The noise
+    estimator's file is by default that of the package, for the controller's contacts and rate.
+    The other arguments are laid over all these files, as by `resolve`.
+    """
+    read, laid_over = read_controller_files(files), preset_values(preset)
+    path, values = Path(COMMANDS), {'name': COMMANDS, 'duration': UNTIL_STOPPED}
+    if scenario is not None:
+        path = named_file('scenario', 'scenarios', scenario)
+        values = read_yaml(path)
+    elif scenario_overrides:
+        raise ConfigError(f'scenario.{min(scenario_overrides)}',
+                          '--scenario that it is laid over, or --duration for the length', 'none')
+    config = scenario_with(values, scenario_overrides or {}, duration, path)
+    controller_config = read.config(
+        merged(laid_over['controller'], config.controller, controller))
+    estimator_config = validate(NoiseEstimatorConfig, merged(
+        read_parameters(config_dir() / 'noise_estimator.yaml'),
+        {'contact_names': list(controller_config.column_names), 'rate': controller_config.rate},
+        read.estimator, read_parameters(estimator_file) if estimator_file else {},
+        laid_over['noise_estimator'], config.noise_estimator, noise_estimator),
+        str(estimator_file or 'noise_estimator.yaml'))
+    setup = Setup(
+        scenario=config, controller=controller_config, noise_estimator=estimator_config,
+        plant=NO_PLANT, plant_name=EXTERNAL, seed=0, urdf_dir=read.urdf_dir,
+        commanded_by_topic=scenario is None)
+    check_together(setup, path)
+    RobotModel(controller_config.robot, read.urdf_dir)  # now, and not in a node's log
+    for name, instead in (('reference_file', '--scenario'), ('lockstep', 'nothing')):
+        if read.node.get(name):
+            raise ConfigError(name, f'{instead} in an external run', read.node[name], read.source)
+    node = {name: value for name, value in read.node.items()
+            if name not in (*OF_THE_RUN, 'reference_file', 'lockstep')}
+    return External(setup, node, duration if scenario is None else config.duration)
+
+
+def dotted(values: Mapping[str, Any], start: str = '') -> dict[str, Any]:
+    """Return nested parameters by their dotted names."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        found |= dotted(value, f'{start}{name}.') if isinstance(value, Mapping) else {
+            start + name: value}
+    return found

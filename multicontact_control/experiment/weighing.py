@@ -22,9 +22,9 @@ from multicontact_control.experiment.bag import (
     read_messages,
     WRENCH,
 )
-from multicontact_control.experiment.external import read_controller_files
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.parameter_file import write_parameters
+from multicontact_control.experiment.scenario import read_controller_files
 from multicontact_control.sensor.tool import (
     Identification,
     identify_tool,

@@ -5,8 +5,8 @@ from dataclasses import replace
 from foreign_bag import controller_file, JOINTS
 from multicontact_control.cli.options import RunOptions
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.external import contact_types, dotted, resolve_external
-from multicontact_control.experiment.results import load_setup
+from multicontact_control.experiment.results import contact_types, load_setup
+from multicontact_control.experiment.scenario import dotted, resolve_external
 from multicontact_control.files import write_json
 import pytest
 import yaml

@@ -11,7 +11,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError
-from multicontact_control.experiment.external import read_controller_files
+from multicontact_control.experiment.scenario import read_controller_files
 from multicontact_control.experiment.weighing import weigh_recording, write_tool
 from multicontact_control.nodes import messages, topics
 from multicontact_control.paths import config_dir

@@ -15,9 +15,8 @@ from multicontact_control.config import (
     Vector,
 )
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.external import dotted, read_controller_files
 from multicontact_control.experiment.parameter_file import write_parameters
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.experiment.scenario import dotted, read_controller_files, resolve
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.parameters import load_parameters, ParameterSet
 from multicontact_control.paths import config_dir

@@ -7,7 +7,7 @@ from arms import seven_joint_urdf
 from multicontact_control.config import ControllerConfig, read_yaml, validate
 from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.external import read_controller_files
+from multicontact_control.experiment.scenario import read_controller_files
 from multicontact_control.paths import config_dir
 import numpy as np
 import pinocchio as pin
