@@ -39,16 +39,10 @@ LONGEST_BRIDGE = 0.01  # s of missing samples that are interpolated; a tenth of 
 class Oscillation(NamedTuple):
     """A stretch in which a force oscillates."""
 
-    start: float  # s
-    end: float
     known: float  # when it had lasted 2 s [s]
+    duration: float  # s
     frequency: float  # of its line [Hz]
     rms: float  # of its line [N]
-
-    @property
-    def duration(self) -> float:
-        """Length of the stretch [s]."""
-        return self.end - self.start
 
 
 def oscillations(
@@ -71,52 +65,37 @@ def oscillations(
         return []
     index = np.array(starts)[:, None] + np.arange(length)
     limit = np.maximum(LARGEST_LINE * command[index].max(axis=1), LEAST_LINE)
-    oscillates, frequency, rms = lines(*spectrum(known[index], rate), limit)
-    covered = np.convolve(oscillates, np.ones(STRETCH)) > 0.0  # windows of any such stretch
-    spans = []
-    for begin, end in zip(*stretches(covered)):
+    frequencies, power = spectrum(known[index], rate)
+    oscillates, frequency, rms = np.array([
+        _line(frequencies, power[begin:begin + STRETCH], limit[begin:begin + STRETCH])
+        for begin in range(len(starts) - STRETCH + 1)]).T
+    found = []
+    for begin, end in zip(*stretches(np.convolve(oscillates, np.ones(STRETCH)) > 0.0)):
         inside = begin + np.flatnonzero(oscillates[begin:end])
-        spans.append(Oscillation(
-            starts[begin] / rate, (starts[end - 1] + length) / rate,
+        found.append(Oscillation(
             (starts[begin + STRETCH - 1] + length - 1) / rate,
+            (starts[end - 1] + length - starts[begin]) / rate,
             float(np.median(frequency[inside])), float(np.median(rms[inside]))))
-    return spans
+    return found
 
 
-def lines(
-    frequencies: Vector, power: Matrix, limit: Vector,
-) -> tuple[Mask, Vector, Vector]:
-    """
-    Return the line of every stretch of windows.
-
-    `frequencies`, shape (f,) [Hz], and `power`, shape (w, f) [N^2], are as from `spectrum`;
-    `limit` is the rms from which on a line counts, shape (w,) [N]. Returns whether the stretch
-    that begins with a window oscillates, the line's frequency [Hz] and rms [N], each of shape (w -
-    6,).
-    """
-    band, flank = frequencies >= LOWEST, round(FLANK / frequencies[1])
-    stretch_lines = []
-    for begin in range(len(power) - STRETCH + 1):
-        stretch = power[begin:begin + STRETCH]
-        mean = stretch.mean(axis=0)
-        peak = int(np.argmax(np.where(band, mean, 0.0)))
-        near = np.abs(frequencies - frequencies[peak]) <= LINE_WIDTH + 1e-9
-        line, all_of_it = ((stretch * part).sum(axis=1) for part in (near, near | band))
-        strong = (line >= LINE_SHARE * all_of_it) & (
-            np.sqrt(line) >= limit[begin:begin + STRETCH])
-        stands_out = mean[peak] >= CONTRAST * mean[peak - flank]
-        stretch_lines.append((stands_out and int(strong.sum()) >= STRETCH - EXCEPTIONS,
-                      frequencies[peak], np.sqrt(line.mean())))
-    oscillates, frequency, rms = (np.array(values) for values in zip(*stretch_lines))
-    return oscillates, frequency, rms
+def _line(frequencies: Vector, power: Matrix, limit: Vector) -> tuple[bool, float, float]:
+    """Return of the line of seven windows whether it oscillates, frequency [Hz] and rms [N]."""
+    band, mean = frequencies >= LOWEST, power.mean(axis=0)
+    peak = int(np.argmax(np.where(band, mean, 0.0)))
+    near = np.abs(frequencies - frequencies[peak]) <= LINE_WIDTH + 1e-9
+    line, all_of_it = ((power * part).sum(axis=1) for part in (near, near | band))
+    strong = (line >= LINE_SHARE * all_of_it) & (np.sqrt(line) >= limit)
+    stands_out = mean[peak] >= CONTRAST * mean[peak - round(FLANK / frequencies[1])]
+    return (bool(stands_out and strong.sum() >= STRETCH - EXCEPTIONS), float(frequencies[peak]),
+            float(np.sqrt(line.mean())))
 
 
 def spectrum(values: Matrix, rate: float, padding: int = 1) -> tuple[Vector, Matrix]:
     """
-    Return the power of series over frequency, without mean and trend, under a Hann window.
+    Return frequencies, shape (f,) [Hz], and the mean square of series at each, shape (w, f).
 
-    `values` have shape (w, n), `rate` is in Hz, `padding` is the length with zeros relative to n.
-    Returns frequencies, shape (f,) [Hz], and the mean square of each, shape (w, f).
+    `values`, shape (w, n), lose their trend, and are padded with zeros to `padding` times n.
     """
     n = values.shape[1]
     ramp, hann = np.linspace(-1.0, 1.0, n), np.hanning(n)
@@ -124,8 +103,7 @@ def spectrum(values: Matrix, rate: float, padding: int = 1) -> tuple[Vector, Mat
     values = values - np.outer(values @ ramp, ramp) / (ramp @ ramp)
     amplitude = np.abs(np.fft.rfft(values * hann, padding * n, axis=1))
     power: Matrix = 2.0 * amplitude ** 2 / (padding * n * (hann @ hann))
-    frequencies: Vector = np.arange(power.shape[1]) * (rate / (padding * n))
-    return frequencies, power
+    return np.arange(power.shape[1]) * (rate / (padding * n)), power
 
 
 def bridged(values: Vector, rate: float) -> Vector:
