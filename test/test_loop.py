@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 from multicontact_control.compiled import compiled_here
 from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.errors import CalibrationError, CommandError, ConfigError
-from multicontact_control.experiment.judge import read_event
 from multicontact_control.loop import ControlLoop
 from multicontact_control.paths import config_dir
 from multicontact_control.sampling import Action, SampleTiming
@@ -267,8 +266,8 @@ def test_force_that_no_contact_makes_is_held_against_and_latched(force, cause):
         bench.step()
         causes.update(bench.loop.status.causes)
     assert bench.reaction == 'hold' and cause in causes
-    logged = [read_event(*event) for event in bench.loop.events.events]
-    assert any(event.reaction == 'hold' and cause in event.causes for event in logged)
+    assert any(text.startswith('hold') and cause in text.split()
+               for _, text in bench.loop.events.events)
     bench.step(1200)
     bench.push = np.zeros(6)
     bench.step(100)

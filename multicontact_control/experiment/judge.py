@@ -1,19 +1,8 @@
-"""
-The verdict on a run: against what the scenario asks for, and with what help of the supervisor.
-
-*Not stable* is a run with anything of `findings`. *Held by the supervisor* is one without, in
-which the supervisor had to step in again and again. *Not judged* is a run without findings that
-was interrupted, or never under load, or in which a force is known for less than half of the time
-under load. All others are *stable*.
-
-Without the true force of a contact, as on a robot, all this is judged by that measured; what
-would be stable is *not judged* then.
-"""
+"""The verdict on a run: against limits, and with what help of the supervisor."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 import math
 from typing import Any, NamedTuple
 
@@ -58,17 +47,14 @@ AGAIN = 5
 AGAIN_TIME = 10.0  # s
 LARGEST_OVERSHOOT = 50.0  # % of the largest step, that a verdict `stable` mentions
 LARGEST_HELD_SHARE = 0.05  # of the time under load, in which reactions replace the control law
+LEAST_JUDGED = 0.5  # of the time under load, for which every force is known in a stable run
 
 TRUE, MEASURED, UNKNOWN = 'true', 'measured', 'unknown'  # forces that a run is judged by
-
-WHOLE = (NAMES[IMPACT], NAMES[HOLDING])
-GONE = tuple(NAMES[code] for code in (LOST, RETRACTING, GIVEN_UP))
 # Modes of a run: the simulator waits; it does not; a robot of others; a recording.
 LOCKSTEP, REAL_TIME, EXTERNAL_RUN, RECORDED = (
     'lockstep', 'free_running', 'external', 'recorded')
-# Share of the time under load, for which every force is known in a run called stable.
-LEAST_JUDGED = 0.5
-
+WHOLE = (NAMES[IMPACT], NAMES[HOLDING])
+GONE = (NAMES[LOST], NAMES[RETRACTING], NAMES[GIVEN_UP])
 LIMITS = ('reference', *(name for name, _ in TORQUE_LIMITS))
 
 
@@ -98,13 +84,12 @@ class Finding(NamedTuple):
     time: float | None = None  # when [s]; None for what was missed throughout the run
 
 
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(NamedTuple):
     """What a run is called, and why."""
 
     name: str  # `STABLE`, `HELD`, `NOT_STABLE` or `UNJUDGED`
     reasons: tuple[str, ...]  # of a run that is not judged, what was seen all the same
-    unstable_at: float | None  # of `findings` alone: the first that has a time [s], if any
+    unstable_at: float | None  # of limits that were passed: the first that has a time [s], if any
     unjudged: str = ''  # why it is not judged, if it is not
 
 
@@ -126,20 +111,17 @@ def verdict_text(summary: Mapping[str, Any]) -> str:
 
 def judge(
     data: RunData, setup: Setup, *, mode: str = 'in_process', ended_early: str = '',
-    events: Sequence[Event] = (),
+    events: Sequence[tuple[float, str]] = (),
 ) -> Verdict:
     """
     Judge a run; `mode` is that of ``summary.json``.
 
     `ended_early` is why it ended before its time; `INTERRUPTED` speaks neither for nor against it.
+    `events` are the lines of the supervisor's log with their times [s].
     """
     run = RunMetrics(data, setup)
-    passed = findings(run, ended_early)
-    missing = max(float(np.isnan(values).any(axis=1).mean()) for values in (
-        data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas))
-    if mode in ('in_process', LOCKSTEP) and missing > LARGEST_GAP:
-        passed.append(Finding(f'{100.0 * missing:.1f} % of the samples were not answered'))
-    helped = interventions(run, events)
+    passed, helped = _findings(run, mode, ended_early), _interventions(
+        run, [read_event(*event) for event in events])
     name = NOT_STABLE if passed else HELD if helped else STABLE
     unjudged = _doubt(run, ended_early) if name == STABLE else ''
     times = [finding.time for finding in passed if finding.time is not None]
@@ -165,16 +147,8 @@ def _doubt(run: RunMetrics, ended_early: str) -> str:
     return f'{unknown}; {BY_MEASUREMENT} no limit was passed' if unknown else ''
 
 
-def findings(run: RunMetrics, ended_early: str = '') -> list[Finding]:
-    """
-    Return the limits that a run has passed.
-
-    They are: no end before its time; nothing that is not finite; no torque at its limit for more
-    than 0.1 s; every contact made; under load, which is from the first force step on, no contact
-    lost for more than 0.1 s, nor more than 5 times within 10 s, and no force that oscillates
-    (`oscillation`); no force beyond 5 times its command and half the force ceiling. Couples are
-    judged as forces are, while their contact is pressed.
-    """
+def _findings(run: RunMetrics, mode: str, ended_early: str) -> list[Finding]:
+    """Return the limits that a run has passed, those of couples while their contact is pressed."""
     data, setup, interrupted = run.data, run.setup, ended_early == INTERRUPTED
     passed = [Finding(ended_early, float(data.time[-1]))] if (
         ended_early and not interrupted) else []
@@ -194,9 +168,12 @@ def findings(run: RunMetrics, ended_early: str = '') -> list[Finding]:
         made = run.couples[i] or idle or (desired > 0.0).any() or not np.isfinite(desired).any()
         if made:
             passed += [Finding(f'{name}: {text}', time)
-                      for text, time in _contact_findings(run, i, run.windows.loaded & pressed)]
+                       for text, time in _contact_findings(run, i, run.windows.loaded & pressed)]
         elif not interrupted:
             passed.append(Finding(f'{name}: no contact was made'))
+    missing = max(float(np.isnan(values).any(axis=1).mean()) for values in series)
+    if mode in ('in_process', LOCKSTEP) and missing > LARGEST_GAP:
+        passed.append(Finding(f'{100.0 * missing:.1f} % of the samples were not answered'))
     return passed
 
 
@@ -206,9 +183,7 @@ def _contact_findings(run: RunMetrics, i: int, loaded: Mask) -> list[Finding]:
     lost = 'contact lost at one end' if couple else 'contact lost'
     passed = _lasting(data, lost, begins, ends)
     # An end is near being lost wherever the centre of pressure is asked to be: noise will do.
-    again = None if couple else again_at(data.time[begins])
-    if again is not None:
-        passed.append(Finding(f'{lost} {len(begins)} times', again))
+    passed += [] if couple else _again(f'{lost} {len(begins)} times', data.time[begins])
     oscillating = run.oscillations(i, loaded)
     if oscillating:
         worst = max(oscillating, key=lambda oscillation: oscillation.rms)
@@ -229,7 +204,7 @@ def _contact_findings(run: RunMetrics, i: int, loaded: Mask) -> list[Finding]:
     return passed
 
 
-def interventions(run: RunMetrics, events: Sequence[Event]) -> list[Finding]:
+def _interventions(run: RunMetrics, events: Sequence[Event]) -> list[Finding]:
     """
     Return whether a supervisor stepped in again and again, or for long, under load.
 
@@ -240,22 +215,22 @@ def interventions(run: RunMetrics, events: Sequence[Event]) -> list[Finding]:
     if not loaded.any():
         return []
     full = len(events) == CAPACITY
-    end = round(events[-1].time * data.rate) if full else data.ticks
-    places = [*(round(event.time * data.rate) for event in events), end]
-    times, held = [], np.zeros(data.ticks, dtype=bool)
-    for event, place, end in zip(events, places, places[1:]):
-        held[place:end] = replaces(event.reaction)
-    for before, event, place in zip(events, events[1:], places[1:]):
-        if place < data.ticks and loaded[place] and _steps_in(before, event):
+    places = [round(event.time * data.rate) for event in events]
+    times, held, before = [], np.zeros(data.ticks, dtype=bool), None
+    for event, place, end in zip(
+            events, places, [*places[1:], places[-1] if full else data.ticks]):
+        held[place:end] = _replaces(event)
+        if before and place < data.ticks and loaded[place] and (
+                _replaces(event) and not _replaces(before)
+                or set(event.limits) - set(before.limits) - {'reference'}
+                or any(was in WHOLE and now in GONE for was, now in zip(
+                    before.contact_states, event.contact_states))):
             times.append(event.time)
-    passed = []
-    if full:
-        passed.append(Finding(
-            f'the supervisor changed something {CAPACITY} times: what it did later is not known',
-            events[-1].time))
-    again = again_at(np.array(times))
-    if again is not None:
-        passed.append(Finding(f'the supervisor stepped in {len(times)} times under load', again))
+        before = event
+    passed = [Finding(
+        f'the supervisor changed something {CAPACITY} times: what it did later is not known',
+        events[-1].time)] if full else []
+    passed += _again(f'the supervisor stepped in {len(times)} times under load', np.array(times))
     share = float(held[loaded].mean())
     if share > LARGEST_HELD_SHARE:
         enough = np.cumsum(held & loaded) > LARGEST_HELD_SHARE * loaded.sum()
@@ -265,19 +240,16 @@ def interventions(run: RunMetrics, events: Sequence[Event]) -> list[Finding]:
     return passed
 
 
-def _steps_in(before: Event, event: Event) -> bool:
-    """Return whether an event is the supervisor's doing, and not that of the task."""
-    reacts = replaces(event.reaction) and not replaces(before.reaction)
-    loses = any(was in WHOLE and now in GONE
-                for was, now in zip(before.contact_states, event.contact_states))
-    return reacts or loses or bool(set(event.limits) - set(before.limits) - {'reference'})
+def _replaces(event: Event) -> bool:
+    """Return whether a reaction is there instead of the control law; a larger R is not."""
+    return event.reaction not in (NONE, INFLATE)
 
 
-def again_at(times: Vector) -> float | None:
-    """Return when something had happened more than 5 times within 10 s [s], None if never."""
+def _again(what: str, times: Vector) -> list[Finding]:
+    """Return what happened more than 5 times within 10 s, and when it had."""
     late = times[AGAIN:]
     known = late[late - times[:len(late)] <= AGAIN_TIME]
-    return float(known[0]) if known.size else None
+    return [Finding(what, float(known[0]))] if known.size else []
 
 
 def _first(data: RunData, mask: Mask) -> float:
@@ -295,8 +267,3 @@ def _lasting(
         return []
     longest = max(end - begin for begin, end in long) / data.rate
     return [Finding(f'{what} for {longest:.2f} s', float(data.time[long[0][0] + lasting - 1]))]
-
-
-def replaces(reaction: str) -> bool:
-    """Return whether a reaction is there instead of the control law; a larger R is not."""
-    return reaction not in (NONE, INFLATE)

@@ -27,7 +27,6 @@ from multicontact_control.experiment.bag import BagMessages, mcap_files
 from multicontact_control.experiment.judge import (
     judge,
     MEASURED,
-    read_event,
     RECORDED,
     STABLE,
     TRUE,
@@ -146,8 +145,7 @@ def summarise(
     """
     # What the supervisor did after the run is not part of it.
     during = [(time, what) for time, what in events or () if time < data.ticks / data.rate]
-    verdict = judge(data, setup, mode=mode, ended_early=ended_early,
-                    events=[read_event(*event) for event in during])
+    verdict = judge(data, setup, mode=mode, ended_early=ended_early, events=during)
     run = RunMetrics(data, setup)
     without = run.without_truth()
     truth = bool(data.contact_names) and not without

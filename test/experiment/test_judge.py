@@ -10,7 +10,6 @@ from multicontact_control.experiment.judge import (
     INTERRUPTED,
     judge,
     NOT_STABLE,
-    read_event,
     STABLE,
     UNJUDGED,
 )
@@ -48,10 +47,6 @@ def edge():
     return resolve('edge', plant='rigid', duration=12.0)
 
 
-def events_of(*texts):
-    return [read_event(time, what) for time, what in texts]
-
-
 def lose(data, start, lasting, contact=1):
     data.alpha_true[round(start * RATE):round((start + lasting) * RATE), contact] = 0.0
 
@@ -64,7 +59,7 @@ def verdict_of_run(scenario, *, supervised, **changes):
     setup = resolve(scenario, **{'preset': 'paper', **changes})
     result = run_of(setup, supervised=supervised)
     return judge(result.data, setup, ended_early=result.ended_early,
-                 events=events_of(*result.events))
+                 events=result.events)
 
 
 @pytest.mark.parametrize('seconds', [0.08, 0.12])
@@ -149,7 +144,7 @@ def test_supervisor_that_steps_in_more_than_five_times_holds_the_run(setup, data
         texts = [(0.0, CALM)]
         for k in range(times):
             texts += [(3.0 + k, caught), (3.002 + k, CALM)]
-        verdict = judge(data, setup, events=events_of(*texts))
+        verdict = judge(data, setup, events=texts)
         assert (verdict.name, len(verdict.reasons)) == (name, int(times > 5))
     assert verdict.unstable_at is None
 
@@ -159,8 +154,7 @@ def test_bounces_before_load_and_slow_references_are_no_interventions(setup, dat
             (0.5, 0.1, ('none |  | impact, holding', 'none |  | lost, holding')),
             (3.0, 0.2, ('none | reference | holding, holding', 'none |  | approaching, impact'))):
         texts = [(start + 0.5 * every * k, cycle[k % 2]) for k in range(40)]
-        assert judge(data, setup, events=events_of((0.0, 'none |  | free, free'), *texts)
-                     ).name == STABLE
+        assert judge(data, setup, events=[(0.0, 'none |  | free, free'), *texts]).name == STABLE
 
 
 @pytest.mark.parametrize('supervised', [True, False])
