@@ -48,6 +48,4 @@ def calibrate(
     ) if from_bag is None else weighing.weigh_recording(from_bag, files, namespace, typer.echo)
     weighing.write_tool(out, found)
     terminal().print(weighing.tool_table(found))
-    typer.echo(f'{found.poses} poses, condition {found.condition:.3g}, residual '
-               f'{found.force_residual:.3g} N and {found.torque_residual:.3g} N m rms; written to '
-               f'{target}')
+    typer.echo(f'{weighing.quality(found)}; written to {target}')

@@ -17,8 +17,8 @@ def design(
     input_delay: Annotated[float, typer.Option(
         help='T_d, from commanded to acting input [s].')] = 0.006,
     noise: Annotated[float, typer.Option(
-        help='R, the variance of the force noise: aob and lqg are designed for it, and its effect '
-        'on u is printed [N^2].')] = 0.6,
+        help='R, the variance of the force noise, for which aob and lqg are designed '
+        '[N^2].')] = 0.6,
     damping_rate: Annotated[float, typer.Option(help='K_2 [1/s].')] = 100.0,
     rate: Annotated[float, typer.Option(help='Control rate [Hz].')] = 500.0,
     out: Annotated[Path | None, typer.Option(

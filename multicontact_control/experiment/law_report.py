@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import reduce
 import math
 from pathlib import Path
 from typing import Any
@@ -17,15 +16,21 @@ from multicontact_control.force.laws import LAWS, LinearLaw, LoopModel, steady_l
 from multicontact_control.force.margins import last_stable, spectral_radius
 from multicontact_control.force.observer import steady_gain
 import numpy as np
-from scipy.linalg import solve_discrete_lyapunov
 import yaml
 
 NODES = {'controller': '/**/controller_node', 'noise_estimator': '/**/noise_estimator_node'}
-POINTS = 4000  # of the frequency response
-LOWEST = 0.1  # rad/s
+LOWEST, POINTS = 0.1, 4000  # rad/s, of the frequency response
 LONGEST_RISE = 5.0  # s
 READ = [0, 2]  # of a law's inputs: alpha, and the speed
 RATIOS = tuple(np.geomspace(1.0, 1000.0, 121).tolist())
+SPEEDS = np.geomspace(8.0, 1.0 / 64.0, 73).tolist()  # of the usual gains
+GAIN_MARGIN = 2.0  # left on the stiffest surface
+# What makes a law s times as fast as it usually is: gains that s^exponent multiplies.
+FASTER: dict[str, dict[str, Any]] = {
+    'aob': {'time_constant': -1}, 'pi': {'pi': {'bandwidth': 1}},
+    'dob': {'dob': {'bandwidth': 1, 'observer_bandwidth': 1}},
+    'lqg': {'lqg': {'input_weight': -2}}, 'admittance': {'admittance': {'bandwidth': 1}},
+    'impedance': {'impedance': {'natural_frequency': 1}}, 'feedforward': {}}
 
 
 @dataclass(frozen=True)
@@ -36,8 +41,6 @@ class Margins:
     phase: float  # that may be added [rad]
     delay: float  # that may be added [s]
     crossover: float  # frequency at which the loop's gain is 1 [rad/s]
-    softest: float  # true over modelled stiffness between which the loop is stable
-    stiffest: float
 
 
 def _readings(model: LoopModel) -> Matrix:
@@ -59,17 +62,6 @@ def contact_loop(law: LinearLaw, model: LoopModel, ratio: float = 1.0) -> Matrix
         [plant.Phi + np.outer(plant.Gamma, law.D[0, READ] @ rows),
          np.outer(plant.Gamma, law.C[0])],
         [law.B[:, READ] @ rows, law.A]])
-
-
-def input_rms(law: LinearLaw, model: LoopModel, noise_variance: float) -> float:
-    """Return the rms of u that white noise of a variance [N^2] in alpha causes [m/s^2]."""
-    loop, plant = contact_loop(law, model), model.plant
-    entering = np.concatenate([plant.Gamma * law.D[0, 0], law.B[:, 0]])
-    if not entering.any():
-        return 0.0
-    P = solve_discrete_lyapunov(loop, noise_variance * np.outer(entering, entering))
-    output = np.concatenate([law.D[0, READ] @ _readings(model), law.C[0]])
-    return math.sqrt(float(output @ P @ output) + noise_variance * law.D[0, 0] ** 2)
 
 
 def rise_time(law: LinearLaw, model: LoopModel) -> float:
@@ -97,8 +89,7 @@ def margins_of(law: LinearLaw, model: LoopModel) -> Margins:
     gain, phase, _, _, crossover, _ = control.stability_margins(response)
     phase = math.radians(float(phase)) if np.isfinite(phase) else math.inf
     crossover = float(crossover) if np.isfinite(crossover) else 0.0
-    return Margins(float(gain), phase, phase / crossover if crossover else math.inf, crossover,
-                   *stable_ratios(law, model))
+    return Margins(float(gain), phase, phase / crossover if crossover else math.inf, crossover)
 
 
 def stable_ratios(law: LinearLaw, model: LoopModel) -> tuple[float, float]:
@@ -110,26 +101,11 @@ def stable_ratios(law: LinearLaw, model: LoopModel) -> tuple[float, float]:
     return 1.0 / down if down else math.inf, last_stable(stable, RATIOS, 1e-3)[0]
 
 
-SPEEDS = tuple(np.geomspace(8.0, 1.0 / 64.0, 73).tolist())  # of the usual gains
-GAIN_MARGIN = 2.0  # left on the stiffest surface
-
-# What makes a law s times as fast as it usually is: gains that s^exponent multiplies.
-FASTER: dict[str, dict[str, int]] = {
-    'aob': {'time_constant': -1}, 'pi': {'pi.bandwidth': 1},
-    'dob': {'dob.bandwidth': 1, 'dob.observer_bandwidth': 1}, 'lqg': {'lqg.input_weight': -2},
-    'admittance': {'admittance.bandwidth': 1}, 'impedance': {'impedance.natural_frequency': 1},
-    'feedforward': {}}
-
-
-def _faster(force: ForceConfig, speed: float) -> dict[str, Any]:
-    """Return the gains of a law that is so many times as fast."""
-    values: dict[str, Any] = {}
-    for path, exponent in FASTER[force.law].items():
-        *section, name = path.split('.')
-        owner = reduce(getattr, section, force)
-        part = reduce(lambda some, key: some.setdefault(key, {}), section, values)
-        part[name] = getattr(owner, name) * speed ** exponent
-    return values
+def _faster(exponents: Mapping[str, Any], usual: Any, speed: float) -> dict[str, Any]:
+    """Return the gains of a law that is so many times as fast, with four digits."""
+    return {name: _faster(part, getattr(usual, name), speed) if isinstance(part, Mapping)
+            else float(f'{getattr(usual, name) * speed ** part:.4g}')
+            for name, part in exponents.items()}
 
 
 @dataclass(frozen=True)
@@ -139,9 +115,9 @@ class DesignedLaw:
     values: dict[str, Any]  # of `force` in a controller's configuration, beside the defaults
     stiffness: float  # of the model [N/m]
     margins: Margins  # on the stiffest surface
+    stiffest_ratio: float  # up to which the loop of the stiffest surface is stable
     rise_softest: float  # of a step, on either end of the range [s]
     rise_stiffest: float
-    input_rms: float  # of u on the stiffest surface under the noise [m/s^2]
 
 
 def design_for_range(
@@ -153,8 +129,8 @@ def design_for_range(
 
     `name` is one of `LAWS`; `input_delay` and `period` are T_d and h [s], `softest` and `stiffest`
     the range of the true stiffness [N/m], of which the model is the middle by ratio;
-    `noise_variance` is that of the measured force, and R of `aob` and `lqg` [N^2], `damping_rate`
-    K_2 [1/s]. Raises ConfigError if a value is out of range, or no gains have these margins.
+    `noise_variance` is R of `aob` and `lqg` [N^2], `damping_rate` K_2 [1/s]. Raises ConfigError if
+    a value is out of range, or no gains have these margins.
     """
     if name not in LAWS:
         raise ConfigError('law', f'one of {", ".join(LAWS)}', f"'{name}'")
@@ -163,29 +139,25 @@ def design_for_range(
                           f'{softest:g}, {stiffest:g}')
     if not noise_variance > 0.0:
         raise ConfigError('noise_variance', 'a positive number', noise_variance)
-
-    def model(stiffness: float) -> LoopModel:
-        return LoopModel(stiffness, damping_rate, input_delay, period)
-
-    middle = math.sqrt(softest * stiffest)
-    usual = validate(ForceConfig, {'law': name, 'damping_rate': damping_rate})
+    model, soft, stiff = (
+        LoopModel(stiffness, damping_rate, input_delay, period)
+        for stiffness in (math.sqrt(softest * stiffest), softest, stiffest))
+    given = {'law': name, 'damping_rate': damping_rate}
+    usual = validate(ForceConfig, given)
     for speed in SPEEDS:
-        values = _faster(usual, speed)
+        values = _faster(FASTER[name], usual, speed)
         if name == 'lqg':
             values['lqg']['noise_variance'] = noise_variance
-        force = validate(ForceConfig, {**values, 'law': name, 'damping_rate': damping_rate})
-        law = LAWS[name](model(middle), force)
+        law = LAWS[name](model, validate(ForceConfig, {**values, **given}))
         if not isinstance(law, LinearLaw):
             law = steady_law(law, steady_gain(law, noise_variance))
-        low, high = stable_ratios(law, model(stiffest))
+        low, high = stable_ratios(law, stiff)
         if low > softest / stiffest or high < GAIN_MARGIN:
             continue  # before the frequency response, which takes ten times as long
-        margins = margins_of(law, model(stiffest))
+        margins = margins_of(law, stiff)
         if margins.delay >= period:
-            return DesignedLaw(
-                {'law': name, 'damping_rate': damping_rate, 'input_delay': input_delay, **values},
-                middle, margins, rise_time(law, model(softest)), rise_time(law, model(stiffest)),
-                input_rms(law, model(stiffest), noise_variance))
+            return DesignedLaw({**given, 'input_delay': input_delay, **values}, model.stiffness,
+                               margins, high, rise_time(law, soft), rise_time(law, stiff))
     raise ConfigError(
         'stiffness', f'a range that `{name}` can be stable on with a gain margin of '
         f'{GAIN_MARGIN:g} and a period of delay left', f'{softest:g} to {stiffest:g} N/m')
@@ -196,22 +168,14 @@ def show_design(design: DesignedLaw) -> str:
     margins = design.margins
     stiffest, softest = ('never' if math.isinf(time) else f'{1e3 * time:.0f} ms'
                          for time in (design.rise_stiffest, design.rise_softest))
-    return f"""{yaml.safe_dump({'force': rounded(design.values)}, sort_keys=False).rstrip()}
+    return f"""{yaml.safe_dump({'force': design.values}, sort_keys=False).rstrip()}
 model: {_model(design)}
 on the stiffest surface:
   phase margin     {math.degrees(margins.phase):.0f} deg
   delay margin     {1e3 * margins.delay:.1f} ms
   crossover        {margins.crossover:.1f} rad/s
-  stable           up to {margins.stiffest:.2f} times as stiff
-  63 % of a step   after {stiffest}, on the softest after {softest}
-  noise moves u    by {design.input_rms:.3f} m/s^2 rms"""
-
-
-def rounded(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values with four digits, as deep as they are nested."""
-    return {name: rounded(value) if isinstance(value, Mapping) else (
-        float(f'{value:.4g}') if isinstance(value, float) else value)
-        for name, value in values.items()}
+  stable           up to {design.stiffest_ratio:.2f} times as stiff
+  63 % of a step   after {stiffest}, on the softest after {softest}"""
 
 
 def _model(design: DesignedLaw) -> str:
@@ -222,7 +186,7 @@ def _model(design: DesignedLaw) -> str:
 
 def write_design(design: DesignedLaw, path: Path) -> None:
     """Write gains as a parameter file, as `--preset` takes it."""
-    write_preset({'controller': {'force': rounded(design.values)}}, path,
+    write_preset({'controller': {'force': design.values}}, path,
                  f'designed with a model of {_model(design)}, which is not in here')
 
 

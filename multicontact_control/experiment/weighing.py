@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import contextlib
-from itertools import product
 from pathlib import Path
 import time
 from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.config import ControllerConfig
+from multicontact_control.config import ControllerConfig, ToolConfig
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, ConfigError, RunError
 from multicontact_control.experiment.bag import (
@@ -31,7 +30,7 @@ from multicontact_control.sensor.tool import (
     MIN_POSES,
     MIN_SAMPLES,
     PoseReading,
-    TareConfig,
+    tare_bias,
 )
 from multicontact_control.supervision.reactions import INFLATE, NONE
 import numpy as np
@@ -44,12 +43,13 @@ JOINTS = 'joint_states'
 # over which readings are averaged [s].
 SPEED, SETTLE_TIME, AVERAGE_TIME = 0.02, 0.5, 1.0
 REST_TIME = SETTLE_TIME + AVERAGE_TIME + 0.5  # s, of a rest that is made for it
-GRID = 0.02  # s, in which samples are looked at for rests
 LOOK = 0.1  # s, over which the speed of a joint is taken
 REACHED = 0.1  # rad, of a tilt
 ATTEMPTS = 3  # motions to it
 PEAK = 1.875  # largest speed of a quintic, relative to the mean
 SHARE = 0.6  # of the largest angular speed
+BIASES = [f'{what} bias {axis} ({unit})' for what, unit in (('force', 'N'), ('torque', 'N m'))
+          for axis in 'xyz']
 TILTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # about world x and y
 
 Tell = Callable[[str], None]
@@ -57,7 +57,7 @@ Tell = Callable[[str], None]
 
 def weigh(
     robot: RobotModel, gravity_world: Sequence[float], joints: tuple[Vector, Matrix],
-    wrenches: tuple[Vector, Matrix], tell: Tell = lambda text: None,
+    wrenches: tuple[Vector, Matrix], tell: Tell,
 ) -> Identification:
     """
     Identify a tool from samples of an arm that is at rest in at least four poses.
@@ -68,51 +68,36 @@ def weigh(
     if there are too few rests, or the readings do not tell.
     """
     (q_time, q), (f_time, readings) = joints, wrenches
-    found = []
+    gravity, poses = np.array(gravity_world), []
     for begin, end in find_rests(q_time, q):
-        chosen = readings[(f_time >= begin) & (f_time <= end)]
-        restless = _restless(chosen)
-        tell(f'rest from {begin - q_time[0]:.1f} to {end - q_time[0]:.1f} s'
-             + (f' left out: {restless}' if restless else f': {len(chosen)} readings'))
-        if not restless:
-            mean = q[(q_time >= begin) & (q_time <= end)].mean(axis=0)
-            pose = robot.update(mean, np.zeros(robot.joint_count)).sensor_pose
-            found.append(PoseReading(pose.rotation_world, chosen.mean(axis=0)))
-    if len(found) < MIN_POSES:
+        mean = q[(q_time >= begin) & (q_time <= end)].mean(axis=0)
+        rotation = robot.update(mean, np.zeros(robot.joint_count)).sensor_pose.rotation_world
+        rest = f'rest from {begin - q_time[0]:.1f} to {end - q_time[0]:.1f} s'
+        try:
+            reading = tare_bias(
+                readings[(f_time >= begin) & (f_time <= end)], rotation, ToolConfig(), gravity)
+        except CalibrationError as error:
+            tell(f'{rest} left out: {error}')
+            continue
+        tell(rest)
+        poses.append(PoseReading(rotation, reading))
+    if len(poses) < MIN_POSES:
         raise CalibrationError(f'calibrate: expected at least {MIN_POSES} quiet rests of '
-                               f'{SETTLE_TIME + AVERAGE_TIME:g} s, found {len(found)}')
-    return identify_tool(found, np.array(gravity_world))
+                               f'{SETTLE_TIME + AVERAGE_TIME:g} s, found {len(poses)}')
+    return identify_tool(poses, gravity)
 
 
 def find_rests(time: Vector, q: Matrix) -> list[tuple[float, float]]:
     """Return from when to when an arm was at rest [s], of joint angles of shape (m, n) [rad]."""
     order = np.argsort(time, kind='stable')
     time, q = time[order], q[order]
-    grid = np.arange(time[0], time[-1], GRID)
-    width = round(LOOK / GRID)
-    if len(grid) <= width:
-        return []
-    angles = np.column_stack([np.interp(grid, time, column) for column in q.T])
-    speed = np.abs(angles[width:] - angles[:-width]).max(axis=1) / LOOK
+    before = np.column_stack([np.interp(time - LOOK, time, column) for column in q.T])
+    speed = np.abs(q - before).max(axis=1) / LOOK
     # In a gap of the joint states the arm may have moved.
-    gaps = np.interp(grid, time[1:], np.diff(time))
-    still = (speed <= SPEED) & (gaps[width:] <= LOOK)
-    rests = [(float(grid[begin]) + SETTLE_TIME, float(grid[end - 1]))
+    still = (speed <= SPEED) & (np.diff(time, prepend=time[0]) <= LOOK)
+    rests = [(float(time[begin]) + SETTLE_TIME, float(time[end - 1]))
              for begin, end in zip(*stretches(still))]
     return [(start, stop) for start, stop in rests if stop - start >= AVERAGE_TIME]
-
-
-def _restless(wrenches: Matrix) -> str:
-    """Return why readings cannot be averaged; empty if they can."""
-    if len(wrenches) < MIN_SAMPLES:
-        return f'{len(wrenches)} readings'
-    if not np.isfinite(wrenches).all():
-        return 'readings that are not finite'
-    force, torque = wrenches.std(axis=0).reshape(2, 3).max(axis=1)
-    quiet = TareConfig()
-    if force > quiet.max_force_std or torque > quiet.max_torque_std:
-        return f'readings with standard deviations of {force:.3g} N and {torque:.3g} N m'
-    return ''
 
 
 def _arm(files: Sequence[Path]) -> tuple[ControllerConfig, RobotModel]:
@@ -155,19 +140,16 @@ def weigh_recording(
 
 def weigh_running(
     files: Sequence[Path], *, namespace: str = '', domain_id: int | None = None,
-    tilt: float = np.deg2rad(25.0), move_time: float = 3.0, timeout: float = 10.0,
-    tell: Tell = lambda text: None,
+    tilt: float, move_time: float, timeout: float = 10.0, tell: Tell,
 ) -> Identification:
     """
     Identify the tool of a robot by a controller that runs: it tilts the tool, and turns it back.
 
-    The operational point stays where it is. No contact may be pressed meanwhile, and the bias of
-    the running controller is that of the first pose afterwards. `files` are the controller's
-    parameter files; `tilt` is the angle about world x and y, to either side [rad]; `move_time` the
-    least time from pose to pose [s]; `timeout` the longest wait for an answer or a sample [s];
-    `tell` is called with what is being done. As `weigh`, and raises ConfigError if a parameter
-    file is not acceptable, RunError if no controller answers, a contact is pressed, or a pose is
-    not reached.
+    The operational point stays where it is. No contact may be pressed meanwhile. `tilt` is the
+    angle about world x and y, to either side [rad]; `move_time` the least time from pose to pose
+    [s]; `timeout` the longest wait for an answer or a sample [s]; `tell` is called with each step.
+    As `weigh_recording`, and raises RunError if no controller answers, a contact is pressed, or a
+    pose is not reached.
     """
     from multicontact_control.client import MultiContactClient
     from multicontact_control.nodes import topics
@@ -185,24 +167,21 @@ def weigh_running(
         tell('tare, so that the weight is not taken for a contact')
         _await_control(arm, timeout)
         # From one side to the other, well within the limit of the angular speed.
-        slowest = max(move_time, PEAK * 2.0 * tilt / (SHARE * controller.limits.operational_turn))
-        before = Rotation.from_quat(start.quaternion_desired)
+        duration = max(move_time, PEAK * 2.0 * tilt / (SHARE * controller.limits.operational_turn))
+        home = Rotation.from_quat(start.quaternion_desired)
         for number, (x, y) in enumerate(TILTS, 1):
             tell(f'pose {number} of {len(TILTS)}')
-            _turn(arm, start.position_desired, slowest,
-                  Rotation.from_rotvec([tilt * x, tilt * y, 0.0]) * before)
-            begin = len(samples)
-            while len(samples) < begin + 2 or samples[-1][0] < samples[begin][0] + REST_TIME:
+            tilted = Rotation.from_rotvec([tilt * x, tilt * y, 0.0]) * home
+            _turn(arm, start.position_desired, duration, tilted)
+            end = arm.read().time + REST_TIME
+            while not samples or samples[-1][0] < end:
                 samples.append(_sample(link.fresh(*heard), controller.robot.joint_names))
-                if samples[-1][0] < samples[max(len(samples) - 2, 0)][0]:
-                    raise RunError('joint_states: expected stamps that go on, found one before '
-                                   'the last: samples begin anew')
         tell('back to the first pose')
-        arm.move(start.position_desired, slowest, quaternion_xyzw=before.as_quat())
-        tell('the running controller keeps its tare; what is found is for the next run')
-    found = np.array(samples)
-    return weigh(robot, controller.robot.gravity_world, (found[:, 0], found[:, 1:-6]),
-                 (found[:, 0], found[:, -6:]), tell)
+        arm.move(start.position_desired, duration, quaternion_xyzw=start.quaternion_desired)
+        tell('the running controller keeps its tare; the result is for the next run')
+    series = np.array(samples)
+    return weigh(robot, controller.robot.gravity_world, (series[:, 0], series[:, 1:-6]),
+                 (series[:, 0], series[:, -6:]), tell)
 
 
 def _await_control(arm: Any, timeout: float) -> None:
@@ -251,28 +230,28 @@ def _sample(messages: Sequence[Any], names: Sequence[str]) -> Vector:
                      w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z])
 
 
+def quality(found: Identification) -> str:
+    """Return what an identification rests on, and what its fit leaves."""
+    return (f'{found.poses} poses, condition {found.condition:.3g}, residual '
+            f'{found.force_residual:.3g} N and {found.torque_residual:.3g} N m rms')
+
+
 def write_tool(folder: Path, found: Identification) -> Path:
     """Write a tool as a parameter file to lay over the controller's, and return it."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / TOOL_FILE
     write_parameters(
         path, {'/**': {'tool': found.tool().model_dump(mode='json')}},
-        f'# Identified from {found.poses} poses: residual {found.force_residual:.3g} N and '
-        f'{found.torque_residual:.3g} N m rms, condition {found.condition:.3g}.\n'
-        f'# Give it to the controller after its own parameter file.\n')
+        f'# {quality(found)}\n# Give it to the controller after its own parameter file.\n')
     return path
 
 
 def tool_table(found: Identification) -> Table:
     """Return what was identified, with the standard errors."""
-    table = Table('', title='tool')
-    for name in ('identified', 'std. error'):
-        table.add_column(name, justify='right')
-    tool = found.tool()
-    table.add_row('mass (kg)', f'{tool.mass:.4f}', f'{found.mass_std:.4f}')
-    for axis, value, spread in zip('xyz', tool.com_sensor, found.com_std):
-        table.add_row(f'centre of mass {axis} (mm)', f'{1e3 * value:.4f}', f'{1e3 * spread:.4f}')
-    for (what, axis), value in zip(product(('force bias {} (N)', 'torque bias {} (N m)'), 'xyz'),
-                                   tool.bias_sensor):
-        table.add_row(what.format(axis), f'{value:.4f}', '')
+    table = Table('', 'identified', 'std. error', title='tool')
+    table.add_row('mass (kg)', f'{found.mass:.4f}', f'{found.mass_std:.4f}')
+    for axis, value, spread in zip('xyz', 1e3 * found.com_sensor, 1e3 * found.com_std):
+        table.add_row(f'centre of mass {axis} (mm)', f'{value:.4f}', f'{spread:.4f}')
+    for what, value in zip(BIASES, found.bias_sensor):
+        table.add_row(what, f'{value:.4f}')
     return table

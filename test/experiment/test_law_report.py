@@ -15,8 +15,8 @@ from multicontact_control.experiment.law_report import (
 
 def test_parameter_file_says_which_stiffness_it_goes_with(tmp_path):
     """A law knows no contacts, so their stiffness is not in it, but in a setting beside it."""
-    margins = Margins(gain=2.0, phase=1.0, delay=0.01, crossover=30.0, softest=0.1, stiffest=3.0)
-    found = DesignedLaw({'law': 'pi', 'input_delay': 0.004}, 3162.3, margins, 0.05, math.inf, 0.1)
+    margins = Margins(gain=2.0, phase=1.0, delay=0.01, crossover=30.0)
+    found = DesignedLaw({'law': 'pi', 'input_delay': 0.004}, 3162.3, margins, 3.0, 0.05, math.inf)
     path = tmp_path / 'pi.yaml'
     write_design(found, path)
     for text in (show_design(found), path.read_text()):
