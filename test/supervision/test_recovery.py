@@ -7,7 +7,7 @@ from multicontact_control.config import WatchdogConfig
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.situation import with_obstacles
+from multicontact_control.experiment.faults.in_process import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import ELBOW_WALL, FAR
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.paths import config_dir

@@ -95,13 +95,8 @@ class Fault:
     @property
     def passes(self) -> bool:
         """Whether the arm can do again what it did, once it has passed, with all its parts."""
-        if self.parts:
-            return all(part.passes for part in self.parts)
-        return isinstance(self.action, (Delivery, Breakdown)) or bool(self.declared)
-
-    def expected(self, phase: str) -> tuple[str, ...]:
-        """Return the declared reactions in a phase."""
-        return self.declared if phase in self.phases else ()
+        return all(isinstance(part.action, (Delivery, Breakdown)) or bool(part.declared)
+                   for part in self.parts or (self,))
 
     def random(self, seed: int) -> Random:
         """Return the source of the details of this fault."""

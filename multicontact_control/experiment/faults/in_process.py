@@ -20,11 +20,32 @@ from multicontact_control.experiment.faults.fault import (
     TWO,
 )
 from multicontact_control.experiment.faults.judge import FaultRow, judge, Observation
+from multicontact_control.experiment.faults.vocabulary import FAR
+from multicontact_control.experiment.scenario import plant_source, resolve, Setup
 from multicontact_control.supervision.inputs import TickInputs
 from multicontact_control.supervision.reactions import SEVERITY
 import numpy as np
 
 RUN_TICKS = 600
+
+
+def with_obstacles(scenario: str, plant: str, seed: int) -> Setup:
+    """Resolve a scenario with walls far away that the first contact's tip, or the elbow, meets."""
+    setup = resolve(scenario, plant=plant, seed=seed)
+    tip = setup.plant.surfaces[setup.plant.contact_names[0]].tip_link
+    elbow, normal = plant_source(plant).robot.elbow()
+    walls = {name: {
+        'tip_link': link, 'point_world': (FAR * into).tolist(), 'normal_world': into.tolist(),
+        'stiffness': stiffness, 'roughness_std': 0.0}
+        for name, link, into, stiffness in (
+            ('side_wall', tip, np.array([1.0, 0.0, 0.0]), 3000.0),
+            ('elbow_wall', elbow, normal, 6000.0))}
+    return resolve(scenario, plant=plant, seed=seed, plant_overrides={
+        'obstacle_names': list(walls), 'surfaces': walls})
+
+
+def _fail(*_arguments: Any, **_named: Any) -> Any:
+    raise ArithmeticError('broken part')
 
 
 class Occurrence:
@@ -39,15 +60,11 @@ class Occurrence:
         if isinstance(self._action, PlantEdit):
             self._action.begin(loop.plant, self.choice)
         if isinstance(self._action, Breakdown):
-            part = self._action.part
+            setattr(*self._broken(), _fail)
 
-            def fail(*_arguments: Any, **_named: Any) -> Any:
-                raise ArithmeticError(part)
-            setattr(*self._broken(part), fail)
-
-    def _broken(self, part: str) -> tuple[Any, str]:
-        """Return the owner of a part of the supervisor, and the name the part has there."""
-        *way, name = part.split('.')
+    def _broken(self) -> tuple[Any, str]:
+        """Return the owner of the broken part of the supervisor, and its name there."""
+        *way, name = self._action.part.split('.')
         return reduce(getattr, way, self._loop.control.supervisor), name
 
     def corrupt(self, inputs: TickInputs) -> TickInputs:
@@ -82,7 +99,7 @@ class Occurrence:
         if isinstance(self._action, PlantEdit) and self._action.end is not None:
             self._action.end(self._loop.plant, self.choice)
         if isinstance(self._action, Breakdown):
-            delattr(*self._broken(self._action.part))
+            delattr(*self._broken())
 
 
 def advance_with(occurrences: Sequence[Occurrence], loop: ClosedLoop) -> None:
@@ -92,35 +109,23 @@ def advance_with(occurrences: Sequence[Occurrence], loop: ClosedLoop) -> None:
         each.advanced()
 
 
-def run_fault(
-    loop: ClosedLoop, fault: Fault, seed: int, phase: str, other: Fault | None = None,
-) -> FaultRow:
+def run_fault(loop: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
     """
-    Let one fault happen, or two at once, in a closed loop that is used up by it.
+    Let a fault happen in a supervised loop, which is used up by it.
 
-    Parameters
-    ----------
-    loop
-        At the beginning of the phase, supervised.
-    fault, seed, phase
-        The fault, what decides its details, and where in the scenario it happens.
-    other
-        Another fault at the same time, if any; then no reaction is declared.
-
+    The loop is at the beginning of the phase; the seed decides the details.
     """
-    random = fault.random(seed)
-    for _ in range(int(random.integers(5, 60)) * (phase != START)):
+    parts = fault.parts or (fault,)
+    randoms = [part.random(seed) for part in parts]
+    for _ in range(int(randoms[0].integers(5, 60)) * (phase != START)):
         loop.advance()
-    begin, known = loop.tick, loop.control.events.collisions.total()
-    occurrences = [Occurrence(fault, random, loop)]
-    if other is not None:
-        occurrences.append(Occurrence(other, other.random(seed), loop))
+    period, begin = loop.setup.controller.period, loop.tick
+    before, collisions = loop.command.copy(), loop.control.events.collisions.total()
+    occurrences = [Occurrence(part, random, loop) for part, random in zip(parts, randoms)]
     lasted = max(each.lasts for each in occurrences)
-    before = loop.command.copy()
-    breaks = any(isinstance(each.action, Breakdown) for each in (fault, other) if each)
+    breaks = any(isinstance(part.action, Breakdown) for part in parts)
     torques, forces, met, reactions, speeds = [], [], [], [], []
     problems: set[str] = set()
-
     for _ in range(RUN_TICKS):
         advance_with(occurrences, loop)
         torques.append(loop.command.copy())
@@ -131,18 +136,17 @@ def run_fault(
         if not breaks and any(cause.startswith('internal') for cause in loop.status.causes):
             problems.add(loop.status.causes[0])
     # At the ends of the ticks: a force above the ceiling lasts until then.
-    time: Vector = loop.setup.controller.period * np.arange(1.0, RUN_TICKS + 1.0)
-    return judge(fault if other is None else together(fault, other), seed, loop.setup, Observation(
+    time: Vector = period * np.arange(1.0, RUN_TICKS + 1.0)
+    return judge(fault, seed, loop.setup, Observation(
         torque=np.array(torques), before=before, time=time, force=np.max(forces, axis=1),
         reaction=max(reactions[:lasted], key=SEVERITY.index), reactions=reactions,
-        forces=np.array(forces),
-        commands=loop.setup.commanded(begin * loop.setup.controller.period + time),
-        met=np.array(met), noticed=bool(loop.control.events.collisions.total() > known),
+        forces=np.array(forces), commands=loop.setup.commanded(begin * period + time),
+        met=np.array(met), noticed=loop.control.events.collisions.total() > collisions,
         speed=max(speeds), lasted=lasted, problems=problems), phase=phase)
 
 
 def together(fault: Fault, other: Fault) -> Fault:
-    """Return two faults as one of which nothing is declared."""
+    """Return two faults as one of which no reaction is declared."""
     return Fault(
-        TWO, f'{fault.input} {fault.kind} + {other.input} {other.kind}', fault.action,
+        TWO, f'{fault.input} {fault.kind} + {other.input} {other.kind}', None,
         meets=other.meets if fault.meets is None else fault.meets, parts=(fault, other))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.experiment.faults.fault import Fault, REST, SLIDING
@@ -51,6 +52,10 @@ class FaultRow:
     shortfalls: str = ''  # what a safe arm did not do as well as it should
 
 
+def _none() -> Matrix:
+    return np.zeros((0, 1))
+
+
 @dataclass
 class Observation:
     """What was seen of a fault; times are from its beginning [s]."""
@@ -62,9 +67,10 @@ class Observation:
     before: Vector | None = None  # the last torque before, if known
     limited_rate: bool = True  # torques may not jump; they may where a process begins
     reactions: Sequence[str] = ()  # in each tick
-    forces: Matrix | None = None  # true forces, shape (ticks, r) [N],
-    commands: Matrix | None = None  # and those that the task asks for
-    met: Matrix | None = None  # true forces on what is in the way, shape (ticks, o) [N]
+    # True forces, those that the task asks for, and those on obstacles, shape (ticks, count) [N].
+    forces: Matrix = field(default_factory=_none)
+    commands: Matrix = field(default_factory=_none)
+    met: Matrix = field(default_factory=_none)
     noticed: bool = False  # whether a collision was reported
     speed: float = 0.0  # largest true speed of a joint [rad/s]
     lasted: int = 0  # ticks of the fault
@@ -84,27 +90,28 @@ def judge(
     """
     config = setup.controller
     problems, fraction = never_allowed(seen, setup)
-    met = float(seen.met.max(initial=0.0)) if seen.met is not None else 0.0
+    met = float(seen.met.max(initial=0.0))
     if met > MET_FORCE:
         problems.add('obstacle pressed too hard')
     if fault.from_start and seen.speed > FASTEST:
         problems.add('joint too fast')
-    if seen.met is not None and fault.meets is not None and not seen.noticed and (
-            seen.met[:, fault.meets].max() > NOTICED_FORCE):
+    if fault.meets is not None and not seen.noticed and (
+            seen.met[:, fault.meets].max(initial=0.0) > NOTICED_FORCE):
         problems.add('obstacle not noticed')
     ages = {'wrench': config.watchdog.wrench_max_age, 'variance': config.watchdog.variance_max_age}
     latest = max(REACTION_TICKS, 0 if fault.at_once else int(ages.get(fault.input, 0.0)))
-    expects = bool(seen.reactions) and seen.lasted > latest
-    reached = _reaction_tick(seen.reactions, fault.expected(phase)) if expects else 0
+    expected = fault.declared if phase in fault.phases and seen.lasted > latest else ()
+    reached = _reaction_tick(seen.reactions, expected)
     if reached is None or reached > latest:
         problems.add('declared reaction late')
     over = seen.force > config.contact_state.force_ceiling
     never = reached is None or bool(over.size and over[-1])
     off_command = _off_command(seen, config.rate)
-    transitions = sum(a != b for a, b in zip(seen.reactions, seen.reactions[1:]))
+    transitions = sum(a != b for a, b in pairwise(seen.reactions))
     shortfalls = [f'reactions that change {transitions} times'] if transitions > AGAIN else []
     back = seen.lasted + round(BACK_TIME * config.rate)
-    if fault.passes and phase in (REST, SLIDING) and off_command[back:].any():
+    at_work = phase in (REST, SLIDING)
+    if fault.passes and at_work and off_command[back:].any():
         shortfalls.append('not back at its command')
     return FaultRow(
         kind=fault.kind, input=fault.input, seed=seed, reaction=seen.reaction,
@@ -113,8 +120,7 @@ def judge(
         peak_force_n=round(max(met, float(seen.force.max(initial=0.0))), 3),
         peak_torque_fraction=round(fraction, 5), safe=not problems, plant=setup.plant_name,
         phase=phase, problems=', '.join(sorted(problems)),
-        off_command_s=-1.0 if seen.forces is None or phase not in (REST, SLIDING) else round(
-            float(off_command.sum()) * config.period, 6),
+        off_command_s=round(float(off_command.sum()) * config.period, 6) if at_work else -1.0,
         transitions=transitions, shortfalls=', '.join(shortfalls))
 
 
@@ -148,8 +154,6 @@ def never_allowed(seen: Observation, setup: Setup) -> tuple[set[str], float]:
 
 def _off_command(seen: Observation, rate: float) -> Mask:
     """Return in which ticks a contact is off its command, shape (ticks,)."""
-    if seen.forces is None or seen.commands is None:
-        return np.zeros(0, dtype=bool)
     error = uniform_filter1d(
         seen.forces - seen.commands, round(OFF_TIME * rate), axis=0, mode='nearest')
     off: Mask = (np.abs(error) > np.maximum(OFF_FORCE, OFF_SHARE * seen.commands)).any(axis=1)
@@ -157,14 +161,9 @@ def _off_command(seen: Observation, rate: float) -> Mask:
 
 
 def _reaction_tick(reactions: Sequence[str], expected: tuple[str, ...]) -> int | None:
-    """
-    Return the first tick with a declared reaction.
-
-    Floating and damping count for holding and each other, not for inflating R.
-    """
+    """Return the first tick with a declared reaction, which stronger ones imply."""
     if not expected:
         return 0
-    for n, reaction in enumerate(reactions):
-        if reaction in expected or (reaction in SEVERITY[3:] and 'inflate' not in expected):
-            return n
-    return None
+    # Floating and damping count for holding and each other, not for inflating R.
+    enough = expected if 'inflate' in expected else (*expected, *SEVERITY[3:])
+    return next((n for n, reaction in enumerate(reactions) if reaction in enough), None)

@@ -3,9 +3,12 @@
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.fault import REST
-from multicontact_control.experiment.faults.in_process import RUN_TICKS
+from multicontact_control.experiment.faults.in_process import (
+    RUN_TICKS,
+    together,
+    with_obstacles,
+)
 from multicontact_control.experiment.faults.judge import judge, Observation
-from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import FAULTS
 from multicontact_control.experiment.study.presets.faults import in_fork
 import numpy as np
@@ -37,7 +40,8 @@ def test_fault_is_answered_as_declared(world, kind, reaction):
 
 def test_fault_that_kills_its_process_is_not_safe(world, monkeypatch):
     monkeypatch.setattr(ClosedLoop, 'advance', lambda self, corrupt=None: 1 / 0)
-    row = in_fork(world, FAULTS['nan', 'wrench'], 1, 'approach', FAULTS['nan_q', 'joints'])
+    row = in_fork(
+        world, together(FAULTS['nan', 'wrench'], FAULTS['nan_q', 'joints']), 1, 'approach')
     assert not row.safe and row.problems == 'died'
 
 

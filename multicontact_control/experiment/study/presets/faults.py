@@ -21,9 +21,8 @@ from multicontact_control.experiment.faults.fault import (
     START,
     TWO,
 )
-from multicontact_control.experiment.faults.in_process import run_fault, together
+from multicontact_control.experiment.faults.in_process import run_fault, together, with_obstacles
 from multicontact_control.experiment.faults.judge import FaultRow
-from multicontact_control.experiment.faults.situation import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import FAULTS, pairs_of_faults
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.cells import Cell
@@ -61,8 +60,8 @@ class FaultJob:
         """Run the faults; a row for each is under `rows`."""
         world = _world_at(self)
         return {'rows': [
-            asdict(in_fork(world, FAULTS[kind, source], seed, self.phase,
-                           FAULTS.get((other[0], other[1]) if other else ('', ''))))
+            asdict(in_fork(world, together(FAULTS[kind, source], FAULTS[other[0], other[1]])
+                           if other else FAULTS[kind, source], seed, self.phase))
             for kind, source, seed, *other in self.faults]}
 
 
@@ -84,16 +83,14 @@ def _world_at(job: FaultJob) -> ClosedLoop:
     return world
 
 
-def in_fork(
-    world: ClosedLoop, fault: Fault, seed: int, phase: str, other: Fault | None = None,
-) -> FaultRow:
-    """Run one fault, or two, in a copy of this process; a copy that hangs or dies is not safe."""
+def in_fork(world: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
+    """Run a fault in a copy of this process; a copy that hangs or dies is not safe."""
     ours, theirs = Pipe(duplex=False)
     # By hand: a worker of Dask is not allowed to have children of `multiprocessing`.
     child = os.fork()
     if not child:
         try:
-            theirs.send(run_fault(world, fault, seed, phase, other))
+            theirs.send(run_fault(world, fault, seed, phase))
         except BaseException:
             traceback.print_exc()
         finally:
@@ -110,8 +107,7 @@ def in_fork(
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
         ours.close()
-    named = fault if other is None else together(fault, other)
-    return FaultRow(named.kind, named.input, seed, problem, -1.0, -1.0, -1.0, False,
+    return FaultRow(fault.kind, fault.input, seed, problem, -1.0, -1.0, -1.0, False,
                     world.setup.plant_name, phase, problem)
 
 
