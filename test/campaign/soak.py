@@ -19,12 +19,8 @@ from joblib import delayed, Parallel
 from multicontact_control.control.tasks import MotionReading, quintic
 from multicontact_control.errors import CommandError
 from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.faults import in_process
 from multicontact_control.experiment.faults.fault import PlantEdit
-from multicontact_control.experiment.faults.in_process import (
-    advance_with,
-    Occurrence,
-    with_obstacles,
-)
 from multicontact_control.experiment.faults.judge import MET_FORCE, never_allowed, Observation
 from multicontact_control.experiment.faults.vocabulary import FAULTS
 from multicontact_control.experiment.oscillation import oscillations
@@ -49,7 +45,7 @@ class Soak:
     """A closed loop in process under random commands and faults, until closed."""
 
     def __init__(self, plant, seed):
-        self.setup = with_obstacles('quick', plant, seed)
+        self.setup = in_process.with_obstacles('quick', plant, seed)
         self.loop = ClosedLoop(self.setup, commanded=True)
         self._random = np.random.default_rng(seed)
         self._faults = [x for x in FAULTS.values() if not (
@@ -124,7 +120,7 @@ class Soak:
         """Let faults of different inputs happen at the same time; return their names."""
         by_input = {fault.input: fault for fault in self._random.permutation(self._faults)}
         chosen = self._random.permutation(list(by_input.values()))[:count]
-        occurrences = [Occurrence(fault, self._random, self.loop) for fault in chosen]
+        occurrences = [in_process.Occurrence(fault, self._random, self.loop) for fault in chosen]
         for _ in range(max(each.lasts for each in occurrences)):
             self.advance(occurrences)
         return ' + '.join(f'{fault.input} {fault.kind}' for fault in chosen)
@@ -159,7 +155,7 @@ class Soak:
 
     def advance(self, faults=()):
         loop = self.loop
-        advance_with(faults, loop)
+        in_process.advance_with(faults, loop)
         self._torques.append(loop.command.copy())
         self._forces.append(float(loop.true_forces.max()))
         self._met.append(float(loop.obstacle_forces.max(initial=0.0)))
