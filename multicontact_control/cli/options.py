@@ -94,7 +94,7 @@ class RunOptions(SetupOptions):
 
     def values(self) -> list[str]:
         """Return all that is laid over the files, as for ``--set``."""
-        estimator = None if self._estimator_file else self.noise_estimator
+        estimator = self.noise_estimator
         return [*([f'noise_estimator.estimator={estimator}'] if estimator else []),
                 *([f'controller.force.law={self.law}'] if self.law else []), *super().values()]
 
@@ -108,14 +108,9 @@ class RunOptions(SetupOptions):
         from multicontact_control.experiment.scenario import resolve_external
 
         return resolve_with(resolve_external, {
-            'files': files, 'duration': self.duration, 'estimator_file': self._estimator_file,
+            'files': files, 'duration': self.duration,
             'scenario': self.scenario if 'scenario' in given else None,
             'preset': self.preset if 'preset' in given else ''}, self.values())
-
-    @property
-    def _estimator_file(self) -> Path | None:
-        path = Path(self.noise_estimator or '')
-        return path if path.suffix in ('.yaml', '.yml') else None
 
     def folder(self, setup: Setup) -> Path:
         """Make the folder of the run and return it; ConfigError if there is a run in it."""

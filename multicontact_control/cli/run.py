@@ -34,8 +34,7 @@ def run(
     external: Annotated[bool, typer.Option(
         '--external', help='Your own robot or simulator is behind the topics: start controller, '
         'noise estimator and recorder only, wait for the robot, and obey the command topics, or a '
-        '--scenario. Ends after --duration, or with Ctrl-C. Needs --controller; '
-        '--noise-estimator may be a parameter file.')] = False,
+        '--scenario. Ends after --duration, or with Ctrl-C. Needs --controller.')] = False,
     controller: ControllerFiles = None,
     robot_timeout: Annotated[float, typer.Option(
         help='With --external: time without a sample after which the robot counts as gone '

@@ -103,8 +103,6 @@ class BagMessages:
     """The messages of some topics of one graph."""
 
     by_topic: Mapping[str, BagColumns]  # by the name within the graph's namespace
-    # Messages per second of all topics with more than one, by full name without slash [Hz].
-    rates: Mapping[str, float]
     others: tuple[str, ...]  # names of all other topics
     cut_off: bool = False  # whether the recording ends in the middle
     unreadable: tuple[str, ...] = ()  # what could not be read of these topics, in words
@@ -139,7 +137,7 @@ def read_messages(
     RunError if there is no file, or it holds the topics of several graphs.
     """
     columns: dict[tuple[str, str], BagColumns] = {}  # by namespace and topic
-    counts: dict[str, tuple[int, int, int]] = {}  # by full name; first and last [ns]
+    names: set[str] = set()  # full names of all topics
     unreadable: dict[str, str] = {}
     cut_off = False
     suffix = re.compile(rf'(?:(.*)/)?({"|".join(map(re.escape, types))})')
@@ -148,9 +146,8 @@ def read_messages(
             cut_off = True
             continue
         schema, channel, message, decode = record
-        name, published = channel.topic.strip('/'), message.publish_time or message.log_time
-        count, first, _ = counts.get(name, (0, published, published))
-        counts[name] = count + 1, first, published
+        name = channel.topic.strip('/')
+        names.add(name)
         place = suffix.fullmatch(name)
         if place is None or name in unreadable:
             continue
@@ -160,7 +157,7 @@ def read_messages(
             continue
         taken = columns.get(key) or BagColumns(kind)
         try:
-            taken.take(decode(), published)
+            taken.take(decode(), message.publish_time or message.log_time)
         except Exception as error:  # whatever a message of another program makes of its decoder
             unreadable[name] = f'cannot be read: {error}'
         else:
@@ -168,9 +165,7 @@ def read_messages(
     chosen = _namespace(path, [space for space, _ in columns], namespace)
     return BagMessages(
         {topic: taken for (space, topic), taken in columns.items() if space == chosen},
-        {name: (count - 1) / ((last - first) * 1e-9)
-         for name, (count, first, last) in counts.items() if last > first},
-        tuple(sorted(name for name in counts if not (
+        tuple(sorted(name for name in names if not (
             (place := suffix.fullmatch(name)) and (place[1] or '', place[2]) in columns))),
         cut_off, tuple(f'{name}: {why}' for name, why in unreadable.items()))
 

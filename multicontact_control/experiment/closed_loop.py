@@ -50,21 +50,15 @@ class ClosedLoop:
     The controller at tick k works with the R of tick k - 1, and its command acts on the plant
     from k + actuator delay on, as in the graph.
 
-    Parameters
-    ----------
-    setup
-        The scenario.
-    supervised
-        Whether contact states, watchdogs and limits are around the control law.
-    commanded
-        Whether `control` obeys commands instead of the scenario.
+    If `supervised`, contact states, watchdogs and limits are around the control law; if
+    `commanded`, `control` obeys commands instead of the scenario.
 
     Attributes
     ----------
     control, plant
         What turns samples into torques, and the simulated arm.
     tick, sample
-        The sample that is answered next, or has been answered and not acted on, and its number.
+        Number and content of the sample that is answered next, or has been and not acted on.
     variance, command
         The newest R, shape (r,) [N^2], and the newest torque, shape (n,) [N m].
     history
@@ -95,16 +89,6 @@ class ClosedLoop:
         if self.control.status is None:
             raise RunError('closed loop: expected a supervisor that has answered, found none')
         return self.control.status
-
-    @property
-    def true_forces(self) -> Vector:
-        """Return the true normal forces now, shape (r,) [N]."""
-        return self.sample.contact_force
-
-    @property
-    def obstacle_forces(self) -> Vector:
-        """Return the true normal forces on what is in the way now, shape (o,) [N]."""
-        return self.plant.contacts.obstacles
 
     def inputs(self) -> TickInputs:
         """Return what is known at this tick if nothing is wrong with it: sample, and R before."""
@@ -172,24 +156,11 @@ def run_in_process(
     supervised: bool = False, disturb: Callable[[ClosedLoop], None] | None = None,
 ) -> LoopResult:
     """
-    Run a scenario as fast as it goes.
+    Run a scenario as fast as it goes, up to where the arm can no longer be controlled.
 
-    Parameters
-    ----------
-    setup
-        The run.
-    on_progress
-        Called every 100 ticks with the time [s] and the measured forces [N].
-    supervised
-        As for `ClosedLoop`; without supervision the law runs bare but for its start.
-    disturb
-        What happens to the loop before each tick, if anything does.
-
-    Returns
-    -------
-    LoopResult
-        The series up to the end, or up to where the arm could no longer be controlled.
-
+    `on_progress` is called every 100 ticks with the time [s] and the measured forces [N],
+    `disturb` with the loop before each tick. Without supervision the law runs bare but for its
+    start.
     """
     config = setup.controller
     data = empty_run_data(setup.ticks, config)

@@ -151,7 +151,6 @@ class BagContent:
     """A bag read back."""
 
     data: RunData  # by sample stamp
-    topic_rates: dict[str, float]  # messages per second, of topics with more than one [Hz]
     lacking: tuple[str, ...]  # topics of the controller that are not in the bag
     remarks: tuple[str, ...]  # what could not be read, in words
     start: int  # stamp of the first sample [ns]
@@ -219,7 +218,7 @@ def content_of(
         data, messages.by_topic.get(FORCE_COMMAND), samples.published[::-1][newest], ticks))
     begin, end = _answered(data) if answered else (0, count)
     return BagContent(
-        data.part(begin, end), dict(messages.rates),
+        data.part(begin, end),
         tuple(x for x in SERIES if x not in messages.by_topic and x not in OPTIONAL),
         _remarks(messages, data), int(stamps[0]) + round(begin / data.rate * 1e9))
 

@@ -237,8 +237,7 @@ def load_recording(
     setup = setup_of_recording(path, messages, files)
     content = content_of(path, messages, setup.controller, answered=True)
     summary = summarise(content.data, setup, mode=RECORDED, timing={
-        'unanswered_samples': content.unanswered,
-        'topic_rates_hz': {name: round(rate, 3) for name, rate in content.topic_rates.items()}})
+        'unanswered_samples': content.unanswered})
     lacking = [f'not in the recording: {", ".join(content.lacking)}'] if content.lacking else []
     return LoadedRun(path, setup, content.data, {
         **summary, 'supervised': None, 'remarks': [*lacking, *content.remarks]})

@@ -190,9 +190,7 @@ def graph_timing(
         'kernels_compiled': sum(node.get('kernels_compiled', 0) for node in timing.values()),
         'tick_us': controller.get('tick_us'),
         'scheduling': {name: node['scheduling'] for name, node in timing.items()
-                       if 'scheduling' in node},
-        'topic_rates_hz': {topic: round(rate, 3)
-                           for topic, rate in sorted(content.topic_rates.items())}}
+                       if 'scheduling' in node}}
     if sim:
         found |= {name: sim[name] for name in (
             'deadline_misses', 'pace_slips', 'command_timeouts', 'latency_us',

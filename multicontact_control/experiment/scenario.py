@@ -322,16 +322,15 @@ class External(NamedTuple):
 
 def resolve_external(
     files: Sequence[Path], *, scenario: str | None = None, duration: float | None = None,
-    estimator_file: Path | None = None, preset: str = '',
-    noise_estimator: dict[str, Any] | None = None, controller: dict[str, Any] | None = None,
-    scenario_overrides: dict[str, Any] | None = None,
+    preset: str = '', noise_estimator: dict[str, Any] | None = None,
+    controller: dict[str, Any] | None = None, scenario_overrides: dict[str, Any] | None = None,
 ) -> External:
     """
     Read and check everything for a run on the user's own robot; ConfigError.
 
     Parameter `files` are those of the controller. Without a `scenario` it obeys the command
     topics; `duration` is the length of the run [s], by default that of the scenario. The noise
-    estimator's file is by default that of the package, for the controller's contacts and rate.
+    estimator's section lies over the file of the package, with the controller's contacts and rate.
     The other arguments are laid over all these files, as by `resolve`.
     """
     read, laid_over = read_controller_files(files), preset_values(preset)
@@ -348,9 +347,8 @@ def resolve_external(
     estimator_config = validate(NoiseEstimatorConfig, merged(
         read_parameters(config_dir() / 'noise_estimator.yaml'),
         {'contact_names': list(controller_config.column_names), 'rate': controller_config.rate},
-        read.estimator, read_parameters(estimator_file) if estimator_file else {},
-        laid_over['noise_estimator'], config.noise_estimator, noise_estimator),
-        str(estimator_file or 'noise_estimator.yaml'))
+        read.estimator, laid_over['noise_estimator'], config.noise_estimator, noise_estimator),
+        'noise_estimator.yaml')
     setup = Setup(
         scenario=config, controller=controller_config, noise_estimator=estimator_config,
         plant=NO_PLANT, plant_name=EXTERNAL, seed=0, urdf_dir=read.urdf_dir,

@@ -145,7 +145,7 @@ class Soak:
         forces = []
         for _ in range(round(duration * self._rate)):
             self.advance()
-            forces.append(self.loop.true_forces)
+            forces.append(self.loop.sample.contact_force)
         wanted, status = np.array(list(self.wanted.values())), self.loop.status
         errors = np.array(forces) - wanted
         held = all(state == NAMES[HOLDING]
@@ -157,8 +157,8 @@ class Soak:
         loop = self.loop
         in_process.advance_with(faults, loop)
         self._torques.append(loop.command.copy())
-        self._forces.append(float(loop.true_forces.max()))
-        self._met.append(float(loop.obstacle_forces.max(initial=0.0)))
+        self._forces.append(float(loop.sample.contact_force.max()))
+        self._met.append(float(loop.plant.contacts.obstacles.max(initial=0.0)))
         self._states.append((loop.status.reaction, *loop.status.contact_states))
         if loop.tick % round(self._rate) == 0:
             self._problems.update(

@@ -68,7 +68,7 @@ def run(cell):
             if cell.commanded and loop.tick > BEGIN:
                 command(loop, home)
             speeds.append(np.abs(loop.plant.arm.qd))
-            forces.append(loop.true_forces.max())
+            forces.append(loop.sample.contact_force.max())
             places.append(robot.update(loop.plant.arm.q, loop.sample.qd).pose.position_world)
             causes.update(x.split('_joint')[0].split('_panda')[0] for x in (
                 *loop.status.causes, *loop.status.rejected))

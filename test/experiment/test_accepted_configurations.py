@@ -67,6 +67,6 @@ def test_accepted_configuration_is_safe(chosen, data, plant):
         assert (np.abs(torque) <= limit * (1.0 + 1e-9)).all()
         assert last is None or (np.abs(torque - last) <= step * (1.0 + 1e-9)).all()
         last = torque.copy()
-        above = above + 1 if loop.true_forces.max() > ceiling else 0
-        assert above <= 50, loop.true_forces
+        above = above + 1 if loop.sample.contact_force.max() > ceiling else 0
+        assert above <= 50, loop.sample.contact_force
     loop.close()

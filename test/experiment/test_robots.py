@@ -69,7 +69,7 @@ def test_a_robot_of_another_rate_presses_without_any_reaction(rate, force):
     loop.control.set_forces({'table': 10.0, 'board': 10.0})
     for _ in range(round(3.0 * rate)):
         loop.advance()
-        forces.append(loop.true_forces)
+        forces.append(loop.sample.contact_force)
     np.testing.assert_allclose(np.mean(forces[-round(0.2 * rate):], axis=0), 10.0, atol=0.5)
     loop.advance(lambda inputs: inputs._replace(wrench=inputs.wrench._replace(wrench=free)))
     for _ in range(round(0.5 * rate)):

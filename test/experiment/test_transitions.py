@@ -10,7 +10,7 @@ def follow(world, ticks):
     forces, torques, states = [], [], []
     for _ in range(ticks):
         world.advance()
-        forces.append(world.true_forces.copy())
+        forces.append(world.sample.contact_force.copy())
         torques.append(world.command)
         states.append(world.status.contact_states)
     return np.array(forces), np.array(torques), states

@@ -164,7 +164,7 @@ def test_arm_that_carries_itself_presses_and_stays_in_every_reaction(with_tool, 
         if supervised:
             loop.control.set_forces({'table': 10.0, 'board': 10.0})
             carried(loop, 1300, sag=0.1)
-            np.testing.assert_allclose(loop.true_forces, 10.0, atol=0.5)
+            np.testing.assert_allclose(loop.sample.contact_force, 10.0, atol=0.5)
             assert set(loop.control.events.reactions) <= {'none', 'float'}
             for part, reaction in (('wrench', 'hold'), ('joints', 'float')):
                 for _ in range(30):

@@ -41,7 +41,7 @@ def advance(loop, seconds, corrupt=None, each=None, felt=None):
         if each is not None:
             each((k + 1) * H)
         loop.advance(corrupt)
-        forces.append(felt() if felt else loop.true_forces.copy())
+        forces.append(felt() if felt else loop.sample.contact_force.copy())
         statuses.append(loop.status)
     return np.array(forces), statuses
 

@@ -129,8 +129,8 @@ def run_fault(loop: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow
     for _ in range(RUN_TICKS):
         advance_with(occurrences, loop)
         torques.append(loop.command.copy())
-        forces.append(loop.true_forces)
-        met.append(loop.obstacle_forces)
+        forces.append(loop.sample.contact_force)
+        met.append(loop.plant.contacts.obstacles)
         reactions.append(loop.status.reaction)
         speeds.append(np.abs(loop.plant.arm.qd).max())
         if not breaks and any(cause.startswith('internal') for cause in loop.status.causes):
