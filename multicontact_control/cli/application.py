@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from typing import Annotated, Any
 
 from multicontact_control import __version__
-from multicontact_control.cli.calibrate import calibrate
+from multicontact_control.cli.calibrate import calibrate, push_test
 from multicontact_control.cli.design import design
-from multicontact_control.cli.identify import identify
 from multicontact_control.cli.new_robot import new_robot
 from multicontact_control.cli.options import EXIT_FAILED, EXIT_USAGE, flattened
-from multicontact_control.cli.push_test import push_test
-from multicontact_control.cli.report import report
+from multicontact_control.cli.report import identify, report
 from multicontact_control.cli.run import run, simulate
 from multicontact_control.cli.study import study
 from multicontact_control.cli.topic import echo, list_topics
@@ -30,10 +26,7 @@ Press a simulated or a real arm on several surfaces at once. Try first:
   multicontact run                        the paper's experiment on the ROS 2 graph, recorded
   multicontact view runs/latest           replay the latest run
   multicontact --help                     all commands"""
-COMMANDS: dict[str, Any] = {
-    'run': run, 'simulate': simulate, 'view': view, 'report': report, 'study': study,
-    'identify': identify, 'calibrate': calibrate, 'push-test': push_test, 'new-robot': new_robot,
-    'design': design}
+COMMANDS = (run, simulate, view, report, study, identify, calibrate, push_test, new_robot, design)
 
 app = typer.Typer(
     pretty_exceptions_enable=False, rich_markup_mode=None,
@@ -81,8 +74,8 @@ class Command(TyperCommand):
             raise typer.Exit(EXIT_USAGE if usage else EXIT_FAILED) from None
 
 
-for name, function in COMMANDS.items():
-    app.command(name, cls=Command)(flattened(function))
+for function in COMMANDS:
+    app.command(cls=Command)(flattened(function))
 app.command('compile', cls=Command, hidden=True)(compile_kernels)
 topic = typer.Typer(
     help='List or print the topics of a running graph.', no_args_is_help=True,
@@ -94,8 +87,5 @@ app.add_typer(topic, name='topic')
 
 def main() -> None:
     """Run the command line."""
-    if sys.getfilesystemencoding() != 'utf-8' and os.environ.get('PYTHONUTF8') != '1':
-        os.environ['PYTHONUTF8'] = '1'  # start anew with UTF-8 in a locale of another encoding
-        os.execv(sys.executable, sys.orig_argv)
     limit_threads()
     app(prog_name='multicontact')

@@ -1,4 +1,4 @@
-"""`multicontact calibrate`."""
+"""`multicontact calibrate` and `multicontact push-test`, of the wrist sensor."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def calibrate(
     from multicontact_control.experiment import weighing
 
     if from_bag is not None:
-        options.refuse_options(options.given_options(context), RUNNING, '--from-bag')
+        options.refuse_options(context, RUNNING, '--from-bag')
     target = out / weighing.TOOL_FILE
     if target.exists() and not overwrite:
         raise ConfigError('out', 'a folder without a tool.yaml, or --overwrite', out)
@@ -49,3 +49,18 @@ def calibrate(
     weighing.write_tool(out, found)
     terminal().print(weighing.tool_table(found))
     typer.echo(f'{weighing.quality(found)}; written to {target}')
+
+
+def push_test(
+    domain_id: options.DomainId = None, namespace: options.Namespace = None,
+) -> None:
+    """
+    Prove sign, frame and scale of the wrist sensor by pushes.
+
+    Starts the push test of the running controller, and shows where to push the tool with a spring
+    balance, or a simulated one by the page of `view --graph` or the topic sim_node/push.
+    """
+    from multicontact_control.experiment.push_test import push_running
+
+    if not push_running(typer.echo, namespace=namespace or '', domain_id=domain_id):
+        raise typer.Exit(options.EXIT_FAILED)

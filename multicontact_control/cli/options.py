@@ -94,23 +94,22 @@ class RunOptions(SetupOptions):
 
     def values(self) -> list[str]:
         """Return all that is laid over the files, as for ``--set``."""
-        estimator = self.noise_estimator
-        return [*([f'noise_estimator.estimator={estimator}'] if estimator else []),
+        return [*([f'noise_estimator.estimator={x}'] if (x := self.noise_estimator) else []),
                 *([f'controller.force.law={self.law}'] if self.law else []), *super().values()]
 
     def setup(self, **more: Any) -> Setup:
         """Return the configuration, checked; ConfigError."""
         return super().setup(duration=self.duration, **more)
 
-    def external(self, files: Sequence[Path], given: set[str]) -> External:
-        """Return that of a robot behind the topics; scenario and preset count if `given`."""
+    def external(self, files: Sequence[Path], context: typer.Context) -> External:
+        """Return that of a robot behind the topics; scenario and preset count if given."""
         from multicontact_control.experiment.overrides import resolve_with
         from multicontact_control.experiment.scenario import resolve_external
 
         return resolve_with(resolve_external, {
             'files': files, 'duration': self.duration,
-            'scenario': self.scenario if 'scenario' in given else None,
-            'preset': self.preset if 'preset' in given else ''}, self.values())
+            'scenario': self.scenario if is_given(context, 'scenario') else None,
+            'preset': self.preset if is_given(context, 'preset') else ''}, self.values())
 
     def folder(self, setup: Setup) -> Path:
         """Make the folder of the run and return it; ConfigError if there is a run in it."""
@@ -134,26 +133,27 @@ def flattened(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def flat(**values: Any) -> None:
-        for name, kind in groups.items():
-            values[name] = kind(**{field.name: values.pop(field.name) for field in fields(kind)})
+        for name, group in groups.items():
+            values[name] = group(**{field.name: values.pop(field.name) for field in fields(group)})
         command(**values)
 
     ordered = [parameter.replace(kind=parameter.KEYWORD_ONLY) for parameter in parameters]
     flat.__signature__ = inspect.Signature(ordered)  # type: ignore[attr-defined]
+    # Click keeps the lines of a paragraph after a backspace, which a raw docstring spells.
+    flat.__doc__ = (command.__doc__ or '').replace(r'\b', '\b')
     flat.__annotations__ = {each.name: each.annotation for each in ordered}
     return flat
 
 
-def given_options(context: typer.Context) -> set[str]:
-    """Return the names of the options that were given on the command line."""
-    return {name for name in context.params
-            if (source := context.get_parameter_source(name)) is not None
-            and source.name == 'COMMANDLINE'}
+def is_given(context: typer.Context, name: str) -> bool:
+    """Return whether an option was given on the command line."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == 'COMMANDLINE'
 
 
-def refuse_options(given: set[str], names: Sequence[str], what: str) -> None:
+def refuse_options(context: typer.Context, names: Sequence[str], what: str) -> None:
     """Refuse options that have no meaning; ConfigError naming the first."""
     for name in names:
-        if name in given:
+        if is_given(context, name):
             option = 'set' if name == 'settings' else name.replace('_', '-')
             raise ConfigError(f'--{option}', f'nothing with {what}', 'it')

@@ -1,4 +1,4 @@
-"""`multicontact report`."""
+"""`multicontact report` and `multicontact identify`, of recordings."""
 
 from __future__ import annotations
 
@@ -32,9 +32,8 @@ def report(
     from multicontact_control.experiment.study.presets.compare import read_claim_rows
 
     if all(map(is_whole_run, runs)):
-        options.refuse_options(
-            options.given_options(context), ('controller', 'namespace'),
-            'runs of this package, which know their own')
+        options.refuse_options(context, ('controller', 'namespace'),
+                               'runs of this package, which know their own')
     rows = read_claim_rows(comparison) if comparison is not None else ()
     loaded = [load(path, controller or (), namespace) for path in runs]
     paths = write_report(loaded, out or report_folder(runs[0]), rows)
@@ -42,3 +41,33 @@ def report(
         for remark in run.summary.get('remarks', ()):
             typer.echo(f'{run.folder}: {remark}')
     typer.echo(f'report in {paths[0]}, {len(paths) - 1} figures')
+
+
+def identify(
+    run: Annotated[Path, typer.Argument(
+        metavar='RUN', help='Folder of `run` or `simulate`, or a bag (folder or .mcap file) with '
+        '--config.')],
+    config: Annotated[Path | None, typer.Option(
+        help='Parameter file of the controller, for a bag; its URDF is looked for beside '
+        'it.')] = None,
+    out: Annotated[Path | None, typer.Option(help='JSON file to write.')] = None,
+) -> None:
+    """
+    Identify the contacts of a run from its force steps.
+
+    For each contact: stiffness and damping of the surface, friction of the others, inertia of the
+    tool, noise of the sensor, and the delay from a commanded torque to the motion, each with its
+    standard error, by the band-pass and the regression of the on-line estimate.
+    """
+    from multicontact_control.experiment.contact_identification import (
+        identify_contacts,
+        read_recording,
+        show,
+    )
+    from multicontact_control.files import finite, write_json
+
+    result = identify_contacts(*read_recording(run, config))
+    typer.echo(show(result))
+    if out is not None:
+        write_json(out, finite(result))
+        typer.echo(f'written to {out}')

@@ -9,7 +9,6 @@ from multicontact_control.cli.options import (
     ControllerFiles,
     EXIT_FAILED,
     EXIT_SIGNAL,
-    given_options,
     refuse_options,
     RunOptions,
 )
@@ -29,8 +28,8 @@ def run(
         min=0.0, max=100.0, help='Largest real-time factor; 0 for as fast as it goes. The torques '
         'are those of `simulate`, bit for bit, at any speed.')] = 1.0,
     free_running: Annotated[bool, typer.Option(
-        '--free-running', help='The simulated arm does not wait for commands, as a robot does '
-        'not; missed deadlines are counted.')] = False,
+        '--free-running', help='The simulated arm runs on without waiting for commands, as a '
+        'robot does; missed deadlines are counted.')] = False,
     external: Annotated[bool, typer.Option(
         '--external', help='Your own robot or simulator is behind the topics: start controller, '
         'noise estimator and recorder only, wait for the robot, and obey the command topics, or a '
@@ -62,16 +61,15 @@ def run(
     from multicontact_control.experiment.graph.domain import check_namespace
 
     namespace = check_namespace(namespace)
-    given = given_options(context)
     # The nodes' modules are loaded by another process, while this one loads its own.
     prepare_nodes()
     robot = None
     if external:
-        refuse_options(given, OF_THE_PLANT, '--external')
-        robot = options.external(controller or (), given)
+        refuse_options(context, OF_THE_PLANT, '--external')
+        robot = options.external(controller or (), context)
         setup = robot.setup
     else:
-        refuse_options(given, ('controller', 'robot_timeout'), 'a simulated plant')
+        refuse_options(context, ('controller', 'robot_timeout'), 'a simulated plant')
         if commanded and any(x.startswith('scenario.') for x in options.settings or ()):
             raise ConfigError('--set scenario', 'nothing with --commanded, which plays no '
                               'scenario (its length is --duration)', 'it')

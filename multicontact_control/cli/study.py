@@ -44,7 +44,7 @@ def study(
     overwrite: Annotated[bool, typer.Option(
         '--overwrite', help='Run everything again.')] = False,
 ) -> None:
-    """
+    r"""
     Run a study: factors x plants x seeds, in one table.
 
     compare: the noise estimators on the paper's disturbances. laws: force laws raced. map: how
@@ -66,7 +66,7 @@ def study(
     Writes study.csv and study.parquet (a row for each run, also for those that failed),
     study.html and study.png. Ctrl-C keeps what is finished; the same command goes on from there.
     Exit code 1: a worker died, or a fault of `faults` is not safe.
-    """  # noqa: D301 - click keeps the lines after a backspace
+    """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _end)
     # Only now: what is heavy is not loaded for the sake of an error.

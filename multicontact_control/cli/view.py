@@ -8,7 +8,6 @@ from typing import Annotated
 from multicontact_control.cli.options import (
     DomainId,
     EXIT_FAILED,
-    given_options,
     Namespace,
     refuse_options,
     SetupOptions,
@@ -41,10 +40,9 @@ def view(
     if recording is not None:
         from multicontact_control.experiment.results import run_of
 
-        given = given_options(context)
-        refuse_options(given, ('seed', 'engine'), 'a recording')
+        refuse_options(context, ('seed', 'engine'), 'a recording')
         if run_of(recording)[1]:
-            refuse_options(given, OF_THE_ARM, 'a run, which knows its own')
+            refuse_options(context, OF_THE_ARM, 'a run, which knows its own')
     setup = options.setup()
     # Only now: bad input is refused before viser is loaded.
     from multicontact_control.view.run import run_view
