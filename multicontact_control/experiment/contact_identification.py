@@ -19,9 +19,8 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, counted, RunError
-from multicontact_control.experiment.recording import read_bag, RunData
-from multicontact_control.experiment.results import CONFIG_FOLDER, load_run
-from multicontact_control.experiment.scenario import read_controller_files
+from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.scenario import Setup
 from multicontact_control.force.stiffness import (
     adopt_band,
     CORRELATION,
@@ -61,54 +60,29 @@ class ContactSignals(NamedTuple):
     resisted: Vector  # and by the felt forces, gravity and the arm's own motion [m/s^2]
 
 
-def read_recording(
-    folder: Path, config: Path | None,
-) -> tuple[RunData, ControllerConfig, Path]:
-    """
-    Return series, configuration and the URDF's folder of a run, or of a bag with a parameter file.
-
-    Raises ConfigError or RunError if one cannot be read, or the recording lacks something.
-    """
-    remarks: tuple[str, ...] = ()
-    if config is None and (folder / CONFIG_FOLDER).is_dir():
-        run = load_run(folder)
-        data, controller, base_dir = run.data, run.setup.controller, folder / CONFIG_FOLDER
-    elif config is None:
-        raise ConfigError('--config', 'the parameter file of the controller, for a recording '
-                          'that is no folder of `multicontact run` or `simulate`', folder)
-    else:
-        read = read_controller_files([config])
-        controller, base_dir = read.config(), read.urdf_dir
-        content = read_bag(folder, controller)
-        data, remarks = content.data, content.remarks
-    if controller.wrench_input == 'momentum':
-        raise ConfigError('wrench_input', 'raw or filtered: the forces of a wrist sensor',
-                          controller.wrench_input)
-    wrench = controller.wrench_series
-    rows = np.hstack([data.q, data.qd, getattr(data, wrench), data.torque])
-    if not np.isfinite(rows).all(axis=1).any():
-        raise RunError('; '.join((
-            f'{folder}: expected samples with positions and speeds of the joints, ft_sensor/'
-            f'{wrench} and commanded torques of one stamp, found none', *remarks)))
-    return data, controller, base_dir
-
-
-def identify_contacts(
-    data: RunData, config: ControllerConfig, base_dir: Path,
-) -> dict[str, dict[str, Any]]:
+def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
     """
     Identify the contacts of a recording; the true forces are not used.
 
     Returns by contact: `stiffness_n_m`, `damping_n_s_m`, `friction` of the other surfaces,
     `tool_mass_kg`, `noise_variance_n2` of the measured force at rest and `delay_s`, each a mapping
     of `value` and `std`, its standard error; None where the data cannot tell. `samples` is their
-    number, `explained` the share of their variance. Raises RunError if no contact has a step of
-    its command.
+    number, `explained` the share of their variance. Raises ConfigError if the arm is not known or
+    has no wrist sensor, RunError if no contact has a step of its command.
     """
-    signals = contact_signals(data, config, base_dir)
+    config = setup.controller
+    if not config.robot.urdf:
+        raise ConfigError('--controller', 'the parameter file of the controller, for a recording '
+                          'that is no folder of `multicontact run` or `simulate`', 'none')
+    if config.wrench_input == 'momentum':
+        raise ConfigError('wrench_input', 'raw or filtered: the forces of a wrist sensor',
+                          config.wrench_input)
+    signals = contact_signals(data, config, setup.urdf_dir)
     found = {name: _identify(signal, config) for name, signal in signals.items()}
     if all(contact['stiffness_n_m'] is None for contact in found.values()):
-        raise RunError('identify: expected force steps on contacts that are felt, found none')
+        raise RunError(
+            'identify: expected joint states, wrenches and commanded torques of one stamp during '
+            'force steps on contacts that are felt, found none')
     return found
 
 

@@ -23,7 +23,7 @@ def recorded(**plant):
         'surfaces': SURFACES, **plant,
         'sensor': {'force_noise_std': NOISE, 'torque_noise_std': 0.0, 'quantise': False}})
     data = run_of(setup).data
-    return setup, data, identify_contacts(data, setup.controller, setup.urdf_dir)
+    return setup, data, identify_contacts(data, setup)
 
 
 @pytest.fixture(scope='module')
@@ -66,7 +66,7 @@ def test_gaps_are_left_out_and_a_recording_without_steps_is_refused(recording):
     setup, data, whole = recording
     q = data.q.copy()
     q[::50] = np.nan
-    found = identify_contacts(replace(data, q=q), setup.controller, setup.urdf_dir)
+    found = identify_contacts(replace(data, q=q), setup)
     assert found['table']['samples'] < whole['table']['samples']
     with pytest.raises(RunError):
-        identify_contacts(data.part(0, 300), setup.controller, setup.urdf_dir)
+        identify_contacts(data.part(0, 300), setup)
