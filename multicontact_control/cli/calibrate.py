@@ -8,7 +8,6 @@ from typing import Annotated
 
 from multicontact_control.cli import options
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.terminal import terminal
 import typer
 
 RUNNING = ('tilt', 'move_time', 'domain_id')
@@ -47,8 +46,7 @@ def calibrate(
         move_time=move_time, tell=typer.echo,
     ) if from_bag is None else weighing.weigh_recording(from_bag, files, namespace, typer.echo)
     weighing.write_tool(out, found)
-    terminal().print(weighing.tool_table(found))
-    typer.echo(f'{weighing.quality(found)}; written to {target}')
+    typer.echo('\n'.join([*weighing.describe(found), f'written to {target}']))
 
 
 def push_test(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import counted
@@ -20,12 +19,6 @@ from multicontact_control.experiment.judge import (
     verdict_text,
 )
 from multicontact_control.experiment.metrics import truth_lacking
-from multicontact_control.experiment.results import (
-    BAG_FOLDER,
-    FIGURE_FOLDER,
-    REPORT_FILE,
-    SUMMARY_FILE,
-)
 from multicontact_control.experiment.terminal import CountBar, moving_bar
 from rich.console import Console
 from rich.markup import escape
@@ -145,17 +138,8 @@ def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
         if timing.get(name):
             lines.append(f'[yellow]warning: {counted(timing[name], what)} {event}[/yellow]')
     lines += [f'[yellow]{escape(text)}[/yellow]' for text in summary.get('remarks', ())]
-    return [*lines, f'results in {folder}']
-
-
-def next_lines(folder: Path) -> list[str]:
-    """Return what to open next of a run: the pictures, the replay, the numbers."""
-    report, bag = folder / REPORT_FILE, folder / BAG_FOLDER
-    rows = [
-        ('figures', str(report if report.is_file() else folder / FIGURE_FOLDER)),
-        ('bag' if bag.is_dir() else 'replay', f'multicontact view {folder}'),
-        ('numbers', str(folder / SUMMARY_FILE))]
-    return ['open next:', *(f'  {name:<8} {what}' for name, what in rows)]
+    path = escape(str(folder))
+    return [*lines, f'results in {path}', f'replay: multicontact view {path}']
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -13,12 +13,7 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
-from multicontact_control.experiment.display import (
-    next_lines,
-    progress_bar,
-    summary_table,
-    verdict_lines,
-)
+from multicontact_control.experiment.display import progress_bar, summary_table, verdict_lines
 from multicontact_control.experiment.figures import draw_figures, draw_latency
 from multicontact_control.experiment.judge import (
     EXTERNAL_RUN,
@@ -211,7 +206,5 @@ def _finish(
     write_json(folder / SUMMARY_FILE, finite(summary))
     console.print(summary_table(summary))
     for line in verdict_lines(summary, folder):
-        console.print(line, highlight=False)
-    for line in next_lines(folder):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        console.print(line, highlight=False, soft_wrap=True)
     return summary

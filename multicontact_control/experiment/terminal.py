@@ -7,7 +7,6 @@ where NO_COLOR is set (https://no-color.org).
 
 from __future__ import annotations
 
-from datetime import timedelta
 import os
 from typing import Any
 
@@ -40,11 +39,7 @@ class CountBar(Progress):
         """Count on, and print the line when its time has come."""
         self.update(task_id, advance=advance)
         task, now = self._tasks[task_id], self.get_time()
-        if not self.disable or now - (self._printed or task.start_time or now) < self.interval:
-            return
-        self._printed = now
-        left = task.time_remaining
-        self.console.print(
-            f'{task.description}: {task.completed:.0f} of {task.total:.0f}'
-            + (f', about {timedelta(seconds=round(left))} left' if left else ''),
-            highlight=False, markup=False, soft_wrap=True)
+        if self.disable and now - (self._printed or task.start_time or now) >= self.interval:
+            self._printed = now
+            self.console.print(f'{task.description}: {task.completed:.0f} of {task.total:.0f}',
+                               highlight=False, markup=False, soft_wrap=True)

@@ -34,7 +34,6 @@ from multicontact_control.sensor.tool import (
 )
 from multicontact_control.supervision.reactions import INFLATE, NONE
 import numpy as np
-from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 TOOL_FILE = 'tool.yaml'
@@ -48,8 +47,6 @@ REACHED = 0.1  # rad, of a tilt
 ATTEMPTS = 3  # motions to it
 PEAK = 1.875  # largest speed of a quintic, relative to the mean
 SHARE = 0.6  # of the largest angular speed
-BIASES = [f'{what} bias {axis} ({unit})' for what, unit in (('force', 'N'), ('torque', 'N m'))
-          for axis in 'xyz']
 TILTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # about world x and y
 
 Tell = Callable[[str], None]
@@ -230,28 +227,23 @@ def _sample(messages: Sequence[Any], names: Sequence[str]) -> Vector:
                      w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z])
 
 
-def quality(found: Identification) -> str:
-    """Return what an identification rests on, and what its fit leaves."""
-    return (f'{found.poses} poses, condition {found.condition:.3g}, residual '
-            f'{found.force_residual:.3g} N and {found.torque_residual:.3g} N m rms')
+def describe(found: Identification) -> list[str]:
+    """Return what was identified, with the standard errors, in lines of text."""
+    centre = ', '.join(f'{1e3 * value:.2f} +- {1e3 * error:.2f}'
+                       for value, error in zip(found.com_sensor, found.com_std))
+    force, torque = (', '.join(f'{value:.4f}' for value in part)
+                     for part in np.split(found.bias_sensor, 2))
+    return [f'mass: {found.mass:.4f} +- {found.mass_std:.4f} kg',
+            f'centre of mass: {centre} mm', f'bias: {force} N, {torque} N m',
+            f'{found.poses} poses, condition {found.condition:.3g}, residual '
+            f'{found.force_residual:.3g} N and {found.torque_residual:.3g} N m rms']
 
 
 def write_tool(folder: Path, found: Identification) -> Path:
     """Write a tool as a parameter file to lay over the controller's, and return it."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / TOOL_FILE
-    write_parameters(
-        path, {'/**': {'tool': found.tool().model_dump(mode='json')}},
-        f'# {quality(found)}\n# Give it to the controller after its own parameter file.\n')
+    head = [*describe(found), 'Give it to the controller after its own parameter file.']
+    write_parameters(path, {'/**': {'tool': found.tool().model_dump(mode='json')}},
+                     ''.join(f'# {line}\n' for line in head))
     return path
-
-
-def tool_table(found: Identification) -> Table:
-    """Return what was identified, with the standard errors."""
-    table = Table('', 'identified', 'std. error', title='tool')
-    table.add_row('mass (kg)', f'{found.mass:.4f}', f'{found.mass_std:.4f}')
-    for axis, value, spread in zip('xyz', 1e3 * found.com_sensor, 1e3 * found.com_std):
-        table.add_row(f'centre of mass {axis} (mm)', f'{value:.4f}', f'{spread:.4f}')
-    for what, value in zip(BIASES, found.bias_sensor):
-        table.add_row(what, f'{value:.4f}')
-    return table
