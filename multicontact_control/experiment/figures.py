@@ -39,7 +39,6 @@ TITLE_WIDTH = 110  # characters of the second line that fit
 PAUSE = 0.1  # s between two windows of a kind, below which they are one
 STEP_SHOWN = (0.05, 0.35)  # s before and after a step
 PAPER_VARIANCE = ((0.6, 'paper, at rest'), (100.0, 'paper, moving'))  # N^2
-PANEL_HEIGHT = 240  # px on a page
 
 
 class RunFigure(NamedTuple):
@@ -52,15 +51,24 @@ class RunFigure(NamedTuple):
 
 def run_figures(data: RunData, setup: Setup) -> list[RunFigure]:
     """Return the figures of a run: 3 and 4 for each contact, 5, 6, and the stiffness found."""
-    forces = [_force(data, i, truth) for i, truth in enumerate(RunMetrics(data, setup).truth)]
-    figures = []
-    for drawn in [*forces, _motion(data, setup), _noise_variance(data), _stiffness(data)]:
-        # What was not recorded is not drawn.
-        panels = [panel._replace(traces=known) for panel in drawn.panels if (known := [
-            trace for trace in panel.traces if np.isfinite(trace.values).any()])]
-        if panels:
-            figures.append(drawn._replace(panels=panels))
-    return figures
+    stiffness = np.where(data.stiffness_est > 0.0, data.stiffness_est, np.nan)
+    drawn = [
+        *(_force(data, i, truth) for i, truth in enumerate(RunMetrics(data, setup).truth)),
+        _motion(data, setup),
+        RunFigure('fig6_noise_variance', 'Fig. 6: estimated noise variance', [Panel('R [N²]', [
+            Trace(name, data.noise_variance[:, i], COLOURS[i % len(COLOURS)], 0.7)
+            for i, name in enumerate(data.contact_names)], PAPER_VARIANCE, True)]),
+        RunFigure('stiffness', 'Stiffness found on-line', [Panel(f'{name} [N/m]', (
+            Trace('model in use', data.stiffness[:, i], COMMANDED, 1.0, dashed=True),
+            Trace('estimated', stiffness[:, i], ESTIMATED, 1.0),
+            Trace('with 2 standard errors', stiffness[:, i] + 2.0 * data.stiffness_std[:, i],
+                  TRUE, 0.5, faint=True)), logarithmic=True)
+            for i, name in enumerate(data.contact_names)])]
+    # What was not recorded is not drawn.
+    figures = [each._replace(panels=[panel._replace(traces=known) for panel in each.panels if (
+        known := [trace for trace in panel.traces if np.isfinite(trace.values).any()])])
+        for each in drawn]
+    return [each for each in figures if each.panels]
 
 
 def _force(data: RunData, i: int, truth: bool) -> RunFigure:
@@ -93,31 +101,11 @@ def _motion(data: RunData, setup: Setup) -> RunFigure:
         Panel('error [mm]', (Trace('error', 1e3 * (travelled - desired), TRUE, 0.7),))))
 
 
-def _noise_variance(data: RunData) -> RunFigure:
-    """Return the estimated noise variance of every contact on a log axis (P04 Fig. 6)."""
-    return RunFigure('fig6_noise_variance', 'Fig. 6: estimated noise variance', [Panel('R [N²]', [
-        Trace(name, values, COLOURS[i % len(COLOURS)], 0.7) for i, (name, values) in enumerate(
-            zip(data.contact_names, data.noise_variance.T))], levels=PAPER_VARIANCE)])
-
-
-def _stiffness(data: RunData) -> RunFigure:
-    """Return the stiffness found on-line with its standard error, and that of the model."""
-    panels = []
-    for i, name in enumerate(data.contact_names):
-        estimate = np.where(data.stiffness_est[:, i] > 0.0, data.stiffness_est[:, i], np.nan)
-        panels.append(Panel(f'{name} [N/m]', (
-            Trace('model in use', data.stiffness[:, i], COMMANDED, 1.0, dashed=True),
-            Trace('estimated', estimate, ESTIMATED, 1.0),
-            Trace('with 2 standard errors', estimate + 2.0 * data.stiffness_std[:, i], TRUE, 0.5,
-                  faint=True)), logarithmic=True))
-    return RunFigure('stiffness', 'Stiffness found on-line', panels)
-
-
 def interactive_figures(data: RunData, setup: Setup, number: int) -> str:
     """Return the figures of a run as HTML; `number` is that of the run on the page."""
     shaded = _judged(data, setup)
     return '\n'.join(figure(f'run{number}-{drawn.file}', [
-        plot(panel, data.time, '' if i else drawn.title, shaded=shaded, height=PANEL_HEIGHT)
+        plot(panel, data.time, '' if i else drawn.title, shaded)
         for i, panel in enumerate(drawn.panels)]) for drawn in run_figures(data, setup))
 
 
@@ -131,12 +119,10 @@ def draw_figures(
     `verdict` is that of the run with its reasons, in the titles if it is not stable; `formats` are
     the endings of the files, one each.
     """
-    plant, seed = (f'plant {setup.plant_name}', f', seed {setup.seed}') if setup.simulated else (
-        setup.plant_name, '')
-    title = f'{setup.scenario.name}, {plant}, {setup.noise_estimator.estimator}{seed}'
+    title = f'{setup.scenario.name}, {setup.plant_name}, {setup.noise_estimator.estimator}' + (
+        f', seed {setup.seed}' if setup.simulated else '')
     unknown = truth_lacking(RunMetrics(data, setup).without_truth(), data.contact_names)
-    if unknown:
-        title += f', {unknown}: errors are of the measured forces'
+    title += f', {unknown}: errors are of the measured forces' if unknown else ''
     if verdict != STABLE:
         title += '\n' + shorten(verdict, TITLE_WIDTH, placeholder=' ...')
     folder.mkdir(parents=True, exist_ok=True)
@@ -164,21 +150,19 @@ def draw_side_by_side(runs: Sequence[tuple[str, RunData, Setup]], path: Path) ->
     grid = sheet.subplots(count + 1, len(runs), squeeze=False, sharey='row')
     for column, (label, data, setup) in zip(grid.T, runs):
         column[0].set_title(label, fontsize=11)
-        run = RunMetrics(data, setup)
-        for i, (name, axes) in enumerate(zip(data.contact_names, column)):
+        run, indices = RunMetrics(data, setup), range(len(data.contact_names))
+        for i, axes in zip(indices, column):
             measured = _force(data, i, True).panels[0]
-            _draw_panel(axes, measured._replace(label=f'{name} [N]'), data.time, ())
-        last = max((step.time_s for i in range(len(data.contact_names))
-                    for step in run.step_responses(i)), default=0.0)
-        shown = (data.time >= last - STEP_SHOWN[0]) & (data.time < last + STEP_SHOWN[1])
+            _draw_panel(axes, measured._replace(label=f'{data.contact_names[i]} [N]'), data.time)
+        last = max((step.time_s for i in indices for step in run.step_responses(i)), default=0.0)
+        shown = run.between(last - STEP_SHOWN[0], last + STEP_SHOWN[1])
         _draw_panel(column[count], Panel('force [N]', [
-            *(Trace(name, run.force[shown, i], COLOURS[i % len(COLOURS)], 1.2)
-              for i, name in enumerate(data.contact_names)),
-            *(Trace('commanded', desired, COMMANDED, 1.0, dashed=True)
-              for desired in data.alpha_des[shown].T[:1])]), 1e3 * (data.time[shown] - last), ())
+            *(Trace(data.contact_names[i], run.force[shown, i], COLOURS[i % len(COLOURS)], 1.2)
+              for i in indices),
+            Trace('commanded', data.alpha_des[shown, 0], COMMANDED, 1.0, dashed=True)]),
+            1e3 * (data.time[shown] - last))
         column[count].set_xlabel('time after the last step at rest [ms]')
         column[count - 1].set_xlabel('time [s]')
-    path.parent.mkdir(parents=True, exist_ok=True)
     sheet.savefig(path, dpi=110)
     return path
 
@@ -190,16 +174,16 @@ def draw_latency(summary: Mapping[str, Any], folder: Path) -> Path:
     sheet = Figure(figsize=(9.0, 4.0), layout='constrained')
     axes = sheet.subplots()
     axes.stairs(histogram['counts'], histogram['edges_us'], fill=True, color=MEASURED)
-    marks = {'p50': latency['p50'], 'p99': latency['p99'], 'max': latency['max'],
-             'period': 1e6 / summary['rate_hz']}
-    for (name, value), colour in zip(marks.items(), COLOURS):
+    period = 1e6 / summary['rate_hz']
+    for name, value, colour in zip(
+            ('p50', 'p99', 'max', 'period'),
+            (latency['p50'], latency['p99'], latency['max'], period), COLOURS):
         axes.axvline(value, color=colour, linestyle='--', label=f'{name} {value:.0f} us')
     axes.legend()
     axes.set(xscale='log', xlabel='from a sample to its command [us]', ylabel='samples')
     axes.set_yscale('symlog', linthresh=1.0)
-    sheet.suptitle(f'Latency\n{summary["scenario"]}, plant {summary["plant"]}, seed '
-                   f'{summary["seed"]}, {timing["deadline_misses"]} of {summary["ticks"]} '
-                   'deadlines missed', fontsize=10)
+    sheet.suptitle(f'Latency\n{summary["scenario"]}, {timing["deadline_misses"]} of '
+                   f'{summary["ticks"]} deadlines missed', fontsize=10)
     path = folder / 'latency.png'
     sheet.savefig(path, dpi=130)
     return path
@@ -214,13 +198,13 @@ def _judged(data: RunData, setup: Setup) -> list[Span]:
             for begin, end in zip(*stretches(binary_closing(mask, closing) | mask))]
 
 
-def _draw_panel(axes: Axes, panel: Panel, time: Vector, shaded: Sequence[Span]) -> None:
+def _draw_panel(
+    axes: Axes, panel: Panel, time: Vector, shaded: Sequence[Span] = (),
+) -> None:
     for name, start, end in shaded:
         axes.axvspan(start, end, color=WINDOW, zorder=0)
         axes.annotate(name, (start, 1.0), xycoords=('data', 'axes fraction'), fontsize=7,
                       va='top', color='#777777', xytext=(2, -2), textcoords='offset points')
-    if panel.on_log_axis:
-        axes.set_yscale('log')
     for trace in panel.traces:
         style: dict[str, Any] = {'alpha': 0.6, 'zorder': 1.5} if trace.faint else {}
         axes.plot(time, trace.values, color=trace.colour, linewidth=trace.width,
@@ -229,7 +213,7 @@ def _draw_panel(axes: Axes, panel: Panel, time: Vector, shaded: Sequence[Span]) 
         axes.axhline(level, color=COMMANDED, linewidth=0.7, linestyle=':')
         axes.annotate(text, (1.0, level), xycoords=('axes fraction', 'data'), fontsize=7,
                       ha='right', va='bottom')
-    axes.set_ylabel(panel.label)
-    axes.grid(alpha=0.3, which='both' if panel.levels else 'major')
+    axes.set(ylabel=panel.label, yscale='log' if panel.logarithmic else 'linear')
+    axes.grid(alpha=0.3)
     if len(panel.traces) > 1:
-        axes.legend(loc='upper right' if panel.logarithmic else 'upper left', fontsize=8)
+        axes.legend(loc='upper left', fontsize=8)

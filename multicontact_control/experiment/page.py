@@ -7,18 +7,16 @@ from collections.abc import Mapping, Sequence
 from html import escape
 import json
 from pathlib import Path
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Vector
+from multicontact_control.experiment.claims import Claim
 from multicontact_control.files import write_text
 import numpy as np
 
-if TYPE_CHECKING:
-    from multicontact_control.experiment.claims import Claim
-
 ASSETS = Path(__file__).parent / 'page_assets'
 LONGEST = 2000  # samples of a curve
-HEIGHT = 300  # px, without title and legend
+HEIGHT = 240  # px, without title and legend
 HELP = ('<p class=note>Drag over a figure to zoom into all of them, double click to see all '
         'again; click a name to hide its curve. Of a long run the smallest and the largest of '
         'every few samples are drawn.</p>')
@@ -28,23 +26,6 @@ WINDOW = '#f2f2f2'
 COLOURS = ('#1f3b73', '#c26a00', '#18794e', '#c0262d', '#6b4fa0', '#777777', '#0b8a9e', '#8a6d00')
 VERDICTS = {True: '<b class=yes>holds</b>', False: '<b class=no>does not hold</b>',
             None: '<span class=unknown>not judged</span>'}
-STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1180px;
-       margin: 2em auto; padding: 0 1em; }
-h1 { font-size: 1.5em; } h2 { font-size: 1.2em; margin-top: 2em; }
-.verdict { font-size: 17px; }
-table { border-collapse: collapse; margin: .6em 0; font-size: 13px; }
-th, td { border-bottom: 1px solid #ddd; padding: .25em .6em; text-align: left;
-         vertical-align: top; }
-td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
-.yes { color: #18794e; } .no { color: #c0262d; } .unknown { color: #777; }
-.note { color: #555; font-size: 13px; }
-pre { background: #f6f6f6; padding: .8em; overflow-x: auto; font-size: 12px; }
-img { max-width: 100%; }
-.figure { margin: .8em 0; } .figure .u-title { font-size: 14px; }
-.figure .u-legend { font-size: 12px; font-variant-numeric: tabular-nums; }
-.figure .u-legend th, .figure .u-legend td { border: 0; }
-"""
 
 
 class Trace(NamedTuple):
@@ -59,17 +40,12 @@ class Trace(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """Lines over time on common axes; logarithmic if levels are named, too."""
+    """Lines over time on common axes."""
 
     label: str  # of the vertical axis
     traces: Sequence[Trace]
     levels: Sequence[tuple[float, str]] = ()  # horizontal lines and what they stand for
     logarithmic: bool = False
-
-    @property
-    def on_log_axis(self) -> bool:
-        """Return whether the vertical axis is logarithmic."""
-        return self.logarithmic or bool(self.levels)
 
 
 class Span(NamedTuple):
@@ -81,17 +57,12 @@ class Span(NamedTuple):
 
 
 def envelope(
-    time: Vector, series: Sequence[Vector], longest: int,
-) -> tuple[Vector, list[Vector], int]:
-    """
-    Decimate series, each of shape (m,), to at most `longest` samples such that every peak is kept.
-
-    Returns times, series and the samples per stretch, of which the smallest and the largest finite
-    value are left, in their order; 1 if nothing is left out.
-    """
+    time: Vector, series: Sequence[Vector], longest: int = LONGEST,
+) -> tuple[Vector, Sequence[Vector]]:
+    """Thin times and series, each of shape (m,), out to `longest` samples and keep every peak."""
     size = -(-2 * len(time) // longest)
     if size <= 2:
-        return time, list(series), 1
+        return time, series
     starts = np.arange(0, len(time), size)
     middles = (starts + np.minimum(starts + size, len(time))) // 2
     thinned = []
@@ -101,47 +72,35 @@ def envelope(
         places = [np.argmin(np.nan_to_num(rows, nan=np.inf), axis=1),
                   np.argmax(np.nan_to_num(rows, nan=-np.inf), axis=1)]
         thinned.append(np.take_along_axis(rows, np.sort(places, axis=0).T, axis=1).ravel())
-    return np.stack([time[starts], time[middles]], axis=1).ravel(), thinned, size
+    return np.stack([time[starts], time[middles]], axis=1).ravel(), thinned
 
 
 def plot(
-    panel: Panel, time: Vector, heading: str = '', *, shaded: Sequence[Span] = (),
-    height: int = HEIGHT, longest: int = LONGEST,
+    panel: Panel, time: Vector, heading: str = '', shaded: Sequence[Span] = (),
 ) -> dict[str, Any]:
-    """
-    Return what figures.js draws of a panel over time [s], as JSON values.
-
-    `heading` is plain text, `shaded` are stretches with their names, `height` is that of the axes
-    [px], `longest` the samples that are drawn at most.
-    """
-    thinned, series, size = envelope(time, [trace.values for trace in panel.traces], longest)
-    least = 0.0 if panel.on_log_axis else -np.inf
+    """Return what figures.js draws of a panel over time [s] below a plain heading."""
+    times, series = envelope(time, [trace.values for trace in panel.traces])
+    least = 0.0 if panel.logarithmic else -np.inf
     return {
-        'heading': heading, 'label': panel.label, 'height': height, 'xlabel': 'time [s]',
-        'logarithmic': panel.on_log_axis, 'levels': panel.levels, 'thinned': size,
+        'heading': heading, 'label': panel.label, 'height': HEIGHT, 'xlabel': 'time [s]',
+        'logarithmic': panel.logarithmic, 'levels': panel.levels,
         'shaded': [list(span) for span in shaded], 'shade': WINDOW,
         'curves': [{'label': trace.label, 'colour': trace.colour, 'dashed': trace.dashed,
                     'faint': trace.faint} for trace in panel.traces],
-        'data': [np.round(thinned, 4).tolist(), *(
+        'data': [np.round(times, 4).tolist(), *(
             [float(f'{x:.5g}') if np.isfinite(x) and x > least else None for x in values]
             for values in series)]}
 
 
 def figure(name: str, plots: Sequence[dict[str, Any]]) -> str:
     """Return the HTML of plots below each other; `name` must be the only one on its page."""
+    text = json.dumps(plots, separators=(',', ':'), allow_nan=False).replace('</', '<\\/')
     return (f'<div class="figure" id="{escape(name)}"><noscript>Its curves need JavaScript.'
-            f'</noscript><script type="application/json">{script_json(list(plots))}</script>'
-            '</div>')
+            f'</noscript><script type="application/json">{text}</script></div>')
 
 
-def script_json(value: Any) -> str:
-    """Return JSON that can stand in a script element."""
-    text = json.dumps(value, separators=(',', ':'), allow_nan=False)
-    return text.replace('</', '<\\/')
-
-
-def page(title: str, body: str) -> str:
-    """Return a page of a plain title and a body in HTML, with what draws its figures."""
+def write_page(path: Path, title: str, body: str) -> None:
+    """Write a page of a plain title and a body in HTML, with what draws its figures."""
     def read(name: str) -> str:
         return (ASSETS / name).read_text(encoding='utf-8').strip()
 
@@ -149,15 +108,10 @@ def page(title: str, body: str) -> str:
     drawing = '' if '<div class="figure"' not in body else (
         f'<!-- uPlot: {read("uPlot.LICENSE")} --><style>{read("uPlot.min.css")}</style>'
         f'<script>{read("uPlot.iife.min.js")}</script><script>{read("figures.js")}</script>')
-    return (f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-            f'<title>{escape(title)}</title><style>{STYLE}</style>'
-            f'{drawing}</head>\n<body><h1>{escape(title)}</h1>\n{body}\n'
-            '</body></html>\n')
-
-
-def write_page(path: Path, title: str, body: str) -> None:
-    """Write a page such that a reader sees the old file or the new one, never half of one."""
-    write_text(path, page(title, body))
+    write_text(path, (
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<title>{escape(title)}</title><style>{read("page.css")}</style>{drawing}</head>\n'
+        f'<body><h1>{escape(title)}</h1>\n{body}\n</body></html>\n'))
 
 
 def table(
@@ -165,10 +119,9 @@ def table(
 ) -> str:
     """Return a table of HTML cells, with the columns from `numbers_from` on set to the right."""
     def line(cells: Sequence[str], tag: str) -> str:
-        inner = ''.join(
+        return '<tr>' + ''.join(
             f'<{tag}{" class=number" if i >= numbers_from else ""}>{cell}</{tag}>'
-            for i, cell in enumerate(cells))
-        return f'<tr>{inner}</tr>'
+            for i, cell in enumerate(cells)) + '</tr>'
 
     return f'<table>{line(head, "th")}{"".join(line(row, "td") for row in rows)}</table>'
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+import os
 from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.claims import Claim, claims_of, Row
+from multicontact_control.experiment.claims import claims_of, Row
 from multicontact_control.experiment.display import achievement, headline, summary_rows
 from multicontact_control.experiment.figures import (
     draw_figures,
@@ -21,11 +22,6 @@ from multicontact_control.experiment.results import FIGURE_FOLDER, LoadedRun, RE
 import yaml
 
 FORMATS = ('png', 'pdf')
-
-
-def run_claims(run: LoadedRun, comparison: Sequence[Row] = ()) -> list[Claim]:
-    """Judge the paper's claims by a run, and those that compare by the runs of a comparison."""
-    return claims_of(run.data, run.setup, run.summary, comparison)
 
 
 def write_report(
@@ -43,7 +39,9 @@ def write_report(
         raise ConfigError('out', 'a folder that can be made',
                           f'{out} ({error.strerror})') from None
     paths, parts = [], []
-    names = short_names([run.folder.resolve().as_posix().strip('/') for run in runs])
+    folders = [run.folder.resolve() for run in runs]
+    common = os.path.commonpath([folder.parent for folder in folders])
+    names = [folder.relative_to(common).as_posix() for folder in folders]
     for number, (name, run) in enumerate(zip(names, runs)):
         paths += draw_figures(
             run.data, run.setup, out / FIGURE_FOLDER / (name if len(runs) > 1 else ''),
@@ -63,8 +61,8 @@ def write_report(
 
 
 def _run_section(run: LoadedRun, number: int, comparison: Sequence[Row]) -> list[str]:
-    summary, claims = run.summary, run_claims(run, comparison)
-    verdict = verdict_text(summary)
+    summary, verdict = run.summary, verdict_text(run.summary)
+    claims = claims_of(run.data, run.setup, summary, comparison)
     return [
         f'<p class=verdict><b class={"yes" if verdict == STABLE else "no"}>{escape(verdict)}</b>. '
         f'{escape(achievement(summary))}.</p>',
@@ -95,14 +93,3 @@ def _text(value: Any) -> str:
     if isinstance(value, dict):
         return ', '.join(f'{key} {_text(each)}' for key, each in value.items())
     return f'{value:.4g}' if isinstance(value, float) else '-' if value is None else str(value)
-
-
-def short_names(names: Sequence[str], separator: str = '/') -> list[str]:
-    """Return the last parts of names, as many as it takes to tell them apart."""
-    short = []
-    for name in names:
-        parts = name.split(separator)
-        count = next(n for n in range(1, len(parts) + 1) if n == len(parts) or sum(
-            other.split(separator)[-n:] == parts[-n:] for other in names) == 1)
-        short.append(separator.join(parts[-count:]))
-    return short

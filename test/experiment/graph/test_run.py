@@ -11,6 +11,7 @@ import sys
 
 from multicontact_control.client import MultiContactClient
 from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.graph.domain import (
     check_namespace,
     domain_in_use,
@@ -25,7 +26,6 @@ from multicontact_control.experiment.graph.spec import (
     SIM,
     START_ORDER,
 )
-from multicontact_control.experiment.report import run_claims
 from multicontact_control.experiment.results import load_run
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes.topics import (
@@ -203,7 +203,8 @@ def test_commanded_arm_obeys_until_a_signal_and_is_judged_by_what_was_commanded(
     assert summary['ticks'] / summary['rate_hz'] > end.time - state.time
     assert summary['contacts']['table']['rest']['true_error_rms_n'] < 0.1
     run = load_run(out)
-    assert summary['claims'] == run_claims(run) == []  # no scenario was played
+    # No scenario was played.
+    assert summary['claims'] == claims_of(run.data, run.setup, run.summary) == []
     assert run.data.command[-1].tolist() == [10.0, 5.0]
     assert run.setup.scenario.duration == pytest.approx(run.data.ticks / run.data.rate)
 
