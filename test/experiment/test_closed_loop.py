@@ -24,18 +24,6 @@ def test_loop_gives_the_torques_of_the_run_tick_by_tick(changes):
     np.testing.assert_array_equal(torques, data.torque)
 
 
-@pytest.mark.parametrize('delay', [1, 3])
-def test_command_acts_after_the_delay_of_the_actuators(delay):
-    loop = ClosedLoop(resolve(
-        'quick', plant='rigid', plant_overrides={'actuator_delay_ticks': delay}))
-    efforts = []
-    for _ in range(delay + 2):
-        loop.advance()
-        efforts.append(loop.sample.effort)
-    np.testing.assert_array_equal(efforts[:delay], [loop.plant.initial_torque] * delay)
-    assert (efforts[delay + 1] != loop.plant.initial_torque).any()
-
-
 @pytest.mark.parametrize('plant', ['rigid', 'puma'])
 def test_quick_is_stable_and_holds_its_forces(plant):
     """The paper's experiment in short."""

@@ -22,12 +22,3 @@ def test_config_names_the_bad_field(change, field):
     with pytest.raises(ConfigError) as caught:
         plant_config('puma', **change)
     assert field in {error.field for error in caught.value.errors}
-
-
-@pytest.mark.parametrize(('rate', 'expected'), [(500.0, 8), (4000.0, 1), (300.0, 0), (8000.0, 0)])
-def test_substeps_fill_the_period(rate, expected):
-    if expected:
-        assert plant_config('puma').substeps(rate) == expected
-        return
-    with pytest.raises(ConfigError, match='^substep'):
-        plant_config('puma').substeps(rate)

@@ -3,10 +3,8 @@
 from arms import controller_config
 from multicontact_control.config import LimitsConfig
 from multicontact_control.contact.geometry import offset_shares
-from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError
 from multicontact_control.supervision.command_limits import (
-    check_motion,
     check_position,
     CommandLimits,
 )
@@ -45,18 +43,6 @@ def test_offset_shares_refuses_what_is_no_centre_of_pressure():
                              ({'table/along': float('nan')}, 'nan m')):
         with pytest.raises(CommandError, match=message):
             offset_shares(EDGE, centres)
-
-
-@pytest.mark.parametrize('part', range(4))
-def test_check_motion_refuses_numbers_that_are_not_finite(part):
-    motion = [np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(6), np.zeros(6)]
-    check_motion(MotionReading(*motion), LimitsConfig())
-    motion[part] = motion[part] + np.inf
-    with pytest.raises(CommandError, match='motion: expected finite numbers'):
-        check_motion(MotionReading(*motion), LimitsConfig())
-    motion[part], motion[1] = np.zeros_like(motion[part]), np.zeros(4)
-    with pytest.raises(CommandError, match='a quaternion that is not 0'):
-        check_motion(MotionReading(*motion), LimitsConfig())
 
 
 def test_check_position_names_the_axis():

@@ -189,7 +189,6 @@ def test_force_beyond_the_ceiling_makes_it_retract_and_a_retry_reaches_the_surfa
 
 POSE = Pose(np.array([0.0, 0.55, 0.64]), np.eye(3))
 STILL = np.zeros(6)
-AHEAD = np.array([0, 0, 0, 1.0])
 
 
 class Asked:

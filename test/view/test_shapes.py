@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
-from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
 from multicontact_control.view.shapes import read_shapes
 import numpy as np
@@ -35,8 +34,3 @@ def test_links_without_visuals_are_rods_to_the_next_joint():
     w, x, y, z = first.wxyz
     axis = Rotation.from_quat([x, y, z, w]).apply([0.0, 0.0, 1.0])
     np.testing.assert_allclose(axis, [0.0, 0.6, 0.8], atol=1e-12)
-
-
-def test_text_that_is_no_urdf_is_refused():
-    with pytest.raises(ConfigError, match='robot.urdf: expected XML'):
-        read_shapes('<robot>')

@@ -122,6 +122,7 @@ def test_graph_is_the_run_in_process_bit_for_bit(
         message.header.stamp for message in commands]
     sim = result.timing[SIM]
     assert sim['ticks'] == TICKS and result.timing[RECORDER]['lost'] == 0
+    assert (sum(sim['latency_histogram']['counts']), sim['deadline_misses']) == (TICKS - 1, 0)
     if speed:  # never ahead of the wall clock
         assert sim['wall_s'] > 0.97 * TICKS / 500.0 / speed
 

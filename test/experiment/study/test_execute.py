@@ -1,9 +1,7 @@
 """Jobs: their keys, their kept results, and what runs them."""
 
-from dataclasses import dataclass
 import os
 import pickle
-from typing import ClassVar
 
 from mortal_jobs import MortalJob
 from multicontact_control.errors import RunError
@@ -12,7 +10,6 @@ from multicontact_control.experiment.study.jobs import (
     dask_client,
     job_of,
     prepare_folder,
-    read_cell,
     run_jobs,
     WORKER_DIED,
 )
@@ -25,30 +22,6 @@ def by_key(jobs):
 
 
 SHORT = [job_of('step', 'rigid', seed, duration=1.6) for seed in range(2)]
-
-
-@dataclass(frozen=True)
-class SeedJob:
-    """Return its seed, note that it ran, and stop where it shall."""
-
-    seed: int
-    ran: ClassVar[list] = []
-    stops_at: ClassVar[int | None] = None
-
-    def key(self):
-        return f'seed{self.seed}'
-
-    def run(self):
-        if self.seed == self.stops_at:
-            raise KeyboardInterrupt
-        self.ran.append(self.seed)
-        return {'seed': self.seed, 'unknown': float('nan')}
-
-
-@pytest.fixture(name='seeds')
-def fixture_seeds(monkeypatch):
-    monkeypatch.setattr(SeedJob, 'ran', [])
-    return by_key(SeedJob(seed) for seed in range(4))
 
 
 def test_key_changes_with_all_that_changes_the_outcome_and_with_nothing_else(monkeypatch):
@@ -69,19 +42,6 @@ def test_key_changes_with_all_that_changes_the_outcome_and_with_nothing_else(mon
     assert same.key() == job_of('quick', 'rigid', 0, preset='best').key() == keys[0]
     monkeypatch.setattr(jobs_module, 'code_stamp', lambda: 'other code')
     assert variants[0].key() != keys[0]
-
-
-def test_jobs_run_once_and_again_only_if_their_result_is_not_whole(tmp_path, seeds, monkeypatch):
-    prepare_folder(tmp_path, overwrite=False)
-    monkeypatch.setattr(SeedJob, 'stops_at', 2)
-    with pytest.raises(KeyboardInterrupt):
-        run_jobs(seeds, tmp_path, workers=1)
-    monkeypatch.setattr(SeedJob, 'stops_at', None)
-    cut = tmp_path / 'cells' / 'seed1.json'
-    cut.write_text(cut.read_text()[:20])
-    found = run_jobs(seeds, tmp_path, workers=1)
-    assert SeedJob.ran == [0, 1, 1, 2, 3]
-    assert found['seed3'] == read_cell(tmp_path, 'seed3') == {'seed': 3, 'unknown': None}
 
 
 def test_dead_worker_ends_the_run_and_keeps_what_is_finished(tmp_path):
