@@ -73,7 +73,8 @@ class Graph(link.GuestNode):
             env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id),
                  'PYTHONPATH': os.pathsep.join(sys.path)},
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        self.processes.start_all()
+        for name in self.processes.spec.nodes:
+            self.processes.start(name)
 
     def close(self):
         self.processes.stop(hurry=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 import contextlib
 import json
 from multiprocessing.process import BaseProcess
@@ -35,6 +35,7 @@ class NodeProcesses:
 
     def __init__(self, spec: GraphSpec, domain_id: int) -> None:
         self.spec, self.domain_id = spec, domain_id
+        spec.logs.mkdir(parents=True, exist_ok=True)
         self.running: dict[str, BaseProcess] = {}
 
     def start(self, name: str, parameters: Mapping[str, Any] | None = None) -> None:
@@ -45,32 +46,19 @@ class NodeProcesses:
             {**os.environ, 'ROS_DOMAIN_ID': str(self.domain_id)}, self._log(name).resolve(),
             str(self.spec.out.resolve()))
 
-    def start_all(self) -> None:
-        """Start every node."""
-        self.spec.logs.mkdir(parents=True, exist_ok=True)
-        for name in self.spec.nodes:
-            self.start(name)
-
     def ended(self, name: str) -> bool:
         """Return whether a node has ended."""
         return name in self.running and self.running[name].exitcode is not None
 
-    def check_running(self) -> None:
+    def check_running(self, *, stopped: bool = False) -> None:
         """
-        Check that every node runs, but for a simulator that has come to its end.
+        Check that every node runs, but for a simulator at its end, or one `stopped` as asked.
 
-        Raises RunError if one has ended: its name, how, and the end of its log.
+        Raises RunError if one has ended otherwise: its name, how, and the end of its log.
         """
-        self._raise_unless(lambda name, code: (name, code) == (SIM, 0))
-
-    def check_codes(self) -> None:
-        """Check that no node has ended in another way than stopped; RunError likewise."""
-        self._raise_unless(lambda name, code: code in STOPPED)
-
-    def _raise_unless(self, expected: Callable[[str, int], bool]) -> None:
         for name, process in self.running.items():
             code = process.exitcode
-            if code is not None and not expected(name, code):
+            if code is not None and (name, code) != (SIM, 0) and not (stopped and code in STOPPED):
                 raise RunError(self.report(
                     name, f'ended with exit code {code}' if code >= 0 else
                     f'was killed by {signal.Signals(-code).name}'))

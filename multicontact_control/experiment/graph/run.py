@@ -1,11 +1,10 @@
 """
 Running a graph: its nodes are started in order, watched, and stopped together.
 
-The controller and the estimator are configured and activated from here. With a simulated plant the
-end of the simulator ends the run. The user's own robot is waited for before the controller is
-activated; the run ends after its time, or when the robot is silent, and the controller is then
-deactivated first, so that the robot gets the declared safe behaviour before it gets nothing. If
-this process is killed, the controller does that by itself.
+With a simulated plant the end of the simulator ends the run. The user's own robot is waited for
+before the controller is activated; the run ends after its time, or when the robot is silent, and
+the controller is then deactivated first, so that the robot gets the declared safe behaviour before
+it gets nothing. If this process is killed, the controller does that by itself.
 """
 
 from __future__ import annotations
@@ -51,11 +50,11 @@ class InterruptedRunError(Exception):
 
 
 class GraphProgress(NamedTuple):
-    """Where a run is."""
+    """Where a run is, since the first sample that was seen."""
 
-    time: float  # since the first sample that was seen [s]
+    time: float  # [s]
     forces: Mapping[str, float]  # measured, per contact [N]
-    realtime_factor: float = 0.0  # simulated time over wall time since then
+    realtime_factor: float  # simulated time over wall time
 
 
 @dataclass(frozen=True)
@@ -63,11 +62,11 @@ class GraphResult:
     """How a run ended that no node failed in."""
 
     bag: Path  # folder of the recording, closed
+    controlled: bool  # whether any sample was answered
+    interrupted: int | None  # signal that ended it early
     timing: Mapping[str, Mapping[str, Any]]  # counts and times that each node wrote at its end
     domain_id: int | None = None  # that it ran in; None if a signal ended its start
-    interrupted: int | None = None  # signal that ended it early
     ended: str = ''  # what ended it early on the side of the user's own robot
-    controlled: bool = True  # whether any sample was answered
 
 
 class ProgressListener(GuestNode):
@@ -99,15 +98,8 @@ class RunningGraph:
     """
     A graph that is up; see `running_graph`.
 
-    Attributes
-    ----------
-    processes
-        Its nodes; `processes.check_running()` raises RunError if one has ended.
-    domain_id
-        ROS domain that it is in.
-    progress, robot
-        Where it is, and whether the user's own robot is there; None with a simulated plant.
-
+    Its nodes are `processes`, `progress` says where it is, `robot` whether the user's own robot is
+    there; None with a simulated plant.
     """
 
     def __init__(
@@ -122,7 +114,8 @@ class RunningGraph:
 
     def start(self) -> None:
         """Start the nodes, wait for the robot, and activate the controller."""
-        self.processes.start_all()
+        for name in self.spec.nodes:
+            self.processes.start(name)
         self._lead(CONFIGURE)
         while self.robot is not None and (missing := self.robot.missing()):
             self._wait(missing)
@@ -197,66 +190,55 @@ def run_graph(
     seconds with what is waited for, and with what was found of a robot. Raises RunError if a node
     cannot be started or dies: its name, how it ended and the end of its log.
     """
-    remind = _Reminder(tell)
-    with collected_signals() as signals:
-        def keep_waiting(what: str) -> None:
-            if signals:
-                raise InterruptedRunError
-            remind(lambda: what)
+    start = time.monotonic()
+    due = start + TELL_PERIOD
 
+    def keep_waiting(what: str) -> None:
+        nonlocal due
+        if signals:
+            raise InterruptedRunError
+        if (now := time.monotonic()) > due:
+            due = now + TELL_PERIOD
+            tell(f'{now - start:.0f} s: waiting for {what}')
+
+    with collected_signals() as signals:
         try:
             with running_graph(spec, keep_waiting, on_domain) as graph:
                 if graph.robot is not None:
                     tell(f'found {graph.robot.found}')
-                ended = _watch(graph, signals, on_progress, remind)
+                ended = _watch(graph, signals, on_progress, keep_waiting)
         except InterruptedRunError:
-            return GraphResult(spec.bag, {}, interrupted=signals[0], controlled=False)
-    graph.processes.check_codes()
+            return GraphResult(spec.bag, controlled=False, interrupted=signals[0], timing={})
+    graph.processes.check_running(stopped=True)
     return GraphResult(
-        spec.bag, graph.processes.timing(), graph.domain_id, signals[0] if signals else None,
-        ended, graph.progress.heard or not (signals or ended))
-
-
-class _Reminder:
-    """Tells every few seconds what is waited for."""
-
-    def __init__(self, tell: Tell) -> None:
-        self._tell, self._start = tell, time.monotonic()
-        self._due = self._start + TELL_PERIOD
-
-    def __call__(self, missing: Callable[[], str]) -> None:
-        if (now := time.monotonic()) > self._due:
-            self._due = now + TELL_PERIOD
-            self._tell(f'{now - self._start:.0f} s: waiting for {missing()}')
+        spec.bag, graph.progress.heard or not (signals or ended), signals[0] if signals else None,
+        graph.processes.timing(), graph.domain_id, ended)
 
 
 def _watch(
     graph: RunningGraph, signals: list[int], on_progress: Callable[[GraphProgress], None],
-    remind: _Reminder,
+    keep_waiting: Callable[[str], None],
 ) -> str:
     """Look at a graph until it ends; return what ended it on the side of the user's robot."""
-    robot, watch = graph.spec.robot, graph.robot
+    processes, robot = graph.processes, graph.spec.robot
     newest: GraphProgress | None = None
     due = 0.0
-
-    def missing() -> str:  # of samples that cannot be answered the controller says why
-        return f'the first answered sample; {CONTROLLER}: {graph.processes.last_line(CONTROLLER)}'
-
-    while not signals and not graph.processes.ended(SIM):
-        graph.processes.check_running()
-        if watch is not None and (silent := watch.silent()):
+    while not signals and not processes.ended(SIM):
+        processes.check_running()
+        if graph.robot is not None and (silent := graph.robot.silent()):
             return silent
         if time.monotonic() >= due:
             due = time.monotonic() + PROGRESS_PERIOD
             if (progress := graph.progress.newest()) is not None:
                 newest = progress
                 on_progress(progress)
-        if newest is None:
-            remind(missing)
-        elif robot and robot.duration is not None and newest.time >= robot.duration:
+            elif newest is None and not signals:  # the controller says why it cannot answer
+                keep_waiting(f'the first answered sample; {CONTROLLER}: '
+                             f'{processes.last_line(CONTROLLER)}')
+        if newest and robot and robot.duration is not None and newest.time >= robot.duration:
             break
         time.sleep(WATCH_PERIOD)
-    graph.processes.check_running()
+    processes.check_running()
     return ''
 
 
