@@ -1,5 +1,4 @@
-"""A contact and a noise estimator, made as CONTRIBUTING's recipes say, work."""
-
+"""A contact, made as CONTRIBUTING's recipe says, works."""
 
 from multicontact_control.experiment.scenario import resolve
 import numpy as np

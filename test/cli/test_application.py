@@ -1,4 +1,4 @@
-"""The command line: exit codes, one line per error, help, a run and its folder."""
+"""The command line: exit codes, one line per error, a run and its folder."""
 
 import json
 import os

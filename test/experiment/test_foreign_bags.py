@@ -31,8 +31,6 @@ import pytest
 from typer.testing import CliRunner
 import zstandard
 
-NAN = np.nan
-
 
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from synthetic_run import disturbance_setup, perfect_run
 
-PUSH, LASTING, MOVING = 5.0, 6.5, 13.0  # s, the pushes of the scenario `disturbance`
+PUSH, LASTING = 5.0, 6.5  # s, the pushes of the scenario `disturbance`
 
 
 @pytest.fixture(scope='module')

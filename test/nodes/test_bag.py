@@ -1,4 +1,4 @@
-"""The bag that we write, as rosbags reads it; `test_viewers` reads a whole recording."""
+"""The bag that we write, as rosbags reads it."""
 
 from contextlib import closing
 

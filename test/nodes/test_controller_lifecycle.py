@@ -1,4 +1,4 @@
-"""The life cycle of controller and noise estimator: in this process, and one as a process."""
+"""The life cycle of the controller: in this process, and as a process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Any message or parameter: read or refused, and no number that is not finite goes out."""
+"""Any message: read or refused, and no number that is not finite goes out."""
 
 from __future__ import annotations
 

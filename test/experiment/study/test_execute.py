@@ -1,4 +1,4 @@
-"""Jobs: their keys, their kept results, and what runs them."""
+"""Jobs: their keys, and what runs them."""
 
 import os
 import pickle
