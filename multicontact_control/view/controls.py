@@ -51,21 +51,7 @@ class Requests:
 
 
 class Controls:
-    """
-    Elements for whatever a source can be asked to do.
-
-    Parameters
-    ----------
-    gui
-        The page's elements.
-    shown
-        What is steered.
-    requests
-        Where commands are asked for.
-    scene_view
-        Whose handle is dragged.
-
-    """
+    """Elements of `gui` that add to `requests` what a source can do; `scene_view` has a handle."""
 
     def __init__(self, gui: Any, shown: Source, requests: Requests, scene_view: Any) -> None:
         self._gui, self._requests, self._scene_view = gui, requests, scene_view
@@ -132,14 +118,15 @@ class Controls:
                 f'{column.name} [N]', min=-largest if couple else 0.0, max=largest, step=0.5,
                 initial_value=0.0, hint='couple, as a force at its end' if couple else
                 f'0, or {config.contact_state.smallest_force:g} to {largest:g} N')
-            self._on_change(slider, source.FORCES, partial(_named, column.name))
+            self._on_change(slider, source.FORCES, partial(
+                lambda name, value: {name: value}, column.name))
             self._forces[column.name] = slider
         self._button(f'Press with {PRESS:g} N', source.FORCES, colour='blue',
                      values=lambda: dict.fromkeys(config.contact_names, PRESS))
         self._button('Let go', source.FORCES,
                      values=lambda: dict.fromkeys(config.column_names, 0.0))
         self._hold = gui.add_checkbox('hold', False, hint='pose and forces')
-        self._on_change(self._hold, source.HOLD, partial(_named, 'on'))
+        self._on_change(self._hold, source.HOLD, lambda value: {'on': value})
         self._button('Try again', source.RETRY, 'seek contacts that were given up')
 
     # --------------------------------------------------------------------------------- move
@@ -216,12 +203,12 @@ class Controls:
     def _add_replay(self, scene: Scene) -> None:
         gui = self._gui
         self._play = gui.add_checkbox('play', True)
-        self._on_change(self._play, source.PLAY, partial(_named, 'on'))
+        self._on_change(self._play, source.PLAY, lambda value: {'on': value})
         speed = gui.add_dropdown('speed', tuple(SPEEDS), initial_value='1 x')
         self._on_change(speed, source.SPEED, lambda value: {'factor': SPEEDS[value]})
         self._time = gui.add_slider('time [s]', min=0.0, max=max(scene.duration, 0.1), step=0.02,
                                     initial_value=0.0)
-        self._on_change(self._time, source.SEEK, partial(_named, 'time'))
+        self._on_change(self._time, source.SEEK, lambda value: {'time': value})
         jumps = {'0 s: start': 0.0, **{
             f'{moment:.2f} s: {text}': moment for moment, text in scene.marks[:MAX_MARKS]}}
         jump = gui.add_dropdown('jump to', tuple(jumps))
@@ -252,10 +239,6 @@ class Controls:
         for name, (stiffness, friction) in self._surfaces.items():
             _show(stiffness, round(1e-3 * snapshot.surfaces[name].stiffness, 3))
             _show(friction, snapshot.surfaces[name].friction)
-
-
-def _named(name: str, value: Any) -> dict[str, Any]:
-    return {name: value}
 
 
 def _show(handle: Any, value: Any) -> None:

@@ -7,8 +7,7 @@ import threading
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.view import source
-from multicontact_control.view.source import CurveLayout, RATE
+from multicontact_control.view.source import KINDS, POINTS, RATE
 import numpy as np
 
 FIRST = '10 s'
@@ -27,9 +26,9 @@ FLOOR = 1e-4  # N^2, where a logarithm of R ends
 class History:
     """The newest points of all curves, of as long as the longest of `WINDOWS`."""
 
-    def __init__(self, layout: CurveLayout) -> None:
-        self._count = round(max(WINDOWS.values()) * RATE * source.POINTS)
-        self._points = np.empty((0, layout.width))
+    def __init__(self, width: int) -> None:
+        self._count = round(max(WINDOWS.values()) * RATE * POINTS)
+        self._points = np.empty((0, width))
 
     def add(self, points: Matrix) -> None:
         """Take points; time that goes back begins anew."""
@@ -72,11 +71,11 @@ class Curves:
     """The charts of a page for forces and couples, and joints by name; made where `gui` is."""
 
     def __init__(self, gui: Any, names: Sequence[str], joints: Sequence[str]) -> None:
-        self.layout = CurveLayout(len(names), len(joints))
-        self.history = History(self.layout)
+        self._width = 1 + KINDS * len(names) + len(joints)
+        self.history = History(self._width)
         self._gui, self._lock = gui, threading.Lock()
         self._window = gui.add_dropdown('window', tuple(WINDOWS), initial_value=FIRST)
-        self._charts = charts_of(self.layout, names, joints)
+        self._charts = charts_of(names, joints)
         self._folder = gui.add_folder('last seconds, from now')
         self._plots: list[Any] = []
         self._make()
@@ -108,7 +107,7 @@ class Curves:
         """Return what each chart shows: seconds from now, then its curves."""
         points = self.history.last(WINDOWS[self._window.value])
         if not len(points):
-            points = np.zeros((1, self.layout.width))
+            points = np.zeros((1, self._width))
         time: Vector = points[:, 0] - points[-1, 0]
         found = []
         for chart in self._charts:
@@ -120,21 +119,18 @@ class Curves:
         return found
 
 
-def charts_of(
-    layout: CurveLayout, names: Sequence[str], joints: Sequence[str],
-) -> list[Chart]:
+def charts_of(names: Sequence[str], joints: Sequence[str]) -> list[Chart]:
     """Return what there is to show of these forces, couples and joints."""
-    kinds = {'measured': source.MEASURED, 'estimated': source.ESTIMATED,
-             'desired': source.DESIRED}
-    forces = [Chart(
-        f'force on {name} [N]', tuple(kinds), [layout.of(kind)[i] for kind in kinds.values()],
-        COLOURS, from_zero(5.0)) for i, name in enumerate(names)]
+    *columns, torques = np.split(
+        1 + np.arange(KINDS * len(names) + len(joints)), len(names) * np.arange(1, KINDS + 1))
+    *forces, variance, innovation = columns
     return [
-        *forces, Chart('R [N^2], logarithmic', names, layout.of(source.VARIANCE), COLOURS,
-                       LOGARITHMIC),
-        Chart('innovation [N]', names, layout.of(source.INNOVATION), COLOURS, from_zero(0.2)),
+        *(Chart(f'force on {name} [N]', ('measured', 'estimated', 'desired'), each, COLOURS,
+                from_zero(5.0)) for name, *each in zip(names, *forces)),
+        Chart('R [N^2], logarithmic', names, variance.tolist(), COLOURS, LOGARITHMIC),
+        Chart('innovation [N]', names, innovation.tolist(), COLOURS, from_zero(0.2)),
         Chart('torque of each joint, % of its limit', [str(k + 1) for k in range(len(joints))],
-              layout.torques, JOINTS, from_zero(100.0), 100.0)]
+              torques.tolist(), JOINTS, from_zero(100.0), 100.0)]
 
 
 def from_zero(least: float) -> dict[str, Any]:

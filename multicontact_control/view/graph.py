@@ -22,8 +22,8 @@ from multicontact_control.view.motion import Motion
 from multicontact_control.view.source import (
     ChangeReader,
     felt_surfaces,
-    layout_of,
     PLAYING,
+    point_width,
     POINTS,
     RATE,
     refuse,
@@ -247,7 +247,7 @@ class GraphSource:
             reaction='no samples' if now - self._heard > SILENCE else
             'none' if status is None else status.reaction,
             reasons=() if status is None else tuple(status.causes.split()),
-            points=np.array(points).reshape(-1, layout_of(config).width),
+            points=np.array(points).reshape(-1, point_width(config)),
             # Forces that are obeyed: commanded ones, or those of a scenario.
             commanded=(status and dict(status.forces)) or {
                 name: force for name, force in zip(config.column_names, wanted.tolist())

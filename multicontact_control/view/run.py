@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 import webbrowser
 
-from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.results import CONFIG_FOLDER
 from multicontact_control.experiment.scenario import Setup
@@ -39,9 +39,17 @@ def run_view(
     from multicontact_control.experiment.graph.run import collected_signals, InterruptedRunError
 
     with suppress(InterruptedRunError), collected_signals() as signals, ExitStack() as stack:
-        shown = replayed(setup, recording, namespace) if recording is not None else joined(
-            setup, namespace, domain_id) if graph else started(
-            setup, namespace, domain_id, stack, signals, tell)
+        shown: Source
+        if recording is not None:
+            from multicontact_control.view.replay import load_replay
+
+            shown = load_replay(recording, setup, namespace)
+        elif graph:
+            from multicontact_control.view.graph import GraphSource
+
+            shown = GraphSource(setup, namespace=namespace or '', domain_id=domain_id)
+        else:
+            shown = started(setup, namespace, domain_id, stack, signals, tell)
         stack.callback(shown.close)
         page = Page(shown, port)
         stack.callback(page.close)
@@ -52,23 +60,6 @@ def run_view(
         page.run(lambda: bool(signals))
         return page.ended
     return ''
-
-
-def replayed(setup: Setup, recording: Path, namespace: str | None) -> Source:
-    """Return what replays a recording; ConfigError if it cannot be read."""
-    from multicontact_control.view.replay import load_replay
-
-    try:
-        return load_replay(recording, setup, namespace)
-    except RunError as error:
-        raise ConfigError('recording', 'one that can be read', f'none: {error}') from None
-
-
-def joined(setup: Setup, namespace: str | None, domain_id: int | None) -> Source:
-    """Return what joins a graph that runs; RunError if there is none of this arm."""
-    from multicontact_control.view.graph import GraphSource
-
-    return GraphSource(setup, namespace=namespace or '', domain_id=domain_id)
 
 
 def started(

@@ -7,11 +7,11 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.view.shapes import BOX, CYLINDER, read_shapes
+from multicontact_control.view.shapes import BOX, CYLINDER, read_shapes, wxyz_of
 from multicontact_control.view.source import Scene, Snapshot, Surface
 import numpy as np
 from scipy.spatial.transform import Rotation
-from sim_bridge.surface_patch import surface_patch
+from sim_bridge.surface_patch import COLOURS, surface_patch
 
 METRES_PER_NEWTON = 0.012
 SMALLEST_ARROW = 0.015  # m
@@ -25,7 +25,6 @@ STATE_COLOURS = {
     'free': (150, 155, 162), 'approaching': (232, 176, 48), 'impact': (120, 190, 90),
     'holding': (52, 150, 92), 'lost': (208, 60, 50), 'retracting': (208, 60, 50),
     'given up': (128, 40, 60), 'force': (52, 150, 92)}
-SURFACE_COLOURS = ((196, 186, 168), (176, 190, 204), (186, 200, 180), (204, 184, 190))
 BACK = np.array([1.58, -0.58, 0.44])  # m, of the camera from what it looks at
 
 
@@ -85,7 +84,7 @@ class SceneView:
         patch = surface.patch or surface_patch(np.array(surface.normal_world))
         self._patches[surface.name] = self._api.add_mesh_simple(
             f'/surfaces/{surface.name}', patch.vertices, patch.faces,
-            color=SURFACE_COLOURS[len(self._patches) % len(SURFACE_COLOURS)],
+            color=COLOURS[len(self._patches) % len(COLOURS)],
             position=np.array(surface.point_world), flat_shading=True, side='double',
             cast_shadow=False)
 
@@ -135,7 +134,8 @@ class SceneView:
         if np.isfinite(snapshot.q).all():
             for frame, pose in zip(
                     self._frames, self._robot.link_poses(snapshot.q, self._links)):
-                frame.position, frame.wxyz = pose.position_world, _wxyz(pose.rotation_world)
+                frame.position = pose.position_world
+                frame.wxyz = wxyz_of(Rotation.from_matrix(pose.rotation_world))
         if not (np.isfinite(snapshot.position).all() and np.isfinite(snapshot.quaternion).all()):
             return
         rotation = Rotation.from_quat(snapshot.quaternion).as_matrix()
@@ -210,8 +210,3 @@ def _arrow(point: Vector, normal: Vector, force: float, place: int) -> Matrix:
     foot = point + (place + 2.0) * BESIDE * _sideways(point, normal)
     ends = np.array([foot - normal * length, foot])
     return ends if force > 0.0 else ends[::-1]
-
-
-def _wxyz(rotation: Matrix) -> Vector:
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-    return np.array([w, x, y, z])

@@ -61,7 +61,7 @@ def _shape(
         found = geometry.find(kind)
         if found is not None:
             size = tuple(x for name in fields for x in _numbers(found.get(name, '')))
-            return Shape(link, kind, size, position, _wxyz(rotation), colour)
+            return Shape(link, kind, size, position, wxyz_of(rotation), colour)
     return None
 
 
@@ -74,7 +74,7 @@ def _rod(joint: ElementTree.Element) -> list[Shape]:
         return []
     rotation, _ = Rotation.align_vectors([np.array(position) / length], [[0.0, 0.0, 1.0]])
     middle = tuple(0.5 * x for x in position)
-    return [Shape(str(parent.get('link')), CYLINDER, (BONE, length), middle, _wxyz(rotation),
+    return [Shape(str(parent.get('link')), CYLINDER, (BONE, length), middle, wxyz_of(rotation),
                   NEUTRAL)]
 
 
@@ -98,6 +98,7 @@ def _numbers(text: str) -> Vector:
         raise ConfigError('robot.urdf', 'numbers', f"'{text}'") from None
 
 
-def _wxyz(rotation: Rotation) -> Vector:
+def wxyz_of(rotation: Rotation) -> Vector:
+    """Return a rotation as viser takes it: a quaternion, scalar first."""
     x, y, z, w = rotation.as_quat().tolist()
     return (w, x, y, z)

@@ -39,9 +39,7 @@ STEERING = (FORCES, GO_TO, JOG, PATTERN, STOP, HOLD, RETRY, TARE, PUSH_TEST, GAI
 SIMULATED = (SURFACE, PUSH)
 PLAYING = (PLAY, SPEED, SEEK)
 
-# Of what the curves are made, for each force or couple; then the torques.
-MEASURED, ESTIMATED, DESIRED, VARIANCE, INNOVATION = range(5)
-KINDS = 5
+KINDS = 5  # of curves for each force or couple, see `Snapshot.points`
 
 
 class Surface(NamedTuple):
@@ -177,30 +175,9 @@ class ChangeReader:
         return ', '.join(parts)
 
 
-class CurveLayout(NamedTuple):
-    """Where things are in the points of the curves of r forces and couples, and n joints."""
-
-    columns: int
-    joints: int
-
-    @property
-    def width(self) -> int:
-        """Return the number of columns."""
-        return 1 + KINDS * self.columns + self.joints
-
-    def of(self, kind: int) -> list[int]:
-        """Return where a kind of curve is, in the order of forces and couples."""
-        return list(range(1 + kind * self.columns, 1 + (kind + 1) * self.columns))
-
-    @property
-    def torques(self) -> list[int]:
-        """Return where the torques are."""
-        return list(range(1 + KINDS * self.columns, self.width))
-
-
-def layout_of(config: ControllerConfig) -> CurveLayout:
-    """Return the layout of the curves of a controller."""
-    return CurveLayout(len(config.columns), len(config.robot.joint_names))
+def point_width(config: ControllerConfig) -> int:
+    """Return the number of columns of `Snapshot.points`."""
+    return 1 + KINDS * len(config.columns) + len(config.robot.joint_names)
 
 
 def felt_surfaces(config: ControllerConfig) -> tuple[Surface, ...]:

@@ -1,16 +1,16 @@
 from multicontact_control.view.curves import DRAWN, History
-from multicontact_control.view.source import CurveLayout, POINTS, RATE
+from multicontact_control.view.source import POINTS, RATE
 import numpy as np
 import pytest
 
 
 @pytest.mark.parametrize('window', [40.0, 60.0])
 def test_history_keeps_a_peak_in_every_window(window):
-    layout, count = CurveLayout(1, 1), round(60.0 * RATE * POINTS)
-    points = np.ones((count, layout.width))
+    count = round(60.0 * RATE * POINTS)
+    points = np.ones((count, 7))
     points[:, 0] = np.arange(count) / (RATE * POINTS)
     points[1234, 1], points[2000, 2] = 9.0, np.nan
-    history = History(layout)
+    history = History(7)
     for part in np.array_split(points, 100):
         history.add(part)
     drawn = history.last(window)

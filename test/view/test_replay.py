@@ -12,7 +12,6 @@ from multicontact_control.files import write_json
 from multicontact_control.nodes import messages
 from multicontact_control.view import source
 from multicontact_control.view.replay import load_replay
-from multicontact_control.view.run import replayed
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
@@ -102,8 +101,8 @@ def test_folder_without_a_recording_is_refused(tmp_path, recorded_run):
     (tmp_path / 'bag').mkdir()
     (tmp_path / 'bag' / 'bag.mcap').write_bytes(b'\x89MCAP0\r\n' + bytes(40))
     for path in (tmp_path / 'nothing', recorded_run / 'config', tmp_path / 'bag'):
-        with pytest.raises(ConfigError, match='recording'):
-            replayed(resolve('paper'), path, None)
+        with pytest.raises((ConfigError, RunError), match='recording|bag'):
+            load_replay(path, resolve('paper'))
 
 
 def test_replay_takes_one_namespace_of_a_file_and_its_surfaces(tmp_path):
