@@ -13,7 +13,6 @@ import math
 
 from multicontact_control.config import Vector3
 from multicontact_control.dynamics.robot import load_model
-from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
 
@@ -84,11 +83,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Arm:
-    """
-    A chain of links with a wrist sensor and a tool on the last one.
-
-    Raises ConfigError if a tip has the name of a link or joint of the arm.
-    """
+    """A chain of links with a wrist sensor and a tool on the last one."""
 
     name: str  # of the robot, in the URDF
     links: tuple[Link, ...]  # base to wrist
@@ -98,13 +93,6 @@ class Arm:
     tool: Body  # what hangs on the sensor, in the sensor's frame
     tips: Mapping[str, Vector3]  # of the tool, by URDF link, in the sensor's frame [m]
     text: str = ''  # of a URDF with sensor and tool that the arm was read from
-
-    def __post_init__(self) -> None:
-        own = (BASE_LINK, *(f'link{i + 1}' for i in range(len(self.links))), SENSOR_FRAME,
-               TOOL_LINK, OPERATIONAL_FRAME, *self.joint_names)
-        for tip in self.tips:
-            if tip in own:
-                raise ConfigError('tips', 'names that the arm itself does not have', f"'{tip}'")
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from multicontact_control.arrays import Vector
-import pybullet as bullet
 from sim_bridge.arm import Arm, SENSOR_FRAME, TOOL_LINK, urdf_text
 from sim_bridge.engine_arm import EngineArm
+
+# PyBullet prints when it was built, as soon as it is imported.
+_output, _nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+os.dup2(_nowhere, 2)
+try:
+    import pybullet as bullet
+finally:
+    os.dup2(_output, 2)
 
 MAX_JOINT_SPEED = 1e4
 
@@ -27,7 +35,9 @@ class BulletArm(EngineArm):
         self._q, self._qd = memoryview(self.q), memoryview(self.qd)  # type: ignore[arg-type]
         self.client: int = bullet.connect(bullet.DIRECT)
 
-    def _place(self, q: Vector) -> None:
+    def reset(self, q: Vector) -> None:
+        """Make the world anew, with the arm at rest; see `EngineArm`."""
+        super().reset(q)
         bullet.resetSimulation(physicsClientId=self.client)
         self._load()
         for joint, angle in zip(self._links, q.tolist(), strict=True):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-import math
 from typing import Literal
 
 from multicontact_control.config import (
@@ -49,11 +48,6 @@ class SurfaceConfig(Config):
     motion_period: Real = parameter(
         0.0, 'Period of v sin(2 pi t / T), which leads it back; 0 for a constant velocity.',
         unit='s', ge=0.0)
-    mass: Real = parameter(
-        0.0, 'What of it moves along its normal when it is pressed, on a spring; 0 for a surface '
-        'that gives way nowhere.', unit='kg', ge=0.0)
-    mount_stiffness: Real = parameter(1000.0, 'Of that spring.', unit='N/m', ge=0.0)
-    mount_damping: Real = parameter(100.0, 'Of that spring.', unit='N s/m', ge=0.0)
     stiffness: Real = parameter(
         6000.0, 'Contact stiffness.', unit='N/m', live=True, gt=0.0)
     damping: Real = parameter(30.0, 'Contact damping.', unit='N s/m', ge=0.0)
@@ -65,11 +59,6 @@ class SurfaceConfig(Config):
         4e-5, 'Standard deviation of the height profile, 0 for a smooth one.', unit='m', ge=0.0)
     roughness_length: Real = parameter(
         1e-4, 'Standard deviation of the Gaussian that smooths the profile.', unit='m', gt=0.0)
-
-    @property
-    def moves(self) -> bool:
-        """Whether it is not always in the same place."""
-        return self.velocity != 0.0 or self.mass > 0.0
 
 
 class SensorConfig(Config):
@@ -140,10 +129,6 @@ class PlantConfig(Config):
     push_duration: Vector = parameter((), 'How long each push lasts.', unit='s')
     push_force_world: Vector = parameter(
         (), 'Forces of the pushes at the operational point, x y z of each in turn.', unit='N')
-    tool_push_start: Vector = parameter((), 'When each push at the tool begins.', unit='s')
-    tool_push_duration: Vector = parameter((), 'How long each push at the tool lasts.', unit='s')
-    tool_push_force_world: Vector = parameter(
-        (), 'Forces on the tool, beyond the sensor, x y z of each push in turn.', unit='N')
     tool_push_link: str = parameter(
         'tip_board', 'URDF link, carried by the last joint, at whose origin the tool is pushed.')
 
@@ -162,10 +147,9 @@ class PlantConfig(Config):
         for name, surface in self.surfaces.items():
             yield from self._check_surface(f'surfaces.{name}', surface)
         joints, flexible = len(self.home), self.drives == 'flexible'
-        counts = {'drive_stiffness': joints, 'drive_damping': joints, 'torque_limit': joints}
-        for kind in ('push', 'tool_push'):
-            pushes = len(getattr(self, f'{kind}_start'))
-            counts |= {f'{kind}_duration': pushes, f'{kind}_force_world': 3 * pushes}
+        pushes = len(self.push_start)
+        counts = {'drive_stiffness': joints, 'drive_damping': joints, 'torque_limit': joints,
+                  'push_duration': pushes, 'push_force_world': 3 * pushes}
         for name, count in counts.items():
             values = getattr(self, name)
             optional = name == 'torque_limit' or (name.startswith('drive') and not flexible)
@@ -187,19 +171,9 @@ class PlantConfig(Config):
             yield ConfigError(
                 f'{field}.radius', '0 for a plane, and another number for what is curved',
                 f'{surface.radius:g} of a {surface.shape}')
-        if surface.mass > 0.0 and surface.velocity != 0.0:
-            yield ConfigError(f'{field}.velocity', '0 of a body that gives way (mass)',
-                              f'{surface.velocity:g} m/s')
-        # Springs and dampers that are not too quick for a step.
-        least = self.substep * max(surface.damping + surface.mount_damping, self.substep * (
-            surface.stiffness + surface.mount_stiffness))
-        if 0.0 < surface.mass < least:
-            yield ConfigError(
-                f'{field}.mass', f'0 or at least {least:.2g} kg with its springs, dampers and '
-                'this substep', surface.mass)
-        if self.contact == 'native' and (surface.shape != 'plane' or surface.moves):
+        if self.contact == 'native' and (surface.shape != 'plane' or surface.velocity != 0.0):
             yield ConfigError(field, 'a plane at rest with native contacts',
-                              f'a {surface.shape} that {"moves" if surface.moves else "rests"}')
+                              f'a {surface.shape} of velocity {surface.velocity:g} m/s')
 
     @property
     def contacts(self) -> dict[str, str]:
@@ -256,8 +230,6 @@ class PlantConfig(Config):
 
     def substeps(self, rate: float) -> int:
         """Return the number of integration steps in a control period; ConfigError if not whole."""
-        if not (math.isfinite(rate) and rate > 0.0):
-            raise ConfigError('rate', 'a finite rate above 0 Hz', rate)
         ratio = 1.0 / (rate * self.substep)
         count = round(ratio)
         if count < 1 or abs(ratio - count) > 1e-6 * count:

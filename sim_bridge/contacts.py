@@ -83,17 +83,15 @@ class Contacts:
         self.pressed: Vector = self.surfaces['alpha']
         self.points_world: Matrix = self.surfaces['point']
         self.places_world: Matrix = self.surfaces['place']
-        self._columns: Matrix | None = None
-        if config.column_names != config.met[:len(config.column_names)]:
-            self._columns = np.array([[shares.get(name, 0.0) for name in config.met]
-                                      for shares in config.columns.values()])
-        self._count, self._touched = len(config.column_names), len(config.touched)
+        self._columns = np.array([[shares.get(name, 0.0) for name in config.met]
+                                  for shares in config.columns.values()]).reshape(
+            len(config.columns), len(config.met))
+        self._touched = len(config.touched)
 
     @property
     def alpha(self) -> Vector:
         """Return the true forces and couples of the contacts, shape (nc,) [N]."""
-        forces: Vector = self.pressed[:self._count].copy() if self._columns is None else (
-            self._columns @ self.pressed)
+        forces: Vector = self._columns @ self.pressed
         return forces
 
     @property
@@ -187,7 +185,7 @@ def act_on_arm(
     add_joint_torque(hands[0].point, hands[0].force, 1.0, links, last, load)
     for i in range(surfaces.shape[0]):
         surface = surfaces[i]
-        if surface.velocity != 0.0 or surface.mass > 0.0:
+        if surface.velocity != 0.0:
             move(surface, step)
         place_point(surface.tip, links[surface.joint], surface.point)
         velocity[0], velocity[1], velocity[2] = 0.0, 0.0, 0.0

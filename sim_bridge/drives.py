@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import cholesky, dot, solve_cholesky
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.records import Records
 import numpy as np
+from numpy.typing import ArrayLike
 import pinocchio as pin
 from sim_bridge.arm import Arm
 from sim_bridge.kinematics import mass_matrix
@@ -26,6 +26,7 @@ FRICTION = np.dtype([
 ])
 HOLD_FREQUENCY = 20.0  # w [rad/s]
 NEWTON_STEPS = 50
+LARGEST_SWEEPS = 1000
 NEWTON_TOLERANCE = 1e-13
 # One drive: its rotor, over the gear, and the spring to its link.
 DRIVE = np.dtype([
@@ -49,15 +50,10 @@ def joint_friction(arm: Arm, scale: float, speed: float) -> Records:
 
 
 def flexible_drives(
-    inertia: Vector, stiffness: Vector, damping: Vector, friction: Records,
+    inertia: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, friction: Records,
 ) -> Records:
-    """
-    Return rotors joined to the links by springs, records of `DRIVE`, shape (n,).
-
-    Of rotor inertia [kg m^2], stiffness [N m/rad] and damping [N m s/rad] of the springs, joint
-    side, and `FRICTION` of the rotors, each of shape (n,).
-    """
-    drives = np.zeros(len(inertia), dtype=DRIVE)
+    """Return rotors joined to the links by springs, records of `DRIVE`, shape (n,)."""
+    drives = np.zeros(len(friction), dtype=DRIVE)
     drives['inertia'], drives['friction'] = inertia, friction
     drives['stiffness'], drives['damping'] = stiffness, damping
     return drives
@@ -196,50 +192,23 @@ def implicit_joint_speed(
     """
     Solve M (v - free_speed) + step f(v) = 0 for the speeds of joints that move each other.
 
-    The left side is the gradient of a convex function, so Newton's method with step halving
-    converges to its only zero, which takes the place of the first guess `speed` [rad/s]. M is the
-    joint inertia with armature, shape (n, n) [kg m^2], `friction` records of `FRICTION`.
+    The left side is the gradient of a convex function, so that one joint after the other
+    (Gauss-Seidel) converges to its only zero, which takes the place of the first guess `speed`
+    [rad/s]. M is the joint inertia with armature, shape (n, n) [kg m^2], `friction` records of
+    `FRICTION`.
     """
     n = free_speed.shape[0]
-    residual, change, trial = np.empty(n), np.empty(n), np.empty(n)
-    factor = np.empty((n, n))
-    _friction_residual(speed, free_speed, step, mass_matrix, friction, residual)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(LARGEST_SWEEPS):
+        largest = 0.0
         for joint in range(n):
-            change[joint] = residual[joint]
+            moved = 0.0  # by the other joints
             for other in range(n):
-                factor[joint, other] = mass_matrix[joint, other]
-            factor[joint, joint] += step * friction_at(speed[joint], friction[joint])[1]
-        cholesky(factor, factor, 0.0)  # positive definite, as M is and friction never pushes
-        solve_cholesky(factor, change)
-        share = 1.0
-        before = dot(residual, change)
-        for _ in range(30):
-            for joint in range(n):
-                trial[joint] = speed[joint] - share * change[joint]
-            _friction_residual(trial, free_speed, step, mass_matrix, friction, residual)
-            # The function still falls at the trial point, or hardly rises: not overshot.
-            if dot(residual, change) >= -0.5 * before:
-                break
-            share *= 0.5
-        largest_change, largest_speed = 0.0, 0.0
-        for joint in range(n):
-            speed[joint] = trial[joint]
-            largest_change = max(largest_change, abs(change[joint]))
-            largest_speed = max(largest_speed, abs(speed[joint]))
-        if largest_change <= NEWTON_TOLERANCE * (1.0 + largest_speed):
+                if other != joint:
+                    moved -= mass_matrix[joint, other] * (speed[other] - free_speed[other])
+            inertia = mass_matrix[joint, joint]
+            before = speed[joint]
+            speed[joint] = implicit_speed(
+                free_speed[joint] + moved / inertia, step, inertia, friction[joint])
+            largest = max(largest, abs(speed[joint] - before))
+        if largest <= NEWTON_TOLERANCE:
             return
-
-
-@compiled
-def _friction_residual(
-    speed: Vector, free_speed: Vector, step: float, mass_matrix: Matrix, friction: Any,
-    residual: Vector,
-) -> None:
-    """Fill in M (v - free_speed) + step f(v)."""
-    n = speed.shape[0]
-    for row in range(n):
-        residual[row] = 0.0
-        for column in range(n):
-            residual[row] += mass_matrix[row, column] * (speed[column] - free_speed[column])
-        residual[row] += step * friction_at(speed[row], friction[row])[0]

@@ -18,6 +18,8 @@ class EngineArm(ABC):
         Joint angles and speeds now, shape (2, n) [rad, rad/s].
     q, qd
         Its rows.
+    native_forces
+        Normal forces of the engine's own contacts in the last step, shape (no,) [N]; None without.
 
     """
 
@@ -25,15 +27,12 @@ class EngineArm(ABC):
         self.motion: Matrix = np.zeros((2, joint_count))
         self.q: Vector = self.motion[0]
         self.qd: Vector = self.motion[1]
-
-    def reset(self, q: Vector) -> None:
-        """Start afresh from rest at joint angles `q`; nothing of the past is left."""
-        self._place(q)
-        self.q[:], self.qd[:] = q, 0.0
+        self.native_forces: Vector | None = None
 
     @abstractmethod
-    def _place(self, q: Vector) -> None:
-        """Make the world anew, with the arm at rest at joint angles `q`."""
+    def reset(self, q: Vector) -> None:
+        """Start afresh from rest at joint angles `q`; nothing of the past is left."""
+        self.q[:], self.qd[:] = q, 0.0
 
     @abstractmethod
     def push(self, pushes: list[list[float]]) -> None:
@@ -52,10 +51,6 @@ class EngineArm(ABC):
         Return what the arm exerts on the tool at the start of the step, in the sensor's frame, six
         numbers [N, N m].
         """
-
-    def native_forces(self) -> Vector:
-        """Return the normal forces of the engine's own contacts in that step, shape (no,) [N]."""
-        return np.zeros(0)
 
     def close(self) -> None:  # noqa: B027 - not every engine has anything to give back
         """Give the world back."""

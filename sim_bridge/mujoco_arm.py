@@ -43,13 +43,14 @@ class MujocoArm(EngineArm):
             self._model.dof_armature[:] = np.array(arm.armature) * (config.drives == 'rigid')
             mujoco.mj_setConst(self._model, self._data)
             self._set_springs()
-        self._forces = np.zeros(len(self._planes))
+            self.native_forces = np.zeros(len(self._planes))
         self._touch = np.zeros(6)
 
-    def _place(self, q: Vector) -> None:
+    def reset(self, q: Vector) -> None:
+        """Place the arm at rest; see `EngineArm`."""
+        super().reset(q)
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:] = q
-        self._forces[:] = 0.0
 
     def push(self, pushes: list[list[float]]) -> None:
         """Apply forces at points for one step; see `EngineArm`."""
@@ -67,24 +68,19 @@ class MujocoArm(EngineArm):
         mujoco.mj_step(model, data)
         data.xfrc_applied[:] = 0.0
         self.q[:], self.qd[:] = data.qpos, data.qvel
-        self._read_contacts()
+        if self.native_forces is not None:
+            self._read_contacts(self.native_forces)
         wrench: tuple[float, ...] = tuple(data.sensordata.tolist())
         return wrench
 
-    def native_forces(self) -> Vector:
-        """Return the normal forces on its planes, shape (no,) [N]."""
-        return self._forces
-
-    def _read_contacts(self) -> None:
+    def _read_contacts(self, forces: Vector) -> None:
         """Add up the normal forces on each plane."""
-        if not self._planes:
-            return
-        self._forces[:] = 0.0
+        forces[:] = 0.0
         for i in range(self._data.ncon):
             contact = self._data.contact[i]
             mujoco.mj_contactForce(self._model, self._data, i, self._touch)
             plane = self._model.geom(int(contact.geom[0])).name
-            self._forces[int(plane.removeprefix('plane'))] += self._touch[0]
+            forces[int(plane.removeprefix('plane'))] += self._touch[0]
 
     def _set_inertias(self, arm: Arm) -> None:
         """Set the true inertias: the compiler refuses those that break the triangle inequality."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import Any, NamedTuple
 import xml.etree.ElementTree as ElementTree
@@ -17,7 +18,7 @@ import pinocchio as pin
 from sim_bridge.arm import Arm
 from sim_bridge.posture import condition, limits_of, middle_of, reach, turn_onto
 from sim_bridge.robot_file import RobotFile
-from sim_bridge.robots import find_robot, urdf_name
+from sim_bridge.robots import find_robot
 from sim_bridge.urdf_arm import ends_of, parse_urdf, read_arm, read_urdf
 import yaml
 
@@ -54,9 +55,9 @@ def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:
     text, suspicious = read_urdf(urdf), list[str]()
     joints, locked = _joints(parse_urdf(text), sensor, tip)
     values: dict[str, Any] = {
-        'urdf': urdf_name(urdf, out.parent), 'joint_names': joints, 'mount_link': sensor,
-        'tip_links': [tip], 'home': [0.0] * len(joints), 'contacts': _contacts(tip),
-        'armature': [GUESSED_ARMATURE] * len(joints)}
+        'urdf': os.path.relpath(urdf.resolve(), out.parent.resolve()), 'joint_names': joints,
+        'mount_link': sensor, 'tip_links': [tip], 'home': [0.0] * len(joints),
+        'contacts': _contacts(tip), 'armature': [GUESSED_ARMATURE] * len(joints)}
     if locked:
         values |= {'locked_joints': list(locked), 'locked_positions': list(locked.values())}
     missing: list[str] = []

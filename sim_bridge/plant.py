@@ -6,12 +6,12 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import require_shape, Vector
-from multicontact_control.config import ToolConfig, Vector3
+from multicontact_control.config import ToolConfig
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 import pinocchio as pin
-from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME, triple
+from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import act_on_arm, Contacts, HAND, Pushes
 from sim_bridge.drives import DRIVE, flexible_drives, joint_friction, RigidDrives
@@ -32,7 +32,6 @@ class Sample(NamedTuple):
     # True forces of robot on surface over the last substep, the one the sensor's reading belongs
     # to, and couples of edges and planes, shape (nc,) [N].
     contact_force: Vector
-    saturated: bool  # whether a torque was clipped
     # True force of a hand on the tool over the period that ended, world axes, shape (3,) [N]: the
     # sensor reads its opposite; it is not in `contact_force`.
     tool_push_world: Vector
@@ -77,7 +76,6 @@ class Plant:
         self.initial_torque: Vector = pin.rnea(
             self.model, self.model.createData(), self._home, still, still).copy()
         self.model.armature = np.array(self.description.armature)
-        self._native = config.contact == 'native'
         self._limit = np.array(config.torque_limit or self.description.torque_limit)
         self.arm = make_engine(config, self.description)
         self._hands: Any = np.zeros(2, dtype=HAND)
@@ -94,8 +92,7 @@ class Plant:
             self.description, config.joint_friction_scale, config.joint_friction_speed)
         if config.drives == 'flexible':
             self._drives = flexible_drives(
-                np.array(self.model.armature), np.array(config.drive_stiffness),
-                np.array(config.drive_damping), friction)
+                self.description.armature, config.drive_stiffness, config.drive_damping, friction)
         elif config.contact == 'compliant':  # otherwise the engine has the rotors
             self._rigid = RigidDrives(self.model, friction, config.substep)
         motor_side = config.drives == 'flexible' and config.joint_sensing == 'motor'
@@ -116,12 +113,10 @@ class Plant:
         self.contacts = Contacts(config, self.description, self.model, generators[1:])
         self._hands['force'] = 0.0
         self._wrist_push, self._tool_push = (Pushes(hand) for hand in self._hands)
-        for pushes, kind in ((self._wrist_push, 'push'), (self._tool_push, 'tool_push')):
-            start, duration, force = (
-                getattr(config, f'{kind}_{name}') for name in ('start', 'duration', 'force_world'))
-            for i, (begin, length) in enumerate(zip(start, duration)):
-                pushes.add(round(begin * self._rate), round((begin + length) * self._rate),
-                           force[3 * i:3 * i + 3])
+        for i, (begin, length) in enumerate(zip(config.push_start, config.push_duration)):
+            self._wrist_push.add(
+                round(begin * self._rate), round((begin + length) * self._rate),
+                config.push_force_world[3 * i:3 * i + 3])
         contacts = self.contacts
         acting = (
             self.arm.motion, self._torques, self._limit, chain_of(self.model), self._drives,
@@ -134,7 +129,7 @@ class Plant:
             self._drives['qd'] = 0.0
         self._sensor.read(self._static_wrench()[np.newaxis])
         self._motor[:] = self.initial_torque
-        return self._sample(False)
+        return self._sample()
 
     def step(self, torque: Vector) -> Sample:
         """
@@ -149,13 +144,7 @@ class Plant:
         self._tool_push.start_period(self._tick)
         self._sensor.read(np.array(self._advance()).reshape(-1, 6))
         self._tick += 1
-        return self._sample(self._motor.tolist() != torque.tolist())
-
-    @property
-    def tool_push_point(self) -> Vector3:
-        """Return where the tool is pushed, in the sensor's frame [m]."""
-        sensor = self.model.frames[self.model.getFrameId(SENSOR_FRAME)].placement
-        return triple(sensor.actInv(self._hands['local'][1]))
+        return self._sample()
 
     def scale_torque_limit(self, factor: float) -> None:
         """Multiply the torque limits of the drives, unknown to the controller."""
@@ -188,8 +177,8 @@ class Plant:
             if count:
                 arm.push(self._pushes.tolist()[:count])
             wrenches += arm.step(link_side)
-            if self._native:
-                self.contacts.pressed[:] = arm.native_forces()
+            if arm.native_forces is not None:
+                self.contacts.pressed[:] = arm.native_forces
         return wrenches
 
     def _static_wrench(self) -> Vector:
@@ -200,10 +189,10 @@ class Plant:
         carried = ToolConfig(mass=arm.carried_mass, com_sensor=arm.carried_com)
         return weight_reading(rotation, carried, np.array(self.config.gravity_world))
 
-    def _sample(self, saturated: bool) -> Sample:
+    def _sample(self) -> Sample:
         return Sample(
             self._q.copy(), self._qd.copy(), self._motor.copy(), self._sensor.reading.copy(),
-            self._sensor.filtered.copy(), self.contacts.alpha, saturated,
+            self._sensor.filtered.copy(), self.contacts.alpha,
             self._tool_push.force_world.copy())
 
 

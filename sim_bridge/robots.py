@@ -26,7 +26,7 @@ import numpy as np
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
 from sim_bridge.config import SurfaceConfig
 from sim_bridge.posture import frame_jacobian, frame_pose, limits_of
-from sim_bridge.robot_file import PlantVariant, RobotFile, WideConfig
+from sim_bridge.robot_file import RobotFile, WideConfig
 from sim_bridge.urdf_arm import read_arm
 
 FOLDER = 'robots'
@@ -81,7 +81,7 @@ class Robot:
         is on the side of the base on which the elbow is.
         """
         link = f'link{(len(self.arm.links) + 1) // 2}'
-        model, home = self.arm.model(), self._home()
+        model, home = self.arm.model(), np.array(self.plant_values('')['home'])
         torques = frame_jacobian(model, home, link)[:3] / self.arm.torque_limit
         axis = int(np.argmax(np.abs(torques[:2]).max(axis=1)))
         normal = np.zeros(3)
@@ -100,7 +100,7 @@ class Robot:
 
     def plant_values(self, name: str, contacts: Collection[str] = ()) -> dict[str, Any]:
         """Return the parameters of a plant of `plant_names`, with some of `wide_contacts`."""
-        variant = self._variant(name)
+        variant = self.file.plants[self.plant_name(name)]
         base = self._parameters(variant.file) if variant.file else self._derived_plant()
         values = merge(base, {**variant.plant, 'robot': self.name})
         for wide in contacts:
@@ -157,7 +157,7 @@ class Robot:
 
     def controller_special(self, plant: str) -> dict[str, Any]:
         """Return what the controller knows of a plant of `plant_names`; laid over a preset."""
-        variant = self._variant(plant)
+        variant = self.file.plants[self.plant_name(plant)]
         given = self._parameters(variant.controller_file) if variant.controller_file else {}
         return merge(given, variant.controller)
 
@@ -165,12 +165,6 @@ class Robot:
         """Return the folder that the controller's `robot.urdf` is relative to."""
         file = self.file.controller_file
         return (self._path(file) if file else _urdf_file(self.arm)).parent
-
-    def _home(self) -> Vector:
-        return np.array(self.plant_values('')['home'])
-
-    def _variant(self, name: str) -> PlantVariant:
-        return self.file.plants[self.plant_name(name)]
 
     def _path(self, name: str) -> Path:
         """Return a file that the robot's names: beside it, or in config/."""
@@ -266,15 +260,6 @@ def urdf_path(name: str, folder: Path) -> Path:
     if not path.is_file():
         raise ConfigError('urdf', 'a readable URDF file', path)
     return path
-
-
-def urdf_name(path: Path, folder: Path) -> str:
-    """Return how a URDF is named in a robot's file in a folder; the other way of `urdf_path`."""
-    for package in EXTRAS:
-        root = _package_folder(package)
-        if root is not None and path.resolve().is_relative_to(root.resolve()):
-            return f'{SCHEME}{package}/{path.resolve().relative_to(root.resolve()).as_posix()}'
-    return os.path.relpath(path.resolve(), folder.resolve())
 
 
 def has_urdf(robot: Robot) -> bool:

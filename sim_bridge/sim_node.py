@@ -110,7 +110,7 @@ class SimNode(Node):
         self._hold = PositionHold(self._plant.model)
         # Longest time to a command that is no miss [ns].
         self._period = np.inf if config.lockstep else NANOSECONDS / config.rate
-        self._saturated = self._misses = self._slips = self._timeouts = 0
+        self._misses = self._slips = self._timeouts = 0
         self._due = 0  # when the newest sample was due [ns]
         self._step_times = DurationLog()
         self._start = time.monotonic_ns()
@@ -162,14 +162,12 @@ class SimNode(Node):
         """Write the counts and times of this run, if asked to, and free the plant."""
         self._plant.close()
         self._config.write_counts({
-            'ticks': self._tick + 1, 'rate_hz': self._config.rate,
-            'lockstep': self._config.lockstep, 'deadline_misses': self._misses,
+            'ticks': self._tick + 1, 'deadline_misses': self._misses,
             'pace_slips': self._slips, 'command_timeouts': self._timeouts,
             'wall_s': self._wall * 1e-9,
             'latency_us': self._watch.latencies.percentiles(),
             'latency_histogram': histogram(self._watch.latencies.microseconds()),
-            'plant_us': self._step_times.percentiles(), 'saturated_ticks': self._saturated,
-            'refused': dict(self._refusals.counts)})
+            'plant_us': self._step_times.percentiles(), 'refused': dict(self._refusals.counts)})
 
     def _start_up(self, spinner: Spinner) -> None:
         """Publish sample 0 until it is answered; nothing moves before that."""
@@ -267,7 +265,6 @@ class SimNode(Node):
     def _advance(self, torque: Any) -> None:
         start = time.perf_counter_ns()
         self._sample = self._plant.step(torque)
-        self._saturated += self._sample.saturated
         self._step_times.add(time.perf_counter_ns() - start)
 
     def _spin_until(self, spinner: Spinner, deadline: int, *, answered: bool = False) -> None:
@@ -366,8 +363,7 @@ class SimNode(Node):
     def _statuses(self) -> list[Status]:
         wall = (time.monotonic_ns() - self._start) * 1e-9
         loop = {**self._watch.report(), 'ticks': self._tick + 1, 'pace_slips': self._slips,
-                'command_timeouts': self._timeouts, 'saturated_ticks': self._saturated,
-                'lockstep': self._config.lockstep,
+                'command_timeouts': self._timeouts, 'lockstep': self._config.lockstep,
                 'realtime_factor': round(self._tick / self._config.rate / wall, 3)}
         missed = loop['deadline_misses']
         forces = zip(self._plant.contact_names, self._sample.contact_force.tolist())

@@ -36,11 +36,7 @@ SURFACE = np.dtype([
     ('velocity', np.float64),  # largest, along its normal, away from the robot [m/s]
     ('motion_start', np.float64),  # [s]
     ('motion_period', np.float64),  # 0 for a constant velocity [s]
-    ('mass', np.float64),  # of what gives way on a spring, 0 for nothing [kg]
-    ('mount_stiffness', np.float64),  # of that spring [N/m]
-    ('mount_damping', np.float64),  # [N s/m]
     ('time', np.float64),  # of a surface that moves [s]
-    ('given_way', np.float64),  # along the normal [m]
     ('speed', np.float64),  # now, along its normal, away from the robot [m/s]
     ('facing', np.float64, 3),  # unit normal INTO the surface where the tip is
     ('point', np.float64, 3),  # where the tip is [m]
@@ -68,7 +64,7 @@ def build_surfaces(
         record['place'], record['normal'] = config.point_world, config.normal_world
         record['track'] = track_direction(record['normal'])
         for name in ('stiffness', 'damping', 'friction', 'slip_speed', 'velocity', 'motion_start',
-                     'motion_period', 'mass', 'mount_stiffness', 'mount_damping', 'radius'):
+                     'motion_period', 'radius'):
             record[name] = getattr(config, name)
         record['spacing'] = spacing
         record['ball'], record['facing'] = config.shape == 'sphere', record['normal']
@@ -106,18 +102,12 @@ def track_direction(normal_world: Vector) -> Vector:
 
 @compiled
 def move(surface: Any, step: float) -> None:
-    """Let a surface move, or give way to what presses on it, for a step [s]."""
-    if surface.mass > 0.0:  # a body on a spring, by semi-implicit Euler
-        force = (surface.alpha - surface.mount_stiffness * surface.given_way
-                 - surface.mount_damping * surface.speed)
-        surface.speed += step * force / surface.mass
-        surface.given_way += step * surface.speed
-    else:
-        surface.time += step
-        time = surface.time - surface.motion_start
-        surface.speed = 0.0 if time <= 0.0 else surface.velocity
-        if surface.motion_period > 0.0:
-            surface.speed *= np.sin(2.0 * np.pi * time / surface.motion_period)
+    """Let a surface move for a step [s]."""
+    surface.time += step
+    time = surface.time - surface.motion_start
+    surface.speed = 0.0 if time <= 0.0 else surface.velocity
+    if surface.motion_period > 0.0:
+        surface.speed *= np.sin(2.0 * np.pi * time / surface.motion_period)
     distance = surface.speed * step
     for i in range(3):
         surface.place[i] += distance * surface.normal[i]

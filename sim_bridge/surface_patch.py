@@ -87,7 +87,7 @@ class SurfaceMarkers:
         surfaces = [config.surfaces[name] for name in config.drawn.values()]
         self._numbers = [config.met.index(name) for name in config.drawn.values()]
         self._every = max(1, round(rate / RATE))
-        self._moving = any(surface.moves for surface in surfaces)
+        self._moving = any(surface.velocity for surface in surfaces)
         self._message = MarkerArray()
         for number, (name, surface) in enumerate(zip(config.drawn, surfaces)):
             patch = patch_of(surface)

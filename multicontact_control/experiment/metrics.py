@@ -151,9 +151,7 @@ class RunMetrics:
 
     def next_event(self, time: float) -> float:
         """Return when the next push, or force step or motion of the scenario, begins [s]."""
-        plant, events = self.setup.plant, []
-        if self.setup.simulated:
-            events += [*plant.push_start, *plant.tool_push_start]
+        events = list(self.setup.plant.push_start) if self.setup.simulated else []
         if not self.setup.commanded_by_topic:
             events += [self.motion_start, *(
                 step.time for step in self.setup.scenario.reference.force_steps)]

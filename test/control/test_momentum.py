@@ -45,12 +45,12 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
     arm.joints['threshold'] = 1.0
     plant = Plant(plant_config(
         'rigid', surfaces=FAR, substep=2.5e-4, push_start=[0.5], push_duration=[9.0],
-        push_force_world=PUSH.tolist(), tool_push_start=[0.0], tool_push_duration=[9.0],
-        tool_push_force_world=TOOL_PUSH.tolist(), sensor={'noise': False, 'quantise': False}),
+        push_force_world=PUSH.tolist(), sensor={'noise': False, 'quantise': False}),
         rate=1.0 / H, seed=0)
     rows, tip = [], plant.model.getFrameId('tip_board')
     try:
         sample = plant.reset()
+        plant.push(TOOL_PUSH, 9.0, tool=True)
         for k in range(500):
             controls['wrench'], arm.joints['effort'] = sample.wrench, sample.effort
             controls['momentum']['elapsed'] = H if k else 0.0

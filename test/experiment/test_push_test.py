@@ -1,11 +1,14 @@
 """The push test of the simulated arm, whose sensor is mounted wrongly."""
 
+import itertools
+
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.sensor.push_test import PushTestConfig
 from multicontact_control.sensor.tool import TareConfig
 import numpy as np
 import pytest
+from sim_bridge.arm import SENSOR_FRAME
 
 CONFIG = PushTestConfig(settle_time=0.2, hold_time=0.2)
 LENGTH, GAP = CONFIG.settle_time + CONFIG.hold_time + 0.2, 0.8  # s, of a push and between two
@@ -18,12 +21,10 @@ LENGTH, GAP = CONFIG.settle_time + CONFIG.hold_time + 0.2, 0.8  # s, of a push a
     ('puma', [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], "rotated by -90 deg about the sensor's z")])
 def test_push_test_names_the_fault_of_the_mounting(plant, mounting, verdict):
     """Tared first, so that nothing is wrong at rest."""
-    count = len(CONFIG.directions)
+    pushes = dict(zip((500 + round(500 * i * (LENGTH + GAP)) for i in itertools.count()),
+                      CONFIG.force * CONFIG.directions_world))
     loop = ClosedLoop(resolve('quick', plant=plant, plant_overrides={
-        'sensor': {'mounting': np.ravel(mounting).tolist(), 'bias': [3.0, -2.0, 4.0, 0, 0.1, 0]},
-        'tool_push_start': [1.0 + i * (LENGTH + GAP) for i in range(count)],
-        'tool_push_duration': [LENGTH] * count,
-        'tool_push_force_world': (CONFIG.force * CONFIG.directions_world).ravel().tolist()},
+        'sensor': {'mounting': np.ravel(mounting).tolist(), 'bias': [3.0, -2.0, 4.0, 0, 0.1, 0]}},
         controller={'sensor': {'require_push_test': True}}))
     control, gate = loop.control, loop.control.push_gate
     for _ in range(150):
@@ -31,8 +32,15 @@ def test_push_test_names_the_fault_of_the_mounting(plant, mounting, verdict):
     tool = control.config.tool.model_copy(
         update={'bias_sensor': tuple(control.tare(TareConfig()).tolist())})
     control.supervisor.reconfigure(control.config.model_copy(update={'tool': tool}))
-    control.push_test(CONFIG, loop.plant.tool_push_point)
-    while gate.result is None:
+    model = loop.plant.model
+    sensor, tip = (model.frames[model.getFrameId(name)].placement for name in (
+        SENSOR_FRAME, loop.plant.config.tool_push_link))
+    control.push_test(CONFIG, tuple(sensor.actInv(tip).translation))
+    for tick in itertools.count(150):
+        if gate.result is not None:
+            break
+        if tick in pushes:
+            loop.plant.push(pushes[tick], LENGTH, tool=True)
         loop.advance()
     loop.close()
     assert verdict in gate.result.message

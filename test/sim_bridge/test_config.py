@@ -12,7 +12,6 @@ import pytest
     ({'sensor': {'mounting': [1.0]}}, 'sensor.mounting'),
     ({'surfaces': {'table': {'normal_world': [0.0, 0.0, -1.1]}}}, 'surfaces.table.normal_world'),
     ({'surfaces': {'table': {'stifness': 1.0}}}, 'surfaces.table.stifness'),
-    ({'surfaces': {'table': {'mass': 0.01}}}, 'surfaces.table.mass'),
     ({'surfaces': {'table': {'shape': 'sphere'}}}, 'surfaces.table.radius'),
     ({'home': [0.0, 0.0, 'nan', 0.0, 0.0, 0.0]}, 'home.2'),
     ({'contact': 'native'}, 'contact'),
