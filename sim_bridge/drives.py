@@ -123,23 +123,14 @@ class PositionHold:
 
     def __init__(self, model: pin.Model) -> None:
         self._model, self._data = model, model.createData()  # tool and rotors included
-        self._posture: Vector | None = None
-
-    @property
-    def holding(self) -> bool:
-        """Whether it is at work."""
-        return self._posture is not None
-
-    def end(self) -> None:
-        """Let go: the next torque begins anew."""
-        self._posture = None
+        self.posture: Vector | None = None  # that is held [rad]; None takes the next one
 
     def torque(self, q: Vector, qd: Vector) -> Vector:
-        """Return the torque that holds the posture in which it was first asked for, (n,) [N m]."""
-        if self._posture is None:
-            self._posture = q.copy()
+        """Return the torque that holds the posture, shape (n,) [N m]."""
+        if self.posture is None:
+            self.posture = q.copy()
         w = HOLD_FREQUENCY
-        acceleration = w * w * (self._posture - q) - 2.0 * w * qd
+        acceleration = w * w * (self.posture - q) - 2.0 * w * qd
         still = np.zeros_like(q)
         gravity = pin.rnea(self._model, self._data, q, still, still)
         torque: Vector = mass_matrix(self._model, self._data, q) @ acceleration + gravity

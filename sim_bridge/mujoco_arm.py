@@ -34,10 +34,13 @@ class MujocoArm(EngineArm):
         native = config.contact == 'native'
         self._planes = _planes(arm, config) if native else []
         self._model = mujoco.MjModel.from_xml_string(mjcf_text(arm, config, self._planes))
-        self._set_inertias(arm)
+        names = [*(f'link{i + 1}' for i in range(len(arm.links))), SENSOR_FRAME, TOOL_LINK]
+        for name, body in zip(names, arm.bodies, strict=True):
+            # The compiler refuses those that break the triangle inequality.
+            self._model.body(name).inertia[:] = body.inertia
+        mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
         self._data = mujoco.MjData(self._model)
-        self._bodies = [self._model.body(name).id for name in (
-            *(f'link{i + 1}' for i in range(len(arm.links))), TOOL_LINK)]
+        self._bodies = [self._model.body(name).id for name in names if name != SENSOR_FRAME]
         if native:
             # Rotors that are not behind springs, which the engine then carries itself.
             self._model.dof_armature[:] = np.array(arm.armature) * (config.drives == 'rigid')
@@ -81,13 +84,6 @@ class MujocoArm(EngineArm):
             mujoco.mj_contactForce(self._model, self._data, i, self._touch)
             plane = self._model.geom(int(contact.geom[0])).name
             forces[int(plane.removeprefix('plane'))] += self._touch[0]
-
-    def _set_inertias(self, arm: Arm) -> None:
-        """Set the true inertias: the compiler refuses those that break the triangle inequality."""
-        names = [*(f'link{i + 1}' for i in range(len(arm.links))), SENSOR_FRAME, TOOL_LINK]
-        for name, body in zip(names, arm.bodies, strict=True):
-            self._model.body(name).inertia[:] = body.inertia
-        mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
 
     def _set_springs(self) -> None:
         """

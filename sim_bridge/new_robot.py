@@ -73,7 +73,8 @@ def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:
                    'contacts': _contacts(tip)}
         arm = read_arm(urdf, RobotFile(**values))
     load_model(text, locked, suspicious)
-    limits = {name: _own_limits(arm, name) for name in GUESSED_LIMITS}
+    limits = {name: [value if 0.0 < (value := getattr(link, name)) < LARGEST_LIMIT else math.nan
+                     for link in arm.links] for name in GUESSED_LIMITS}
     suspicious += check_torques(arm.model(), np.array(limits['torque_limit']))
     home = _home(arm, np.array(arm.tips[tip]))
     if home is None:
@@ -170,12 +171,6 @@ def _home(arm: Arm, tip: Vector) -> Vector | None:
         if best < GOOD_CONDITION:
             break
     return home
-
-
-def _own_limits(arm: Arm, name: str) -> list[float]:
-    """Return a limit of each joint, nan where the URDF has none."""
-    values = [float(getattr(link, name)) for link in arm.links]
-    return [value if 0.0 < value < LARGEST_LIMIT else math.nan for value in values]
 
 
 def _text(

@@ -56,8 +56,6 @@ class WideConfig(Config):
     tips: tuple[str, ...] = parameter(
         ..., 'Tips of the tool at both ends of the edge, or at the corners of the face, one after '
         'another in the sense of a screw that goes into the surface.')
-    friction_std: Real = parameter(
-        3.0, 'Friction that the controller allows for.', unit='N', ge=0.0)
 
 
 class PlantVariant(Config):

@@ -40,6 +40,7 @@ OF_THE_ARM = ('robot', 'tool', 'contacts', 'contact_names', 'torque_limit', 'fri
 EDGE = ((-1.0, 0.0), (1.0, 0.0))
 FACE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
 RANGE_OF_CONTINUOUS = 1e3  # rad, which no run gets to
+WIDE_FRICTION = 3.0  # N, that the controller allows for at an edge or face
 TORQUE_RATE_SHARE = 0.4  # of the torque limit in one period
 WORKSPACE = ((-0.6, -0.45, -0.4), (0.6, 0.4, 0.6))  # m, around the operational point at home
 
@@ -88,18 +89,13 @@ class Robot:
         normal[axis] = np.sign(frame_pose(model, home, link).translation[axis]) or 1.0
         return link, normal
 
-    @property
-    def plant_names(self) -> tuple[str, ...]:
-        """Return the ways to simulate it."""
-        return tuple(self.file.plants)
-
     def plant_name(self, name: str) -> str:
         """Return the name of a plant, the default one for none, aliases resolved, '' if none."""
         name = self.file.plant_aliases.get(name, name) or self.file.default_plant
         return name if name in self.file.plants else ''
 
     def plant_values(self, name: str, contacts: Collection[str] = ()) -> dict[str, Any]:
-        """Return the parameters of a plant of `plant_names`, with some of `wide_contacts`."""
+        """Return the parameters of a plant, with some of `wide_contacts`."""
         variant = self.file.plants[self.plant_name(name)]
         base = self._parameters(variant.file) if variant.file else self._derived_plant()
         values = merge(base, {**variant.plant, 'robot': self.name})
@@ -144,7 +140,7 @@ class Robot:
                 'half_length': float(0.5 * length), **size,
                 # It touches at its ends alone, unlike an edge that is stiff everywhere.
                 'couple_stiffness': like.get('stiffness', 6000.0),
-                'friction_std': wide.friction_std}
+                'friction_std': WIDE_FRICTION}
 
     def _wide(self, name: str, contacts: Mapping[str, Any]) -> WideConfig:
         wide = self.file.wide_contacts[name]
@@ -156,7 +152,7 @@ class Robot:
         return wide
 
     def controller_special(self, plant: str) -> dict[str, Any]:
-        """Return what the controller knows of a plant of `plant_names`; laid over a preset."""
+        """Return what the controller knows of a plant; laid over a preset."""
         variant = self.file.plants[self.plant_name(plant)]
         given = self._parameters(variant.controller_file) if variant.controller_file else {}
         return merge(given, variant.controller)

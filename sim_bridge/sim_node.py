@@ -226,9 +226,9 @@ class SimNode(Node):
     def _watched(self, torque: Vector) -> Vector:
         """Return the torque that acts: the commanded one, or what the drives do without."""
         if self._tick - self._commanded <= COMMAND_TIMEOUT * self._config.rate:
-            self._hold.end()
+            self._hold.posture = None
             return torque
-        self._timeouts += not self._hold.holding
+        self._timeouts += self._hold.posture is None
         return self._hold.torque(self._sample.q, self._sample.qd)
 
     def _run_lockstep(self, spinner: Spinner) -> None:
@@ -371,8 +371,8 @@ class SimNode(Node):
             Status('loop', loop, warning=f'{missed} deadlines missed' if missed else ''),
             self._inputs.status(
                 needed=self._tick > 0,
-                consequence=': the drives hold their position' if self._hold.holding
-                else ': the last torque is held'),
+                consequence=': the last torque is held' if self._hold.posture is None
+                else ': the drives hold their position'),
             Status('contacts', {
                 name: f'touching with {force:.4g} N' if force > 0.0 else 'free'
                 for name, force in forces}),

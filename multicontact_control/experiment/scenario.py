@@ -180,7 +180,7 @@ def plant_source(name: str = '', robot: str = '') -> PlantSource:
     first, slash, last = name.rpartition('/')
     if slash and not robot:
         return plant_source(last, first)
-    raise ConfigError('plant', f'one of {", ".join(chosen.plant_names)}, or a path', f"'{name}'")
+    raise ConfigError('plant', f'one of {", ".join(chosen.file.plants)}, or a path', f"'{name}'")
 
 
 def preset_values(name: str) -> dict[str, dict[str, Any]]:

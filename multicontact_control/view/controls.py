@@ -134,12 +134,12 @@ class Controls:
     def _add_motion(self) -> None:
         gui = self._gui
         drag = gui.add_checkbox('drag', False, hint='shows a handle at the operational point')
-        drag.on_update(lambda event: self._scene_view.show_handle(event.target.value))
 
         def dragged(position: Vector) -> None:
             self._requests.add(drag, source.GO_TO, position=position.tolist())
 
-        self._scene_view.add_handle(dragged)
+        handle = self._scene_view.add_handle(dragged)
+        drag.on_update(lambda event: setattr(handle, 'visible', event.target.value))
         step = gui.add_slider('jog step [mm]', min=1, max=50, step=1, initial_value=10)
         self._axes('jog', source.JOG, lambda direction: {
             'offset': [1e-3 * step.value * x for x in direction]})

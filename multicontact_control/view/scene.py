@@ -106,8 +106,8 @@ class SceneView:
             font_screen_scale=1.0) for name, level in zip(names, levels)]
         self._colours: list[tuple[int, int, int] | None] = [None] * len(names)
 
-    def add_handle(self, on_drag: Callable[[Vector], None]) -> None:
-        """Let the operational point be dragged; `on_drag` is called with where to [m]."""
+    def add_handle(self, on_drag: Callable[[Vector], None]) -> Any:
+        """Return a hidden handle of the operational point; `on_drag` takes where it goes [m]."""
         self._handle = self._api.add_transform_controls(
             '/handle', scale=0.16, disable_rotations=True, disable_sliders=True, depth_test=False,
             opacity=0.9, visible=False)
@@ -118,16 +118,12 @@ class SceneView:
                 on_drag(np.array(event.target.position))
 
         self._handle.on_update(moved)
+        return self._handle
 
     def _let_go(self, client: Any) -> None:
         """End the drag of a browser that has left."""
         if client.client_id == self._dragged_by:
             self._dragged_by = None
-
-    def show_handle(self, on: bool) -> None:
-        """Show that handle, or hide it."""
-        if self._handle is not None:
-            self._handle.visible = on
 
     def show(self, snapshot: Snapshot, *, labels: bool = True) -> None:
         """Draw a snapshot; the labels only now and then."""

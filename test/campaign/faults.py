@@ -53,7 +53,7 @@ def main(arguments=None):
     """Run the campaign; return the exit code."""
     parser = argparse.ArgumentParser(prog='make campaign', description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--plants', nargs='+', default=find_robot(DEFAULT).plant_names,
+    parser.add_argument('--plants', nargs='+', default=[*find_robot(DEFAULT).file.plants],
                         help='default: %(default)s')
     parser.add_argument('--seed', type=int, default=0, help='of plants and faults')
     parser.add_argument('--count', type=int, help='so many faults of each plant; all by default')

@@ -181,7 +181,7 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(prog='make soak', description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--hours', type=float, default=1.0, help='of all seeds (%(default)s)')
-    parser.add_argument('--plants', nargs='+', default=find_robot(DEFAULT).plant_names,
+    parser.add_argument('--plants', nargs='+', default=[*find_robot(DEFAULT).file.plants],
                         help='default: %(default)s')
     parser.add_argument('--seed', type=int, default=0, help='the first')
     parser.add_argument('--out', type=Path, default=Path('runs/soak.jsonl'), help='%(default)s')
