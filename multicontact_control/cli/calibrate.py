@@ -60,5 +60,5 @@ def push_test(
     """
     from multicontact_control.experiment.push_test import push_running
 
-    if not push_running(typer.echo, namespace=namespace or '', domain_id=domain_id):
+    if not push_running(typer.echo, namespace or '', domain_id):
         raise typer.Exit(options.EXIT_FAILED)

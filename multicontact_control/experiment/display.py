@@ -19,7 +19,7 @@ from multicontact_control.experiment.judge import (
     verdict_text,
 )
 from multicontact_control.experiment.metrics import truth_lacking
-from multicontact_control.experiment.terminal import CountBar, moving_bar
+from multicontact_control.experiment.terminal import moving_bar
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import (
@@ -77,8 +77,8 @@ def count_bar(console: Console | None = None) -> Progress:
     """Return the bar of a study: what is done, for how long, and how long it will take."""
     return moving_bar(
         TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        TextColumn('left'), TimeRemainingColumn(), console=console, kind=CountBar,
-        refresh_per_second=2, speed_estimate_period=7200.0)
+        TextColumn('left'), TimeRemainingColumn(), console=console, refresh_per_second=2,
+        speed_estimate_period=7200.0)
 
 
 def headline(summary: Mapping[str, Any]) -> str:

@@ -11,7 +11,7 @@ import os
 from typing import Any
 
 from rich.console import Console
-from rich.progress import Progress, ProgressColumn, TaskID
+from rich.progress import Progress, ProgressColumn
 
 
 def terminal(*, stderr: bool = False) -> Console:
@@ -20,26 +20,9 @@ def terminal(*, stderr: bool = False) -> Console:
 
 
 def moving_bar(
-    *columns: ProgressColumn, console: Console | None = None, kind: type[Progress] = Progress,
-    **options: Any,
+    *columns: ProgressColumn, console: Console | None = None, **options: Any,
 ) -> Progress:
     """Return a bar of some columns, shown where text can move."""
     console = console or terminal()
     lively = console.is_terminal and not console.is_dumb_terminal and not console.no_color
-    return kind(*columns, console=console, disable=not lively, **options)
-
-
-class CountBar(Progress):
-    """A bar that counts; where it is not shown, a line has the state once a minute."""
-
-    interval = 60.0  # s
-    _printed = 0.0
-
-    def advance(self, task_id: TaskID, advance: float = 1) -> None:
-        """Count on, and print the line when its time has come."""
-        self.update(task_id, advance=advance)
-        task, now = self._tasks[task_id], self.get_time()
-        if self.disable and now - (self._printed or task.start_time or now) >= self.interval:
-            self._printed = now
-            self.console.print(f'{task.description}: {task.completed:.0f} of {task.total:.0f}',
-                               highlight=False, markup=False, soft_wrap=True)
+    return Progress(*columns, console=console, disable=not lively, **options)
