@@ -5,22 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from multicontact_control.errors import ConfigError
 import typer
 
 
 def design(
     law: Annotated[str, typer.Argument(
         metavar='LAW', help='aob, pi, dob, lqg, admittance, impedance or feedforward.')],
-    stiffness: Annotated[str, typer.Option(
-        help='Softest and stiffest surface [N/m], with a comma between.')] = '1000,10000',
+    stiffness: Annotated[tuple[float, float], typer.Option(
+        metavar='SOFTEST STIFFEST', help='Range of the surfaces [N/m].')] = (1000.0, 10000.0),
     input_delay: Annotated[float, typer.Option(
         help='T_d, from commanded to acting input [s].')] = 0.006,
     noise: Annotated[float, typer.Option(
         help='R, the variance of the force noise, for which aob and lqg are designed '
         '[N^2].')] = 0.6,
     damping_rate: Annotated[float, typer.Option(help='K_2 [1/s].')] = 100.0,
-    rate: Annotated[float, typer.Option(help='Control rate [Hz].')] = 500.0,
+    rate: Annotated[float, typer.Option(help='Control rate [Hz].', min=1.0)] = 500.0,
     out: Annotated[Path | None, typer.Option(
         help='Parameter file to write, for --preset.')] = None,
 ) -> None:
@@ -31,13 +30,6 @@ def design(
     period on the stiffest one, on the linear model of the contact (P04 eq. 32). The file has the
     gains only: the stiffness of the model is printed as a --set option.
     """
-    try:
-        softest, stiffest = map(float, stiffness.split(','))
-    except ValueError:
-        raise ConfigError(
-            'stiffness', 'two numbers with a comma between', f"'{stiffness}'") from None
-    if not rate > 0.0:
-        raise ConfigError('rate', 'a positive number', rate)
     from multicontact_control.experiment.law_report import (
         design_for_range,
         show_design,
@@ -45,7 +37,7 @@ def design(
     )
 
     result = design_for_range(
-        law, input_delay=input_delay, softest=softest, stiffest=stiffest,
+        law, input_delay=input_delay, softest=stiffness[0], stiffest=stiffness[1],
         noise_variance=noise, damping_rate=damping_rate, period=1.0 / rate)
     typer.echo(show_design(result))
     if out is not None:

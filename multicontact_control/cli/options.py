@@ -17,25 +17,12 @@ if TYPE_CHECKING:
     from multicontact_control.experiment.scenario import External, Setup
 
 EXIT_FAILED, EXIT_USAGE, EXIT_SIGNAL = 1, 2, 128  # and the number of the signal
+SHORT = {'noise_estimator': 'noise_estimator.estimator', 'law': 'controller.force.law',
+         'engine': 'plant.engine'}  # options that set one value of a file
 
-Scenario = Annotated[str, typer.Option(
-    help='Scenario: a name from config/scenarios (paper, quick) or a YAML file.')]
 Robot = Annotated[str, typer.Option(
     help='Robot: a name from config/robots (puma, panda, iiwa, ur5, kinova) or a YAML file; '
          'puma if not given.')]
-Plant = Annotated[str, typer.Option(
-    help='How the robot is simulated: rigid (ideal drives), flexible (drives with springs and '
-         "friction), ROBOT/PLANT, or a parameter file; the robot's default if not given.")]
-Engine = Annotated[str, typer.Option(
-    help='Physics engine: pybullet or mujoco (extra [mujoco]); the configured one, pybullet, if '
-         'not given.')]
-Seed = Annotated[int, typer.Option(help='Seed of sensor noise and surface roughness.')]
-Preset = Annotated[str, typer.Option(
-    help='Parameters laid over the files of controller and noise estimator: paper (as '
-         'published), best, adaptive (best, with stiffness found on-line), or a file.')]
-Settings = Annotated[list[str] | None, typer.Option(
-    '--set', metavar='KEY=VALUE', help='A value laid over all files, in SI units, e.g. '
-    'plant.surfaces.*.stiffness=60000; may be repeated.')]
 ControllerFiles = Annotated[list[Path] | None, typer.Option(
     '--controller', metavar='FILE', help='Parameter file of your controller; may be repeated, '
     'each laid over those before. A relative URDF is looked for beside its file.')]
@@ -51,16 +38,27 @@ class SetupOptions:
     """Options of `run`, `simulate` and `view`: what is simulated."""
 
     robot: Robot = ''
-    plant: Plant = ''
-    seed: Seed = 0
-    scenario: Scenario = 'paper'
-    preset: Preset = 'best'
-    settings: Settings = None
-    engine: Engine = ''
+    plant: Annotated[str, typer.Option(
+        help='How the robot is simulated: rigid (ideal drives), flexible (drives with springs '
+        "and friction), ROBOT/PLANT, or a parameter file; the robot's default if not given.",
+        )] = ''
+    seed: Annotated[int, typer.Option(help='Seed of sensor noise and surface roughness.')] = 0
+    scenario: Annotated[str, typer.Option(
+        help='Scenario: a name from config/scenarios (paper, quick) or a YAML file.')] = 'paper'
+    preset: Annotated[str, typer.Option(
+        help='Parameters laid over the files of controller and noise estimator: paper (as '
+        'published), best, adaptive (best, with stiffness found on-line), or a file.')] = 'best'
+    settings: Annotated[list[str] | None, typer.Option(
+        '--set', metavar='KEY=VALUE', help='A value laid over all files, in SI units, e.g. '
+        'plant.surfaces.*.stiffness=60000; may be repeated.')] = None
+    engine: Annotated[str, typer.Option(
+        help='Physics engine: pybullet or mujoco (extra [mujoco]); the configured one, pybullet, '
+        'if not given.')] = ''
 
     def values(self) -> list[str]:
         """Return all that is laid over the files, as for ``--set``."""
-        return [*([f'plant.engine={self.engine}'] if self.engine else []), *(self.settings or ())]
+        return [*(f'{key}={value}' for name, key in SHORT.items()
+                  if (value := getattr(self, name, ''))), *(self.settings or ())]
 
     def setup(self, **more: Any) -> Setup:
         """Return the configuration, checked; ConfigError."""
@@ -91,11 +89,6 @@ class RunOptions(SetupOptions):
     bare: Annotated[bool, typer.Option(
         '--bare', help='The control law alone, without the contact states, checks, limits and '
         'gate of the supervisor.')] = False
-
-    def values(self) -> list[str]:
-        """Return all that is laid over the files, as for ``--set``."""
-        return [*([f'noise_estimator.estimator={x}'] if (x := self.noise_estimator) else []),
-                *([f'controller.force.law={self.law}'] if self.law else []), *super().values()]
 
     def setup(self, **more: Any) -> Setup:
         """Return the configuration, checked; ConfigError."""

@@ -99,6 +99,6 @@ def _plain(value: Any) -> Any:
         return {name: _plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
     if hasattr(value, 'tolist'):  # of numpy, or an array
         return value.tolist()
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, list):
         return [_plain(item) for item in value]
     return value.decode('latin-1') if isinstance(value, bytes) else value

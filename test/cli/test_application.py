@@ -23,7 +23,7 @@ from ros_graph import ROOT
     (('run', '--controller', 'x'), '--controller: expected nothing with a simulated plant'),
     (('calibrate', '--from-bag', 'x'), '--controller: expected the parameter file'),
     (('calibrate', '--from-bag', 'x', '--tilt', '30'), '--tilt: expected nothing with --from-bag'),
-    (('design', 'pi', '--stiffness', '9'), 'stiffness: expected two numbers')])
+    (('design', 'pi', '--stiffness', '9', '1'), 'stiffness: expected softest and stiffest')])
 def test_bad_input_exits_with_two_and_one_line(multicontact, tmp_path, arguments, message):
     done = multicontact(*arguments, cwd=tmp_path)
     assert done.returncode == 2
