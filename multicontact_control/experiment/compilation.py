@@ -18,7 +18,6 @@ import sys
 
 from llvmlite import binding as llvm
 from multicontact_control.compiled import cache_folder, compiled_here
-from multicontact_control.experiment.terminal import terminal
 import numpy as np
 from rich.console import Console
 
@@ -38,7 +37,7 @@ def ensure_compiled(console: Console | None = None) -> int:
     folder = cache_folder()
     if folder is not None and _marker(folder).is_file():
         return 0
-    console = console or terminal(stderr=True)
+    console = console or Console(stderr=True)
     if folder is None:
         console.print(NO_FOLDER, style='yellow', highlight=False, soft_wrap=True)
         return 0

@@ -19,13 +19,13 @@ from multicontact_control.experiment.judge import (
     verdict_text,
 )
 from multicontact_control.experiment.metrics import truth_lacking
-from multicontact_control.experiment.terminal import moving_bar
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    ProgressColumn,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
@@ -47,6 +47,13 @@ NUMBERS = (
 
 # Takes the time into a run [s], the measured forces [N] by contact, and the real-time factor.
 ShowProgress = Callable[..., None]
+
+
+def moving_bar(*columns: ProgressColumn, console: Console | None, **options: Any) -> Progress:
+    """Return a bar of some columns, shown where text can move: not in a file or a pipe."""
+    console = console or Console()
+    lively = console.is_terminal and not console.is_dumb_terminal and not console.no_color
+    return Progress(*columns, console=console, disable=not lively, **options)
 
 
 @contextmanager

@@ -31,7 +31,6 @@ from multicontact_control.experiment.results import (
     SUMMARY_FILE,
 )
 from multicontact_control.experiment.scenario import dotted, External, Setup
-from multicontact_control.experiment.terminal import terminal
 from multicontact_control.files import finite, write_json
 from rich.console import Console
 
@@ -55,7 +54,7 @@ def run_simulate(
     They are the series, ``summary.json``, whose content is returned, figures and configuration.
     Without supervision there are no contact states, watchdogs and limits around the control law.
     """
-    console = console or terminal()
+    console = console or Console()
     refuse_push_test(setup)
     ensure_compiled(console)
     setup.write(folder / CONFIG_FOLDER)
@@ -95,7 +94,7 @@ def run_on_graph(
     """
     from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
 
-    console, config = console or terminal(), folder / CONFIG_FOLDER
+    console, config = console or Console(), folder / CONFIG_FOLDER
     if external is None or not setup.commanded_by_topic:
         refuse_push_test(setup)
     parameters: Mapping[str, Any] = {'patience': SIMULATION_PATIENCE}

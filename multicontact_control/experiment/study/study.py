@@ -33,7 +33,6 @@ from multicontact_control.experiment.study.table import (
     terminal_tables,
     worst,
 )
-from multicontact_control.experiment.terminal import terminal
 from multicontact_control.files import replacing, write_json
 import pandas as pd
 from rich.console import Console
@@ -169,7 +168,7 @@ def run_study(
     Dask cluster at the address `dask`. ConfigError if the study is not acceptable, before anything
     is run; RunError if a worker dies: what is finished is kept.
     """
-    console, name = console or terminal(), study.config.name
+    console, name = console or Console(), study.config.name
     cells, folder = study.cells(), out or Path('runs') / name
     keys = {cell.key for cell in cells}
     with dask_client(dask) as client:
