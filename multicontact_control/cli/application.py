@@ -53,8 +53,7 @@ def compile_kernels() -> None:
     """
     Compile the numerical kernels now, in half a minute, instead of at the first run.
 
-    `make setup` calls this; every command compiles what is missing or outdated. NUMBA_CACHE_DIR
-    names the folder that keeps the kernels.
+    NUMBA_CACHE_DIR names the folder that keeps them.
     """
     from multicontact_control.experiment.compilation import ensure_compiled
 
@@ -70,16 +69,15 @@ class Command(TyperCommand):
             return super().invoke(ctx)
         except MulticontactError as error:
             typer.echo(f'multicontact: {error}', err=True)
-            usage = isinstance(error, ConfigError)
-            raise typer.Exit(EXIT_USAGE if usage else EXIT_FAILED) from None
+            raise typer.Exit(
+                EXIT_USAGE if isinstance(error, ConfigError) else EXIT_FAILED) from None
 
 
 for function in COMMANDS:
     app.command(cls=Command)(flattened(function))
 app.command('compile', cls=Command, hidden=True)(compile_kernels)
-topic = typer.Typer(
-    help='List or print the topics of a running graph.', no_args_is_help=True,
-    rich_markup_mode=None)
+topic = typer.Typer(help='List or print the topics of a running graph.', no_args_is_help=True,
+                    rich_markup_mode=None)
 topic.command('list', cls=Command)(list_topics)
 topic.command('echo', cls=Command)(echo)
 app.add_typer(topic, name='topic')

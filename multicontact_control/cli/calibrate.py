@@ -7,10 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from multicontact_control.cli import options
-from multicontact_control.errors import ConfigError
 import typer
-
-RUNNING = ('tilt', 'move_time', 'domain_id')
 
 
 def calibrate(
@@ -23,9 +20,8 @@ def calibrate(
     move_time: Annotated[float, typer.Option(
         help='Time from pose to pose [s].', min=0.1)] = 3.0,
     domain_id: options.DomainId = None, namespace: options.Namespace = None,
-    out: Annotated[Path, typer.Option(help='Folder for tool.yaml.')] = Path('.'),
-    overwrite: Annotated[bool, typer.Option(
-        '--overwrite', help='Replace the tool.yaml in that folder.')] = False,
+    out: Annotated[Path, typer.Option(
+        help='Folder for tool.yaml, which is replaced.')] = Path('.'),
 ) -> None:
     """
     Weigh the tool, and find the bias of the wrist sensor.
@@ -35,18 +31,16 @@ def calibrate(
     """
     from multicontact_control.experiment import weighing
 
-    if from_bag is not None:
-        options.refuse_options(context, RUNNING, '--from-bag')
-    target = out / weighing.TOOL_FILE
-    if target.exists() and not overwrite:
-        raise ConfigError('out', 'a folder without a tool.yaml, or --overwrite', out)
     files = controller or []
-    found = weighing.weigh_running(
-        files, namespace=namespace or '', domain_id=domain_id, tilt=math.radians(tilt),
-        move_time=move_time, tell=typer.echo,
-    ) if from_bag is None else weighing.weigh_recording(from_bag, files, namespace, typer.echo)
-    weighing.write_tool(out, found)
-    typer.echo('\n'.join([*weighing.describe(found), f'written to {target}']))
+    if from_bag is None:
+        found = weighing.weigh_running(
+            files, namespace=namespace or '', domain_id=domain_id, tilt=math.radians(tilt),
+            move_time=move_time, tell=typer.echo)
+    else:
+        options.refuse_options(context, ('tilt', 'move_time', 'domain_id'), '--from-bag')
+        found = weighing.weigh_recording(from_bag, files, namespace, typer.echo)
+    path = weighing.write_tool(out, found)
+    typer.echo('\n'.join([*weighing.describe(found), f'written to {path}']))
 
 
 def push_test(

@@ -30,16 +30,12 @@ def design(
     period on the stiffest one, on the linear model of the contact (P04 eq. 32). The file has the
     gains only: the stiffness of the model is printed as a --set option.
     """
-    from multicontact_control.experiment.law_report import (
-        design_for_range,
-        show_design,
-        write_design,
-    )
+    from multicontact_control.experiment import law_report
 
-    result = design_for_range(
+    result = law_report.design_for_range(
         law, input_delay=input_delay, softest=stiffness[0], stiffest=stiffness[1],
         noise_variance=noise, damping_rate=damping_rate, period=1.0 / rate)
-    typer.echo(show_design(result))
+    typer.echo(law_report.show_design(result))
     if out is not None:
-        write_design(result, out)
+        law_report.write_design(result, out)
         typer.echo(f'written to {out}')

@@ -60,14 +60,15 @@ class SetupOptions:
         return [*(f'{key}={value}' for name, key in SHORT.items()
                   if (value := getattr(self, name, ''))), *(self.settings or ())]
 
-    def setup(self, **more: Any) -> Setup:
+    def setup(self) -> Setup:
         """Return the configuration, checked; ConfigError."""
         from multicontact_control.experiment.overrides import resolve_with
         from multicontact_control.experiment.scenario import resolve
 
         return resolve_with(resolve, {
             'scenario': self.scenario, 'robot': self.robot, 'plant': self.plant,
-            'seed': self.seed, 'preset': self.preset, **more}, self.values())
+            'seed': self.seed, 'preset': self.preset,
+            'duration': getattr(self, 'duration', None)}, self.values())
 
 
 @dataclass(frozen=True)
@@ -89,10 +90,6 @@ class RunOptions(SetupOptions):
     bare: Annotated[bool, typer.Option(
         '--bare', help='The control law alone, without the contact states, checks, limits and '
         'gate of the supervisor.')] = False
-
-    def setup(self, **more: Any) -> Setup:
-        """Return the configuration, checked; ConfigError."""
-        return super().setup(duration=self.duration, **more)
 
     def external(self, files: Sequence[Path], context: typer.Context) -> External:
         """Return that of a robot behind the topics; scenario and preset count if given."""

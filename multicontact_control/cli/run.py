@@ -84,8 +84,6 @@ def run(
         speed=speed, domain_id=domain_id, namespace=namespace, realtime=realtime)
     if interrupted is not None:
         raise typer.Exit(EXIT_SIGNAL + interrupted)
-    if summary is None:
-        raise typer.Exit(EXIT_FAILED)
     end_by_verdict(summary)
 
 
@@ -103,7 +101,7 @@ def simulate(options: RunOptions) -> None:
     end_by_verdict(run_simulate(setup, folder, supervised=not options.bare))
 
 
-def end_by_verdict(summary: dict[str, Any]) -> None:
-    """Exit with 1 if the run was not stable, or was held by the supervisor."""
-    if summary['stable'] is False:
+def end_by_verdict(summary: dict[str, Any] | None) -> None:
+    """Exit with 1 if there is no run, it was not stable, or was held by the supervisor."""
+    if summary is None or summary['stable'] is False:
         raise typer.Exit(EXIT_FAILED)

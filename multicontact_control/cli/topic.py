@@ -14,7 +14,6 @@ import typer
 import yaml
 
 NODE = f'_multicontact_{os.getpid()}'  # the underscore hides it
-DEPTH = 100
 POLL_PERIOD = 0.005  # s
 
 
@@ -54,13 +53,13 @@ def echo(
     name = graph.full_topic_name('topic', f'/{topic.strip("/")}')
     end = time.monotonic() + timeout
     with GuestNode(NODE, domain_id) as guest:
-        while not (publishers := guest.node.get_publishers_info_by_topic(name)) and not stop:
+        while not (publishers := guest.node.get_publishers_info_by_topic(name)):
+            if stop:
+                return
             if time.monotonic() > end:
                 raise RunError(f'{name}: expected a publisher within {timeout:g} s, found none '
                                '(`multicontact topic list` shows the topics)')
             time.sleep(POLL_PERIOD)
-        if stop:
-            return
         package, _, kind = publishers[0].topic_type.partition('/msg/')
         try:
             message = getattr(import_module(f'{package}.msg'), kind)
@@ -69,7 +68,7 @@ def echo(
         document(message(), field)  # refuses a wrong field before the first message
         offers = [publisher.qos_profile for publisher in publishers]
         subscription = guest.node.create_subscription(message, name, graph.ignore, qos.profile(
-            DEPTH, reliable=all(x.reliability == ReliabilityPolicy.RELIABLE for x in offers),
+            100, reliable=all(x.reliability == ReliabilityPolicy.RELIABLE for x in offers),
             latched=all(x.durability == DurabilityPolicy.TRANSIENT_LOCAL for x in offers)))
         while not stop:
             if (taken := graph.take(subscription)) is None:

@@ -132,8 +132,8 @@ def design_for_range(
     `noise_variance` is R of `aob` and `lqg` [N^2], `damping_rate` K_2 [1/s]. Raises ConfigError if
     a value is out of range, or no gains have these margins.
     """
-    if name not in LAWS:
-        raise ConfigError('law', f'one of {", ".join(LAWS)}', f"'{name}'")
+    given = {'law': name, 'damping_rate': damping_rate}
+    usual = validate(ForceConfig, given)
     if not 0.0 < softest <= stiffest:
         raise ConfigError('stiffness', 'softest and stiffest, above 0, in this order',
                           f'{softest:g}, {stiffest:g}')
@@ -142,8 +142,6 @@ def design_for_range(
     model, soft, stiff = (
         LoopModel(stiffness, damping_rate, input_delay, period)
         for stiffness in (math.sqrt(softest * stiffest), softest, stiffest))
-    given = {'law': name, 'damping_rate': damping_rate}
-    usual = validate(ForceConfig, given)
     for speed in SPEEDS:
         values = _faster(FASTER[name], usual, speed)
         if name == 'lqg':

@@ -45,6 +45,7 @@ REST_TIME = SETTLE_TIME + AVERAGE_TIME + 0.5  # s, of a rest that is made for it
 LOOK = 0.1  # s, over which the speed of a joint is taken
 REACHED = 0.1  # rad, of a tilt
 ATTEMPTS = 3  # motions to it
+TIMEOUT = 10.0  # s, for an answer or a sample of the controller
 PEAK = 1.875  # largest speed of a quintic, relative to the mean
 SHARE = 0.6  # of the largest angular speed
 TILTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # about world x and y
@@ -136,24 +137,23 @@ def weigh_recording(
 
 
 def weigh_running(
-    files: Sequence[Path], *, namespace: str = '', domain_id: int | None = None,
-    tilt: float, move_time: float, timeout: float = 10.0, tell: Tell,
+    files: Sequence[Path], *, namespace: str, domain_id: int | None, tilt: float,
+    move_time: float, tell: Tell,
 ) -> Identification:
     """
     Identify the tool of a robot by a controller that runs: it tilts the tool, and turns it back.
 
     The operational point stays where it is. No contact may be pressed meanwhile. `tilt` is the
     angle about world x and y, to either side [rad]; `move_time` the least time from pose to pose
-    [s]; `timeout` the longest wait for an answer or a sample [s]; `tell` is called with each step.
-    As `weigh_recording`, and raises RunError if no controller answers, a contact is pressed, or a
-    pose is not reached.
+    [s]; `tell` is called with each step. As `weigh_recording`, and raises RunError if no
+    controller answers, a contact is pressed, or a pose is not reached.
     """
     from multicontact_control.client import MultiContactClient
     from multicontact_control.nodes import topics
     from multicontact_control.nodes.link import ControllerLink
 
     controller, robot = _arm(files)
-    where: dict[str, Any] = {'namespace': namespace, 'domain_id': domain_id, 'timeout': timeout}
+    where: dict[str, Any] = {'namespace': namespace, 'domain_id': domain_id, 'timeout': TIMEOUT}
     heard = (topics.JOINT_STATES, topics.WRENCHES[controller.wrench_input])
     samples: list[Vector] = []  # time, angles and wrench
     with MultiContactClient(**where) as arm, ControllerLink(heard, **where) as link:
@@ -162,7 +162,7 @@ def weigh_running(
             raise RunError(f'calibrate: expected free space, found {", ".join(pressed)} pressed')
         # A weight that is not known is a pull that no surface explains: control waits for this.
         tell('tare, so that the weight is not taken for a contact')
-        _await_control(arm, timeout)
+        _await_control(arm)
         # From one side to the other, well within the limit of the angular speed.
         duration = max(move_time, PEAK * 2.0 * tilt / (SHARE * controller.limits.operational_turn))
         home = Rotation.from_quat(start.quaternion_desired)
@@ -181,9 +181,9 @@ def weigh_running(
                  (series[:, 0], series[:, -6:]), tell)
 
 
-def _await_control(arm: Any, timeout: float) -> None:
+def _await_control(arm: Any) -> None:
     """Tare once the arm stands still, then wait until it obeys; RunError if it does not."""
-    give_up, tared = time.monotonic() + timeout, False
+    give_up, tared = time.monotonic() + TIMEOUT, False
     while True:
         for _ in range(2 * MIN_SAMPLES):  # of a controller that has just begun, or moves
             arm.read()
