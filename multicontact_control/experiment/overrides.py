@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import json
+from types import NoneType
 from typing import Any, cast, TypeVar
 
 from multicontact_control.config import merge
@@ -84,15 +85,11 @@ def value_of(name: str, setup: Setup) -> Any:
 
     Lists and mappings as JSON text; None for a ``*`` whose values differ.
     """
-    values = [_scalar(_value_at(setup, place)) for place in paths_of(name, setup, name)]
-    return values[0] if all(value == values[0] for value in values) else None
-
-
-def _scalar(value: Any) -> Any:
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    return json.dumps(value, separators=(',', ':'),
-                      default=lambda model: model.model_dump(mode='json'))
+    values = [_value_at(setup, place) for place in paths_of(name, setup, name)]
+    if any(value != values[0] for value in values):
+        return None
+    return values[0] if isinstance(values[0], (bool, int, float, str, NoneType)) else json.dumps(
+        values[0], separators=(',', ':'), default=lambda model: model.model_dump(mode='json'))
 
 
 def unit_of(name: str, setup: Setup) -> str:

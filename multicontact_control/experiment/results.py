@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from itertools import count
 import os
 from pathlib import Path
 import shutil
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from multicontact_control.config import (
-    Config,
     ContactConfig,
     ControllerConfig,
     NoiseEstimatorConfig,
@@ -65,8 +64,6 @@ NAMED_BY = ('contact_forces/measured', 'contact_forces/estimated', 'contact_forc
             'contact_forces/noise_variance', 'contact_forces/command',
             'ground_truth/contact_forces')
 
-SomeConfig = TypeVar('SomeConfig', bound=Config)
-
 
 def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: datetime) -> Path:
     """
@@ -82,7 +79,6 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
     try:
         if folder is None:
             folder = _make_numbered(default)
-            point_latest(folder)
         else:
             _empty(folder, overwrite=overwrite)
     except OSError as error:
@@ -92,13 +88,17 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
 
 
 def _make_numbered(folder: Path) -> Path:
-    """Make a new folder: with -2, -3, ... where it exists."""
+    """Make a new folder, with -2, -3, ... where it exists, and let ``latest`` lead to it."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     for number in count(1):
         numbered = folder if number == 1 else folder.with_name(f'{folder.name}-{number}')
         with suppress(FileExistsError):
             numbered.mkdir()
             break
+    fresh = folder.parent / f'.latest-{os.getpid()}'
+    fresh.unlink(missing_ok=True)
+    fresh.symlink_to(numbered.name)
+    fresh.replace(folder.parent / 'latest')
     return numbered
 
 
@@ -121,15 +121,6 @@ def _empty(folder: Path, *, overwrite: bool) -> None:
             shutil.rmtree(entry)
         else:
             entry.unlink()
-
-
-def point_latest(folder: Path) -> None:
-    """Make ``runs/latest`` lead to a run folder."""
-    link = folder.parent / 'latest'
-    fresh = folder.parent / f'.latest-{os.getpid()}'
-    fresh.unlink(missing_ok=True)
-    fresh.symlink_to(folder.name)
-    fresh.replace(link)
 
 
 def summarise(
@@ -190,18 +181,16 @@ def load_setup(folder: Path) -> Setup:
     summary: dict[str, Any] = {'plant': 'unknown' if simulated else EXTERNAL, 'seed': 0}
     if (folder / SUMMARY_FILE).is_file():
         summary |= read_json(folder / SUMMARY_FILE)
-    plant = str(summary['plant'])
 
-    def parameters(model: type[SomeConfig], name: str) -> SomeConfig:
-        return validate(model, read_parameters(config / name), str(config / name))
+    def read(model: Any, name: str, reader: Callable[[Path], Any] = read_parameters) -> Any:
+        return validate(model, reader(config / name), str(config / name))
 
-    path = config / 'scenario.yaml'
     return Setup(
-        scenario=validate(ScenarioConfig, read_yaml(path), str(path)),
-        controller=parameters(ControllerConfig, 'controller.yaml'),
-        noise_estimator=parameters(NoiseEstimatorConfig, 'noise_estimator.yaml'),
-        plant=NO_PLANT if plant == EXTERNAL else parameters(PlantConfig, 'plant.yaml'),
-        plant_name=plant, seed=int(summary['seed']), urdf_dir=config,
+        scenario=read(ScenarioConfig, 'scenario.yaml', read_yaml),
+        controller=read(ControllerConfig, 'controller.yaml'),
+        noise_estimator=read(NoiseEstimatorConfig, 'noise_estimator.yaml'),
+        plant=read(PlantConfig, 'plant.yaml') if simulated else NO_PLANT,
+        plant_name=str(summary['plant']), seed=int(summary['seed']), urdf_dir=config,
         commanded_by_topic=bool(summary.get('commanded_by_topic')))
 
 
@@ -276,7 +265,7 @@ def setup_of_recording(path: Path, found: BagMessages, files: Sequence[Path] = (
 def _names(found: BagMessages, topics: Sequence[str]) -> tuple[str, ...]:
     """Return the names in the first message of the first topic that has any."""
     named = (found.by_topic[topic].names for topic in topics if topic in found.by_topic)
-    return tuple(dict.fromkeys(next(filter(None, named), ())))
+    return next(filter(None, named), ())
 
 
 def _rate(path: Path, found: BagMessages) -> float:

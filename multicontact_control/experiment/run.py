@@ -35,7 +35,6 @@ from multicontact_control.files import finite, write_json
 from rich.console import Console
 
 if TYPE_CHECKING:
-    from multicontact_control.experiment.graph.robot import Robot
     from multicontact_control.experiment.graph.run import GraphResult
     from multicontact_control.experiment.graph.spec import GraphSpec
 
@@ -92,7 +91,9 @@ def run_on_graph(
     begin by itself or a parameter of the node is not acceptable, RunError if ROS cannot be loaded
     or a node dies; what was recorded stays in the folder.
     """
+    from multicontact_control.experiment.graph.robot import Robot
     from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
+    from multicontact_control.nodes.controller_config import ControllerNodeConfig
 
     console, config = console or Console(), folder / CONFIG_FOLDER
     if external is None or not setup.commanded_by_topic:
@@ -100,8 +101,10 @@ def run_on_graph(
     parameters: Mapping[str, Any] = {'patience': SIMULATION_PATIENCE}
     if external is not None:
         parameters, endless = dotted(external.node), external.duration is None
-        options |= {'domain_id': options.get('domain_id') or 0,
-                    'robot': _robot_of(external, robot_timeout)}
+        node = validate(ControllerNodeConfig, external.node, 'controller_node')
+        options |= {'domain_id': options.get('domain_id') or 0, 'robot': Robot(
+            setup.controller.robot.joint_names, setup.controller.wrench_input,
+            node.effort_output_topic, robot_timeout, external.duration)}
     ensure_compiled(console)
     spec = GraphSpec(
         out=folder, ticks=0 if endless else setup.ticks, rate=setup.controller.rate,
@@ -128,16 +131,6 @@ def run_on_graph(
         events=result.timing[CONTROLLER].get('events', []) if supervised else None)
     summary |= {'ros_domain_id': result.domain_id, 'remarks': list(content.remarks)}
     return _finish(data, setup, folder, summary, console), interrupted
-
-
-def _robot_of(external: External, timeout: float) -> Robot:
-    from multicontact_control.experiment.graph.robot import Robot
-    from multicontact_control.nodes.controller_config import ControllerNodeConfig
-
-    controller = external.setup.controller
-    node = validate(ControllerNodeConfig, external.node, 'controller_node')
-    return Robot(controller.robot.joint_names, controller.wrench_input,
-                 node.effort_output_topic, timeout, external.duration)
 
 
 def _show_graph(spec: GraphSpec, setup: Setup, console: Console) -> GraphResult:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import reduce
@@ -156,12 +156,6 @@ class PlantSource(NamedTuple):
     plant: str  # of the robot's plants; empty for a file
     file: Path | None = None  # parameter file, if it is none of them
 
-    def values(self, contacts: Collection[str] = ()) -> dict[str, Any]:
-        """Return the plant's parameters, with the surfaces of some edges or faces of its tool."""
-        if self.file is None:
-            return self.robot.plant_values(self.plant, contacts)
-        return {'robot': self.robot.name, **read_parameters(self.file)}
-
 
 def plant_source(name: str = '', robot: str = '') -> PlantSource:
     """
@@ -223,7 +217,9 @@ def resolve(
             laid_over['noise_estimator'], config.noise_estimator, noise_estimator),
             'noise_estimator.yaml'),
         lambda: validate(PlantConfig, merged(
-            source.values(contacts), config.plant, plant_overrides),
+            source.robot.plant_values(source.plant, contacts) if source.file is None else
+            {'robot': source.robot.name, **read_parameters(source.file)},
+            config.plant, plant_overrides),
             f'plant {source.name}' if source.file is None else source.file.name))
     setup = Setup(
         scenario=config, controller=controller_config, noise_estimator=estimator_config,
