@@ -32,20 +32,10 @@ MISMATCH = 0.1  # of the modelled stiffness, beyond which it counts as not known
 PAPER_ESTIMATOR, FIXED, UNFILTERED, MAYBECK = (
     'lead_window', 'fixed', 'window rescaled', 'innovation')
 MATCHED = 'innovation matched'  # with a Q that makes its observer as fast as the paper's at rest
-NOT_MEASURED = 'not measured by this run'
 
-Evidence = Mapping[str, Any]
+Evidence = Mapping[str, Any]  # of a run, as from `evidence_of`, or of one of its contacts
+Runs = Sequence[Evidence]  # `estimator` is with its variant, e.g. `window rescaled`
 Numbers = list[tuple[str, float]]  # of contacts or runs by name; infinite for `never`
-
-
-class Row(NamedTuple):
-    """The evidence of one cell of a comparison."""
-
-    label: str  # of the estimator and its variant, e.g. `fixed` or `window rescaled`
-    evidence: Evidence  # as from `evidence_of`
-
-
-Rows = Sequence[Row]
 
 
 @dataclass(frozen=True)
@@ -54,21 +44,21 @@ class Statement:
 
     text: str
     paper: str  # where, or the figure it gives
-    select: Callable[[Rows], Rows]  # runs that tell, of which that to be judged is the first
-    measure: Callable[[Row], Numbers]  # of one of them
+    select: Callable[[Runs], Runs]  # runs that tell, of which that to be judged is the first
+    measure: Callable[[Evidence], Numbers]  # of one of them
     what: str  # the numbers are
     form: str = '{:.2f}'  # of a number, with its unit
     low: float = 0.0  # bounds of every number
     high: float = math.inf
     over: str = ''  # estimator that medians of the worst of each run are relative to
 
-    def numbers(self, rows: Rows) -> Numbers:
+    def numbers(self, runs: Runs) -> Numbers:
         """Return the numbers of the runs that it is about, none if they do not tell."""
         if not self.over:
-            return [number for row in self.select(rows) for number in self.measure(row)]
+            return [number for run in self.select(runs) for number in self.measure(run)]
         chosen, base = (
-            [max(value for _, value in numbers) for row in some if (numbers := self.measure(row))]
-            for some in (self.select(rows), runs_with(self.over)(rows)))
+            [max(value for _, value in numbers) for run in some if (numbers := self.measure(run))]
+            for some in (self.select(runs), runs_with(self.over)(runs)))
         if not chosen or not base or math.isinf(median(base)):
             return []
         return [('', median(chosen) / median(base))]
@@ -93,10 +83,10 @@ class Claim(NamedTuple):
 
 
 def claims_of(
-    data: RunData, setup: Setup, summary: Mapping[str, Any], comparison: Rows = (),
+    data: RunData, setup: Setup, summary: Mapping[str, Any], comparison: Runs = (),
 ) -> list[Claim]:
     """
-    Judge the paper's claims by a run and the rows of a comparison.
+    Judge the paper's claims by a run and the runs of a comparison.
 
     They are about a simulated plant that plays its scenario; of other runs there are none.
     """
@@ -105,17 +95,18 @@ def claims_of(
     return judge_claims(evidence_of(data, setup, summary), comparison)
 
 
-def judge_claims(evidence: Evidence, comparison: Rows = ()) -> list[Claim]:
-    """Judge every claim by the evidence of a run; rows of another plant or K_2 are left out."""
-    rows = [Row(evidence['estimator'], evidence), *(row for row in comparison if all(
-        row.evidence.get(name) == evidence.get(name) for name in ('plant', 'damping_rate')))]
+def judge_claims(evidence: Evidence, comparison: Runs = ()) -> list[Claim]:
+    """Judge every claim by the evidence of a run; runs of another plant or K_2 are left out."""
+    runs = [evidence, *(run for run in comparison if all(
+        run[name] == evidence[name] for name in ('plant', 'damping_rate')))]
     claims = []
     for each in STATEMENTS:
-        numbers = each.numbers(rows)
-        measured = ', '.join(f'{name} {each.form.format(value)}'.strip() if math.isfinite(value)
-                             else f'{name} never'.strip() for name, value in numbers)
+        numbers = each.numbers(runs)
+        measured = ', '.join(
+            f'{name} {each.form.format(value) if math.isfinite(value) else "never"}'.strip()
+            for name, value in numbers)
         claims.append(Claim(
-            each.text, each.paper, measured or NOT_MEASURED,
+            each.text, each.paper, measured or 'not measured by this run',
             all(each.low <= value <= each.high for _, value in numbers) if numbers else None,
             each.bound))
     return claims
@@ -180,64 +171,64 @@ def _contact_evidence(run: RunMetrics, i: int) -> dict[str, Any]:
         'variance_peak_n2': value_in(pushed, variance, np.max)}
 
 
-def _pressed(row: Row) -> dict[str, Evidence]:
-    """Return the contacts: the paper speaks of normal forces, and couples may well be 0."""
-    return {name: contact for name, contact in row.evidence['contacts'].items()
-            if contact['stiffness_ratio'] is not None}
-
-
-def this_run(rows: Rows) -> Rows:
+def this_run(runs: Runs) -> Runs:
     """Select the run itself."""
-    return rows[:1]
+    return runs[:1]
 
 
-def paper_run(rows: Rows) -> Rows:
+def paper_run(runs: Runs) -> Runs:
     """Select the run itself, if its R comes from the paper's filter."""
-    return [row for row in rows[:1] if row.label == PAPER_ESTIMATOR]
+    return [run for run in runs[:1] if run['estimator'] == PAPER_ESTIMATOR]
 
 
-def runs_with(*labels: str) -> Callable[[Rows], Rows]:
+def runs_with(*estimators: str) -> Callable[[Runs], Runs]:
     """Select the runs of the first estimator that has any, with active state and right model."""
-    def select(rows: Rows) -> Rows:
+    def select(runs: Runs) -> Runs:
         candidates = (
-            [row for row in rows[1:] if row.label == label and not _mismatched(row)
-             and row.evidence['active_state_order'] > 0] for label in labels)
-        return next(filter(None, candidates), [row for row in rows[:1] if row.label in labels])
+            [run for run in runs[1:] if run['estimator'] == estimator and not _mismatched(run)
+             and run['active_state_order'] > 0] for estimator in estimators)
+        return next(filter(None, candidates), [
+            run for run in runs[:1] if run['estimator'] in estimators])
     return select
 
 
-def wrong_stiffness(rows: Rows) -> Rows:
+def wrong_stiffness(runs: Runs) -> Runs:
     """Select the runs of the paper's filter whose surfaces are not as stiff as modelled."""
-    return [row for row in rows if row.label.startswith(PAPER_ESTIMATOR) and _mismatched(row)
-            and row.evidence['active_state_order'] > 0]
+    return [run for run in runs if run['estimator'].startswith(PAPER_ESTIMATOR)
+            and _mismatched(run) and run['active_state_order'] > 0]
 
 
-def _mismatched(row: Row) -> bool:
+def _pressed(run: Evidence) -> dict[str, Evidence]:
+    """Return the contacts: the paper speaks of normal forces, and couples may well be 0."""
+    return {name: contact for name, contact in run['contacts'].items()
+            if contact['stiffness_ratio'] is not None}
+
+
+def _mismatched(run: Evidence) -> bool:
     return any(abs(contact['stiffness_ratio'] - 1.0) > MISMATCH
-               for contact in _pressed(row).values())
+               for contact in _pressed(run).values())
 
 
 def of_contacts(
     number: Callable[[Evidence, Evidence], float | None],
-) -> Callable[[Row], Numbers]:
+) -> Callable[[Evidence], Numbers]:
     """Return the measure of a number of each contact, from its evidence and that of the run."""
-    return lambda row: [(name, value) for name, contact in _pressed(row).items()
-                        if (value := number(contact, row.evidence)) is not None]
+    return lambda run: [(name, value) for name, contact in _pressed(run).items()
+                        if (value := number(contact, run)) is not None]
 
 
-def _rises(row: Row) -> Numbers:
+def _rises(run: Evidence) -> Numbers:
     """Return rise times over the designed one; a run that did not go on tells no `never`."""
-    run = row.evidence
-    rises = [(name, rise) for name, contact in _pressed(row).items()
+    rises = [(name, rise) for name, contact in _pressed(run).items()
              for rise in contact['rises_s']]
     return [] if run['stable'] is None and any(rise is None for _, rise in rises) else [
         (name, math.inf if rise is None else rise / run['designed_rise_s'])
         for name, rise in rises]
 
 
-def _motion(name: str, scale: float) -> Callable[[Row], Numbers]:
-    return lambda row: [('', scale * row.evidence['motion'][name])] if (
-        row.evidence['motion'][name] is not None and row.evidence['ran_in_motion']) else []
+def _motion(name: str, scale: float) -> Callable[[Evidence], Numbers]:
+    return lambda run: [('', scale * run['motion'][name])] if (
+        run['motion'][name] is not None and run['ran_in_motion']) else []
 
 
 def _moving_error(contact: Evidence, run: Evidence) -> float | None:
@@ -259,13 +250,21 @@ def _static_error(contact: Evidence, run: Evidence) -> float | None:
 
 def _start_peak(contact: Evidence, run: Evidence) -> float | None:
     """Return the largest error after the start of the motion over the spread at rest."""
-    peak, spread = contact['start_peak_n'], contact['rest']['std_n']
-    return peak / spread if run['ran_in_motion'] and peak is not None and spread else None
+    return _ratio(contact['start_peak_n'], contact['rest']['std_n']) if (
+        run['ran_in_motion']) else None
 
 
-def _unstable(*, in_motion: bool) -> Callable[[Row], Numbers]:
-    def measure(row: Row) -> Numbers:
-        run = row.evidence
+def _reaction(contact: Evidence, run: Evidence) -> float | None:
+    """Return the largest R at a push at rest over that at rest."""
+    return _ratio(contact['variance_peak_n2'], contact['rest']['variance_n2'])
+
+
+def _ratio(value: float | None, base: float | None) -> float | None:
+    return value / base if value is not None and base else None
+
+
+def _unstable(*, in_motion: bool) -> Callable[[Evidence], Numbers]:
+    def measure(run: Evidence) -> Numbers:
         if run['stable'] is None or run['stable'] and not run['ran_in_motion']:
             return []
         moved = (run['unstable_after_motion_s'] or -1.0) >= 0.0
@@ -273,16 +272,10 @@ def _unstable(*, in_motion: bool) -> Callable[[Row], Numbers]:
     return measure
 
 
-def _reaction(contact: Evidence, run: Evidence) -> float | None:
-    """Return the largest R at a push at rest over that at rest."""
-    peak, rest = contact['variance_peak_n2'], contact['rest']['variance_n2']
-    return peak / rest if peak is not None and rest else None
-
-
-def _recoveries(row: Row) -> Numbers:
+def _recoveries(run: Evidence) -> Numbers:
     """Return how long lasting pushes at rest take to be controlled out [s]."""
     return [(name, math.inf if answer['recovery'] is None else answer['recovery'])
-            for name, contact in _pressed(row).items() for answer in contact['recoveries']
+            for name, contact in _pressed(run).items() for answer in contact['recoveries']
             if not answer['moving'] and answer['duration'] >= LASTING]
 
 

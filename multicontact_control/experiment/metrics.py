@@ -249,11 +249,9 @@ class RunMetrics:
 
     def motion_summary(self) -> dict[str, float | None]:
         """
-        Return how well the commanded motion was followed.
+        Return how well the commanded motion was followed, under load and in `moving`.
 
-        The position error counts along the directions that no contact constrains, the
-        orientation error in full, from the first force step on; `moving_position_rms_m` in the
-        window `moving`.
+        The position error counts along the directions that no contact constrains.
         """
         data, judged, config = self.data, self.windows, self.setup.controller
         if not (judged.loaded.any() and config.robot.urdf):  # a recording tells no normals
@@ -280,11 +278,10 @@ class RunMetrics:
         """
         Return the answers of one contact to the pushes of the plant.
 
-        Each has `start` and `duration` of the push [s], whether it comes `moving`; `peak`, the
-        largest error of the force until the next event [N]; `band`, the error that counts as
-        recovered [N]; `recovery`, the time until the error stays within the band for 0.1 s [s]:
-        from the end of a short push, from the start of a lasting one. 0 if it never left the
-        band, None if it did not come back before the next event, or the run was unstable by then.
+        Each has `duration` of the push [s], whether it comes `moving`, and until the next event:
+        `peak`, the largest error of the force [N]; `recovery`, the time until the error stays
+        within a band for 0.1 s [s], from the end of a short push, from the start of a lasting one.
+        0 if it never left the band, None if it did not come back, or the run was unstable by then.
         """
         last = float(self.data.time[-1])
         error, command = self.error[:, i], self.command[:, i]
@@ -300,14 +297,14 @@ class RunMetrics:
                 continue
             band = max(BAND_OF_COMMAND * float(command[judged][0]),
                        BAND_OF_NOISE * float(np.std(error[before])))
-            after = _settled(np.abs(error[judged]) <= band, round(BAND_HELD * self.data.rate))
+            settled = [begin for begin, end in zip(*stretches(np.abs(error[judged]) <= band))
+                       if end - begin >= round(BAND_HELD * self.data.rate)]
             # The end of a run that ended before its time takes no recovery back.
             lost = unstable_at is not None and unstable_at < min(until, last)
             answers.append({
-                'start': start, 'duration': duration, 'moving': start >= self.motion_start,
+                'duration': duration, 'moving': start >= self.motion_start,
                 'peak': float(np.nanmax(np.abs(error[self.between(start, until)]))),
-                'band': band,
-                'recovery': None if after is None or lost else after / self.data.rate})
+                'recovery': settled[0] / self.data.rate if settled and not lost else None})
         return answers
 
     def growing_line(self, unstable_at: float) -> float | None:
@@ -317,11 +314,6 @@ class RunMetrics:
             return None
         frequencies, power = spectrum(forces.T, self.data.rate, padding=8)
         return float(frequencies[int(np.argmax(power.sum(axis=0)))])
-
-
-def _settled(inside: Mask, held: int) -> int | None:
-    """Return the first sample from which the next `held` are inside; None if there is none."""
-    return next((begin for begin, end in zip(*stretches(inside)) if end - begin >= held), None)
 
 
 def truth_lacking(without: Sequence[str], names: Collection[str]) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.claims import claims_of, Row
+from multicontact_control.experiment.claims import claims_of, Runs
 from multicontact_control.experiment.display import achievement, headline, summary_rows
 from multicontact_control.experiment.figures import (
     draw_figures,
@@ -25,7 +25,7 @@ FORMATS = ('png', 'pdf')
 
 
 def write_report(
-    runs: Sequence[LoadedRun], out: Path, comparison: Sequence[Row] = (),
+    runs: Sequence[LoadedRun], out: Path, comparison: Runs = (),
 ) -> list[Path]:
     """
     Write ``report.html`` and ``figures/`` of at least one run into a folder and return the files.
@@ -60,7 +60,7 @@ def write_report(
     return [page, *paths]
 
 
-def _run_section(run: LoadedRun, number: int, comparison: Sequence[Row]) -> list[str]:
+def _run_section(run: LoadedRun, number: int, comparison: Runs) -> list[str]:
     summary, verdict = run.summary, verdict_text(run.summary)
     claims = claims_of(run.data, run.setup, summary, comparison)
     return [

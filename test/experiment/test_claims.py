@@ -6,7 +6,6 @@ from multicontact_control.experiment.claims import (
     designed_rise,
     evidence_of,
     judge_claims,
-    Row,
     STATEMENTS,
 )
 from multicontact_control.experiment.judge import INTERRUPTED
@@ -28,7 +27,7 @@ def claim_of(data, setup, words, rows=(), **summarised):
 
 def row(label, data, setup):
     summary = summarise(data, setup, mode='in_process', timing={})
-    return Row(label, evidence_of(data, setup, summary))
+    return {**evidence_of(data, setup, summary), 'estimator': label}
 
 
 def changed(data, name, window, values):

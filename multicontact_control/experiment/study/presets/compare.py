@@ -5,12 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.claims import (
-    Claim,
-    judge_claims,
-    PAPER_ESTIMATOR,
-    Row,
-)
+from multicontact_control.experiment.claims import Claim, judge_claims, PAPER_ESTIMATOR, Runs
 from multicontact_control.experiment.page import claims_table
 from multicontact_control.experiment.study.study import read_results, Results, Study
 
@@ -40,10 +35,10 @@ class CompareStudy(Study):
             for plant, claims in comparison_claims(results).items()}
 
 
-def claim_rows(results: Results) -> list[Row]:
+def claim_rows(results: Results) -> Runs:
     """Return the runs of a comparison as what claims are judged from."""
-    return [Row(label, metrics['evidence'])
-            for label, metrics in zip(results.frame['estimator'], results.metrics)
+    return [{**metrics['evidence'], 'estimator': estimator}
+            for estimator, metrics in zip(results.frame['estimator'], results.metrics)
             if metrics['summary']]
 
 
@@ -60,7 +55,7 @@ def comparison_claims(results: Results) -> dict[str, dict[float, list[Claim]]]:
     return claims
 
 
-def read_claim_rows(folder: Path) -> list[Row]:
+def read_claim_rows(folder: Path) -> Runs:
     """Return the runs of a comparison in a folder; ConfigError if it holds none."""
     study, results = read_results(folder)
     if not isinstance(study, CompareStudy):
