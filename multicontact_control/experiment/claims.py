@@ -171,14 +171,10 @@ def _contact_evidence(run: RunMetrics, i: int) -> dict[str, Any]:
         'variance_peak_n2': value_in(pushed, variance, np.max)}
 
 
-def this_run(runs: Runs) -> Runs:
-    """Select the run itself."""
-    return runs[:1]
-
-
-def paper_run(runs: Runs) -> Runs:
-    """Select the run itself, if its R comes from the paper's filter."""
-    return [run for run in runs[:1] if run['estimator'] == PAPER_ESTIMATOR]
+def the_run(*estimators: str) -> Callable[[Runs], Runs]:
+    """Select the run itself, with R from one of some estimators, or from any."""
+    return lambda runs: [
+        run for run in runs[:1] if not estimators or run['estimator'] in estimators]
 
 
 def runs_with(*estimators: str) -> Callable[[Runs], Runs]:
@@ -187,8 +183,7 @@ def runs_with(*estimators: str) -> Callable[[Runs], Runs]:
         candidates = (
             [run for run in runs[1:] if run['estimator'] == estimator and not _mismatched(run)
              and run['active_state_order'] > 0] for estimator in estimators)
-        return next(filter(None, candidates), [
-            run for run in runs[:1] if run['estimator'] in estimators])
+        return next(filter(None, candidates), the_run(*estimators)(runs))
     return select
 
 
@@ -285,26 +280,27 @@ STATEMENTS = (
               "rise of R at a push, over that with the paper's filter", '{:.1f} x', low=5.0,
               over=PAPER_ESTIMATOR),
     Statement('The contact forces follow their commands with the designed time constant',
-              'time constant 0.02 s (Figs 3, 4)', this_run, _rises,
+              'time constant 0.02 s (Figs 3, 4)', the_run(), _rises,
               '63 % of a step, over the design', '{:.2f} x', 0.6, 1.4),
-    Statement('The motion is tracked', 'Fig. 5', this_run, _motion('moving_position_rms_m', 1e3),
+    Statement('The motion is tracked', 'Fig. 5', the_run(), _motion('moving_position_rms_m', 1e3),
               'rms error of the position in motion', '{:.2f} mm', high=5.0),
-    Statement('The orientation stays fixed', 'Fig. 5', this_run,
+    Statement('The orientation stays fixed', 'Fig. 5', the_run(),
               _motion('orientation_max_rad', 1.0), 'largest error', '{:.4f} rad', high=0.02),
-    Statement('The noise variance is about 0.6 N² at rest', '0.6 N² (Fig. 6)', paper_run,
-              of_contacts(lambda contact, run: contact['rest']['variance_n2']),
+    Statement('The noise variance is about 0.6 N² at rest', '0.6 N² (Fig. 6)',
+              the_run(PAPER_ESTIMATOR), of_contacts(lambda contact, run: contact['rest']['variance_n2']),
               'median, for which the simulated noise is calibrated', '{:.2f} N²', 0.3, 1.2),
-    Statement('It rises to about 100 N² when the arm moves', '100 N² (Fig. 6)', paper_run,
-              of_contacts(lambda contact, run: contact['moving']['variance_n2']),
+    Statement('It rises to about 100 N² when the arm moves', '100 N² (Fig. 6)',
+              the_run(PAPER_ESTIMATOR), of_contacts(lambda contact, run: contact['moving']['variance_n2']),
               'median, for which the simulated roughness is calibrated', '{:.2f} N²',
               100.0 / 3.0, 300.0),
     Statement('On-line estimation of R keeps the control working in motion', 'Figs 3-6',
-              paper_run, _unstable(in_motion=False), 'runs', '{:.0%} unstable', high=0.0),
-    Statement('The contact forces are not too affected by the motion', 'Figs 3, 4', this_run,
+              the_run(PAPER_ESTIMATOR), _unstable(in_motion=False), 'runs',
+              '{:.0%} unstable', high=0.0),
+    Statement('The contact forces are not too affected by the motion', 'Figs 3, 4', the_run(),
               of_contacts(_moving_error),
               'rms error in motion over the command, no contact lost', '{:.1%}', high=0.2),
     Statement('Starting the motion disturbs both contact forces significantly',
-              'near 195, 205 and 217 s', this_run, of_contacts(_start_peak),
+              'near 195, 205 and 217 s', the_run(), of_contacts(_start_peak),
               'largest error in the first 2 s over the standard deviation at rest', '{:.1f} x',
               low=5.0),
     Statement('A stiffness that is not known exactly is compensated',

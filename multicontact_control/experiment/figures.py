@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 import re
 from textwrap import shorten
@@ -20,9 +20,7 @@ from multicontact_control.experiment.page import (
     COMMANDED,
     ESTIMATED,
     figure,
-    MEASURED,
     Panel,
-    plot,
     Span,
     Trace,
     TRUE,
@@ -51,10 +49,10 @@ class RunFigure(NamedTuple):
 
 def run_figures(data: RunData, setup: Setup) -> list[RunFigure]:
     """Return the figures of a run: 3 and 4 for each contact, 5, 6, and the stiffness found."""
+    run = RunMetrics(data, setup)
     stiffness = np.where(data.stiffness_est > 0.0, data.stiffness_est, np.nan)
     drawn = [
-        *(_force(data, i, truth) for i, truth in enumerate(RunMetrics(data, setup).truth)),
-        _motion(data, setup),
+        *(_force(data, i, truth) for i, truth in enumerate(run.truth)), _motion(data, run),
         RunFigure('fig6_noise_variance', 'Fig. 6: estimated noise variance', [Panel('R [N²]', [
             Trace(name, data.noise_variance[:, i], COLOURS[i % len(COLOURS)], 0.7)
             for i, name in enumerate(data.contact_names)], PAPER_VARIANCE, True)]),
@@ -85,28 +83,24 @@ def _force(data: RunData, i: int, truth: bool) -> RunFigure:
                           commanded))))
 
 
-def _motion(data: RunData, setup: Setup) -> RunFigure:
-    """Return the wrist's translation along the motion's direction and its error (P04 Fig. 5)."""
-    direction, motion = np.eye(3)[0], setup.scenario.reference.motion
-    known = data.position_des[np.isfinite(data.position_des).all(axis=1)]
-    if motion and not setup.commanded_by_topic:
-        direction = np.asarray(motion.direction_world)
-    elif setup.commanded_by_topic and len(known):
-        direction = np.eye(3)[int(np.argmax(np.ptp(known, axis=0)))]  # of the longest way
-    axis = 'xyz'[int(np.argmax(np.abs(direction)))]
-    travelled, desired = data.position @ direction, data.position_des @ direction
-    return RunFigure('fig5_motion', f'Fig. 5: wrist motion along {axis}', (
-        Panel(f'{axis} [m]', (Trace('measured', travelled, width=1.2),
-                              Trace('commanded', desired, COMMANDED, 1.0, dashed=True))),
+def _motion(data: RunData, run: RunMetrics) -> RunFigure:
+    """Return the wrist's translation along its longest way and its error (P04 Fig. 5)."""
+    under_load = data.position_des[run.windows.loaded]
+    known = under_load[np.isfinite(under_load).all(axis=1)]
+    axis = int(np.argmax(np.ptp(known, axis=0))) if len(known) else 0
+    travelled, desired = data.position[:, axis], data.position_des[:, axis]
+    return RunFigure('fig5_motion', f'Fig. 5: wrist motion along {"xyz"[axis]}', (
+        Panel(f'{"xyz"[axis]} [m]', (Trace('measured', travelled, width=1.2), Trace(
+            'commanded', desired, COMMANDED, 1.0, dashed=True))),
         Panel('error [mm]', (Trace('error', 1e3 * (travelled - desired), TRUE, 0.7),))))
 
 
 def interactive_figures(data: RunData, setup: Setup, number: int) -> str:
     """Return the figures of a run as HTML; `number` is that of the run on the page."""
     shaded = _judged(data, setup)
-    return '\n'.join(figure(f'run{number}-{drawn.file}', [
-        plot(panel, data.time, '' if i else drawn.title, shaded)
-        for i, panel in enumerate(drawn.panels)]) for drawn in run_figures(data, setup))
+    return '\n'.join(
+        figure(f'run{number}-{drawn.file}', drawn.title, drawn.panels, data.time, shaded)
+        for drawn in run_figures(data, setup))
 
 
 def draw_figures(
@@ -164,28 +158,6 @@ def draw_side_by_side(runs: Sequence[tuple[str, RunData, Setup]], path: Path) ->
         column[count].set_xlabel('time after the last step at rest [ms]')
         column[count - 1].set_xlabel('time [s]')
     sheet.savefig(path, dpi=110)
-    return path
-
-
-def draw_latency(summary: Mapping[str, Any], folder: Path) -> Path:
-    """Draw how long the answers to samples took, from ``summary.json``; return the file."""
-    timing = summary['timing']
-    histogram, latency = timing['latency_histogram'], timing['latency_us']
-    sheet = Figure(figsize=(9.0, 4.0), layout='constrained')
-    axes = sheet.subplots()
-    axes.stairs(histogram['counts'], histogram['edges_us'], fill=True, color=MEASURED)
-    period = 1e6 / summary['rate_hz']
-    for name, value, colour in zip(
-            ('p50', 'p99', 'max', 'period'),
-            (latency['p50'], latency['p99'], latency['max'], period), COLOURS):
-        axes.axvline(value, color=colour, linestyle='--', label=f'{name} {value:.0f} us')
-    axes.legend()
-    axes.set(xscale='log', xlabel='from a sample to its command [us]', ylabel='samples')
-    axes.set_yscale('symlog', linthresh=1.0)
-    sheet.suptitle(f'Latency\n{summary["scenario"]}, {timing["deadline_misses"]} of '
-                   f'{summary["ticks"]} deadlines missed', fontsize=10)
-    path = folder / 'latency.png'
-    sheet.savefig(path, dpi=130)
     return path
 
 

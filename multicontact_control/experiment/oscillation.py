@@ -3,17 +3,13 @@ Sustained oscillation of a force: how a limit cycle is told from noise and from 
 
 The error of a force is cut into windows of 0.5 s, each half covered by the next, and looked at in
 stretches of seven of them: 2 s. The *line* of a stretch is the frequency from 10 Hz up that is
-strongest in the mean of its seven spectra, with what is within 4 Hz of it. A stretch oscillates
-if
+strongest in its mean spectrum, with what is within 4 Hz of it. A stretch oscillates if
 
-- the mean spectrum is at least 4 times as strong at the line as 6 Hz below it: there is a peak,
-  where the spectrum of a force that wanders slowly only falls from lower frequencies;
-- in six of the seven windows the line holds at least half of the power from 10 Hz up: what sensor
-  noise and a rough surface leave in a force is spread over the band, 0.1 to 0.2 of it in a line;
+- the mean spectrum is at least 4 times as strong at the line as 6 Hz below it: that of a force
+  that wanders slowly only falls from lower frequencies;
+- in six of the seven windows the line holds at least half of the power from 10 Hz up: noise and a
+  rough surface leave 0.1 to 0.2 of it in a line;
 - and in the same ones the rms of the line is at least 2.5 % of the command, and 0.1 N.
-
-What dies out within 1 s does not make a stretch. Slower hunting is not looked for: sliding over a
-surface that is not flat looks the same.
 """
 
 from __future__ import annotations

@@ -9,10 +9,11 @@ import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.experiment.claims import Claim
 from multicontact_control.files import write_text
 import numpy as np
+import pandas as pd
 
 ASSETS = Path(__file__).parent / 'page_assets'
 LONGEST = 2000  # samples of a curve
@@ -58,42 +59,34 @@ class Span(NamedTuple):
 
 def envelope(
     time: Vector, series: Sequence[Vector], longest: int = LONGEST,
-) -> tuple[Vector, Sequence[Vector]]:
+) -> tuple[Vector, Matrix]:
     """Thin times and series, each of shape (m,), out to `longest` samples and keep every peak."""
+    values = np.where(np.isfinite(series), series, np.nan)
     size = -(-2 * len(time) // longest)
     if size <= 2:
-        return time, series
-    starts = np.arange(0, len(time), size)
-    middles = (starts + np.minimum(starts + size, len(time))) // 2
-    thinned = []
-    for values in series:
-        rows = np.full((len(starts), size), np.nan)
-        rows.flat[:len(values)] = np.where(np.isfinite(values), values, np.nan)
-        places = [np.argmin(np.nan_to_num(rows, nan=np.inf), axis=1),
-                  np.argmax(np.nan_to_num(rows, nan=-np.inf), axis=1)]
-        thinned.append(np.take_along_axis(rows, np.sort(places, axis=0).T, axis=1).ravel())
-    return np.stack([time[starts], time[middles]], axis=1).ravel(), thinned
+        return time, values
+    stretches = pd.DataFrame(values.T).groupby(np.arange(len(time)) // size)
+    thinned = np.stack([stretches.min(), stretches.max()], axis=1)
+    return np.repeat(time[::size], 2), thinned.reshape(-1, len(series)).T
 
 
-def plot(
-    panel: Panel, time: Vector, heading: str = '', shaded: Sequence[Span] = (),
-) -> dict[str, Any]:
-    """Return what figures.js draws of a panel over time [s] below a plain heading."""
-    times, series = envelope(time, [trace.values for trace in panel.traces])
-    least = 0.0 if panel.logarithmic else -np.inf
-    return {
-        'heading': heading, 'label': panel.label, 'height': HEIGHT, 'xlabel': 'time [s]',
-        'logarithmic': panel.logarithmic, 'levels': panel.levels,
-        'shaded': [list(span) for span in shaded], 'shade': WINDOW,
-        'curves': [{'label': trace.label, 'colour': trace.colour, 'dashed': trace.dashed,
-                    'faint': trace.faint} for trace in panel.traces],
-        'data': [np.round(times, 4).tolist(), *(
-            [float(f'{x:.5g}') if np.isfinite(x) and x > least else None for x in values]
-            for values in series)]}
-
-
-def figure(name: str, plots: Sequence[dict[str, Any]]) -> str:
-    """Return the HTML of plots below each other; `name` must be the only one on its page."""
+def figure(
+    name: str, title: str, panels: Sequence[Panel], time: Vector, shaded: Sequence[Span] = (),
+) -> str:
+    """Return the HTML of panels over time [s]; `name` must be the only one on its page."""
+    plots: list[dict[str, Any]] = []
+    for panel in panels:
+        times, series = envelope(time, [trace.values for trace in panel.traces])
+        least = 0.0 if panel.logarithmic else -np.inf
+        plots.append({
+            'heading': '' if plots else title, 'label': panel.label, 'height': HEIGHT,
+            'xlabel': 'time [s]', 'logarithmic': panel.logarithmic, 'levels': panel.levels,
+            'shaded': shaded, 'shade': WINDOW,
+            'curves': [{'label': trace.label, 'colour': trace.colour, 'dashed': trace.dashed,
+                        'faint': trace.faint} for trace in panel.traces],
+            'data': [np.round(times, 4).tolist(), *(
+                [float(f'{x:.5g}') if x > least else None for x in values]
+                for values in series)]})
     text = json.dumps(plots, separators=(',', ':'), allow_nan=False).replace('</', '<\\/')
     return (f'<div class="figure" id="{escape(name)}"><noscript>Its curves need JavaScript.'
             f'</noscript><script type="application/json">{text}</script></div>')

@@ -7,7 +7,7 @@ from browser import Tab
 from multicontact_control.cli import app
 from multicontact_control.experiment import report
 from multicontact_control.experiment.claims import claims_of
-from multicontact_control.experiment.page import envelope, figure, Panel, plot, Trace, write_page
+from multicontact_control.experiment.page import envelope, figure, Panel, Trace, write_page
 from multicontact_control.experiment.results import load_run, summarise
 from multicontact_control.files import write_json
 import numpy as np
@@ -64,11 +64,13 @@ def test_report_of_two_runs_has_figures_of_both(folder, tmp_path, monkeypatch):
 
 def test_page_needs_no_other_file(tmp_path):
     values = np.array([1e-3, 0.6, np.nan, np.inf, -1.0])
-    made = [plot(Panel('R </script>', [Trace('', values)], logarithmic=log), np.arange(5.0))
-            for log in (False, True)]
+    drawn = figure('forces', 'Forces', [
+        Panel('R </script>', [Trace('', values)], logarithmic=log) for log in (False, True)],
+        np.arange(5.0))
+    made = json.loads(re.search(r'json">(.*)</script>', drawn)[1])
     assert [each['data'][1] for each in made] == [
         [1e-3, 0.6, None, None, -1.0], [1e-3, 0.6, None, None, None]]
-    write_page(tmp_path / 'page.html', 'Title <1>', figure('forces', made))
+    write_page(tmp_path / 'page.html', 'Title <1>', drawn)
     text = (tmp_path / 'page.html').read_text(encoding='utf-8')
     assert 'Title &lt;1&gt;' in text and 'uPlot (v' in text
     assert 'Copyright (c) 2022 Leon Sorokin' in text and 'R </script>' not in text
