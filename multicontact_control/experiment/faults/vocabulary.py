@@ -50,22 +50,22 @@ def _sign(choice: Vector) -> float:
     return 1.0 if choice[1] < 0.5 else -1.0
 
 
-def _put(number: float) -> Change:
-    """Return a change that puts a number in a random place."""
+def _one(new: Callable[[float, float], float]) -> Change:
+    """Return a change of a number in a random place, by its value and a random sign."""
     def change(values: Any, choice: Vector) -> Vector:
         vector = _vector(values)
-        vector[int(choice[0] * vector.size)] = number
+        place = int(choice[0] * vector.size)
+        vector[place] = new(vector[place], _sign(choice))
         return vector
     return change
+
+
+def _put(number: float) -> Change:
+    return _one(lambda value, sign: number)
 
 
 def _add(size: float) -> Change:
-    """Return a change that adds an offset in a random place, of a random sign."""
-    def change(values: Any, choice: Vector) -> Vector:
-        vector = _vector(values)
-        vector[int(choice[0] * vector.size)] += size * _sign(choice)
-        return vector
-    return change
+    return _one(lambda value, sign: value + size * sign)
 
 
 def _scale(factor: float) -> Change:
@@ -195,8 +195,7 @@ def _velocities() -> Iterator[Fault]:
 def _drivers() -> Iterator[Fault]:
     """Yield the faults of what is between an arm and its controller: units, tare, publishers."""
     def bias(share: float) -> Change:
-        return lambda values, choice: values + FULL_SCALE * _put(share * _sign(choice))(
-            np.zeros(6), choice)
+        return lambda values, choice: values + FULL_SCALE * _add(share)(np.zeros(6), choice)
 
     def command_twice(plant: Any, choice: Vector) -> None:
         step, mine = plant.step, cycle((True, False))
