@@ -23,7 +23,6 @@ from multicontact_control.experiment.study.config import (
     read_choices,
     read_study,
     select,
-    study_path,
 )
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.recorder_node import Bag
@@ -85,7 +84,7 @@ def parse(words):
             assert (ROOT / word).exists() or word.startswith('runs/'), word
     values = known_commands()[name].make_context(name, list(words[1 + size:])).params
     if name == 'study' and values['name']:
-        select(read_study(study_path(values['name'])), read_choices(values['settings'] or ()))
+        select(read_study(values['name']), read_choices(values['settings'] or ()))
     if 'scenario' in values and not values.get('external') and values['robot'] not in YOURS:
         RunOptions(**{field.name: values[field.name] for field in fields(RunOptions)
                       if field.name in values}).setup()

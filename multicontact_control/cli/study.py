@@ -32,7 +32,7 @@ def study(
     quick: Annotated[bool, typer.Option(
         '--quick', help='The reduced form of the study, with one seed.')] = False,
     jobs: Annotated[int, typer.Option(
-        help='Jobs at once on this machine; 0 for every core.')] = 0,
+        min=0, help='Jobs at once on this machine; 0 for every core.')] = 0,
     dask: Annotated[str, typer.Option(
         metavar='ADDRESS', help='Run on the workers of this Dask scheduler instead, e.g. '
         'tcp://host:8786. They need this package in the same version.')] = '',
@@ -46,10 +46,6 @@ def study(
 ) -> None:
     r"""
     Run a study: factors x plants x seeds, in one table.
-
-    compare: the noise estimators on the paper's disturbances. laws: force laws raced. map: how
-    wrong stiffness and delay may be. robots: robots, engines and scenarios. tune: the gains of a
-    force law, by trying them. faults: broken inputs and plants. stiffness, delay: sweeps.
 
     A study of your own is a YAML file:
 
@@ -74,15 +70,14 @@ def study(
 
     if not name:
         for each in files.study_names():
-            about = files.read_study(files.study_path(each)).description.partition(': ')[0]
+            about = files.read_study(each).description.partition(': ')[0]
             typer.echo(f'{each:<10} {about}')
         return
-    from multicontact_control.experiment.study.study import check_workers, run_study, study_of
+    from multicontact_control.experiment.study.study import run_study, study_of
 
-    config, numbers, choices, _ = check_all(
-        lambda: files.read_study(files.study_path(name)), lambda: _seeds(seeds),
-        lambda: files.read_choices([*([f'plant={plants}'] if plants else []), *(settings or ())]),
-        lambda: check_workers(jobs, dask))
+    config, numbers, choices = check_all(
+        lambda: files.read_study(name), lambda: _seeds(seeds),
+        lambda: files.read_choices([*([f'plant={plants}'] if plants else []), *(settings or ())]))
     if law and config.kind != 'tune':
         raise ConfigError('law', 'nothing for other studies than tune', law)
     first = config.seeds[0]

@@ -52,7 +52,12 @@ def run_cells(study: StudyConfig) -> list[Cell]:
                 job = _job(study, part, plant, chosen)
                 if job is None:
                     continue
-                setup = _checked(job, title, chosen)
+                try:
+                    setup = job.setup()
+                except ConfigError as error:
+                    where = ', '.join(f'{name} = {value}' for name, value, _ in chosen)
+                    field = f'{title} ({where}): {error.field}'.strip() if where else error.field
+                    raise ConfigError(field, error.expected, error.found) from None
                 factors = {'part': title, 'plant': setup.plant_name, **absent,
                            **{name: value for name, value, _ in chosen},
                            **{name: value_of(name, setup) for name in absent
@@ -113,15 +118,3 @@ def _multiples(name: str, factor: float, of: str, setup: Setup) -> dict[str, flo
     return {'.'.join(place): factor * value_of(
         of if star is None else of.replace(EVERY, place[star]), setup)
         for place in paths_of(name, setup, 'factors')}
-
-
-def _checked(
-    job: RunJob, title: str, chosen: Sequence[tuple[str, Any, Mapping[str, Any]]],
-) -> Setup:
-    """Return what a job resolves to; ConfigError with the combination that is not acceptable."""
-    try:
-        return job.setup()
-    except ConfigError as error:
-        where = ', '.join(f'{name} = {value}' for name, value, _ in chosen)
-        field = f'{title} ({where}): {error.field}'.strip() if where else error.field
-        raise ConfigError(field, error.expected, error.found) from None

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Literal
 
 from multicontact_control.config import Config, parameter, read_yaml, Real, validate
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.overrides import read_settings
 from multicontact_control.experiment.scenario import plant_source
 from multicontact_control.paths import config_dir, named_file
 import numpy as np
-from pydantic import field_validator, model_validator
+from pydantic import field_validator, model_validator, NonNegativeInt
 from sim_bridge.robots import find_robot
-import yaml
 
 DIGITS = 12  # of the values of a range, such that 0.1 is not 0.09999999999999999
 Kind = Literal['sweep', 'compare', 'map', 'robots', 'tune', 'faults']
@@ -36,16 +35,24 @@ class FactorConfig(Config):
     levels: dict[str, dict[str, Any]] = parameter(
         {}, 'Parameters and their values, by the label of the level.')
 
+    @model_validator(mode='before')
+    @classmethod
+    def _spell_out(cls, given: Any) -> Any:
+        """Return the fields of a list of values, or of levels by label."""
+        if isinstance(given, (list, tuple)):
+            return {'values': given}
+        if isinstance(given, Mapping) and not given.keys() <= cls.model_fields.keys():
+            return {'levels': {str(label): level or {} for label, level in given.items()}}
+        return given
+
     @model_validator(mode='after')
     def _check_values(self) -> FactorConfig:
         if self.start is None or self.stop is None:
             if not self.values and not self.levels:
-                raise ConfigError('values', 'a list of values, a range of start, stop and count, '
-                                  'or values by label', 'none')
-        elif self.count < 2:
-            raise ConfigError('count', 'at least 2', self.count)
-        elif self.spacing == 'log' and min(self.start, self.stop) <= 0.0:
-            raise ConfigError('start', 'a value above 0, for spacing: log', self.start)
+                raise ValueError('a list of values, a range of start, stop and count, or values '
+                                 'by label')
+        elif self.count < 2 or self.spacing == 'log' and min(self.start, self.stop) <= 0.0:
+            raise ValueError('a count of at least 2, and of spacing: log a start and stop above 0')
         return self
 
     def settings(self, name: str) -> list[tuple[Any, dict[str, Any]]]:
@@ -67,20 +74,6 @@ class FactorConfig(Config):
             label: level for label, level in self.levels.items() if label in map(str, values)}})
 
 
-def _factor(name: str, given: Any) -> FactorConfig:
-    """Return a factor from a list, its fields, or levels by label."""
-    if isinstance(given, FactorConfig):
-        return given
-    if not isinstance(given, Mapping):
-        given = {'values': given}
-    elif not given.keys() <= FactorConfig.model_fields.keys():
-        given = {'levels': {str(label): level or {} for label, level in given.items()}}
-    try:
-        return validate(FactorConfig, given)
-    except ConfigError as error:
-        raise ConfigError(f'factors.{name}.{error.field}', error.expected, error.found) from None
-
-
 class AdjustmentConfig(Config):
     """Parameters of those runs that fulfil a condition."""
 
@@ -96,7 +89,7 @@ class PartConfig(Config):
     plants: tuple[str, ...] = parameter(
         ('',), 'Names or paths, everything is run on each; the default one if not given.',
         min_length=1)
-    seeds: tuple[int, ...] = parameter(
+    seeds: tuple[NonNegativeInt, ...] = parameter(
         (0,), 'Seeds, or how many of them, from 0; everything is run with each.', min_length=1)
     duration: Real | None = parameter(
         None, "Length of every run; the scenario's own if not given.", unit='s', gt=0.0)
@@ -118,23 +111,6 @@ class PartConfig(Config):
     def _count_seeds(cls, value: Any) -> Any:
         return tuple(range(value)) if isinstance(value, int) else value
 
-    @field_validator('factors', mode='before')
-    @classmethod
-    def _spell_out_factors(cls, value: Any) -> Any:
-        return {name: _factor(name, given) for name, given in value.items()} if (
-            isinstance(value, Mapping)) else value
-
-    @model_validator(mode='after')
-    def _check_across_fields(self) -> PartConfig:
-        for name, given in (('plants', self.plants), ('seeds', self.seeds)):
-            if len(set(given)) < len(given):
-                raise ConfigError(name, 'each of them once', list(given))
-        if min(self.seeds) < 0:
-            raise ConfigError('seeds', 'whole numbers >= 0', min(self.seeds))
-        for name in self.fixed.keys() & self.factors.keys():
-            raise ConfigError(f'fixed.{name}', 'a parameter that is not varied', 'a factor')
-        return self
-
 
 class ColumnConfig(Config):
     """A column of the table; each of its lines stands for several runs."""
@@ -151,6 +127,11 @@ class ColumnConfig(Config):
     part: str = parameter('', 'Only runs of this part; of all parts if empty.')
     each: bool = parameter(False, 'Whether `*` shows every contact.')
     wide: bool = parameter(False, 'Left out where the terminal is narrow.')
+
+    @model_validator(mode='before')
+    @classmethod
+    def _spell_out(cls, given: Any) -> Any:
+        return {'name': given} if isinstance(given, str) else given
 
 
 class StudyConfig(PartConfig):
@@ -180,12 +161,6 @@ class StudyConfig(PartConfig):
         True, 'Whether the columns are drawn over the first factor, by part and second factor.')
     notes: str = parameter('', 'What stands below the table.')
 
-    @field_validator('columns', mode='before')
-    @classmethod
-    def _name_columns(cls, value: Any) -> Any:
-        return [{'name': each} if isinstance(each, str) else each for each in value] if (
-            isinstance(value, (list, tuple))) else value
-
     def whole_parts(self) -> dict[str, PartConfig]:
         """Return every part with what it has from the study; without parts the study itself."""
         own = {name: getattr(self, name) for name in PartConfig.model_fields}
@@ -201,34 +176,26 @@ class StudyConfig(PartConfig):
         return parts
 
 
-def study_path(name: str) -> Path:
-    """Return the file of a study: of a name in config/studies, or a path; or a ConfigError."""
-    return named_file('study', 'studies', name)
-
-
 def study_names() -> list[str]:
     """Return the names of the studies in config/studies."""
     return sorted(path.stem for path in (config_dir() / 'studies').glob('*.yaml'))
 
 
-def read_study(path: Path) -> StudyConfig:
-    """Read a study's file and give every part what it has from the study; ConfigError if bad."""
+def read_study(name: str) -> StudyConfig:
+    """Read a study by name or path, with whole parts; ConfigError if it is not acceptable."""
+    path = named_file('study', 'studies', name)
     study = validate(StudyConfig, read_yaml(path), str(path))
     return study.model_copy(update={'parts': study.whole_parts()})
 
 
 def read_choices(texts: Iterable[str]) -> dict[str, Sequence[Any]]:
     """Read ``FACTOR=VALUE,VALUE`` texts, the values as in a YAML file; ConfigError if bad."""
-    choices = {}
+    choices: dict[str, Sequence[Any]] = {}
     for text in texts:
-        name, sign, values = text.partition('=')
-        try:
-            given = yaml.safe_load(f'[{values}]')
-        except yaml.YAMLError:
-            given = None
-        if not sign or not name.strip() or not given:
+        name, _, values = text.partition('=')
+        if not values:
             raise ConfigError('--set', 'FACTOR=VALUE,VALUE', f"'{text}'")
-        choices[name.strip()] = given
+        choices |= read_settings([f'{name}=[{values}]'])
     return choices
 
 

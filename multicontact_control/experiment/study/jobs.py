@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Collection, Generator, Iterator, Mapping
-import concurrent.futures
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Generator, Iterator, Mapping
+from concurrent.futures import as_completed, BrokenExecutor, CancelledError
+from contextlib import closing, contextmanager, ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cache, lru_cache
 import hashlib
 from importlib.metadata import PackageNotFoundError, version
+from itertools import starmap
 import json
 from pathlib import Path
 import signal
@@ -28,9 +28,9 @@ from sim_bridge.robots import find_robot
 
 LIBRARIES = ('mujoco', 'numba', 'numpy', 'pin', 'pybullet', 'scipy')
 CELLS = 'cells'
+THREADS = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
 WORKER_DIED = 'a worker died; the same command goes on with what is missing'
 CONNECT_TIMEOUT = 10.0  # s, until an address counts as one that does not answer
-LOST_CONNECTION = (asyncio.CancelledError, concurrent.futures.CancelledError, OSError)
 
 # The simulator and the compiled kernels are not for several threads of one process.
 _ONE_AT_A_TIME = threading.Lock()
@@ -42,13 +42,14 @@ class Job(Protocol):
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
+    def setup(self) -> Setup:
+        """Return the setup that is run, checked."""
+
     def key(self) -> str:
         """Return the hash of all that decides the outcome; ConfigError if it is not acceptable."""
-        ...
 
     def run(self) -> dict[str, Any]:
         """Do the work in this process; return what was measured as JSON values."""
-        ...
 
 
 @cache
@@ -100,8 +101,7 @@ class RunJob:
 
     def key(self) -> str:
         """Return the hash of all that decides the outcome; see `Job.key`."""
-        content = _content(replace(self, seed=0))
-        return content_key('run', {**content, 'seed': self.seed, 'supervised': self.supervised,
+        return content_key('run', {**setup_content(self.setup()), 'supervised': self.supervised,
                                    'surface_gone': self.surface_gone})
 
     def run(self) -> dict[str, Any]:
@@ -118,11 +118,6 @@ def _resolved(job: RunJob) -> Setup:
     return resolve(job.scenario, plant=job.plant, **json.loads(job.overrides))
 
 
-@lru_cache(maxsize=1)
-def _content(job: RunJob) -> dict[str, Any]:
-    return setup_content(_resolved(job))
-
-
 def job_of(
     scenario: str, plant: str, seed: int, *, supervised: bool = False,
     surface_gone: tuple[float, float] | None = None, **overrides: Any,
@@ -136,31 +131,29 @@ def job_of(
 def read_cell(folder: Path, key: str) -> dict[str, Any] | None:
     """Return what was measured in a finished job of a folder, None if it is not there or whole."""
     try:
-        metrics = json.loads((folder / CELLS / f'{key}.json').read_text('utf-8'))['metrics']
-    except (OSError, ValueError, KeyError, TypeError):
+        cell = json.loads((folder / CELLS / f'{key}.json').read_text('utf-8'))
+    except (OSError, ValueError):
         return None
-    return metrics if isinstance(metrics, dict) else None
+    metrics: dict[str, Any] = cell['metrics']
+    return metrics
 
 
-def prepare_folder(folder: Path, *, overwrite: bool, results: Collection[str] = ()) -> None:
+def prepare_folder(folder: Path, *, overwrite: bool) -> None:
     """
     Make the folder of a study, keeping its finished jobs unless they shall go.
 
-    ConfigError if it cannot be made, or holds other files than `results` without any ``cells/``.
+    ConfigError if it cannot be made, or holds files but no ``cells/``.
     """
     cells = folder / CELLS
-    if folder.is_dir() and not cells.is_dir() and any(
-            path.name not in results for path in folder.iterdir()):
-        raise ConfigError('out', 'a new or empty folder, or one with cells/',
-                          f'{folder}, which holds other files')
+    if folder.is_dir() and not cells.is_dir() and any(folder.iterdir()):
+        raise ConfigError('out', 'a new or empty folder, or that of a study', folder)
     try:
         cells.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError('out', 'a folder that can be made',
                           f'{folder} ({error.strerror})') from None
-    if overwrite:
-        for path in cells.glob('*.json'):
-            path.unlink()
+    for path in cells.glob('*.json') if overwrite else ():
+        path.unlink()
 
 
 def run_jobs(
@@ -174,52 +167,59 @@ def run_jobs(
     every core; the client of a Dask cluster runs them there. RunError if a worker or the cluster
     dies; what was finished before is kept.
     """
-    found = {key: read_cell(folder, key) for key in jobs}
-    todo = {key: job for key, job in jobs.items() if found[key] is None}
+    done = {key: metrics for key in jobs if (metrics := read_cell(folder, key)) is not None}
+    todo = {key: job for key, job in jobs.items() if key not in done}
     if todo:
         ensure_compiled(console)  # here once, not in every worker at once
-    with count_bar(console) as progress:
-        bar = progress.add_task(title, total=len(jobs), completed=len(jobs) - len(todo))
-        if client is not None:
-            work = _on_cluster(todo, client)
-        elif len(todo) < 2 or workers == 1:
-            work = (_timed(key, job) for key, job in todo.items())
+    with count_bar(console) as progress, closing(_outcomes(todo, workers, client)) as outcomes:
+        bar = progress.add_task(title, total=len(jobs), completed=len(done))
+        for key, metrics, wall_time in outcomes:
+            write_json(folder / CELLS / f'{key}.json', {
+                'key': key, 'job': asdict(todo[key]), 'wall_s': wall_time, 'metrics': metrics})
+            done[key] = metrics
+            progress.advance(bar)
+            if progress.disable and 10 * len(done) % len(jobs) < 10:  # at every tenth
+                progress.console.print(f'{title}: {len(done)} of {len(jobs)}', highlight=False)
+    return done
+
+
+def _outcomes(
+    todo: Mapping[str, Job], workers: int, client: Any,
+) -> Generator[Outcome, None, None]:
+    """Yield the outcomes of jobs as they end: in this process, in others, or on a cluster."""
+    if client is None and (len(todo) < 2 or workers == 1):
+        yield from starmap(_run, todo.items())
+        return
+    deaths: tuple[type[BaseException], ...] = (BrokenExecutor,)
+    with ExitStack() as stack:
+        if client is None:
+            from joblib.externals.loky import get_reusable_executor
+
+            # Ctrl-C reaches every process of the terminal; only this one answers it.
+            executor = get_reusable_executor(
+                workers or None, env=dict.fromkeys(THREADS, '1'), initializer=signal.signal,
+                initargs=(signal.SIGINT, signal.SIG_IGN))
+            stack.callback(executor.shutdown, kill_workers=True)
         else:
-            work = _in_processes(todo, workers)
-        with closing(work) as outcomes:
-            for key, metrics, wall_time in outcomes:
-                write_json(folder / CELLS / f'{key}.json', {
-                    'key': key, 'job': asdict(todo[key]), 'wall_s': wall_time,
-                    'metrics': metrics})
-                found[key] = metrics
-                progress.advance(bar)
-    return {key: metrics for key, metrics in found.items() if metrics is not None}
+            # Not joblib's Dask backend: it waits for ever for a job whose workers died.
+            from distributed import KilledWorker
 
-
-def _timed(key: str, job: Job) -> Outcome:
-    start = time.perf_counter()
-    return key, finite(job.run()), time.perf_counter() - start
-
-
-def _in_processes(todo: Mapping[str, Job], workers: int) -> Generator[Outcome, None, None]:
-    import joblib
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    with joblib.parallel_config(backend='loky', inner_max_num_threads=1):
-        # One job at a time: it takes far longer than handing it over, and is kept once done.
-        parallel = joblib.Parallel(n_jobs=workers or -1, return_as='generator_unordered',
-                                   batch_size=1, pre_dispatch='2*n_jobs')
+            executor = client.get_executor(pure=False)
+            deaths = (KilledWorker, CancelledError, OSError)
         try:
-            yield from parallel(
-                joblib.delayed(_in_worker)(key, job) for key, job in todo.items())
-        except TerminatedWorkerError:
+            for future in as_completed([executor.submit(_run, *item) for item in todo.items()]):
+                yield future.result()
+        except deaths:
             raise RunError(WORKER_DIED) from None
 
 
-def _in_worker(key: str, job: Job) -> Outcome:
-    # Ctrl-C reaches every process of the terminal; the one that gave out the work ends the rest.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return _timed(key, job)
+def _run(key: str, job: Job) -> Outcome:
+    """Run a job where its key is the same, which stands for equal code and configuration."""
+    with _ONE_AT_A_TIME:
+        if job.key() != key:
+            raise RunError('a worker has other code, libraries or configuration files')
+        start = time.perf_counter()
+        return key, finite(job.run()), time.perf_counter() - start
 
 
 @contextmanager
@@ -243,35 +243,7 @@ def dask_client(address: str) -> Iterator[Any]:
         socket.create_connection(get_address_host_port(address), CONNECT_TIMEOUT).close()
         client = distributed.Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
-        reason = ' '.join(str(error).split()) or type(error).__name__
         raise ConfigError('dask', 'the address of a Dask scheduler that answers, e.g. '
-                          'tcp://127.0.0.1:8786', f'{address} ({reason})') from None
+                          'tcp://127.0.0.1:8786', f'{address} ({error})') from None
     with client:
         yield client
-
-
-def _on_cluster(todo: Mapping[str, Job], client: Any) -> Generator[Outcome, None, None]:
-    # Not joblib's Dask backend: it waits for ever for a job whose workers died (joblib 1.6).
-    from distributed import as_completed, KilledWorker
-
-    futures = client.map(_on_dask_worker, todo.keys(), todo.values(), pure=False, batch_size=500)
-    try:
-        for future in as_completed(futures, loop=client.loop):
-            yield future.result()
-            future.release()
-    except KilledWorker:
-        raise RunError(WORKER_DIED) from None
-    except LOST_CONNECTION as error:
-        raise RunError(f'the Dask cluster gives no results any more ({type(error).__name__}); '
-                       'the same command goes on with what is missing') from None
-    finally:
-        with suppress(*LOST_CONNECTION):
-            client.cancel(futures)
-
-
-def _on_dask_worker(key: str, job: Job) -> Outcome:
-    """Run a job where its key is the same, which stands for equal code and configuration."""
-    with _ONE_AT_A_TIME:
-        if job.key() != key:
-            raise RunError('a Dask worker has other code, libraries or configuration files')
-        return _timed(key, job)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 import math
 from typing import Any, TYPE_CHECKING
 
+from multicontact_control.errors import RunError
 from multicontact_control.experiment.claims import evidence_of
 from multicontact_control.experiment.metrics import LASTING, RunMetrics
-from multicontact_control.experiment.recording import empty_run_data
 from multicontact_control.experiment.results import summarise
 import numpy as np
 
@@ -35,23 +34,17 @@ def measure_run(
     """
     Run a setup in this process and measure it; an exception is its `error`, and ends no study.
 
-    The last surface is away between the two times of `surface_gone` [s], if given.
-
-    Returns
-    -------
-    dict
-        The content of ``summary.json`` under `summary`, None after an exception; the answers to
-        disturbances, and what else claims rest on, under `evidence`;
-        `final_error_share`, `activity_nm`, `neighbour_n` (see `metrics_row`); `error`.
-
+    The last surface is away between the two times of `surface_gone` [s], if given. Returned are
+    `summary`, the content of ``summary.json``, None after an exception; `evidence`, which claims
+    rest on; `final_error_share`, `activity_nm` and `neighbour_n` (see `metrics_row`); `error`.
     """
     from multicontact_control.experiment.closed_loop import run_in_process
 
     try:
         result = run_in_process(
             setup, supervised=supervised, disturb=_disturbance(setup, surface_gone))
-        if result.data.ticks < SHORTEST:  # it ended at once: samples that were not answered
-            result = replace(result, data=empty_run_data(SHORTEST, setup.controller))
+        if result.data.ticks < SHORTEST:
+            raise RunError(result.ended_early)
         data, run = result.data, RunMetrics(result.data, setup)
         summary = summarise(
             data, setup, mode='in_process', timing={}, ended_early=result.ended_early,
@@ -117,33 +110,20 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
     recovery from the pushes of each length. A time is infinite if the event never came. The
     scalars of ``summary.json`` have dotted names.
     """
-    summary = metrics['summary'] or {}
-    ended = summary.get('ended_early')
-    share = metrics.get('final_error_share')
+    summary, evidence = metrics['summary'] or {}, metrics.get('evidence') or {}
+    ended, share = summary.get('ended_early'), metrics.get('final_error_share')
     contacts = summary.get('contacts', {}).values()
+    steps = [step for contact in contacts for step in contact['steps']]
+    shown = evidence.get('contacts', {}).values()
+    pushes = [push for contact in shown for push in contact['recoveries'] if not push['moving']]
     return {
         'stable': bool(summary.get('stable', False)), 'verdict': summary.get('verdict'),
         'error': metrics['error'] or ended,
         'instabilities': '; '.join(summary.get('instabilities', ())) or None,
         'settled': share is not None and share <= SETTLED and not ended,
         'oscillates': any(contact['oscillation_s'] for contact in contacts),
-        **_disturbance_row(metrics.get('evidence')),
-        'rise_s': _latest(step['rise_63_s'] for contact in contacts for step in contact['steps']),
-        'overshoot_percent': _largest(
-            step['overshoot_percent'] for contact in contacts for step in contact['steps']),
-        **{name: metrics.get(name) for name in ('activity_nm', 'neighbour_n')},
-        **dict(_flat({name: value for name, value in summary.items() if name not in LEFT_OUT})),
-        'trajectory_sha256': summary.get('trajectory_sha256')}
-
-
-def _disturbance_row(evidence: Metrics | None) -> dict[str, Any]:
-    contacts = list(evidence['contacts'].values()) if evidence else []
-    pushes = [push for contact in contacts for push in contact['recoveries']
-              if not push['moving']]
-    return {
-        **{name: (evidence or {}).get(name) for name in (
-            'unstable_after_motion_s', 'oscillation_hz')},
-        **{f'{window}_{name}': _largest(contact[window][name] for contact in contacts)
+        **{name: evidence.get(name) for name in ('unstable_after_motion_s', 'oscillation_hz')},
+        **{f'{window}_{name}': _largest(contact[window][name] for contact in shown)
            for window, name in (
                ('rest', 'rms_n'), ('moving', 'rms_n'), ('moving', 'lost'),
                ('rest', 'variance_n2'), ('moving', 'variance_n2'))},
@@ -152,7 +132,12 @@ def _disturbance_row(evidence: Metrics | None) -> dict[str, Any]:
         'short_push_s': _latest(
             push['recovery'] for push in pushes if push['duration'] < LASTING),
         'lasting_push_s': _latest(
-            push['recovery'] for push in pushes if push['duration'] >= LASTING)}
+            push['recovery'] for push in pushes if push['duration'] >= LASTING),
+        'rise_s': _latest(step['rise_63_s'] for step in steps),
+        'overshoot_percent': _largest(step['overshoot_percent'] for step in steps),
+        **{name: metrics.get(name) for name in ('activity_nm', 'neighbour_n')},
+        **dict(_flat({name: value for name, value in summary.items() if name not in LEFT_OUT})),
+        'trajectory_sha256': summary.get('trajectory_sha256')}
 
 
 def _flat(values: Metrics, prefix: str = '') -> Iterator[tuple[str, Any]]:

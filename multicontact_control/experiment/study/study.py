@@ -11,29 +11,28 @@ from typing import Any
 
 from multicontact_control import __version__
 from multicontact_control.config import read_yaml, validate
-from multicontact_control.errors import ConfigError, counted, RunError
+from multicontact_control.errors import counted
 from multicontact_control.experiment.overrides import unit_of
 from multicontact_control.experiment.page import image, write_page
 from multicontact_control.experiment.study.cells import Cell, is_parameter, run_cells
 from multicontact_control.experiment.study.config import StudyConfig
 from multicontact_control.experiment.study.jobs import (
+    CELLS,
     dask_client,
     prepare_folder,
     read_cell,
     run_jobs,
-    RunJob,
 )
 from multicontact_control.experiment.study.measure import metrics_row
 from multicontact_control.experiment.study.table import (
     draw_study,
     html_tables,
-    Listing,
     listing_of,
     table_columns,
     terminal_tables,
     worst,
 )
-from multicontact_control.files import replacing, write_json
+from multicontact_control.files import read_json, replacing, write_json
 import pandas as pd
 from rich.console import Console
 from rich.markup import escape as plain
@@ -48,11 +47,15 @@ Metrics = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Results:
-    """What came out of a study: what was measured in each cell, and the table of them."""
+    """What came out of a study: the table of its cells."""
 
-    metrics: Sequence[Metrics]
     frame: pd.DataFrame  # a row for each cell; `attrs` has factors and units
     folder: Path
+
+    def metrics(self) -> list[Metrics]:
+        """Return what was measured in the cell of each row; ConfigError if its file is missing."""
+        return [read_json(self.folder / CELLS / f'{key}.json')['metrics']
+                for key in self.frame['key']]
 
 
 class Study:
@@ -129,15 +132,14 @@ class Study:
         self, cells: Sequence[Cell], found: Mapping[str, Metrics], folder: Path,
     ) -> Results:
         """Return cells with what was measured in them, by key, as a table."""
-        metrics, job = [found[cell.key] for cell in cells], cells[0].job
         frame = self.complete(pd.DataFrame([
             {**cell.factors, **row, 'key': cell.key}
-            for cell, measured in zip(cells, metrics) for row in self.rows(measured)]))
-        units = {name: unit_of(name, job.setup()) for name in cells[0].factors
-                 if is_parameter(name)} if isinstance(job, RunJob) else {}
+            for cell in cells for row in self.rows(found[cell.key])]))
+        units = {name: unit_of(name, cells[0].job.setup()) for name in cells[0].factors
+                 if is_parameter(name)}
         frame.attrs = {'factors': list(cells[0].factors), 'units': units,
                        'study': self.config.name, 'version': __version__}
-        return Results(metrics, frame, folder)
+        return Results(frame, folder)
 
 
 def study_of(config: StudyConfig) -> Study:
@@ -147,14 +149,6 @@ def study_of(config: StudyConfig) -> Study:
     module = import_module(f'{__package__}.presets.{config.kind}')
     study: Study = getattr(module, f'{config.kind.capitalize()}Study')(config)
     return study
-
-
-def check_workers(jobs: int, dask: str) -> None:
-    """Check how a study is to be run; ConfigError if it is not acceptable."""
-    if jobs < 0:
-        raise ConfigError('jobs', 'a whole number >= 0', jobs)
-    if dask and jobs:
-        raise ConfigError('jobs', 'nothing together with --dask, whose workers decide', jobs)
 
 
 def run_study(
@@ -173,7 +167,7 @@ def run_study(
     keys = {cell.key for cell in cells}
     with dask_client(dask) as client:
         if not dry_run:
-            prepare_folder(folder, overwrite=overwrite, results=(STUDY_FILE, PAGE_FILE))
+            prepare_folder(folder, overwrite=overwrite)
         finished = 0 if overwrite else sum(read_cell(folder, key) is not None for key in keys)
         console.print(f'study {name}: {counted(len(keys), "jobs")}, {finished} of them finished '
                       'before', highlight=False)
@@ -185,12 +179,20 @@ def run_study(
             return run_jobs({cell.key: cell.job for cell in some}, folder, workers=jobs,
                             client=client, console=console, title=name)
 
-        found = run(cells)
-        results = study.results(cells, found, folder)
+        results = study.results(cells, run(cells), folder)
         if further := study.further(results):
-            results = study.results([*cells, *further], found | run(further), folder)
+            cells += further
+            results = study.results(cells, run(cells), folder)
     study.write(results)
-    _show(study, results, listing_of(results.frame, study.config), console)
+    listing = listing_of(results.frame, study.config)
+    if sum(map(len, listing.values())) <= SHOWN:
+        console.print(*terminal_tables(name, listing, study.config, console.width))
+    for text in study.warnings(results):
+        console.print(f'[red]{plain(text)}[/red]', highlight=False)
+    for text in study.findings(results):
+        console.print(f'- {plain(text)}', highlight=False)
+    for file in (PAGE_FILE, CSV_FILE, TABLE_FILE):
+        console.print(f'results in {folder / file}', highlight=False, soft_wrap=True)
     return results
 
 
@@ -203,26 +205,8 @@ def _show_factors(cells: Sequence[Cell], console: Console) -> None:
                           markup=False, soft_wrap=True)
 
 
-def _show(study: Study, results: Results, listing: Listing, console: Console) -> None:
-    """Show what came out, and where the files are."""
-    if sum(map(len, listing.values())) <= SHOWN:
-        console.print(*terminal_tables(
-            study.config.name, listing, study.config, console.width))
-    for text in study.warnings(results):
-        console.print(f'[red]{plain(text)}[/red]', highlight=False)
-    for text in study.findings(results):
-        console.print(f'- {plain(text)}', highlight=False)
-    for name in (PAGE_FILE, CSV_FILE, TABLE_FILE):
-        console.print(f'results in {results.folder / name}', highlight=False, soft_wrap=True)
-
-
 def read_results(folder: Path) -> tuple[Study, Results]:
     """Return the study of a folder and what came out; ConfigError if the folder has none."""
     path = folder / STUDY_FILE
     study = study_of(validate(StudyConfig, read_yaml(path), str(path)))
-    frame = pd.read_parquet(folder / TABLE_FILE)
-    metrics = [found for key in frame['key'] if (found := read_cell(folder, key)) is not None]
-    if len(metrics) < len(frame):
-        raise RunError(f'{folder}: expected a finished job for each of {len(frame)} rows of '
-                       f'{TABLE_FILE}, got {len(metrics)}')
-    return study, Results(metrics, frame, folder)
+    return study, Results(pd.read_parquet(folder / TABLE_FILE), folder)

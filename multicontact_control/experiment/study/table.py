@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
+from itertools import product
 import math
+import re
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -20,7 +22,6 @@ from rich.table import Table
 WIDE_RANGE = 20.0  # largest over smallest, from which an axis is logarithmic
 WIDE = 130  # columns of a terminal that has room for every column of a table
 LABEL = 18  # characters of a label that stay in one line
-STATISTICS = ('median', 'min', 'max')
 Listing = Mapping[str, pd.DataFrame]  # texts of lines and columns, by section
 NOT_FACTORS = ('part', 'plant', 'seed')
 CHOICE = (  # of columns to show
@@ -28,20 +29,15 @@ CHOICE = (  # of columns to show
     'contacts.*.moving.true_error_rms_n')
 
 
-def columns_of(frame: pd.DataFrame, value: str) -> list[str]:
+def columns_of(frame: pd.DataFrame, value: str) -> pd.DataFrame:
     """Return the columns of numbers that a name stands for, with ``*`` for one part of it."""
-    head, star, tail = value.partition(EVERY)
-    names = [value] if not star else [
-        name for name in frame.columns if name.startswith(head) and name.endswith(tail)
-        and EVERY not in name and '.' not in name[len(head):len(name) - len(tail)]]
-    return [name for name in names if name in frame.columns
-            and pd.api.types.is_numeric_dtype(frame[name])]
+    pattern = '[^.*]+'.join(map(re.escape, value.split(EVERY)))
+    return frame.filter(regex=f'^{pattern}$').select_dtypes(['number', 'bool']).astype(float)
 
 
 def worst(frame: pd.DataFrame, value: str) -> pd.Series:
     """Return a column, with ``*`` in its name the largest of all; NaN if there is none."""
-    names = columns_of(frame, value)
-    return frame[names].astype(float).max(axis=1) if names else pd.Series(np.nan, frame.index)
+    return columns_of(frame, value).max(axis=1)
 
 
 def judged(frame: pd.DataFrame, study: StudyConfig) -> pd.DataFrame:
@@ -79,11 +75,9 @@ def listing_of(frame: pd.DataFrame, study: StudyConfig) -> Listing:
     return listing
 
 
-def _groups(frame: pd.DataFrame, by: Sequence[str]) -> list[tuple[tuple[Any, ...], pd.DataFrame]]:
+def _groups(frame: pd.DataFrame, by: Sequence[str]) -> Iterable[tuple[Any, pd.DataFrame]]:
     """Return the rows of each combination of values, in the order in which they come first."""
-    if not by:
-        return [((), frame)]
-    return [(key, group) for key, group in frame.groupby(list(by), sort=False, dropna=False)]
+    return frame.groupby(list(by) or (lambda _: ''), sort=False, dropna=False)
 
 
 def show(value: Any) -> str:
@@ -110,18 +104,17 @@ def _number(values: pd.Series, column: ColumnConfig) -> str:
 def _cell(column: ColumnConfig, group: pd.DataFrame, study: StudyConfig) -> str:
     cells = group if not column.part else group[group['part'] == column.part]
     if column.aggregate in FUNCTIONS:
-        return FUNCTIONS[column.aggregate](cells, column.value, study.truth)
-    if column.aggregate in STATISTICS:
-        cells = judged(cells, study)
-        if column.each:
-            return ' / '.join(_number(cells[name].astype(float), column)
-                              for name in columns_of(cells, column.value)
-                              if cells[name].notna().any()) or '-'
-        return _number(worst(cells, column.value), column)
-    values = cells.get(column.value, pd.Series(dtype=float)).dropna()
-    if column.aggregate == 'share':
-        return f'{int(values.sum())}/{len(values)}'
-    return ', '.join(sorted(set(map(str, values)))) or '-'
+        return FUNCTIONS[column.aggregate](cells, column.value, study.truth) if (
+            column.value in cells) else '-'  # a part that was not chosen
+    if column.aggregate in ('share', 'set'):
+        values = cells.get(column.value, pd.Series(dtype=float)).dropna()
+        return f'{int(values.sum())}/{len(values)}' if column.aggregate == 'share' else (
+            ', '.join(sorted(set(map(str, values)))) or '-')
+    numbers = columns_of(judged(cells, study), column.value)
+    if column.each:
+        return ' / '.join(_number(numbers[name], column)
+                          for name in numbers.dropna(axis=1, how='all')) or '-'
+    return _number(numbers.max(axis=1), column)
 
 
 def survived(frame: pd.DataFrame, factor: str, truth: str) -> str:
@@ -158,16 +151,16 @@ def terminal_tables(title: str, listing: Listing, study: StudyConfig, width: int
     for section, frame in listing.items():
         labels = list(frame)[:frame.attrs['labels']]
         shown = frame[[name for name in frame if name not in left_out]]
-        found = Table(title=plain(section or title), title_justify='left', box=SIMPLE_HEAD,
-                      padding=(0, 1, 0, 0), pad_edge=False)
+        text = Table(title=plain(section or title), title_justify='left', box=SIMPLE_HEAD,
+                     padding=(0, 1, 0, 0), pad_edge=False)
         for name in shown:
             short = name in labels and frame[name].str.len().max() <= LABEL
-            found.add_column(
+            text.add_column(
                 plain(name.replace(' ', '\n') if short else name), overflow='fold',
                 justify='left' if name in labels else 'right', no_wrap=short)
         for line in shown.itertuples(index=False):
-            found.add_row(*map(plain, line))
-        tables.append(found)
+            text.add_row(*map(plain, line))
+        tables.append(text)
     return tables
 
 
@@ -189,33 +182,34 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
     without a factor or a value to draw.
     """
     names = [name for name in frame.attrs['factors'] if name not in NOT_FACTORS]
-    values = [column.value for column in table_columns(frame, study)
-              if column.aggregate in ('median', 'share') and (
-                  column.value == study.truth or worst(frame, column.value).notna().any())]
-    if not (study.figure and names and values):
+    columns = [column for column in table_columns(frame, study)
+               if column.aggregate in ('median', 'share')
+               and worst(frame, column.value).notna().any()]
+    if not (study.figure and names and columns):
         return None
     lines = ['part'] if frame['part'].nunique() > 1 else []
     lines += names[1:2] or ['part'] * (not lines)
     plants = list(frame['plant'].unique())
-    figure = Figure(figsize=(4.6 * len(plants) + 1.0, 2.6 * len(values) + 1.0),
+    figure = Figure(figsize=(4.6 * len(plants) + 1.0, 2.6 * len(columns) + 1.0),
                     layout='constrained')
-    grid = figure.subplots(len(values), len(plants), sharex=True, sharey='row', squeeze=False)
-    for column, plant in enumerate(plants):
-        for axes, value in zip(grid[:, column], values):
-            share = value == study.truth
-            here = frame[frame['plant'] == plant]
-            _draw(axes, here if share else judged(here, study), names[0], lines, value)
-            axes.set_ylabel('share of good runs' if share else value.replace(
-                '*', 'worst').replace('.', '\n'), fontsize=8)
-        grid[0, column].set_title(f'plant {plant}', fontsize=9)
+    grid = figure.subplots(len(columns), len(plants), sharex=True, sharey='row', squeeze=False)
+    for axes, (column, plant) in zip(grid.flat, product(columns, plants)):
+        here, share = frame[frame['plant'] == plant], column.aggregate == 'share'
+        _draw(axes, here if share else judged(here, study), names[0], lines, column)
+        axes.set_ylabel(f'share of {column.value} runs' if share else column.value.replace(
+            '*', 'worst').replace('.', '\n'), fontsize=8)
+    for axes, plant in zip(grid[0], plants):
+        axes.set_title(f'plant {plant}', fontsize=9)
     return figure
 
 
-def _draw(axes: Any, frame: pd.DataFrame, x: str, lines: list[str], value: str) -> None:
-    share = value in frame and frame[value].dtype == bool
-    series = frame[value].astype(float) if share else worst(frame, value)
-    table = frame.assign(drawn=series.replace(np.inf, np.nan)).pivot_table(
-        index=x, columns=lines, values='drawn', aggfunc='mean' if share else 'median', sort=False)
+def _draw(
+    axes: Any, frame: pd.DataFrame, x: str, lines: list[str], column: ColumnConfig,
+) -> None:
+    drawn = worst(frame, column.value).replace(np.inf, np.nan)
+    table = frame.assign(drawn=drawn).pivot_table(
+        index=x, columns=lines, values='drawn', sort=False,
+        aggfunc='mean' if column.aggregate == 'share' else 'median')
     if table.empty:
         return
     if pd.api.types.is_numeric_dtype(table.index):

@@ -8,7 +8,6 @@ from multicontact_control.experiment.study.config import (
     read_study,
     select,
     study_names,
-    study_path,
 )
 from multicontact_control.experiment.study.study import study_of
 from multicontact_control.force.laws import LAWS
@@ -29,7 +28,7 @@ def fixture_read(tmp_path):
     def read(**changes):
         path = tmp_path / 'study.yaml'
         path.write_text(yaml.safe_dump({**STUDY, **changes}, sort_keys=False))
-        return read_study(path)
+        return read_study(str(path))
     return read
 
 
@@ -37,7 +36,7 @@ def fixture_read(tmp_path):
 def fixture_preset():
     """Return what gives a study of config/studies with some choices."""
     def preset(name, quick=False, **choices):
-        study = read_study(study_path(name))
+        study = read_study(name)
         short = {'seed': study.seeds[:1], **study.quick} if quick else {}
         return study_of(select(study, {**short, **choices}))
     return preset
@@ -56,13 +55,12 @@ def test_ranges_are_even_and_levels_keep_their_labels(read):
 
 
 @pytest.mark.parametrize(('changes', 'field'), [
-    ({'name': 'a/b'}, 'name'), ({'plants': []}, 'plants'), ({'plants': ['x', 'x']}, 'plants'),
+    ({'name': 'a/b'}, 'name'), ({'plants': []}, 'plants'), ({'seeds': [0, -1]}, 'seeds.1'),
     ({'seeds': 0}, 'seeds'), ({'duration': 0.0}, 'duration'), ({'repeats': 3}, 'repeats'),
-    ({'factors': 'all'}, 'factors'), ({'factors': {'a.b': 3}}, 'factors.a.b.values'),
-    ({'factors': {'a.b': {'start': 1.0, 'stop': 2.0}}}, 'factors.a.b.count'),
+    ({'factors': 'all'}, 'factors'), ({'factors': {'a.b': 3}}, 'factors.a.b'),
+    ({'factors': {'a.b': {'start': 1.0, 'stop': 2.0}}}, 'factors.a.b'),
     ({'factors': {'a.b': {'start': 0, 'stop': 2, 'count': 3, 'spacing': 'log'}}},
-     'factors.a.b.start'),
-    ({'fixed': {'a.b': 1}, 'factors': {'a.b': [2]}}, 'fixed.a.b'),
+     'factors.a.b'),
     ({'columns': [{'aggregate': 'mean', 'name': 'x'}]}, 'columns.0.aggregate')])
 def test_bad_file_is_refused_by_its_field(read, changes, field):
     with pytest.raises(ConfigError, match=f'study.yaml: {field}: expected ') as caught:
@@ -130,7 +128,7 @@ def test_user_chooses_plants_seeds_and_values(read):
     with pytest.raises(ConfigError, match='^part: expected some of'):
         select(study, {'part': ['c']})
     for text in ('level', '=3', 'level=', 'level=]'):
-        with pytest.raises(ConfigError, match='^--set: '):
+        with pytest.raises(ConfigError, match='^--set'):
             read_choices([text])
 
 
@@ -138,13 +136,13 @@ def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter(preset
     names = study_names()
     assert {'compare', 'laws', 'map', 'robots', 'tune', 'faults', 'delay', 'stiffness'} <= {*names}
     for name in names:
-        study = read_study(study_path(name))
+        study = read_study(name)
         assert study.name == name and ': ' in study.description
     counts = [{cell.key for cell in preset(name, quick=True, plant=('rigid',)).cells()}
               for name in ('compare', 'laws', 'map', 'delay', 'faults')]
     assert [len(keys) for keys in counts] == [18, 45, 64, 14, 12]
     with pytest.raises(ConfigError, match=rf"^study: expected one of {', '.join(names)}"):
-        study_path('stifness')
+        read_study('stifness')
 
 
 def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_filter(preset):
@@ -168,7 +166,7 @@ def test_every_law_has_ranges_whose_ends_are_acceptable():
     declared = read_yaml(config_dir() / 'tuning.yaml')
     assert set(declared) == set(LAWS)
     for law, ranges in declared.items():
-        study = read_study(study_path('tune')).model_copy(update={'law': law})
+        study = read_study('tune').model_copy(update={'law': law})
         whole = study_of(select(study, {}))
         ends = {name: [values[0], values[-1]] for name, values in ranges.items()}
         cells = run_cells(select(whole.config, ends))

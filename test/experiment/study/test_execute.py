@@ -53,10 +53,12 @@ def test_dead_worker_ends_the_run_and_keeps_what_is_finished(tmp_path):
     for job in jobs:
         assert found[job.key()]['process'] != os.getpid()
         assert found[job.key()]['threads'] == '1'
+    with pytest.raises(RunError, match='other code'):
+        run_jobs({'job of other code': MortalJob(1)}, tmp_path, workers=1)
 
 
 @pytest.mark.nightly
-def test_processes_and_cluster_give_the_results_of_this_process(tmp_path, monkeypatch):
+def test_processes_and_cluster_give_the_results_of_this_process(tmp_path):
     distributed = pytest.importorskip('distributed')
     import dask
 
@@ -75,6 +77,3 @@ def test_processes_and_cluster_give_the_results_of_this_process(tmp_path, monkey
         assert run_jobs(jobs, folders[2], client=client) == here
         with pytest.raises(RunError, match=f'^{WORKER_DIED}$'):
             run_jobs(by_key([MortalJob(0, deadly=True)]), folders[2], client=client)
-        monkeypatch.setattr(MortalJob, 'key', lambda self: 'of other code')
-        with pytest.raises(RunError, match='other code'):
-            run_jobs({'job1': MortalJob(1)}, folders[2], client=client)

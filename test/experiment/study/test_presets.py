@@ -5,11 +5,11 @@ import math
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.faults.vocabulary import FAULTS
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.experiment.study.config import read_study, select, study_path
+from multicontact_control.experiment.study.config import read_study, select
 from multicontact_control.experiment.study.measure import measure_run, metrics_row
 from multicontact_control.experiment.study.presets.compare import CompareStudy, read_claim_rows
 from multicontact_control.experiment.study.presets.faults import FaultJob
-from multicontact_control.experiment.study.presets.map import arm_loop
+from multicontact_control.experiment.study.presets.map import ArmLoop
 from multicontact_control.experiment.study.presets.tune import cost, SCALES
 from multicontact_control.experiment.study.study import run_study, study_of
 import pytest
@@ -19,7 +19,7 @@ QUIET = Console(quiet=True)
 
 
 def study(name, law='', **choices):
-    config = read_study(study_path(name)).model_copy(update={'law': law})
+    config = read_study(name).model_copy(update={'law': law})
     return study_of(select(config, choices))
 
 
@@ -48,7 +48,7 @@ def test_linear_boundary_is_the_simulated_one_within_a_tenth(damping_rate):
     def setup(ratio):
         return setup_of(ratio, damping_rate, substep=2.5e-4)
 
-    loop = arm_loop(setup(1.0))
+    loop = ArmLoop(setup(1.0))
     linear = loop.boundary(0.6)
     assert loop.radius(0.6)(linear) == pytest.approx(1.0, abs=1e-5)
     assert settles(setup(0.9 * linear))

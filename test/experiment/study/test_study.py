@@ -67,9 +67,11 @@ def test_lines_are_statistics_over_the_seeds(frame):
         {'name': 'n', 'value': 'stable', 'aggregate': 'share'},
         {'name': 'ms', 'value': 'late', 'scale': 1000.0, 'digits': 0},
         {'name': 'most', 'value': RISE, 'aggregate': 'max', 'digits': 1},
-        {'name': 'all', 'value': 'contacts.*.step_rise_63_s', 'each': True}]
+        {'name': 'all', 'value': 'contacts.*.step_rise_63_s', 'each': True},
+        {'name': 'of a part not chosen', 'value': 'delay', 'aggregate': 'survived'}]
     assert cells_of(frame, columns=columns, medians='all')[1] == [
-        ['600', '3/3', 'never', '9.0', '1 / 4.75'], ['6e+04', '2/3', '312', '5.0', '4 / 0.5']]
+        ['600', '3/3', 'never', '9.0', '1 / 4.75', '-'],
+        ['6e+04', '2/3', '312', '5.0', '4 / 0.5', '-']]
 
 
 def test_ranges_of_a_factor_are_where_all_runs_are_good():
@@ -124,7 +126,7 @@ def test_changed_study_runs_what_is_missing_and_failures_are_rows(tmp_path, monk
     def run(seeds, **options):
         path.write_text(yaml.safe_dump({**STUDY, 'seeds': seeds}))
         shown = io.StringIO()
-        run_study(study_of(select(read_study(path), {})), out, jobs=1,
+        run_study(study_of(select(read_study(str(path)), {})), out, jobs=1,
                   console=Console(file=shown, width=160), **options)
         return shown.getvalue()
 
@@ -145,7 +147,7 @@ def test_changed_study_runs_what_is_missing_and_failures_are_rows(tmp_path, monk
     assert {each.name for each in out.iterdir()} == FILES
     assert '0 of them finished' in run(2, dry_run=True, overwrite=True)
     study, results = read_results(out)
-    assert study.config.name == 'small' and len(results.frame) == len(results.metrics) == 4
+    assert study.config.name == 'small' and len(results.frame) == len(results.metrics()) == 4
     assert results.frame['trajectory_sha256'].nunique() == 2
     cell = json.loads((out / 'cells' / f'{results.frame["key"][0]}.json').read_text())
-    assert cell['metrics'] == results.metrics[0]
+    assert cell['metrics'] == results.metrics()[0]

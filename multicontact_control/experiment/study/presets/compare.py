@@ -38,7 +38,7 @@ class CompareStudy(Study):
 def claim_rows(results: Results) -> Runs:
     """Return the runs of a comparison as what claims are judged from."""
     return [{**metrics['evidence'], 'estimator': estimator}
-            for estimator, metrics in zip(results.frame['estimator'], results.metrics)
+            for estimator, metrics in zip(results.frame['estimator'], results.metrics())
             if metrics['summary']]
 
 
@@ -46,7 +46,7 @@ def comparison_claims(results: Results) -> dict[str, dict[float, list[Claim]]]:
     """Judge the claims on every plant with every K_2, each by its first run like the paper's."""
     rows = claim_rows(results)
     claims: dict[str, dict[float, list[Claim]]] = {}
-    for (_, row), metrics in zip(results.frame.iterrows(), results.metrics):
+    for (_, row), metrics in zip(results.frame.iterrows(), results.metrics()):
         if row['part'] in LIKE_THE_PAPER and row['estimator'] == PAPER_ESTIMATOR and (
                 metrics['summary']):
             here = claims.setdefault(str(row['plant']), {})

@@ -31,7 +31,7 @@ from multicontact_control.experiment.study.study import Metrics, Study
 import pandas as pd
 
 PHASE_TIMES = {START: 0.0, APPROACH: 0.65, REST: 4.9, SLIDING: 8.2}  # s
-FAULT_TIMEOUT = 60.0  # s
+FAULT_TIMEOUT = 60  # s
 FAULTS_PER_JOB = 12
 PAIRS, FEW_PAIRS = 300, 12  # of faults at the same time, the latter with a single seed
 
@@ -89,6 +89,7 @@ def in_fork(world: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
     # By hand: a worker of Dask is not allowed to have children of `multiprocessing`.
     child = os.fork()
     if not child:
+        signal.alarm(FAULT_TIMEOUT)
         try:
             theirs.send(run_fault(world, fault, seed, phase))
         except BaseException:
@@ -97,18 +98,14 @@ def in_fork(world: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
             os._exit(0)  # at once: what this process would end is its parent's
     theirs.close()
     try:
-        if ours.poll(FAULT_TIMEOUT):
-            row: FaultRow = ours.recv()
-            return row
-        problem = 'hang'
+        row: FaultRow = ours.recv()
+        return row
     except EOFError:
-        problem = 'died'
+        return FaultRow(fault.kind, fault.input, seed, 'died', -1.0, -1.0, -1.0, False,
+                        world.setup.plant_name, phase, 'died')
     finally:
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
         ours.close()
-    return FaultRow(fault.kind, fault.input, seed, problem, -1.0, -1.0, -1.0, False,
-                    world.setup.plant_name, phase, problem)
+        os.waitpid(child, 0)
 
 
 def situation(

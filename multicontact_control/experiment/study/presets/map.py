@@ -9,7 +9,6 @@ damps, and that the sensor weighs the tool's inertia.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 import math
 from typing import Any
@@ -17,14 +16,12 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from multicontact_control.arrays import Matrix
 from multicontact_control.contact.geometry import loop_stiffnesses, normal_space
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.operational_space import task_inertia
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.experiment.study.jobs import RunJob
 from multicontact_control.experiment.study.study import Results, Study
 from multicontact_control.force.force_law import design_law, loop_model
 from multicontact_control.force.laws import steady_law
@@ -42,9 +39,7 @@ RATIO, DELAY = 'true / model stiffness', 'plant.actuator_delay_ticks'
 VARIANCES = (0.6, 100.0)  # N^2, of the linear boundaries: at rest and in motion
 COLOURS = ('#1f3b73', '#c26a00', '#777777')
 LARGEST_OVERSHOOT = 300.0  # %, of the colour scale
-# Where boundaries are looked for, upwards: of the arm in steps of 10 %, of eq. 32 of 5 %.
-ARM_RATIOS = tuple(np.geomspace(0.1, 100.0, 73).tolist())
-PAPER_RATIOS = tuple(np.cumprod([1.0, *[1.05] * 94]).tolist())
+RATIOS = tuple(np.geomspace(0.1, 100.0, 73).tolist())  # where boundaries are looked for, upwards
 Boundaries = Mapping[str, Mapping[int, float]]  # largest stable ratio by line and delay
 
 
@@ -58,9 +53,9 @@ class MapStudy(Study):
         for cell in self.cells():
             plant, delay = cell.factors['plant'], cell.factors[DELAY]
             lines = found.setdefault(plant, {})
-            if any(delay in line for line in lines.values()) or not isinstance(cell.job, RunJob):
+            if any(delay in line for line in lines.values()):
                 continue
-            loop = arm_loop(cell.job.setup())
+            loop = ArmLoop(cell.job.setup())
             for variance in VARIANCES:
                 lines.setdefault(f'linear loop of the arm, R = {variance:g} N²', {})[delay] = (
                     loop.boundary(variance))
@@ -72,7 +67,7 @@ class MapStudy(Study):
         """Return how many runs settle, and the boundaries of the linear loops."""
         return [*super().findings(results), *(
             f'Plant {plant}, {name}: stable up to ' + ', '.join(
-                f'{ARM_RATIOS[-1] if math.isinf(ratio) else ratio:.2f} (delay {delay})'
+                f'{RATIOS[-1] if math.isinf(ratio) else ratio:.2f} (delay {delay})'
                 for delay, ratio in line.items()) + '.'
             for plant, lines in self.boundaries.items() for name, line in lines.items())]
 
@@ -125,24 +120,40 @@ def _panel(axes: Axes, frame: pd.DataFrame, boundaries: Boundaries) -> Any:
     return mesh
 
 
-@dataclass(frozen=True)
 class ArmLoop:
-    """The linear force loops of a setup at its home."""
+    """
+    The linear force loops of a setup at its plant's home, for `decoupled` allocation.
 
-    setup: Setup  # where stiffness, damping, delay and controller come from
-    observer: ObserverDesign  # of the first contact; the others have the same model
-    mobility: Matrix  # as in `LinearArmPlant`
-    tool_inertia: Matrix
+    ConfigError for another law than the active observer.
+    """
 
-    @property
-    def fed_share(self) -> float:
-        """Return the share of the desired force in what is fed forward, of the first contact."""
-        controller = self.setup.controller
-        force, name = controller.force, controller.contact_names[0]
-        mixed = force.damping_rate ** 2 / (
-            2.0 * controller.contacts[name].stiffness * self.mobility[0, 0])
-        return {'estimate': 0.0, 'measured': 0.0, 'desired': 1.0, 'mixed': min(mixed, 1.0)}[
-            force.fed_forward]
+    def __init__(self, setup: Setup) -> None:
+        config, names = setup.controller, setup.controller.contact_names
+        robot = RobotModel(config.robot, setup.urdf_dir)
+        state = robot.update(np.array(setup.plant.home), np.zeros(robot.joint_count))
+        rotation = state.pose.rotation_world
+        N = normal_space(Controller(config, robot).contacts, rotation)
+        x, y, z = (state.sensor_pose.rotation_world @ np.array(config.tool.com_sensor)
+                   + state.sensor_pose.position_world - state.pose.position_world)
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        inertia = config.tool.mass * np.block(
+            [[np.eye(3), -cross], [cross, -cross @ cross]])  # of a point mass at its centre
+        observer = design_law(config.law_of(names[0]), config.force, loop_model(
+            config, float(loop_stiffnesses(config, rotation)[0])))
+        if not isinstance(observer, ObserverDesign):
+            raise ConfigError('force.law', 'aob, for the linear loops', config.force.law)
+        self.observer, self.config = observer, config
+        self.mobility = N.T @ np.linalg.solve(task_inertia(state.mass_matrix, state.jacobian), N)
+        self.tool_inertia = np.linalg.pinv(N) @ inertia @ N @ np.linalg.inv(N.T @ N)
+        self.stiffness = np.array([config.contacts[name].stiffness for name in names])
+        self.damping = np.array([setup.plant.surfaces[name].damping for name in names])
+        # What the loop really has: of actuators and sensor's low-pass [s].
+        self.delay = (setup.plant.actuator_delay_ticks * config.period
+                      + config.sensor.filter_delay(config.rate))
+        self.fed_share = {  # of the desired force in what is fed forward, of the first contact
+            'mixed': min(config.force.damping_rate ** 2 / (
+                2.0 * self.stiffness[0] * self.mobility[0, 0]), 1.0),
+            'desired': 1.0}.get(config.force.fed_forward, 0.0)
 
     def radius(self, noise_variance: float, *, paper: bool = False) -> Callable[[float], float]:
         """
@@ -150,55 +161,22 @@ class ArmLoop:
 
         With R held at `noise_variance` [N^2], on the arm, or on the plant of eq. 32 if `paper`.
         """
-        controller, names = self.setup.controller, self.setup.controller.contact_names
         law = steady_law(self.observer, steady_gain(self.observer, noise_variance))
-        stiffness = np.array([controller.contacts[name].stiffness for name in names])
-        damping = np.array([self.setup.plant.surfaces[name].damping for name in names])
-        none, damping_rate = np.zeros((1, 1)), controller.force.damping_rate
-        # What the loop really has: of actuators and sensor's low-pass [s].
-        delay = (self.setup.plant.actuator_delay_ticks * controller.period
-                 + controller.sensor.filter_delay(controller.rate))
+        period, K_2, none = self.config.period, self.config.force.damping_rate, np.zeros((1, 1))
 
         def spectral_radius_at(ratio: float) -> float:
-            if paper:
-                plant = LinearArmPlant(
-                    none, ratio * stiffness[:1], none[0], none, delay, damping_rate)
-                return spectral_radius(closed_loop(
-                    plant, law, 0.0, controller.period, fed_share=0.0))
-            plant = LinearArmPlant(  # where the real delay counts in whole periods
-                self.mobility, ratio * stiffness, damping, self.tool_inertia,
-                round(delay * controller.rate) * controller.period)
+            stiffness = ratio * self.stiffness
+            plant = LinearArmPlant(
+                none, stiffness[:1], none[0], none, self.delay, K_2,
+            ) if paper else LinearArmPlant(  # where the real delay counts in whole periods
+                self.mobility, stiffness, self.damping, self.tool_inertia,
+                round(self.delay * self.config.rate) * period)
             return spectral_radius(closed_loop(
-                plant, law, damping_rate, controller.period, fed_share=self.fed_share))
+                plant, law, 0.0 if paper else K_2, period, fed_share=self.fed_share))
 
         return spectral_radius_at
 
     def boundary(self, noise_variance: float, *, paper: bool = False) -> float:
         """Return the largest stable ratio, 0 for none or infinity, with R held [N^2]."""
         radius = self.radius(noise_variance, paper=paper)
-        found = last_stable(lambda ratio: radius(ratio) < 1.0, PAPER_RATIOS if paper else (
-            ARM_RATIOS), 1e-4 if paper else 1e-7)
-        return found[0] if paper else math.sqrt(math.prod(found))
-
-
-def arm_loop(setup: Setup) -> ArmLoop:
-    """Return the linear force loops of a setup at its plant's home, for `decoupled` allocation."""
-    config = setup.controller
-    controller = Controller(config, RobotModel(config.robot, setup.urdf_dir))
-    robot = controller.robot
-    state = robot.update(np.array(setup.plant.home), np.zeros(robot.joint_count))
-    N = normal_space(controller.contacts, state.pose.rotation_world)
-    mobility = N.T @ np.linalg.solve(task_inertia(state.mass_matrix, state.jacobian), N)
-    com = (state.sensor_pose.rotation_world @ np.array(config.tool.com_sensor)
-           + state.sensor_pose.position_world - state.pose.position_world)
-    x, y, z = com
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    inertia = config.tool.mass * np.block(
-        [[np.eye(3), -cross], [cross, -cross @ cross]])  # of a point mass at its centre
-    stiffness = float(loop_stiffnesses(config, state.pose.rotation_world)[0])
-    observer = design_law(
-        config.law_of(config.contact_names[0]), config.force, loop_model(config, stiffness))
-    if not isinstance(observer, ObserverDesign):
-        raise ConfigError('force.law', 'aob, for the linear loops', config.force.law)
-    tool_inertia = np.linalg.pinv(N) @ inertia @ N @ np.linalg.inv(N.T @ N)
-    return ArmLoop(setup, observer, mobility, tool_inertia)
+        return math.sqrt(math.prod(last_stable(lambda ratio: radius(ratio) < 1.0, RATIOS, 1e-7)))

@@ -1,4 +1,4 @@
-"""Which robots and engines `multicontact study robots` has, and how far the latter differ."""
+"""Which robots and engines `multicontact study robots` has."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from importlib.util import find_spec
 
 from multicontact_control.experiment.study.config import FactorConfig, StudyConfig
 from multicontact_control.experiment.study.study import Results, Study
-from multicontact_control.experiment.study.table import columns_of
 from sim_bridge.robots import find_robot, has_urdf
 
 
@@ -29,15 +28,8 @@ class RobotsStudy(Study):
         return factor.choose([value for value, found in here.items() if found])
 
     def findings(self, results: Results) -> list[str]:
-        """Return how many are stable, and how far apart engines with the same surfaces are."""
-        frame, found = results.frame, super().findings(results)
+        """Return how many are stable, and what is left out."""
+        found = super().findings(results)
         if self.left_out:
             found.append(f'Left out, as they are not installed: {", ".join(self.left_out)}.')
-        errors = frame.pivot_table(
-            index=['robot', 'scenario', 'seed'], columns='engine', dropna=False,
-            values=columns_of(frame, 'contacts.*.moving.true_error_rms_n')).swaplevel(axis=1)
-        if {'pybullet', 'mujoco'} <= set(frame['engine']):
-            apart = (errors['pybullet'] - errors['mujoco']).abs().max().max()
-            found.append('With the same surfaces, the moving force errors of the engines differ '
-                         f'by {apart:.2g} N at most.')
         return found

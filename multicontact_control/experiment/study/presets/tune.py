@@ -14,7 +14,6 @@ from multicontact_control.experiment.overrides import overrides_of
 from multicontact_control.experiment.scenario import preset_values
 from multicontact_control.experiment.study.cells import Cell
 from multicontact_control.experiment.study.config import FactorConfig, StudyConfig
-from multicontact_control.experiment.study.jobs import RunJob
 from multicontact_control.experiment.study.study import Results, Study
 from multicontact_control.paths import config_dir
 import pandas as pd
@@ -67,22 +66,22 @@ class TuneStudy(Study):
         """Return the runs of the best combination on other seeds, none if it is not stable."""
         best, cells = self._best(results.frame), []
         for cell in self.cells() if best else []:
-            if isinstance(cell.job, RunJob) and best == {
-                    name: cell.factors[name] for name in self.gains}:
-                jobs = [replace(cell.job, seed=seed) for seed in JUDGED_ON]
-                cells += [Cell({**cell.factors, 'part': JUDGED, 'seed': job.seed}, job, job.key())
-                          for job in jobs]
+            if best == {name: cell.factors[name] for name in self.gains}:
+                jobs = {seed: replace(cell.job, seed=seed) for seed in JUDGED_ON}
+                cells += [Cell({**cell.factors, 'part': JUDGED, 'seed': seed}, job, job.key())
+                          for seed, job in jobs.items()]
         return cells
 
     def write(self, results: Results) -> None:
         """Write the best gains as a parameter file, beside the files of every study."""
         super().write(results)
-        best, job, law = self._best(results.frame), self.cells()[0].job, self.config.law
-        if best and isinstance(job, RunJob):
+        best, first, law = self._best(results.frame), self.cells()[0], self.config.law
+        if best:
             plants = ', '.join(results.frame['plant'].unique())
             write_preset(
-                merge(preset_values(self.preset), overrides_of(best, job.setup(), 'gains')),
-                results.folder / f'{law}.yaml', f'{law}, tuned on seed {job.seed} of {plants}')
+                merge(preset_values(self.preset), overrides_of(best, first.job.setup(), 'gains')),
+                results.folder / f'{law}.yaml',
+                f'{law}, tuned on seed {first.factors["seed"]} of {plants}')
 
     def findings(self, results: Results) -> list[str]:
         """Return what the best gains are."""
