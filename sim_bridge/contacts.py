@@ -167,11 +167,9 @@ def act_on_arm(
     for joint in range(last + 1):
         if not np.isfinite(motor[joint]):
             return -1
-    for joint in range(last + 1):
         motor[joint] = min(max(motor[joint], -limit[joint]), limit[joint])
-    forward_kinematics(q, links)
-    for joint in range(last + 1):
         load[joint] = 0.0
+    forward_kinematics(q, links)
     velocity = np.empty(3)
     count = 0
     for i in range(hands.shape[0]):

@@ -23,6 +23,7 @@ SURFACE = np.dtype([
     ('place', np.float64, 3),  # a point of the mean surface [m]
     ('normal', np.float64, 3),  # unit normal INTO the surface
     ('track', np.float64, 3),  # unit direction along which the height profile runs
+    ('axis', np.float64, 3),  # of a cylinder: normal x track
     ('stiffness', np.float64),  # [N/m]
     ('damping', np.float64),  # [N s/m]
     ('friction', np.float64),  # coefficient
@@ -63,6 +64,7 @@ def build_surfaces(
         record = records[i]
         record['place'], record['normal'] = config.point_world, config.normal_world
         record['track'] = track_direction(record['normal'])
+        record['axis'] = np.cross(record['normal'], record['track'])
         for name in ('stiffness', 'damping', 'friction', 'slip_speed', 'velocity', 'motion_start',
                      'motion_period', 'radius'):
             record[name] = getattr(config, name)
@@ -128,18 +130,14 @@ def mean_depth(surface: Any) -> float:
     if surface.radius == 0.0:
         return depth
     away = np.empty(3)
-    across = 0.0  # along the axis of a cylinder, which is normal x track
+    across = 0.0
     for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        axis = normal[j] * surface.track[k] - normal[k] * surface.track[j]
         away[i] = surface.place[i] + surface.radius * normal[i] - surface.point[i]
-        across += away[i] * axis
+        across += away[i] * surface.axis[i]
     squared = 0.0
     for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        axis = normal[j] * surface.track[k] - normal[k] * surface.track[j]
         if not surface.ball:
-            away[i] -= across * axis
+            away[i] -= across * surface.axis[i]
         squared += away[i] * away[i]
     distance = np.sqrt(squared)
     sign = 1.0 if surface.radius > 0.0 else -1.0
