@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import click
 from foreign_bag import controller_file, JOINTS
 from multicontact_control.cli.options import RunOptions
 from multicontact_control.errors import ConfigError
@@ -9,6 +10,7 @@ from multicontact_control.experiment.results import contact_types, load_setup
 from multicontact_control.experiment.scenario import dotted, resolve_external
 from multicontact_control.files import write_json
 import pytest
+import typer
 import yaml
 
 SCENARIO = {
@@ -19,6 +21,14 @@ SCENARIO = {
 @pytest.fixture(name='file')
 def fixture_file(tmp_path):
     return controller_file(tmp_path)
+
+
+def context_with(*options):
+    """Return the context of a command that some options were given to."""
+    context = typer.Context(click.Command('run'))
+    for name in options:
+        context.set_parameter_source(name, click.core.ParameterSource.COMMANDLINE)
+    return context
 
 
 def laid_over(folder, values, name='controller_node'):
@@ -46,7 +56,7 @@ def test_later_files_preset_scenario_law_and_settings_are_laid_over(file, tmp_pa
     options = RunOptions(
         scenario=str(scenario), noise_estimator='fixed', preset='adaptive',
         settings=['controller.force.damping_rate=33', 'scenario.duration=6'])
-    setup, node, duration = options.external([file, tool], {'scenario', 'preset'})
+    setup, node, duration = options.external([file, tool], context_with('scenario', 'preset'))
     assert setup.controller.tool.mass == 0.8
     assert setup.controller.force.stiffness == 'adaptive'
     assert setup.controller.force.damping_rate == 33.0
@@ -132,7 +142,7 @@ def test_setting_without_what_it_is_laid_over_is_refused(
     scenario.write_text(yaml.safe_dump(SCENARIO))
     with pytest.raises(ConfigError, match=message):
         RunOptions(scenario=str(scenario), duration=duration, settings=[setting]).external(
-            [file], {'scenario'} if given else set())
+            [file], context_with('scenario') if given else context_with())
 
 
 def test_contact_types_follow_from_names():
