@@ -63,14 +63,6 @@ class Statement:
             return []
         return [('', median(chosen) / median(base))]
 
-    @property
-    def bound(self) -> str:
-        """Return what is measured, and between which numbers it is expected, in words."""
-        low, high = (self.form.format(value) for value in (self.low, self.high))
-        limit = f'at least {low}' if math.isinf(self.high) else f'at most {high}' if (
-            self.low == 0.0) else f'{low} to {high}'
-        return f'{self.what}: {limit}'
-
 
 class Claim(NamedTuple):
     """One row of the claims table: what the paper says, and what the data say of it."""
@@ -105,10 +97,13 @@ def judge_claims(evidence: Evidence, comparison: Runs = ()) -> list[Claim]:
         measured = ', '.join(
             f'{name} {each.form.format(value) if math.isfinite(value) else "never"}'.strip()
             for name, value in numbers)
+        low, high = each.form.format(each.low), each.form.format(each.high)
+        bound = f'at least {low}' if math.isinf(each.high) else f'at most {high}' if (
+            each.low == 0.0) else f'{low} to {high}'
         claims.append(Claim(
             each.text, each.paper, measured or 'not measured by this run',
             all(each.low <= value <= each.high for _, value in numbers) if numbers else None,
-            each.bound))
+            f'{each.what}: {bound}'))
     return claims
 
 

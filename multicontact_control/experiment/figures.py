@@ -107,12 +107,7 @@ def draw_figures(
     data: RunData, setup: Setup, folder: Path, *, verdict: str = STABLE,
     formats: Sequence[str] = ('png',),
 ) -> list[Path]:
-    """
-    Draw the figures of a run into a folder and return the files.
-
-    `verdict` is that of the run with its reasons, in the titles if it is not stable; `formats` are
-    the endings of the files, one each.
-    """
+    """Draw the figures of a run into a folder in some formats, titled with a bad verdict."""
     title = f'{setup.scenario.name}, {setup.plant_name}, {setup.noise_estimator.estimator}' + (
         f', seed {setup.seed}' if setup.simulated else '')
     unknown = truth_lacking(RunMetrics(data, setup).without_truth(), data.contact_names)

@@ -99,13 +99,12 @@ def verdict_text(summary: Mapping[str, Any]) -> str:
     reasons = '; '.join(summary['instabilities'])
     if name == UNJUDGED:
         return f"{name}: {summary['unjudged']}" + (f'; seen: {reasons}' if reasons else '')
-    if summary.get('forces', TRUE) != TRUE and summary['instabilities'] != [
-            summary.get('ended_early')]:
+    if summary['forces'] != TRUE and summary['instabilities'] != [summary['ended_early']]:
         return f'{name} {BY_MEASUREMENT}: {reasons}'
     if name != STABLE:
         return f'{name}: {reasons}'
-    far = [f'{contact} {percent:.0f} %' for contact, numbers in summary.get('contacts', {}).items()
-           if (percent := numbers.get('step_overshoot_percent') or 0.0) > LARGEST_OVERSHOOT]
+    far = [f'{contact} {percent:.0f} %' for contact, numbers in summary['contacts'].items()
+           if (percent := numbers['step_overshoot_percent'] or 0.0) > LARGEST_OVERSHOOT]
     return f'{STABLE}, but overshoots a step: {", ".join(far)}' if far else STABLE
 
 
@@ -120,8 +119,7 @@ def judge(
     `events` are the lines of the supervisor's log with their times [s].
     """
     run = RunMetrics(data, setup)
-    passed, helped = _findings(run, mode, ended_early), _interventions(
-        run, [read_event(*event) for event in events])
+    passed, helped = _findings(run, mode, ended_early), _interventions(run, events)
     name = NOT_STABLE if passed else HELD if helped else STABLE
     unjudged = _doubt(run, ended_early) if name == STABLE else ''
     times = [finding.time for finding in passed if finding.time is not None]
@@ -204,16 +202,12 @@ def _contact_findings(run: RunMetrics, i: int, loaded: Mask) -> list[Finding]:
     return passed
 
 
-def _interventions(run: RunMetrics, events: Sequence[Event]) -> list[Finding]:
-    """
-    Return whether a supervisor stepped in again and again, or for long, under load.
-
-    It steps in when a reaction replaces the control law, when a contact leaves the force law
-    (lost, retracting, given up), and when the last gate begins to enforce a limit.
-    """
+def _interventions(run: RunMetrics, log: Sequence[tuple[float, str]]) -> list[Finding]:
+    """Return how often reactions, lost contacts and limits stood in for the law under load."""
     data, loaded = run.data, run.windows.loaded
     if not loaded.any():
         return []
+    events = [read_event(*line) for line in log]
     full = len(events) == CAPACITY
     places = [round(event.time * data.rate) for event in events]
     times, held, before = [], np.zeros(data.ticks, dtype=bool), None
