@@ -105,6 +105,6 @@ def test_comparison_judges_the_claims_and_gives_its_runs_to_a_report(tmp_path):
     assert isinstance(small, CompareStudy)
     results = run_study(small, tmp_path, console=QUIET)
     assert 'K_2 = 20 1/s' in small.findings(results)[1]
-    assert [row.label for row in read_claim_rows(tmp_path)] == ['lead_window', 'fixed']
+    assert [row['estimator'] for row in read_claim_rows(tmp_path)] == ['lead_window', 'fixed']
     direct = run_in_process(small.cells()[0].job.setup())
     assert results.frame['trajectory_sha256'][0] == direct.data.trajectory_sha256()
