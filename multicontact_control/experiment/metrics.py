@@ -209,7 +209,7 @@ class RunMetrics:
             gone = ~gone & (np.abs(couple) >= ALL_OF_IT * force)
         least = LOSS_TIME * self.data.rate - 1e-9
         lost = [(begin, end) for begin, end in zip(*stretches(judged & gone))
-                 if end - begin >= least]
+                if end - begin >= least]
         return [begin for begin, _ in lost], [end for _, end in lost]
 
     def lost_share(self, i: int, window: Mask) -> float | None:
