@@ -26,6 +26,7 @@ BUDGETS = {
     'benchmarks': 350}
 OUTSIDE = ('test', 'test/campaign', 'benchmarks')  # of the product
 MOST_LINES, MOST_TEST_LINES = 26_500, 13_000
+MOST_COMPILED = 80  # functions
 UNMET = ('experiment', 'cli')  # rooms that are being cleared
 
 

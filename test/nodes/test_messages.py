@@ -87,7 +87,7 @@ def joint_state_reader(names):
 def by_hand(message, names, field):
     """Return the numbers of a field by name, or None where there are none that can be used."""
     values = getattr(message, field)
-    if len(values) != len(message.name) or any(message.name.count(x) != 1 for x in names):
+    if message.header.stamp.nanosec >= 10 ** 9 or len(values) != len(message.name) or any(message.name.count(x) != 1 for x in names):
         return None
     ours = [values[message.name.index(name)] for name in names]
     return ours if math.isfinite(sum(ours)) else None
@@ -120,7 +120,7 @@ def test_joint_readers_read_by_name_or_refuse(sent, names):
 
 
 @ANY
-@given(numbers=SIX, stamp=st.integers(0, 2 ** 61))
+@given(numbers=SIX, stamp=st.integers(0, 2 ** 60))
 def test_wrench_reader_reads_every_bit_or_refuses(numbers, stamp):
     reader, expected = wrench_reader('ft'), (stamp, numbers)
     for frame in ('ft', '/ft', 'ft', '', '', ''):

@@ -167,6 +167,19 @@ def test_velocity_that_positions_contradict_is_a_cause_and_is_not_used(wrong, li
     assert any(likely in text for text in causes)
 
 
+def test_velocities_are_believed_again_once_they_agree_while_joints_move():
+    """At rest any scale agrees."""
+    stage = make()
+    for k in range(700):
+        q, qd = swing(k if k < 100 else 157 if k < 400 else k - 243)
+        qd = qd * (not 100 <= k < 400)
+        seen = stage.validate(TickInputs(k * H, JointInput(k * H, q, -qd if k < 100 else qd)))
+        assert ('joints_velocity' in seen.causes) == (20 < k < 100) or k < 250
+        if k in (99, 415):
+            assert not np.array_equal(stage.qd, -qd if k < 100 else qd)
+    np.testing.assert_array_equal(stage.qd, qd)
+
+
 @pytest.mark.parametrize('silent', [None, np.zeros(6)])
 def test_positions_make_up_for_velocities_that_do_not_come(silent):
     stage = make()

@@ -1,0 +1,67 @@
+"""The walk of a sample from its callback to the published torque, beside the page about it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import re
+import sys
+
+from fake_arm import FakeArm, PARAMETERS
+import multicontact_control
+from multicontact_control.nodes.controller_node import ControllerNode
+from multicontact_control.nodes.lifecycle import SUCCESS
+from multicontact_control.paths import config_dir
+import pytest
+
+pytestmark = [pytest.mark.ros, pytest.mark.skipif(
+    sys.version_info < (3, 11), reason='code objects have no qualified names')]
+
+PACKAGE = Path(multicontact_control.__file__).parent
+PAGE = PACKAGE.parent / 'docs' / 'architecture.md'
+HOP = re.compile(r'^\| `(\w+(?:\.\w+)?)` \| `(\w[\w/]*\.py)` \|', re.MULTILINE)
+CALLBACK = 'ControllerNode._on_message'
+STEADY = 400  # samples, after which nothing is left of the start
+MOST_HOPS, MOST_FILES = 25, 15  # compiled functions counted
+
+
+class Walk:
+    """The functions of the package that run from a callback to what it publishes."""
+
+    def __init__(self):
+        self.hops, self.published = [], False
+
+    def __call__(self, frame, event, argument):
+        if self.published:
+            return
+        if event == 'c_call' and argument.__name__ in ('publish', 'publish_raw') and self.hops:
+            self.published = True
+        path, name = Path(frame.f_code.co_filename), frame.f_code.co_qualname
+        if event == 'return' and name == CALLBACK:
+            self.hops = []  # the first message of two publishes nothing; timers may come between
+        if event == 'call' and path.is_relative_to(PACKAGE):
+            if name == CALLBACK:
+                self.hops = []
+            if name == CALLBACK or self.hops:
+                self.hops.append((name, str(path.relative_to(PACKAGE))))
+
+
+def test_sample_walks_as_the_page_describes(host):
+    node = host.make(ControllerNode, *PARAMETERS, file=config_dir() / 'controller.yaml')
+    assert node.trigger_configure() == node.trigger_activate() == SUCCESS
+    arm = FakeArm(host)
+    arm.connect()
+    for _ in range(STEADY):
+        arm.step()
+    arm.send()
+    walk = Walk()
+    for _ in range(100):
+        sys.setprofile(walk)
+        host.pause()
+        sys.setprofile(None)
+        if walk.published:
+            break
+    assert walk.published
+    hops = list(dict.fromkeys(walk.hops))
+    assert hops == HOP.findall(PAGE.read_text(encoding='utf-8'))
+    assert len(hops) <= MOST_HOPS
+    assert len({file for _, file in hops}) <= MOST_FILES
