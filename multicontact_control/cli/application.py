@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from typing import Annotated, Any
 
 from multicontact_control import __version__
@@ -85,5 +87,8 @@ app.add_typer(topic, name='topic')
 
 def main() -> None:
     """Run the command line."""
+    if sys.getfilesystemencoding() != 'utf-8' and os.environ.get('PYTHONUTF8') != '1':
+        os.environ['PYTHONUTF8'] = '1'  # start anew with UTF-8 in a locale of another encoding
+        os.execv(sys.executable, sys.orig_argv)
     limit_threads()
     app(prog_name='multicontact')

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 import re
 from textwrap import shorten
@@ -20,6 +20,7 @@ from multicontact_control.experiment.page import (
     COMMANDED,
     ESTIMATED,
     figure,
+    MEASURED,
     Panel,
     Span,
     Trace,
@@ -153,6 +154,27 @@ def draw_side_by_side(runs: Sequence[tuple[str, RunData, Setup]], path: Path) ->
         column[count].set_xlabel('time after the last step at rest [ms]')
         column[count - 1].set_xlabel('time [s]')
     sheet.savefig(path, dpi=110)
+    return path
+
+
+def draw_latency(summary: Mapping[str, Any], folder: Path) -> Path:
+    """Draw how long the answers to samples took, from ``summary.json``; return the file."""
+    timing = summary['timing']
+    histogram, latency = timing['latency_histogram'], timing['latency_us']
+    sheet = Figure(figsize=(9.0, 4.0), layout='constrained')
+    axes = sheet.subplots()
+    axes.stairs(histogram['counts'], histogram['edges_us'], fill=True, color=MEASURED)
+    marks = {**{name: latency[name] for name in ('p50', 'p99', 'max')},
+             'period': 1e6 / summary['rate_hz']}
+    for (name, value), colour in zip(marks.items(), COLOURS):
+        axes.axvline(value, color=colour, linestyle='--', label=f'{name} {value:.0f} us')
+    axes.legend()
+    axes.set(xscale='log', xlabel='from a sample to its command [us]', ylabel='samples')
+    axes.set_yscale('symlog', linthresh=1.0)
+    sheet.suptitle(f'Latency\n{summary["scenario"]}, {timing["deadline_misses"]} of '
+                   f'{summary["ticks"]} deadlines missed', fontsize=10)
+    path = folder / 'latency.png'
+    sheet.savefig(path, dpi=130)
     return path
 
 

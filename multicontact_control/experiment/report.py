@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
-import json
 import os
 from pathlib import Path
+from typing import Any
 
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.claims import claims_of, Runs
@@ -71,7 +71,9 @@ def _run_section(run: LoadedRun, number: int, comparison: Runs) -> list[str]:
         '<h3>Numbers</h3>', table(('', *map(escape, summary['contacts'])), [
             list(map(escape, row)) for row in summary_rows(summary)]),
         '<h3>Claims of the paper</h3>' + claims_table({'measured': claims}) if claims else '',
-        '<h3>Timing</h3>', f'<pre>{escape(json.dumps(summary["timing"], indent=1))}</pre>',
+        '<h3>Timing</h3>', table(('', ''), [
+            [escape(name), escape(_text(value))] for name, value in summary['timing'].items()
+            if name != 'latency_histogram'], numbers_from=9),
         '<h3>Configuration</h3>', _configuration(run),
         f'<p class=note>Torques sha256 {summary["trajectory_sha256"][:16]}</p>']
 
@@ -85,3 +87,9 @@ def _configuration(run: LoadedRun) -> str:
         text = yaml.safe_dump(getattr(run.setup, name).model_dump(mode='json'), sort_keys=False)
         parts.append(f'<details><summary>{name}</summary><pre>{escape(text)}</pre></details>')
     return '\n'.join(parts)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, dict):
+        return ', '.join(f'{key} {_text(each)}' for key, each in value.items())
+    return f'{value:.4g}' if isinstance(value, float) else '-' if value is None else str(value)

@@ -14,7 +14,7 @@ from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import progress_bar, summary_table, verdict_lines
-from multicontact_control.experiment.figures import draw_figures
+from multicontact_control.experiment.figures import draw_figures, draw_latency
 from multicontact_control.experiment.judge import (
     EXTERNAL_RUN,
     INTERRUPTED,
@@ -193,6 +193,8 @@ def _finish(
     """Judge the claims, write figures and summary, show the table."""
     summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
     draw_figures(data, setup, folder / FIGURE_FOLDER, verdict=verdict_text(summary))
+    if summary['timing'].get('latency_histogram'):
+        draw_latency(summary, folder / FIGURE_FOLDER)
     write_json(folder / SUMMARY_FILE, finite(summary))
     console.print(summary_table(summary))
     for line in verdict_lines(summary, folder):

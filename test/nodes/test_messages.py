@@ -87,7 +87,8 @@ def joint_state_reader(names):
 def by_hand(message, names, field):
     """Return the numbers of a field by name, or None where there are none that can be used."""
     values = getattr(message, field)
-    if message.header.stamp.nanosec >= 10 ** 9 or len(values) != len(message.name) or any(message.name.count(x) != 1 for x in names):
+    if message.header.stamp.nanosec >= 10 ** 9 or len(values) != len(message.name) or any(
+            message.name.count(x) != 1 for x in names):
         return None
     ours = [values[message.name.index(name)] for name in names]
     return ours if math.isfinite(sum(ours)) else None
