@@ -178,13 +178,13 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
     Return the figure of a study, a column for each plant, a row for each value.
 
     The first factor is along the horizontal axis; there is a line for each part and value of the
-    second: medians over seeds and whatever else is varied, or the share of good runs. None
-    without a factor or a value to draw.
+    second: medians over seeds and whatever else is varied, or the share of good runs. Values that
+    do not vary are left out. None without a factor or a value to draw.
     """
     names = [name for name in frame.attrs['factors'] if name not in NOT_FACTORS]
     columns = [column for column in table_columns(frame, study)
                if column.aggregate in ('median', 'share')
-               and worst(frame, column.value).notna().any()]
+               and worst(frame, column.value).nunique() > 1]
     if not (study.figure and names and columns):
         return None
     lines = ['part'] if frame['part'].nunique() > 1 else []
@@ -196,10 +196,12 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
     for axes, (column, plant) in zip(grid.flat, product(columns, plants)):
         here, share = frame[frame['plant'] == plant], column.aggregate == 'share'
         _draw(axes, here if share else judged(here, study), names[0], lines, column)
-        axes.set_ylabel(f'share of {column.value} runs' if share else column.value.replace(
+        axes.set_ylabel(f'share of {column.value} runs' if share else column.name.replace(
             '*', 'worst').replace('.', '\n'), fontsize=8)
     for axes, plant in zip(grid[0], plants):
         axes.set_title(f'plant {plant}', fontsize=9)
+        if len(axes.lines) > 1:
+            axes.legend(fontsize=7, title=', '.join(lines), title_fontsize=7)
     return figure
 
 
@@ -215,10 +217,9 @@ def _draw(
     if pd.api.types.is_numeric_dtype(table.index):
         table = table.sort_index()
         logarithmic = table.index[0] > 0.0 and table.index[-1] / table.index[0] >= WIDE_RANGE
-        table.plot(ax=axes, style='o-', markersize=3, logx=bool(logarithmic), fontsize=8)
+        table.plot(ax=axes, style='o-', markersize=3, logx=bool(logarithmic), fontsize=8,
+                   legend=False)
     else:
-        table.plot(ax=axes, style='o-', markersize=3, fontsize=8, rot=30)
+        table.plot(ax=axes, style='o-', markersize=3, fontsize=8, rot=30, legend=False)
         axes.set_xticks(range(len(table)), table.index, ha='right')
-    if len(table.columns) > 1:
-        axes.legend(fontsize=7, title=', '.join(lines), title_fontsize=7)
     axes.grid(alpha=0.3)
