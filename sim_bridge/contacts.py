@@ -148,12 +148,19 @@ def act_on_arm(
     torques
         Of the joints, shape (4, n) [N m]: of the motors, clipped here to the limit; filled in are
         what surfaces and hands do, the sum of both, and what the drives do to the links.
-    drives
-        Records of `DRIVE`, shape (n,); none for motors that act on the links as they are.
+    limit
+        Of the motors, shape (n,) [N m].
+    links, drives, surfaces
+        Records of `LINK`, `DRIVE` (none for motors that act on the links as they are) and
+        `SURFACE`.
+    profiles
+        Of the roughness of each surface.
     hands
         Records of `HAND`, shape (2,): first the one at the wrist, then the one at the tool.
     pushes
         Filled with the forces on the arm, as `EngineArm.push` takes them, shape (m, 7) [N, m].
+    step
+        Of the integration [s].
 
     Returns
     -------

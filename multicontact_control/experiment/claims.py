@@ -136,10 +136,10 @@ def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict
             unstable_at - start),
         'oscillation_hz': None if unstable_at is None else run.growing_line(unstable_at),
         'ran_in_motion': float(data.time[-1]) > start + SETTLE_AFTER_START,
-        'contacts': {name: {
-            **_contact_evidence(run, i), 'recoveries': run.recoveries(i, unstable_at),
-            'rises_s': [step['rise_63_s'] for step in summary['contacts'][name]['steps']
-                        if step['size_n'] > 0.0]}
+        'contacts': {
+            name: {**_contact_evidence(run, i), 'recoveries': run.recoveries(i, unstable_at),
+                   'rises_s': [step['rise_63_s'] for step in summary['contacts'][name]['steps']
+                               if step['size_n'] > 0.0]}
             for i, name in enumerate(data.contact_names)},
         'motion': summary['motion']}
 
