@@ -59,7 +59,7 @@ class Statement:
         chosen, base = (
             [max(value for _, value in numbers) for run in some if (numbers := self.measure(run))]
             for some in (self.select(runs), runs_with(self.over)(runs)))
-        if not chosen or not base or math.isinf(median(base)):
+        if not chosen or not base or not 0.0 < median(base) < math.inf:
             return []
         return [('', median(chosen) / median(base))]
 

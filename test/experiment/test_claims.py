@@ -6,6 +6,7 @@ from multicontact_control.experiment.claims import (
     designed_rise,
     evidence_of,
     judge_claims,
+    Statement,
     STATEMENTS,
 )
 from multicontact_control.experiment.judge import INTERRUPTED
@@ -151,3 +152,13 @@ def test_designed_rise_of_two_equal_poles_is_2_146_time_constants(setup):
     assert designed_rise(force) == pytest.approx(0.006 + 2.1462 * 0.02, abs=1e-5)
     fast = force.model_copy(update={'second_pole_ratio': 1e4})
     assert designed_rise(fast) == pytest.approx(0.026, abs=1e-4)
+
+
+def test_statement_tells_nothing_relative_to_a_median_of_zero():
+    """As of a push that the base recovers from while it lasts."""
+    statement = Statement('', '', lambda runs: runs[:1], lambda run: [('', run['s'])], '',
+                          over='window')
+    for seconds, numbers in ((0.0, []), (0.5, [('', 2.0)])):
+        assert statement.numbers([{'estimator': 'fixed', 's': 1.0}, {
+            'estimator': 'window', 's': seconds, 'active_state_order': 1,
+            'contacts': {}}]) == numbers
