@@ -201,7 +201,10 @@ class MultiContactClient(ControllerLink):
         self, force_tolerance: float = 0.5, timeout: float = 20.0, *, settle_time: float = 0.2,
     ) -> ArmState:
         """
-        Wait until the measured forces are what this client commanded; return the state then.
+        Wait until the controller holds what this client commanded; return the state then.
+
+        The mean of the measured forces is near the commands, the pressed contacts are held, and
+        no reaction takes the place of control.
 
         Parameters
         ----------
@@ -216,7 +219,7 @@ class MultiContactClient(ControllerLink):
             Naming the contacts that are still off, and what the controller does instead.
 
         """
-        wanted = np.array(list(self._commanded.values()))
+        commanded = np.array(list(self._commanded.values()))
         seen: list[Vector] = []
         start, give_up = 0.0, time.monotonic() + timeout
         while True:
@@ -225,19 +228,31 @@ class MultiContactClient(ControllerLink):
             if not seen or now < start:  # or their clock was set back
                 start, seen = now, []
             seen.append(np.array([forces[name] for name in self._commanded]))
-            off = np.abs(np.mean(seen, axis=0) - wanted)
-            if now - start >= settle_time:
+            off = np.abs(np.mean(seen, axis=0) - commanded)
+            obstacle = self._obstacle()
+            if obstacle:
+                seen = []
+            elif now - start >= settle_time:
                 if (off <= force_tolerance).all():
                     return self.read()
                 seen = []
             if time.monotonic() > give_up:
                 far = [f'{name} is off by {value:.3g} N' for name, value
                        in zip(self._commanded, off) if value > force_tolerance]
-                status = self.status()
                 raise NotReachedError(
                     f'not within {force_tolerance:g} N after {timeout:g} s: '
-                    f'{", ".join(far) or "too few samples"}; the controller: '
-                    f'{"says nothing" if status is None else status.text}')
+                    f'{", ".join([*far, *filter(None, [obstacle])]) or "too few samples"}')
+
+    def _obstacle(self) -> str:
+        """Return what keeps the commanded forces from being controlled, empty for nothing."""
+        status = self.status()
+        if status is None or not self._commanded:
+            return ''
+        if status.reaction != 'none':
+            return status.text
+        states = dict(each.split(' ', 1) for each in status.contacts.split(', ') if each)
+        return ', '.join(f'{name} is {states[name]}' for name, force in self._commanded.items()
+                         if force > 0.0 and states.get(name, 'holding') != 'holding')
 
 
 def _by_name(message: JointState) -> dict[str, float]:
