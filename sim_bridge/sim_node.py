@@ -87,7 +87,7 @@ def stamp_of(tick: int, rate: float) -> int:
 
 
 class SimNode(Node):
-    """Publishes what the plant's sensors read and applies the torques that come back."""
+    """Simulates the arm: publishes joint states and wrench, applies the commanded torques."""
 
     def __init__(self) -> None:
         super().__init__(topics.SIM)

@@ -31,7 +31,7 @@ SHOWN = (Action.STEP, Action.ANEW, Action.HALF, Action.SHOW)
 
 class ControllerNode(ManagedNode):
     """
-    Reads messages, does what `SampleTiming` says, steps the control loop, publishes its answer.
+    Answers each pair of joint state and wrench with joint torques.
 
     After a deactivation samples are answered by the declared safe behaviour.
     """

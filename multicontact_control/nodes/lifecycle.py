@@ -16,13 +16,12 @@ from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph import Refusals, StartupConfig, StartupGate
 from multicontact_control.nodes.parameters import ParameterSet
-from multicontact_control.nodes.runtime import Spinner
+from multicontact_control.nodes.runtime import AUTOSTART, Spinner
 from multicontact_control.process import settle_process
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active', 'finalized'
-AUTOSTART = '--autostart'
 SPIN_TIMEOUT = 0.02  # s, between two looks at the gate and at what is due
 DRAIN_TIME = 0.1  # s, at the end, for callbacks of what has arrived or is on its way
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE

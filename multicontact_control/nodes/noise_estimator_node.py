@@ -22,7 +22,7 @@ MAX_INNOVATIONS = 8
 
 class NoiseEstimatorNode(ManagedNode):
     """
-    Publishes R_k for every measured force.
+    Estimates R_k, the variance of the noise of each measured force, and publishes it.
 
     A sample that comes again gets the same answer again; one that is older than the last starts
     the window anew. Inactive it is silent: the controller holds the last R.

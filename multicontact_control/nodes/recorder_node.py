@@ -95,7 +95,11 @@ class Bag(Writer):
 
 
 class RecorderNode(Node):
-    """Writes raw messages to a bag until asked to stop, then what still comes, then closes it."""
+    """
+    Records the topics of the graph to a rosbag2 folder with MCAP.
+
+    Asked to stop, it writes what still comes, then closes the bag.
+    """
 
     def __init__(self) -> None:
         # Parameter services need an executor, which this node has not.

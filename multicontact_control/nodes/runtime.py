@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Sequence
 import contextlib
 import gc
+import inspect
 import os
 import signal
 import sys
@@ -22,7 +24,9 @@ from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
+AUTOSTART = '--autostart'
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 ACKNOWLEDGE_TIMEOUT = 5.0  # s; the last acknowledgement may take long after the data has come
 
@@ -110,6 +114,7 @@ def run_node(make_node: Callable[[], Any]) -> int:
     stop.install()
     try:
         start_ros(None)
+        check_arguments(program, make_node)
         kernels = loaded_kernels()
         kept = kernels.cache_folder() if kernels else None
         if kernels and not (kept and os.listdir(kept)):
@@ -132,6 +137,19 @@ def run_node(make_node: Callable[[], Any]) -> int:
         gc.unfreeze()
         gc.collect()
         rclpy.try_shutdown()
+
+
+def check_arguments(program: str, node: Callable[[], Any]) -> None:
+    """Print the help if asked for, and refuse arguments that are neither ours nor of ROS."""
+    parser = argparse.ArgumentParser(
+        program, description=(inspect.getdoc(node) or '').partition('\n')[0], allow_abbrev=False,
+        epilog='ROS 2 arguments follow --ros-args: --params-file FILE, -p NAME:=VALUE, '
+        '-r __ns:=/NAMESPACE. Every parameter with unit and default: '
+        'docs/reference/parameters.md.')
+    if hasattr(node, 'trigger_configure'):  # it has a life cycle
+        parser.add_argument(
+            AUTOSTART, action='store_true', help='Configure and activate the node at once.')
+    parser.parse_args(remove_ros_args(sys.argv)[1:])
 
 
 def loaded_kernels() -> Any:

@@ -34,3 +34,14 @@ def test_odd_environment_does_no_harm_or_is_named_in_one_line(
     assert done.returncode == code, done.stderr
     lines = [line for line in done.stderr.splitlines() if '[rcl]' not in line]
     assert len(lines) == (code != 0) and re.search(text, done.stderr)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(('argument', 'code', 'text'), [
+    ('--help', 0, '--autostart .*--params-file'), ('--speed', 2, 'arguments: --speed')])
+def test_node_prints_its_help_and_refuses_unknown_arguments(argument, code, text):
+    done = subprocess.run(
+        [sys.executable, '-m', 'multicontact_control.nodes.noise_estimator_node', argument],
+        cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert re.search(text, done.stdout + done.stderr, re.DOTALL)
