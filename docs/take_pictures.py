@@ -32,7 +32,7 @@ def main() -> None:
                     None)
     if chromium is None:
         sys.exit('browser: expected Chromium (apt-get install chromium, or its path in CHROMIUM), '
-                 'found none')
+                 'got none')
     view = subprocess.Popen(
         [sys.executable, '-m', 'multicontact_control.cli', 'view'], stdout=subprocess.PIPE,
         text=True)

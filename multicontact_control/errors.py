@@ -1,4 +1,4 @@
-"""The errors this package raises: one root; a bad value is named by field, expected and found."""
+"""The errors this package raises: one root; a bad value is named by field, expected and got."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ class FieldError(MulticontactError):
     A value is not acceptable.
 
     Named are its dotted field, e.g. ``contacts.table.normal_world``, what was expected, with its
-    unit, what was found, and the file it came from, if any.
+    unit, what was given (`got`), and the file it came from, if any.
     """
 
-    def __init__(self, field: str, expected: str, found: object, source: str = '') -> None:
-        self.field, self.expected, self.found, self.source = field, expected, found, source
+    def __init__(self, field: str, expected: str, got: object, source: str = '') -> None:
+        self.field, self.expected, self.got, self.source = field, expected, got, source
         where = f'{source}: {field}' if source else field
-        super().__init__(f'{where}: expected {expected}, found {found}')
+        super().__init__(f'{where}: expected {expected}, got {got}')
 
 
 class CommandError(FieldError):
@@ -35,17 +35,17 @@ class MessageError(FieldError):
 class ConfigError(FieldError):
     """One or several values in a configuration are not acceptable: a line for each."""
 
-    def __init__(self, field: str, expected: str, found: object, source: str = '') -> None:
-        super().__init__(field, expected, found, source)
+    def __init__(self, field: str, expected: str, got: object, source: str = '') -> None:
+        super().__init__(field, expected, got, source)
         self.errors: tuple[ConfigError, ...] = (self,)  # one per value
 
     @classmethod
     def of(cls, errors: Iterable[ConfigError], source: str = '') -> ConfigError:
         """Return one error of one or more, each once, with the first field, of a file `source`."""
-        each = [cls(x.field, x.expected, x.found, source or x.source)
+        each = [cls(x.field, x.expected, x.got, source or x.source)
                 for error in errors for x in error.errors]
         lines = {str(error): error for error in each}
-        whole = cls(each[0].field, each[0].expected, each[0].found, each[0].source)
+        whole = cls(each[0].field, each[0].expected, each[0].got, each[0].source)
         whole.errors, whole.args = (*lines.values(),), ('\n'.join(lines),)
         return whole
 

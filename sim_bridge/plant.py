@@ -171,7 +171,7 @@ class Plant:
             count = act()
             if count < 0:
                 raise RunError(f'joint torque at tick {self._tick}: expected finite numbers, '
-                               f'found {self._motor.tolist()}')
+                               f'got {self._motor.tolist()}')
             if rigid is not None:
                 rigid.advance(self._motor, self._sum, arm.q, arm.qd, link_side)
             if count:

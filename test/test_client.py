@@ -72,14 +72,14 @@ def test_refused_forces_and_motions_change_no_target(arm):
     arm.set_forces({'table': 8.0, 'board': 4.0})
     for forces, centres, words in (
             ({'tabel': 5.0, 'board': 6.0}, {}, 'name: expected distinct names among'),
-            ({'board': 99.0, 'table': 5.0}, {}, 'force on board: expected 0 or 3 to 30 N, found'),
+            ({'board': 99.0, 'table': 5.0}, {}, 'force on board: expected 0 or 3 to 30 N, got'),
             ({}, {'table': 0.01}, 'table')):
         with pytest.raises(CommandRefusedError, match=words):
             arm.set_forces(forces, centres)
     assert reached(arm).forces_desired == {'table': 8.0, 'board': 4.0}
     assert arm.status().forces == {'table': 8.0, 'board': 4.0}
     for duration in (0.0, float('nan')):
-        with pytest.raises(MessageError, match='duration: expected above 0 s, found'):
+        with pytest.raises(MessageError, match='duration: expected above 0 s, got'):
             arm.move([0.0, 0.5, 0.5], duration)
     start = arm.read()
     with pytest.raises(CommandRefusedError, match='motion/command: position x: expected -0.6 to'):
@@ -103,7 +103,7 @@ def test_each_of_two_clients_learns_what_becomes_of_its_own_commands(arm, domain
             ThreadPoolExecutor(1)) as pool:
         pressing = pool.submit(press)
         for force in range(41, 61):
-            with pytest.raises(CommandRefusedError, match=f'board: .* found {force} N'):
+            with pytest.raises(CommandRefusedError, match=f'board: .* got {force} N'):
                 other.set_forces({'board': float(force)})
         pressing.result()
         moving = pool.submit(arm.move, start + [0.03, 0.0, 0.0], 2.0)
@@ -145,7 +145,7 @@ def test_client_deactivates_and_activates_a_real_controller(arm, domain_id):
 def test_missing_controller_is_named(domain_id):
     with MultiContactClient('missing', domain_id=domain_id, timeout=0.2) as client:
         for call in (client.read, lambda: client.set_forces({'table': 1.0})):
-            with pytest.raises(RunError, match='expected a message within 0.2 s, found none; is'):
+            with pytest.raises(RunError, match='expected a message within 0.2 s, got none; is'):
                 call()
         with pytest.raises(RunError, match='/missing/controller_node/tare: expected this service'):
             client.tare()

@@ -16,29 +16,29 @@ import pytest
 
 @pytest.mark.parametrize(('changes', 'message'), [
     ({'contact_names': ['table', 'wall']},
-     "contact_names: expected names among board, table, found 'wall'"),
+     "contact_names: expected names among board, table, got 'wall'"),
     ({'contacts': {'table': {'normal_world': [1.0, 0.0, 1.0]}}},
-     r'contacts.table.normal_world: expected a vector of unit length .* found \[1.0, 0.0, 1.0\]'),
+     r'contacts.table.normal_world: expected a vector of unit length .* got \[1.0, 0.0, 1.0\]'),
     ({'contacts': {'board': {'stiffness': float('nan')}}},
-     'contacts.board.stiffness: expected a finite number, found nan'),
+     'contacts.board.stiffness: expected a finite number, got nan'),
     ({'force': {'input_delay': 0.021}},
-     r'force.input_delay: expected at most 10 periods \(0.02 s\), found 0.021 s'),
+     r'force.input_delay: expected at most 10 periods \(0.02 s\), got 0.021 s'),
     ({'force': {'stifness': 1.0}},
      "force.stifness: expected a known key .* unknown key 'stifness'"),
     ({'force': {'allocation': 'best'}}, "force.allocation: expected 'decoupled' or 'paper'"),
     ({'force': {'allocation': 'paper'}, 'contacts': {'table': {'surface_speed_limit': 0.1}}},
-     'force.allocation: expected decoupled with contacts.table.surface_speed_limit, found paper'),
+     'force.allocation: expected decoupled with contacts.table.surface_speed_limit, got paper'),
     ({'torque_limit': [97.6, -186.4, 89.4, 24.2, 20.1, 21.3]},
-     'torque_limit: expected values above 0, found -186.4'),
+     'torque_limit: expected values above 0, got -186.4'),
     ({'contact_state': {'preload': 80.0}},
-     'contact_state.preload: expected below force_ceiling 60 N, found 80 N'),
+     'contact_state.preload: expected below force_ceiling 60 N, got 80 N'),
     ({'contact_state': {'contact_threshold': 0.3}}, 'contact_state.release_threshold: expected'),
     ({'force': {'law': 'lqg'}, 'contacts': {'table': {'surface_speed_limit': 0.05}}},
      'contacts.table.surface_speed_limit: expected 0 m/s unless force.law is aob'),
     ({'force': {'law': 'pi', 'allocation': 'paper'}}, 'force.allocation'),
     ({'force': {'active_state_order': 0, 'stiffness': 'adaptive'}}, 'force.stiffness'),
     ({'force': {'damping_rate': 0.0, 'stiffness': 'adaptive'}}, 'force.damping_rate'),
-    ({'rate': 'fast'}, "rate: expected a valid number, .* found 'fast'"),
+    ({'rate': 'fast'}, "rate: expected a valid number, .* got 'fast'"),
     ({'robot': {'gravity_world': [0.0, 0.0, float('inf')]}},
      'robot.gravity_world.2: expected a finite number'),
 ])
@@ -82,7 +82,7 @@ def test_parameter_files_read_back_as_written(tmp_path, name, model, change):
 
 
 @pytest.mark.parametrize(('text', 'message'), [
-    ('a: [1', 'expected valid YAML'), ('- 1', 'expected a mapping of keys to values, found list'),
+    ('a: [1', 'expected valid YAML'), ('- 1', 'expected a mapping of keys to values, got list'),
     ('rate: 500.0', "one node key holding 'ros__parameters'"), (None, 'a readable file')])
 def test_file_that_holds_no_parameters_is_named_in_one_line(tmp_path, text, message):
     path = tmp_path / 'bad.yaml'

@@ -386,10 +386,10 @@ def test_tare_needs_recent_readings_of_a_good_sensor_on_an_arm_at_rest():
     bench.assert_refused('joint speeds: expected at most 0.02 rad/s', tare)
     bench.step(100)
     [bench.step_half() for _ in range(100)]
-    with pytest.raises(CalibrationError, match='expected at least 25 readings, found 0'):
+    with pytest.raises(CalibrationError, match='expected at least 25 readings, got 0'):
         tare()
     bench.step(30, wrench=bench.wrench())
-    bench.assert_refused('found frozen', tare)
+    bench.assert_refused('got frozen', tare)
 
 
 def test_reaction_that_presses_can_be_turned_into_a_hold():
@@ -427,7 +427,7 @@ def test_arm_without_a_sensor_is_held_while_its_torques_are_missing(missing):
 
 @pytest.mark.parametrize(('changes', 'message'), [
     ({'sensor': {'require_push_test': True}}, '~/push_test: expected passed'),
-    ({'limits': {'workspace_lower': [-0.6, 0.2, 0.75]}}, 'control: .*found start_outside')])
+    ({'limits': {'workspace_lower': [-0.6, 0.2, 0.75]}}, 'control: .*got start_outside')])
 def test_commands_are_refused_before_control_begins(changes, message):
     bench = Bench(**changes)
     bench.step(10)

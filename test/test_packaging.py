@@ -150,4 +150,4 @@ def test_colcon_installs_what_ros2_looks_for(tmp_path):
     for name in NODES:  # each starts, and reads its parameters
         done = run(folder / name, '--autostart', '--ros-args', '-p', 'no_such:=1')
         assert done.returncode == 2, done.stderr
-        assert "found unknown 'no_such'" in done.stderr.splitlines()[-1]
+        assert "got unknown 'no_such'" in done.stderr.splitlines()[-1]

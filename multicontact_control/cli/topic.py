@@ -57,7 +57,7 @@ def echo(
             if stop:
                 return
             if time.monotonic() > end:
-                raise RunError(f'{name}: expected a publisher within {timeout:g} s, found none '
+                raise RunError(f'{name}: expected a publisher within {timeout:g} s, got none '
                                '(`multicontact topic list` shows the topics)')
             time.sleep(POLL_PERIOD)
         package, _, kind = publishers[0].topic_type.partition('/msg/')

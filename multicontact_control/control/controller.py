@@ -258,11 +258,11 @@ class Controller:
         """Raise what a status of `control_law`, or a model without finite numbers, means."""
         if not self.arm.finite:
             raise SingularTaskError(
-                "the arm's dynamics: expected finite numbers, found others at joint positions "
+                "the arm's dynamics: expected finite numbers, got others at joint positions "
                 f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}')
         if status == DEPENDENT:
             raise ContactGeometryError(
-                'N: expected independent columns, found normals and contact points of '
+                'N: expected independent columns, got normals and contact points of '
                 f'{", ".join(self.config.column_names)} that depend on each other')
         state = self.robot.update(self.arm.q, self.arm.velocity)
         task_inertia(state.mass_matrix, state.jacobian)  # says what is wrong

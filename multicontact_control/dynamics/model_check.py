@@ -21,8 +21,8 @@ Finding = tuple[bool, str, str, object]
 
 def judge(findings: Iterable[Finding]) -> tuple[str, ...]:
     """Return what is suspicious, a line each; ConfigError with all if some is refused."""
-    errors = [(refused, ConfigError(f'robot.urdf.{where}', expected, found))
-              for refused, where, expected, found in findings]
+    errors = [(refused, ConfigError(f'robot.urdf.{where}', expected, got))
+              for refused, where, expected, got in findings]
     if any(refused for refused, _ in errors):
         raise ConfigError.of(error for _, error in errors)
     return tuple(dict.fromkeys(str(error) for _, error in errors))

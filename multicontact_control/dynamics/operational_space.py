@@ -159,6 +159,6 @@ def task_inertia(mass_matrix: Matrix, jacobian: Matrix) -> Matrix:
     if damping < 0.0:
         eigenvalues = np.linalg.eigvalsh(jacobian @ np.linalg.solve(mass_matrix, jacobian.T))
         raise SingularTaskError(
-            f'J M^-1 J^T: expected a condition number below {MAX_CONDITION:g}, found '
+            f'J M^-1 J^T: expected a condition number below {MAX_CONDITION:g}, got '
             f'eigenvalues from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}')
     return Lambda

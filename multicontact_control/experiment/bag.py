@@ -153,7 +153,7 @@ def read_messages(
             continue
         kind, key = types[place[2]], (place[1] or '', place[2])
         if schema is None or schema.name != kind:
-            unreadable[name] = f'expected {kind}, found {schema.name if schema else "no type"}'
+            unreadable[name] = f'expected {kind}, got {schema.name if schema else "no type"}'
             continue
         taken = columns.get(key) or BagColumns(kind)
         try:
@@ -178,7 +178,7 @@ def _records(path: Path) -> Iterator[tuple[Any, Any, Any, Callable[[], Any]] | N
     if not files:
         content = 'none; `ros2 bag convert` makes MCAP of a database' if any(
             path.glob('*.db3*')) else 'none' if path.is_dir() else 'nothing'
-        raise RunError(f'{path}: expected an .mcap file, found {content}')
+        raise RunError(f'{path}: expected an .mcap file, got {content}')
     for file in files:
         try:
             stream: Any = file.open('rb')
@@ -216,6 +216,6 @@ def _namespace(path: Path, spaces: Sequence[str], namespace: str | None) -> str:
     known = {space for space in spaces if spaces.count(space) > 1} or set(spaces)
     if namespace is None and len(known) > 1:
         names = ', '.join(f"'{space}'" for space in sorted(known))
-        raise RunError(f'{path}: expected the topics of one graph, found the namespaces {names}; '
+        raise RunError(f'{path}: expected the topics of one graph, got the namespaces {names}; '
                        '--namespace chooses one')
     return known.pop() if namespace is None and known else (namespace or '').strip('/')

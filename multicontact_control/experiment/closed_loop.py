@@ -87,7 +87,7 @@ class ClosedLoop:
     def status(self) -> SupervisorStatus:
         """Return the supervisor's status of the newest answer; RunError if there is none."""
         if self.control.status is None:
-            raise RunError('closed loop: expected a supervisor that has answered, found none')
+            raise RunError('closed loop: expected a supervisor that has answered, got none')
         return self.control.status
 
     def inputs(self) -> TickInputs:
@@ -112,7 +112,7 @@ class ClosedLoop:
         self.command = self.control.step(inputs if corrupt is None else corrupt(inputs))
         output = self.control.output
         if output is None:
-            raise RunError('closed loop: expected a controller at work, found its safe behaviour')
+            raise RunError('closed loop: expected a controller at work, got its safe behaviour')
         self.variance = estimate_variance(self._estimator, output)
         return output
 

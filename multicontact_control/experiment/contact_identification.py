@@ -82,7 +82,7 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
     if all(contact['stiffness_n_m'] is None for contact in found.values()):
         raise RunError(
             'identify: expected joint states, wrenches and commanded torques of one stamp during '
-            'force steps on contacts that are felt, found none')
+            'force steps on contacts that are felt, got none')
     return found
 
 

@@ -23,7 +23,7 @@ def push_running(tell: Callable[[str], None], namespace: str, domain_id: int | N
     with ControllerLink((topics.EFFORT_COMMAND,), namespace=namespace, domain_id=domain_id,
                         timeout=TIMEOUT) as link:
         if (state := link.state(topics.CONTROLLER)) != 'active':
-            raise RunError(f'{topics.CONTROLLER}: expected an active controller, found it {state}')
+            raise RunError(f'{topics.CONTROLLER}: expected an active controller, got {state}')
         text = link.ask('push_test', Trigger, Trigger.Request())
         tell(text)
         link.look()  # of before the test

@@ -123,7 +123,7 @@ class RunData:
             with np.load(path, allow_pickle=False) as data:
                 values = {f.name: data[f.name] for f in fields(cls)}
         except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
-            raise RunError(f'{path}: expected a recording of a run, found {error}') from None
+            raise RunError(f'{path}: expected a recording of a run, got {error}') from None
         return cls(**{**values, 'rate': float(values['rate']),
                       'contact_names': tuple(map(str, values['contact_names'])),
                       'joint_names': tuple(map(str, values['joint_names']))})
@@ -182,7 +182,7 @@ def read_graph(path: Path, namespace: str | None = None) -> BagMessages:
     messages = read_messages(path, TYPES, namespace)
     if not any(topic in SERIES for topic in messages.by_topic):
         raise RunError(f'{path}: expected samples on joint_states, or another topic of the '
-                       f'controller, found {messages}')
+                       f'controller, got {messages}')
     return messages
 
 
@@ -203,7 +203,7 @@ def content_of(
     count = int(ticks[-1]) + 1
     if count > SPARSE * len(stamps) + controller.rate or 2 * len(stamps) < len(samples):
         raise RunError(
-            f'{path}: {topic}: expected stamps {1e3 * controller.period:g} ms apart, found '
+            f'{path}: {topic}: expected stamps {1e3 * controller.period:g} ms apart, got '
             f'{len(samples)} messages with {len(stamps)} stamps over '
             f'{(int(stamps[-1]) - int(stamps[0])) * 1e-9:.3g} s')
     data = empty_run_data(count, controller)
@@ -275,7 +275,7 @@ def _remarks(messages: BagMessages, data: RunData) -> tuple[str, ...]:
                                     (MEASURED, data.alpha_meas, data.contact_names)):
         if topic in messages.by_topic and expected and not np.isfinite(values).any():
             names = ', '.join(messages.by_topic[topic].names) or 'none'
-            remarks.append(f'{topic}: expected {", ".join(expected)}, found {names}')
+            remarks.append(f'{topic}: expected {", ".join(expected)}, got {names}')
     if messages.cut_off:
         remarks.append(CUT_OFF)
     return tuple(remarks)

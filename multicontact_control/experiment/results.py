@@ -207,7 +207,7 @@ def load_run(folder: Path) -> LoadedRun:
     elif (folder / SERIES_FILE).is_file():
         data = RunData.load(folder)
     else:
-        raise RunError(f'{folder}: expected {BAG_FOLDER}/ or {SERIES_FILE}, found neither')
+        raise RunError(f'{folder}: expected {BAG_FOLDER}/ or {SERIES_FILE}, got neither')
     return LoadedRun(folder, setup, data, read_json(folder / SUMMARY_FILE))
 
 
@@ -273,7 +273,7 @@ def _rate(path: Path, found: BagMessages) -> float:
     topic = sample_topic(found)
     apart = np.diff(np.unique(found.by_topic[topic].stamps))
     if not len(apart):
-        raise RunError(f'{path}: {topic}: expected at least 2 samples, found 1')
+        raise RunError(f'{path}: {topic}: expected at least 2 samples, got 1')
     usual = np.median(apart)
     rate = 1e9 / float(np.mean(apart[np.abs(apart - usual) <= 0.5 * usual]))
     return float(round(rate)) if abs(rate - round(rate)) <= WHOLE * rate else rate

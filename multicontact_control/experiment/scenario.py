@@ -258,7 +258,7 @@ def check_together(setup: Setup, path: Path) -> None:
     try:
         setup.reference()
     except ConfigError as error:
-        raise ConfigError(error.field, error.expected, error.found, str(path)) from None
+        raise ConfigError(error.field, error.expected, error.got, str(path)) from None
 
 
 class ControllerFiles(NamedTuple):

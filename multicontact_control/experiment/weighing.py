@@ -81,7 +81,7 @@ def weigh(
         poses.append(PoseReading(rotation, reading))
     if len(poses) < MIN_POSES:
         raise CalibrationError(f'calibrate: expected at least {MIN_POSES} quiet rests of '
-                               f'{SETTLE_TIME + AVERAGE_TIME:g} s, found {len(poses)}')
+                               f'{SETTLE_TIME + AVERAGE_TIME:g} s, got {len(poses)}')
     return identify_tool(poses, gravity)
 
 
@@ -123,12 +123,12 @@ def weigh_recording(
     found = read_messages(path, {JOINTS: JOINT_STATE, wrench: WRENCH}, namespace)
     for topic in (JOINTS, wrench):
         if topic not in found.by_topic:
-            raise RunError(f'{path}: expected messages on {topic}, found {found}')
+            raise RunError(f'{path}: expected messages on {topic}, got {found}')
     joints, felt = found.by_topic[JOINTS], found.by_topic[wrench]
     q = joints.values('position', names)
     if not np.isfinite(q).all():
         raise RunError(f'{path}: joint_states: expected positions of the joints '
-                       f'{", ".join(names)}, found {", ".join(joints.names) or "none"}')
+                       f'{", ".join(names)}, got {", ".join(joints.names) or "none"}')
     q_time, f_time = (1e-9 * x.stamps.astype(np.float64) for x in (joints, felt))
     if f_time[0] > q_time[-1] or q_time[0] > f_time[-1]:  # clocks of their own
         q_time, f_time = (1e-9 * x.published.astype(np.float64) for x in (joints, felt))
@@ -159,7 +159,7 @@ def weigh_running(
     with MultiContactClient(**where) as arm, ControllerLink(heard, **where) as link:
         start = arm.read()
         if pressed := [name for name, force in start.forces_desired.items() if force > 0.0]:
-            raise RunError(f'calibrate: expected free space, found {", ".join(pressed)} pressed')
+            raise RunError(f'calibrate: expected free space, got {", ".join(pressed)} pressed')
         # A weight that is not known is a pull that no surface explains: control waits for this.
         tell('tare, so that the weight is not taken for a contact')
         _await_control(arm)
@@ -197,7 +197,7 @@ def _await_control(arm: Any) -> None:
             return
         if time.monotonic() > give_up:
             raise RunError('calibrate: expected control to begin once the weight is tared away, '
-                           f'found {"no status" if status is None else status.text}')
+                           f'got {"no status" if status is None else status.text}')
 
 
 def _turn(arm: Any, position: Vector, duration: float, pose: Rotation) -> None:
@@ -211,7 +211,7 @@ def _turn(arm: Any, position: Vector, duration: float, pose: Rotation) -> None:
         with contextlib.suppress(RunError):  # if control does not wait
             arm.retry()
     raise RunError(
-        f'calibrate: expected a tilted tool, found it {np.rad2deg(off):.0f} deg off; it may be '
+        f'calibrate: expected a tilted tool, got one {np.rad2deg(off):.0f} deg off; it may be '
         'beyond a limit, or too heavy to lift unknown: start from another pose, tilt less, or '
         'weigh it --from-bag')
 
@@ -221,7 +221,7 @@ def _sample(messages: Sequence[Any], names: Sequence[str]) -> Vector:
     joints, felt = messages
     angles, stamp, w = dict(zip(joints.name, joints.position)), joints.header.stamp, felt.wrench
     if lacking := [name for name in names if name not in angles]:
-        raise RunError(f'joint_states: expected the joints {", ".join(lacking)}, found '
+        raise RunError(f'joint_states: expected the joints {", ".join(lacking)}, got '
                        f'{", ".join(joints.name) or "none"}')
     return np.array([stamp.sec + 1e-9 * stamp.nanosec, *(angles[name] for name in names),
                      w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z])

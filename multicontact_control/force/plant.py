@@ -139,7 +139,7 @@ def ackermann(Phi: Matrix, Gamma: Vector, poles: Sequence[float]) -> Vector:
     controllability = np.column_stack(columns)
     if np.linalg.matrix_rank(controllability) < n:
         raise MulticontactError(
-            f'(Phi, Gamma): expected a controllable pair of order {n}, found a rank of '
+            f'(Phi, Gamma): expected a controllable pair of order {n}, got a rank of '
             f'{np.linalg.matrix_rank(controllability)}')
     polynomial = np.eye(n)
     for pole in sorted(poles, reverse=True):

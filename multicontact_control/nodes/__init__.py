@@ -13,7 +13,7 @@ try:
     known = get_resources('rmw_typesupport').keys() - {'rmw_implementation'}
     wanted = os.environ.get('RMW_IMPLEMENTATION')
     if wanted and known and wanted not in known:  # rcl would end the process
-        raise ImportError(f'RMW_IMPLEMENTATION: expected {" or ".join(known)}, found {wanted}')
+        raise ImportError(f'RMW_IMPLEMENTATION: expected {" or ".join(known)}, got {wanted}')
     import rclpy.impl.implementation_singleton  # noqa: F401
 except ImportError as error:
     sys.tracebacklimit = 0  # a node's process ends with one line, as a command does

@@ -96,7 +96,7 @@ class Refusals:
 
     def refuse(self, source: str, error: Exception) -> None:
         """Take note of what came from a topic, service or parameter and cannot be used."""
-        cause = f'{source}: {error}'.split(', found ')[0]
+        cause = f'{source}: {error}'.split(', got ')[0]
         self.counts[cause] += 1
         if self.counts[cause] == 1:
             self._logger.error(f'{source}: refused: {error} (further ones are only counted)')

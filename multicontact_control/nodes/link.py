@@ -133,12 +133,12 @@ class GuestNode:
         client, timeout = self._client(node_name, service, name), min(timeout, self._patience)
         if not self._wait(client.service_is_ready, self._patience, f'{node_name} to appear'):
             raise NoAnswerError(f'{client.service_name}: expected this service within '
-                                f'{self._patience:g} s, found none')
+                                f'{self._patience:g} s, got none')
         future = client.call_async(request)
         if not self._wait(future.done, timeout, f'{node_name} to answer'):
             client.remove_pending_request(future)
             raise NoAnswerError(
-                f'{client.service_name}: expected an answer within {timeout:g} s, found none')
+                f'{client.service_name}: expected an answer within {timeout:g} s, got none')
         return future.result()
 
     def _wait(self, condition: Callable[[], Any], timeout: float, what: str) -> bool:
@@ -216,7 +216,7 @@ class ControllerLink(GuestNode):
         give_up = time.monotonic() + self._patience
         while (value := found()) is None:
             if time.monotonic() > give_up:
-                raise RunError(f'{missing} within {self._patience:g} s, found none; is the '
+                raise RunError(f'{missing} within {self._patience:g} s, got none; is the '
                                'controller active?')
             time.sleep(POLL_PERIOD)
         return value

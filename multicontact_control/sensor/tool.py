@@ -136,14 +136,14 @@ def tare_bias(
     config = config or TareConfig()
     if len(wrenches_sensor) < MIN_SAMPLES:
         raise CalibrationError(
-            f'tare: expected at least {MIN_SAMPLES} readings, found {len(wrenches_sensor)}')
+            f'tare: expected at least {MIN_SAMPLES} readings, got {len(wrenches_sensor)}')
     if not np.isfinite(wrenches_sensor).all():
-        raise CalibrationError('tare: expected finite readings, found others')
+        raise CalibrationError('tare: expected finite readings, got NaN or infinity')
     restless = np.std(wrenches_sensor, axis=0).reshape(2, 3).max(axis=1)
     if restless[0] > config.max_force_std or restless[1] > config.max_torque_std:
         raise CalibrationError(
             f'tare: expected readings at rest (standard deviation at most '
-            f'{config.max_force_std:g} N and {config.max_torque_std:g} N m), found '
+            f'{config.max_force_std:g} N and {config.max_torque_std:g} N m), got '
             f'{restless[0]:.3g} N and {restless[1]:.3g} N m')
     mean: Vector = wrenches_sensor.mean(axis=0)
     return mean - weight_reading(rotation_world, tool, gravity_world)
@@ -173,14 +173,14 @@ def identify_tool(
     """
     config, poses = config or IdentificationConfig(), len(readings)
     if poses < MIN_POSES:
-        raise CalibrationError(f'poses: expected at least {MIN_POSES}, found {poses}')
+        raise CalibrationError(f'poses: expected at least {MIN_POSES}, got {poses}')
     scale = float(np.sqrt(gravity_world @ gravity_world))
     A, b = _equations(readings, gravity_world / scale)
     condition = float(np.linalg.cond(A))
     if not condition <= MAX_CONDITION:
         raise CalibrationError(
             f'poses: expected orientations that tilt the tool differently (condition number at '
-            f'most {MAX_CONDITION:g}), found {condition:.3g}')
+            f'most {MAX_CONDITION:g}), got {condition:.3g}')
     x: Vector = np.linalg.lstsq(A, b, rcond=None)[0].astype(float)
     left = (b - A @ x).reshape(-1, 2, 3)
     # Force and torque equations share no unknown: 4 and 6 of them, 3 equations each per pose.
@@ -189,7 +189,7 @@ def identify_tool(
     mass, mass_std = x[0] / scale, spread[0] * np.sqrt(variance[0]) / scale
     if mass < -NOTHING_HANGS * mass_std:
         raise CalibrationError(
-            f'mass: expected at least 0 kg, found {mass:.3g} kg; is the sign of the sensor '
+            f'mass: expected at least 0 kg, got {mass:.3g} kg; is the sign of the sensor '
             'flipped?')
     residual = np.sqrt(np.mean(left ** 2, axis=(0, 2))).tolist()
     for what, found, limit, unit in zip(
@@ -197,7 +197,7 @@ def identify_tool(
             (config.max_force_residual, config.max_torque_residual), ('N', 'N m')):
         if found > limit:
             raise CalibrationError(
-                f'residual {what}: expected at most {limit:g} {unit}, found {found:.3g} {unit}; '
+                f'residual {what}: expected at most {limit:g} {unit}, got {found:.3g} {unit}; '
                 'is the frame of the sensor right, and was the arm at rest?')
     com, com_std = np.zeros(3), np.zeros(3)
     if mass > NOTHING_HANGS * mass_std:
@@ -216,7 +216,7 @@ def _equations(readings: Sequence[PoseReading], down_world: Vector) -> tuple[Mat
     for i, reading in enumerate(readings):
         if not np.isfinite(reading.wrench_sensor).all():
             raise CalibrationError(
-                f'reading of pose {i}: expected finite numbers, found '
+                f'reading of pose {i}: expected finite numbers, got '
                 f'{reading.wrench_sensor.tolist()}')
         x, y, z = down = reading.rotation_world.T @ down_world
         A[i, :3, 0] = -down

@@ -86,6 +86,6 @@ def outside_limits(
         (f'{name}: expected', x, lower, upper, 'rad', 'joint') for name, x, lower, upper in zip(
             config.robot.joint_names, q, limits.joint_lower, limits.joint_upper)]
     return tuple(
-        f'{what} {lower:g} to {upper:g} {unit} (limits.{kind}_lower, limits.{kind}_upper), found '
+        f'{what} {lower:g} to {upper:g} {unit} (limits.{kind}_lower, limits.{kind}_upper), got '
         f'{x:.4g} {unit}' for what, x, lower, upper, unit, kind in bounds
         if not lower - START_EXCESS <= x <= upper + START_EXCESS)

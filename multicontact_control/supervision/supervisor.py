@@ -304,7 +304,7 @@ class Supervisor:
         """Tell the law what acts in place of its answer."""
         if not self.guarded:
             if 'not_finite' in limits:
-                raise SingularTaskError('the torque: expected finite numbers, found others')
+                raise SingularTaskError('the torque: expected finite numbers, got NaN or infinity')
         # A blend passes in a moment, and a limited rate is caught up with: they are left out.
         elif 'torque' in limits or 'joint' in limits:
             self.controller.account_for(torque)

@@ -121,7 +121,7 @@ class GraphSource:
         _require_joints(config.robot.joint_names, tuple(joints))
         if tuple(message.name) != config.column_names:
             raise RunError(
-                f'contact_forces/measured: expected {", ".join(config.column_names)}, found '
+                f'contact_forces/measured: expected {", ".join(config.column_names)}, got '
                 f'{", ".join(message.name)}; name its --scenario and --plant')
         return (gains[0], gains[1], gains[2]), ceiling
 
@@ -338,7 +338,7 @@ class GraphSource:
                                  GetParameters.Request(names=list(names))).values
         found = [parameter_value_to_python(value) for value in values]
         if len(found) != len(names) or None in found:
-            raise RunError(f'{node}: expected the parameters {", ".join(names)}, found not all')
+            raise RunError(f'{node}: expected the parameters {", ".join(names)}, got not all')
         return found
 
     def _set(self, node: str, values: Mapping[str, float]) -> None:
@@ -381,7 +381,7 @@ def _require_joints(expected: tuple[str, ...], found: tuple[str, ...]) -> None:
     robots = map(find_robot, robot_names())
     fitting = [f'--robot {robot.name}' for robot in robots
                if found == (robot.file.joint_names or robot.arm.joint_names)]
-    raise RunError(f'{JOINTS}: expected {", ".join(expected)}, found {", ".join(found)}; name '
+    raise RunError(f'{JOINTS}: expected {", ".join(expected)}, got {", ".join(found)}; name '
                    f'{" or ".join(fitting) or "its --robot"}, and its --scenario')
 
 

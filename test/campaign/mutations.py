@@ -28,7 +28,7 @@ def is_caught(folder, file, before, after, test):
     path = folder / 'multicontact_control' / file
     text = path.read_text()
     if before not in text:
-        raise SystemExit(f'{file}: expected the line `{before}`, found no such line')
+        raise SystemExit(f'{file}: expected the line `{before}`, got no such line')
     path.write_text(text.replace(before, after, 1))
     code = subprocess.call(
         [sys.executable, '-m', 'pytest', '-q', '-x', '-p', 'no:cacheprovider', test], cwd=folder,

@@ -12,9 +12,9 @@ from ros_graph import ROOT
 
 @pytest.mark.parametrize(('arguments', 'message'), [
     (('simulate', '--scenario', 'papper'), 'scenario: expected one of'),
-    (('simulate', '--plant', 'x'), "plant: expected one of rigid, puma, or a path, found 'x'"),
+    (('simulate', '--plant', 'x'), "plant: expected one of rigid, puma, or a path, got 'x'"),
     (('view', 'nowhere'), 'recording: expected a folder of `multicontact run` or `simulate`'),
-    (('view', '.'), 'recording: expected bag/*.mcap or samples.npz in it, found .'),
+    (('view', '.'), 'recording: expected bag/*.mcap or samples.npz in it, got .'),
     (('run', '--commanded', '--set', 'scenario.duration=20'),
      '--set scenario: expected nothing with --commanded'),
     (('run', '--namespace', '1st'), 'namespace: expected names of letters, digits and _'),

@@ -42,7 +42,7 @@ def test_document_is_what_ros2_prints():
         assert document(message, field) == text
     for field, known in (('efort', 'header, name, position, velocity, effort'),
                          ('name.x', 'no further fields')):
-        with pytest.raises(ConfigError, match=f'--field: expected one of {known}, found '):
+        with pytest.raises(ConfigError, match=f'--field: expected one of {known}, got '):
             document(message, field)
     for message in (PoseStamped(), PointCloud2(data=b'\x01\xff')):
         assert list(yaml.safe_load(document(message)[:-3])) == list(

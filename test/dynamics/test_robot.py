@@ -88,10 +88,10 @@ def test_rotation_error_is_scipys_rotation_vector(seed, size):
 @pytest.mark.parametrize(('change', 'message'), [
     ({'joint_names': ('a', 'b')}, r"robot.joint_names: expected the robot's joints .*joint1"),
     ({'operational_frame': 'hand'}, r'robot.operational_frame: expected a link .*wrist_point'),
-    ({'sensor_frame': 'hand'}, r"robot.sensor_frame: expected a link .*, found 'hand'"),
+    ({'sensor_frame': 'hand'}, r"robot.sensor_frame: expected a link .*, got 'hand'"),
     ({'operational_frame': 'link3'}, r'robot.operational_frame: expected a link that is carried '
-     r"by joint6, as the wrist sensor on 'ft_face' is, .*, found 'link3', carried by joint3"),
-    ({'urdf': 'nowhere.urdf'}, r'robot.urdf: expected a readable URDF file, found .*nowhere'),
+     r"by joint6, as the wrist sensor on 'ft_face' is, .*, got 'link3', carried by joint3"),
+    ({'urdf': 'nowhere.urdf'}, r'robot.urdf: expected a readable URDF file, got .*nowhere'),
 ])
 def test_model_refuses_names_that_do_not_match(change, message):
     config = controller_config().robot.model_copy(update=change)
@@ -120,7 +120,7 @@ def test_model_of_a_vendors_urdf_locks_fingers_and_takes_endless_joints(tmp_path
     welded.write_text(with_fingers('fixed', (0.03, 0.01)))
     config = seven_joint_config(vendor)
     with pytest.raises(ConfigError, match=r"robot.joint_names: .*'left_joint', 'right_joint'\] in "
-                       'robot.locked_joints, found'):
+                       'robot.locked_joints, got'):
         RobotModel(config, tmp_path)
     locked = config.model_copy(update={
         'locked_joints': ('left_joint', 'right_joint'), 'locked_positions': (0.03, 0.01)})
@@ -131,7 +131,7 @@ def test_model_of_a_vendors_urdf_locks_fingers_and_takes_endless_joints(tmp_path
         np.testing.assert_allclose(
             getattr(found, name), getattr(expected, name), rtol=0.0, atol=1e-12)
     assert (load_model(vendor, locked.locked).upperPositionLimit == np.inf).all()
-    with pytest.raises(ConfigError, match="robot.locked_joints: .*found \\['thumb'\\]"):
+    with pytest.raises(ConfigError, match="robot.locked_joints: .*got \\['thumb'\\]"):
         load_model(vendor.read_text(), {'thumb': 0.0})
 
 

@@ -93,8 +93,8 @@ def test_parameter_file_is_read_as_ros_reads_it(file, change):
 
 @pytest.mark.parametrize(('key', 'message'), [
     ('controler_node', r'controler_node: expected a section of /\*\*, controller_node, '),
-    ('/left/controller_node', 'expected one section of controller_node, found another'),
-    ('rate', 'rate: expected a section of .* found ')])
+    ('/left/controller_node', 'expected one section of controller_node, got another'),
+    ('rate', 'rate: expected a section of .* got ')])
 def test_section_that_would_be_lost_is_refused(file, key, message):
     content = yaml.safe_load(file.read_text())
     file.write_text(yaml.safe_dump(
@@ -119,7 +119,7 @@ def test_setup_that_was_written_is_read_back(file, tmp_path):
     ({'contact_names': ['floor']}, {}, 'contact_names: expected names among wall'),
     ({'robot': {'urdf': 'none.urdf', 'joint_names': ['a'], 'operational_frame': 'x',
                 'sensor_frame': 'x'}, 'torque_limit': []}, {}, 'robot.urdf: expected a readable'),
-    ({}, {'scenario': 'paper'}, 'expected contacts among wall, found'),
+    ({}, {'scenario': 'paper'}, 'expected contacts among wall, got'),
     ({'reference_file': 'x.yaml'}, {}, 'reference_file: expected --scenario in an external run'),
     ({}, {'noise_estimator': {'estimator': 'x'}}, 'noise_estimator.yaml: estimator: expected'),
     ({}, {'duration': -1.0}, 'duration: expected'),

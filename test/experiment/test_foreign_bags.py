@@ -157,7 +157,7 @@ def test_parameter_file_that_does_not_fit_is_refused_or_remarked(bag, tmp_path):
     file = controller_file(tmp_path, contact_names=['floor'], contacts={'floor': {
         'normal_world': [0.0, 0.0, -1.0], 'point_operational': [0.0, 0.0, 0.0]}})
     run = load(bag, [file])
-    assert 'contact_forces/measured: expected floor, found wall' in run.summary['remarks']
+    assert 'contact_forces/measured: expected floor, got wall' in run.summary['remarks']
     assert verdict_shown(run) == 'not judged: neither true nor measured forces'
     file.write_text(file.read_text().replace('- j5\n', ''))
     with pytest.raises(ConfigError, match='robot.armature: expected 5 values'):
@@ -172,7 +172,7 @@ def test_graphs_in_one_recording_are_told_apart(tmp_path):
     both.mkdir()
     shutil.copy(left, both / 'both_0.mcap')
     shutil.copy(right, both / 'both_10.mcap')
-    with pytest.raises(RunError, match="found the namespaces 'arms/right', 'left'"):
+    with pytest.raises(RunError, match="got the namespaces 'arms/right', 'left'"):
         load(both)
     assert load(both, namespace='/arms/right').data.ticks == 2 * RATE
 

@@ -19,12 +19,12 @@ def test_every_scenario_resolves_and_is_named_as_its_file(path):
 
 
 @pytest.mark.parametrize(('changes', 'message'), [
-    ({'durration': 3.0}, 'durration: expected a known key .*duration.*, found unknown key'),
+    ({'durration': 3.0}, 'durration: expected a known key .*duration.*, got unknown key'),
     ({'reference': {'motion': {'start_time': 1.0, 'amplitud': 0.1}}},
      'reference.motion.amplitud: expected a known key .*amplitude'),
-    ({'duration': -1.0}, 'duration: expected greater than 0, found -1.0'),
+    ({'duration': -1.0}, 'duration: expected greater than 0, got -1.0'),
     ({'reference': {'force_steps': [{'time': 1.0, 'forces': {'wall': 3.0}}]}},
-     "reference.force_steps.0.forces: expected contacts among table, board, found 'wall'"),
+     "reference.force_steps.0.forces: expected contacts among table, board, got 'wall'"),
     ({'controller': {'rate': 250.0}}, "noise_estimator.rate: expected the controller's 250 Hz"),
     ({'noise_estimator': {'contact_names': ['table']}},
      'noise_estimator.contact_names: expected the controller'),

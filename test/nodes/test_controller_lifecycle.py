@@ -102,4 +102,4 @@ def test_autostart_begins_alone_or_ends_with_the_reason(middleware):
     _, errors = end_of(bad)
     assert bad.returncode == 2
     assert errors.splitlines()[-1].endswith(
-        'force.time_constant: expected greater than 0, found -1.0')
+        'force.time_constant: expected greater than 0, got -1.0')

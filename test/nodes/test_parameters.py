@@ -96,12 +96,12 @@ def test_file_that_a_command_writes_is_read_by_nodes_and_commands_alike(
 
 
 @pytest.mark.parametrize(('arguments', 'match'), [
-    ((), 'size: expected a value, found nothing'),
-    (('size:=-1.0',), 'size: expected greater than 0, found -1.0'),
-    (('size:=tall',), "size: expected a valid number.*found 'tall'"),
-    (('size:=1.0', 'sise:=2.0'), "sise: expected a known parameter .*found unknown 'sise'"),
+    ((), 'size: expected a value, got nothing'),
+    (('size:=-1.0',), 'size: expected greater than 0, got -1.0'),
+    (('size:=tall',), "size: expected a valid number.*got 'tall'"),
+    (('size:=1.0', 'sise:=2.0'), "sise: expected a known parameter .*got unknown 'sise'"),
     (('size:=1.0', 'gains.order:=1.5'), 'gains.order: expected a valid integer'),
-    (('size:=1.0', 'gains:=3'), 'gains: expected a mapping, found 3')])
+    (('size:=1.0', 'gains:=3'), 'gains: expected a mapping, got 3')])
 def test_load_parameters_refuses_in_one_line(make_node, arguments, match):
     with pytest.raises(ConfigError, match=match) as caught:
         load_parameters(make_node(*arguments), Whole)
@@ -120,7 +120,7 @@ def test_parameter_set_applies_changes_that_pass_the_check_as_a_whole(make_node)
         applied.extend(configs)
 
     parameters.lock(use, lambda name, error: refused.append((name, str(error))))
-    for value, reason in ((5.0, 'gains.soft: expected less than stiff, found 5.0'),
+    for value, reason in ((5.0, 'gains.soft: expected less than stiff, got 5.0'),
                           (0.0, 'no solution')):
         result = node.set_parameters([Parameter('gains.soft', value=value)])[0]
         assert (result.successful, result.reason) == (False, reason)

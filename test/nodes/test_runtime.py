@@ -21,7 +21,7 @@ OTHER_ROS = {'ROS_DISTRO': 'humble', 'AMENT_PREFIX_PATH': '/opt/ros/humble', 'PY
     (NODE, {'RMW_IMPLEMENTATION': 'rmw_nothing'}, 1, 'RMW_IMPLEMENTATION'),
     (TOPICS, OTHER_ROS, 1, 'found: humble'), (NODE, OTHER_ROS, 1, 'found: humble'),
     (NODE, ASCII, 2, '--ros-args: expected .*UTF-8'),
-    (('multicontact_control.cli', 'run', '--namespace', 'ä'), ASCII, 2, "found 'ä'")])
+    (('multicontact_control.cli', 'run', '--namespace', 'ä'), ASCII, 2, "got 'ä'")])
 def test_odd_environment_does_no_harm_or_is_named_in_one_line(
         domain_id, tmp_path, command, changes, code, text):
     (tmp_path / 'rclpy').mkdir()

@@ -64,9 +64,9 @@ def test_tare_in_any_pose_compensates_in_every_pose(pose):
 
 
 @pytest.mark.parametrize(('wrenches', 'message'), [
-    (np.zeros((24, 6)), 'expected at least 25 readings, found 24'),
+    (np.zeros((24, 6)), 'expected at least 25 readings, got 24'),
     (np.full((30, 6), np.nan), 'expected finite readings'),
-    (np.outer(0.02 * np.arange(30.0), np.ones(6)), r'N m\), found 0.173 N and 0.173 N m')])
+    (np.outer(0.02 * np.arange(30.0), np.ones(6)), r'N m\), got 0.173 N and 0.173 N m')])
 def test_tare_refuses_too_few_readings_and_any_unrest(wrenches, message):
     with pytest.raises(CalibrationError, match=f'tare: .*{message}'):
         tare_bias(wrenches, np.eye(3), TOOL, GRAVITY)
@@ -100,7 +100,7 @@ def test_identification_of_an_empty_flange_is_a_mass_of_zero_with_the_bias():
 
 
 @pytest.mark.parametrize(('poses', 'message'), [
-    (TILTS[:3], 'expected at least 4, found 3$'), (TILTS[[0] * 6], 'tilt the tool differently'),
+    (TILTS[:3], 'expected at least 4, got 3$'), (TILTS[[0] * 6], 'tilt the tool differently'),
     # Turning about the vertical alone moves no weight.
     (Rotation.from_euler('z', np.arange(6.0)[:, None]), 'tilt the tool differently'),
     # Tilting about one axis alone leaves the centre of mass along it: seen by the moments.
@@ -111,7 +111,7 @@ def test_identification_refuses_too_few_or_too_similar_poses(poses, message):
 
 
 def test_identification_refuses_a_flipped_a_turned_and_a_broken_sensor():
-    with pytest.raises(CalibrationError, match='mass: expected at least 0 kg, found -0.5 kg; is '):
+    with pytest.raises(CalibrationError, match='mass: expected at least 0 kg, got -0.5 kg; is '):
         identify_tool(readings(TILTS, mounting=-np.eye(3)), GRAVITY)
     for angles in np.pi / 2 * np.vstack([np.eye(3), -np.eye(3)]):
         turned = Rotation.from_rotvec(angles).as_matrix()

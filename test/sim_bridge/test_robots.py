@@ -159,5 +159,5 @@ def test_new_robot_writes_files_that_work_and_says_what_is_missing(tmp_path, wel
     there = RobotModel(config.robot, files.urdf_dir).update(home, np.zeros(len(home))).pose
     np.testing.assert_allclose(there.position_world, pose.translation, atol=1e-9)
     made.path.write_text(made.path.read_text().replace('\ntorque_limit', '\n# torque_limit'))
-    with pytest.raises(ConfigError, match='torque_limit: .* for j0, found nothing'):
+    with pytest.raises(ConfigError, match='torque_limit: .* for j0, got nothing'):
         assert find_robot(str(made.path)).arm

@@ -44,7 +44,7 @@ def pressing_down(points):
 
 @pytest.mark.parametrize('points', [FEET, LINE], ids=['four coplanar feet', 'three in a line'])
 def test_contacts_that_depend_in_any_orientation_are_refused(points):
-    with pytest.raises(ConfigError, match=f'found {", ".join(points)}, which depend'):
+    with pytest.raises(ConfigError, match=f'got {", ".join(points)}, which depend'):
         ControlLoop(still_config(**pressing_down(points)), None, CommandLimits(), config_dir())
 
 

@@ -24,7 +24,7 @@ SHARE = {'table/along': -1.0}
     ({'table': 3.0, 'table/along': 9.0}, {}, {'table/along': 0.1}, ''),
     *(({'table': 3.0, 'board': force}, {}, {}, 'force on board: expected 0 or 3 to 10 N')
       for force in (10.1, 2.9, -0.1, float('nan'), float('inf'))),
-    ({'wall': 5.0}, {}, {}, "contact: expected one of table, table/along, board, found 'wall'"),
+    ({'wall': 5.0}, {}, {}, "contact: expected one of table, table/along, board, got 'wall'"),
     ({'table/along': -31.0}, {}, {}, 'force on table/along: expected 0 or -10 to 10 N'),
     ({'table/along': float('nan')}, {}, {}, 'force on table/along'),
     ({'table': 5.0, 'table/along': -5.0}, {}, {}, OUTSIDE),

@@ -112,6 +112,6 @@ def test_graph_source_raises_what_a_graph_refuses(shown, name, values, words):
 
 @pytest.mark.parametrize('robot', robot_parameters(['panda']))
 def test_graph_of_another_arm_is_refused_and_the_right_one_named(shown, domain, robot):
-    with pytest.raises(RunError, match='robot.joint_names: expected panda_joint1, .* found joint1'
+    with pytest.raises(RunError, match='robot.joint_names: expected panda_joint1, .* got joint1'
                                        ', .*joint6; name --robot puma, and its --scenario$'):
         GraphSource(resolve('paper', robot=robot), namespace='arm', domain_id=domain)

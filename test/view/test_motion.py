@@ -66,7 +66,7 @@ def test_dragged_handle_and_sine_make_no_jump(motion):
 
 
 def test_motion_out_of_the_workspace_is_refused_and_changes_nothing(motion):
-    with pytest.raises(CommandError, match='position y: expected 0.2 to 0.9 m, found 0.95 m'):
+    with pytest.raises(CommandError, match='position y: expected 0.2 to 0.9 m, got 0.95 m'):
         motion.go_to(START + [0.0, 0.4, 0.0])
     motion.jog([0.0, 0.3, 0.0])
     with pytest.raises(CommandError, match='position y'):

@@ -72,7 +72,7 @@ def test_page_gives_the_last_command_of_an_element_and_shows_refusals_and_the_en
     page.update()
     assert 'done' in page.answer.content
     page.update()
-    assert 'expected none, found &lt;some&gt;' in page.answer.content
+    assert 'expected none, got &lt;some&gt;' in page.answer.content
     assert page.source.given == [(source.FORCES, {'table': 4.0})]
     page.source.poll = Mock(side_effect=RunError('sim_node ended: <killed>'))
     page.update()

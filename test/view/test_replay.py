@@ -91,7 +91,7 @@ def test_seek_shows_states_events_and_curves_of_then(replay):
     snapshot = seek(replay, touched + 0.01)
     assert snapshot.states[0] in ('impact', 'holding')
     assert any(moment == touched for moment, _ in snapshot.events)
-    with pytest.raises(CommandError, match='time: expected 0 to 14.998 s, found 90 s'):
+    with pytest.raises(CommandError, match='time: expected 0 to 14.998 s, got 90 s'):
         replay.command(source.SEEK, time=90.0)
     with pytest.raises(CommandError, match='tare: expected a controller that runs'):
         replay.command(source.TARE)

@@ -123,7 +123,7 @@ def test_user_chooses_plants_seeds_and_values(read):
     assert [(cell.factors['level'], cell.factors[DAMPING]) for cell in cells] == [
         ('b', 20.0), ('b', 60.0)]
     assert {(cell.job.plant, cell.job.seed) for cell in cells} == {('panda/rigid', 5)}
-    with pytest.raises(ConfigError, match='^level: expected some of a, b, found'):
+    with pytest.raises(ConfigError, match='^level: expected some of a, b, got'):
         select(study, {'level': ['c']})
     with pytest.raises(ConfigError, match='^part: expected some of'):
         select(study, {'part': ['c']})
