@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+import math
 import threading
 import time
 from typing import Any
@@ -17,8 +18,12 @@ SCRUBBED = 0.3  # s, likewise for the time of a recording
 PRESS = 10.0  # N
 SIGNS = {'-': -1.0, '+': 1.0}
 SPEEDS = {'0.1 x': 0.1, '0.5 x': 0.5, '1 x': 1.0, '2 x': 2.0, '5 x': 5.0}
-STIFFNESS, FRICTION = (0.2, 80.0), (0.01, 1.0)  # N/mm
+STIFFNESS, FRICTION = (200.0, 80_000.0), (0.01, 1.0)  # N/m
+MARKED = {1000.0: '1000', 10_000.0: '10 000'}  # N/m
 MAX_MARKS = 200  # that can be jumped to
+# What a button does next.
+PLAY, PLAY_AGAIN, PAUSE = 'Play', 'Play again from the start', 'Pause'
+HOLD, RELEASE = 'Hold pose and forces', 'Release the hold'
 
 
 class Requests:
@@ -56,12 +61,12 @@ class Controls:
     def __init__(self, gui: Any, shown: Source, requests: Requests, scene_view: Any) -> None:
         self._gui, self._requests, self._scene_view = gui, requests, scene_view
         self._forces: dict[str, Any] = {}
-        self._surfaces: dict[str, tuple[Any, Any]] = {}
+        self._surfaces: dict[str, tuple[Any, Any, Any]] = {}
         self._gains: tuple[Any, ...] = ()
         self._shown_gains: tuple[float, ...] = ()
         self._hold: Any = None
-        self._instruction: Any = None
         self._play: Any = None
+        self._begun = False
         self._time: Any = None
         tabs = gui.add_tab_group()
         if source.PLAY not in shown.refusals:
@@ -80,11 +85,12 @@ class Controls:
             else:
                 self._add_world(shown.scene)
 
-    def _button(self, text: str, name: str, hint: str = '', colour: str = 'gray',
-                values: Callable[[], dict[str, Any]] = dict) -> None:
+    def _button(self, text: str, name: str, hint: str = '',
+                values: Callable[[], dict[str, Any]] = dict) -> Any:
         """Add a button that gives a command."""
-        button = self._gui.add_button(text, color=colour, hint=hint or None)
+        button = self._gui.add_button(text, hint=hint or None)
         button.on_click(lambda _: self._requests.add(button, name, **values()))
+        return button
 
     def _axes(self, text: str, name: str, values: Callable[[list[float]], dict[str, Any]]) -> None:
         """Add buttons along the axes, which give a command with the values of a direction."""
@@ -121,19 +127,19 @@ class Controls:
             self._on_change(slider, source.FORCES, partial(
                 lambda name, value: {name: value}, column.name))
             self._forces[column.name] = slider
-        self._button(f'Press with {PRESS:g} N', source.FORCES, colour='blue',
+        self._button(f'Press with {PRESS:g} N', source.FORCES, 'every contact',
                      values=lambda: dict.fromkeys(config.contact_names, PRESS))
-        self._button('Let go', source.FORCES,
+        self._button('Let go', source.FORCES, 'of every contact',
                      values=lambda: dict.fromkeys(config.column_names, 0.0))
-        self._hold = gui.add_checkbox('hold', False, hint='pose and forces')
-        self._on_change(self._hold, source.HOLD, lambda value: {'on': value})
-        self._button('Try again', source.RETRY, 'seek contacts that were given up')
+        self._hold = self._button(HOLD, source.HOLD, values=lambda: {
+            'on': self._hold.label == HOLD})
+        self._button('Seek given-up contacts again', source.RETRY)
 
     # --------------------------------------------------------------------------------- move
 
     def _add_motion(self) -> None:
         gui = self._gui
-        drag = gui.add_checkbox('drag', False, hint='shows a handle at the operational point')
+        drag = gui.add_checkbox('drag handle', False, hint='at the operational point')
 
         def dragged(position: Vector) -> None:
             self._requests.add(drag, source.GO_TO, position=position.tolist())
@@ -147,63 +153,68 @@ class Controls:
             axis = gui.add_dropdown('sine along', ('x', 'y', 'z'))
             amplitude = gui.add_slider('amplitude [mm]', min=5, max=150, step=5, initial_value=80)
             period = gui.add_slider('period [s]', min=2.0, max=16.0, step=0.5, initial_value=6.0)
-            self._button('Start', source.PATTERN, colour='blue', values=lambda: {
+            self._button('Start the sine', source.PATTERN, values=lambda: {
                 'axis': axis.value, 'amplitude': 1e-3 * amplitude.value,
                 'period': float(period.value)})
-            self._button('Stop', source.STOP)
+        self._button('Stop every motion', source.STOP)
 
     # --------------------------------------------------------------------------------- tune
 
     def _add_tuning(self) -> None:
         gui = self._gui
-        with gui.add_folder('Gains'):
-            frequency, constant, damping = self._gains = (
-                gui.add_slider('natural frequency [rad/s]', min=5.0, max=60.0, step=1.0,
-                               initial_value=30.0),
-                gui.add_slider('time constant [ms]', min=10.0, max=100.0, step=1.0,
-                               initial_value=20.0),
-                gui.add_slider('K_2 [1/s]', min=0.0, max=200.0, step=5.0, initial_value=100.0))
-            self._button('Apply', source.GAINS, 'the torque goes over smoothly', 'blue', lambda: {
-                'natural_frequency': float(frequency.value),
-                'time_constant': 1e-3 * constant.value, 'damping_rate': float(damping.value)})
+        with gui.add_folder('motion'):
+            frequency = gui.add_slider(
+                'natural_frequency [rad/s]', min=5.0, max=60.0, step=1.0, initial_value=30.0)
+        with gui.add_folder('force'):
+            constant = gui.add_slider(
+                'time_constant [s]', min=0.01, max=0.1, step=0.001, initial_value=0.02)
+            damping = gui.add_slider('damping_rate [1/s]', min=0.0, max=200.0, step=5.0,
+                                     initial_value=100.0, hint='K_2')
+        self._gains = frequency, constant, damping
+        self._button('Set these gains', source.GAINS, 'the torque goes over smoothly', lambda: {
+            'natural_frequency': float(frequency.value),
+            'time_constant': float(constant.value), 'damping_rate': float(damping.value)})
         with gui.add_folder('Wrist sensor'):
-            self._button('Tare', source.TARE, 'nothing may touch the tool')
-            self._button('Push test', source.PUSH_TEST, 'proves sign, frame, scale')
-            self._instruction = gui.add_markdown('')
+            self._button('Tare the sensor', source.TARE, 'nothing may touch the tool')
+            self._button('Start the push test', source.PUSH_TEST, 'proves sign, frame, scale')
 
     # -------------------------------------------------------------------------------- world
 
     def _add_world(self, scene: Scene) -> None:
         gui = self._gui
         for name, state in scene.simulated.items():
-            with gui.add_folder(f'Surface {name}'):
-                stiffness = 1e-3 * state.stiffness
-                self._surfaces[name] = (
-                    gui.add_slider('stiffness [N/mm]', min=min(STIFFNESS[0], stiffness),
-                                   max=max(STIFFNESS[1], stiffness), step=0.2,
-                                   initial_value=stiffness),
+            with gui.add_folder(f'surfaces.{name}'):
+                low, high = (pick(*STIFFNESS, state.stiffness) for pick in (min, max))
+                elements = self._surfaces[name] = (
+                    gui.add_number('stiffness [N/m]', state.stiffness, min=low, max=high),
+                    gui.add_multi_slider(
+                        'log scale', min=math.log10(low), max=math.log10(high), step=0.01,
+                        initial_value=_exponent(state.stiffness), marks=tuple(
+                            (math.log10(value), text) for value, text in MARKED.items())),
                     gui.add_slider('friction', min=min(FRICTION[0], state.friction),
                                    max=max(FRICTION[1], state.friction), step=0.01,
                                    initial_value=state.friction))
-            for slider in self._surfaces[name]:
-                self._on_change(slider, source.SURFACE, partial(self._surface, name))
+            for element in elements:
+                self._on_change(element, source.SURFACE, partial(self._surface, name))
         with gui.add_folder('Push'):
             where = gui.add_dropdown('at', ('operational point', 'tool'))
             force = gui.add_slider('force [N]', min=1.0, max=20.0, step=1.0, initial_value=5.0)
             self._axes('along', source.PUSH, lambda direction: {
                 'force': [force.value * x for x in direction], 'tool': where.value == 'tool'})
 
-    def _surface(self, name: str, _: float) -> dict[str, Any]:
-        stiffness, friction = self._surfaces[name]
-        return {'name': name, 'stiffness': round(1e3 * stiffness.value, 3),
+    def _surface(self, name: str, value: Any) -> dict[str, Any]:
+        stiffness, _, friction = self._surfaces[name]
+        if isinstance(value, tuple):  # of the logarithmic scale
+            stiffness.value = float(f'{10.0 ** value[0]:.2g}')
+        return {'name': name, 'stiffness': float(stiffness.value),
                 'friction': float(friction.value)}
 
     # ------------------------------------------------------------------------------- replay
 
     def _add_replay(self, scene: Scene) -> None:
         gui = self._gui
-        self._play = gui.add_checkbox('play', True)
-        self._on_change(self._play, source.PLAY, lambda value: {'on': value})
+        self._play = self._button(PLAY, source.PLAY, values=lambda: {
+            'on': self._play.label != PAUSE})
         speed = gui.add_dropdown('speed', tuple(SPEEDS), initial_value='1 x')
         self._on_change(speed, source.SPEED, lambda value: {'factor': SPEEDS[value]})
         self._time = gui.add_slider('time [s]', min=0.0, max=max(scene.duration, 0.1), step=0.02,
@@ -213,35 +224,42 @@ class Controls:
             f'{moment:.2f} s: {text}': moment for moment, text in scene.marks[:MAX_MARKS]}}
         jump = gui.add_dropdown('jump to', tuple(jumps))
         self._on_change(jump, source.SEEK, lambda value: {'time': jumps[value]})
-        gui.add_markdown('*A recording is shown: it cannot be steered.*')
 
     # --------------------------------------------------------------------------------- show
 
     def show(self, snapshot: Snapshot) -> None:
         """Show what is in force, unless the user is just about to change it."""
         quiet = self._requests.quiet_for()
-        if self._instruction is not None:
-            text = f'**{snapshot.push_test}**' if snapshot.push_test else ''
-            if self._instruction.content != text:
-                self._instruction.content = text
-        if self._time is not None and quiet > SCRUBBED:
-            _show(self._time, round(min(snapshot.time, self._time.max), 2))
+        if self._time is not None:
+            if not self._begun:  # with the first browser
+                self._begun = True
+                self._requests.add(self._play, source.PLAY, on=True)
+            if quiet > SCRUBBED:
+                _show(self._time, round(min(snapshot.time, self._time.max), 2))
+            _show(self._play, PAUSE if snapshot.playing else PLAY_AGAIN
+                  if snapshot.time >= self._time.max else PLAY, 'label')
         if snapshot.gains != self._shown_gains:  # at the start, and when they have been changed
             self._shown_gains = snapshot.gains
-            for slider, value, scale in zip(self._gains, snapshot.gains, (1.0, 1e3, 1.0)):
-                _show(slider, min(max(scale * value, slider.min), slider.max))
+            for slider, value in zip(self._gains, snapshot.gains):
+                _show(slider, min(max(value, slider.min), slider.max))
         if quiet < SETTLED:
             return
         for name in self._forces.keys() & snapshot.commanded.keys():
             _show(self._forces[name], snapshot.commanded[name])
-        _show(self._hold, snapshot.held)
-        _show(self._play, snapshot.playing)
-        for name, (stiffness, friction) in self._surfaces.items():
-            _show(stiffness, round(1e-3 * snapshot.surfaces[name].stiffness, 3))
-            _show(friction, snapshot.surfaces[name].friction)
+        _show(self._hold, RELEASE if snapshot.held else HOLD, 'label')
+        for name, (stiffness, scale, friction) in self._surfaces.items():
+            state = snapshot.surfaces[name]
+            _show(stiffness, state.stiffness)
+            _show(scale, _exponent(state.stiffness))
+            _show(friction, state.friction)
 
 
-def _show(handle: Any, value: Any) -> None:
+def _exponent(stiffness: float) -> tuple[float]:
+    """Return what the logarithmic scale shows of a stiffness [N/m]."""
+    return round(math.log10(stiffness), 2),
+
+
+def _show(handle: Any, value: Any, part: str = 'value') -> None:
     """Let an element show a value, if it is there."""
-    if handle is not None and handle.value != value:
-        handle.value = value
+    if handle is not None and getattr(handle, part) != value:
+        setattr(handle, part, value)

@@ -70,12 +70,14 @@ class Chart(NamedTuple):
 class Curves:
     """The charts of a page for forces and couples, and joints by name; made where `gui` is."""
 
-    def __init__(self, gui: Any, names: Sequence[str], joints: Sequence[str]) -> None:
+    def __init__(
+        self, gui: Any, names: Sequence[str], joints: Sequence[str], true_forces: bool,
+    ) -> None:
         self._width = 1 + KINDS * len(names) + len(joints)
         self.history = History(self._width)
         self._gui, self._lock = gui, threading.Lock()
         self._window = gui.add_dropdown('window', tuple(WINDOWS), initial_value=FIRST)
-        self._charts = charts_of(names, joints)
+        self._charts = charts_of(names, joints, true_forces)
         self._folder = gui.add_folder('last seconds, from now')
         self._plots: list[Any] = []
         self._make()
@@ -119,14 +121,17 @@ class Curves:
         return found
 
 
-def charts_of(names: Sequence[str], joints: Sequence[str]) -> list[Chart]:
+def charts_of(
+    names: Sequence[str], joints: Sequence[str], true_forces: bool = False,
+) -> list[Chart]:
     """Return what there is to show of these forces, couples and joints."""
+    shown = 4 if true_forces else 3
     *columns, torques = np.split(
         1 + np.arange(KINDS * len(names) + len(joints)), len(names) * np.arange(1, KINDS + 1))
     *forces, variance, innovation = columns
     return [
-        *(Chart(f'force on {name} [N]', ('measured', 'estimated', 'desired'), each, COLOURS,
-                from_zero(5.0)) for name, *each in zip(names, *forces)),
+        *(Chart(f'force on {name} [N]', ('measured', 'estimated', 'desired', 'true')[:shown],
+                each[:shown], COLOURS, from_zero(5.0)) for name, *each in zip(names, *forces)),
         Chart('R [N^2], logarithmic', names, variance.tolist(), COLOURS, LOGARITHMIC),
         Chart('innovation [N]', names, innovation.tolist(), COLOURS, from_zero(0.2)),
         Chart('torque of each joint, % of its limit', [str(k + 1) for k in range(len(joints))],

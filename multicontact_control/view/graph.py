@@ -9,13 +9,13 @@ from typing import Any
 
 from geometry_msgs.msg import Vector3Stamped
 from multicontact_control.config import Vector3
-from multicontact_control.errors import CommandError, RunError
+from multicontact_control.errors import CommandError, MulticontactError, RunError
 from multicontact_control.experiment.judge import Event
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.contact_markers import NAMESPACE
 from multicontact_control.nodes.graph import create_publisher
-from multicontact_control.nodes.link import ControllerLink
+from multicontact_control.nodes.link import CommandRefusedError, ControllerLink
 from multicontact_control.nodes.status import ControllerStatus, new_identifier, REFUSED
 from multicontact_control.view import source
 from multicontact_control.view.motion import Motion
@@ -51,8 +51,9 @@ PACE_TIME = 2.0  # s, over which the real-time factor is taken
 LONGEST_STEP, LONGEST_DELAY, CATCH_UP = 0.012, 0.2, 1.3  # s, s
 LISTENED = (
     topics.JOINT_STATES, topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
-    topics.INNOVATION, topics.NOISE_VARIANCE, topics.EFFORT_COMMAND, topics.POSE,
-    topics.POSE_DESIRED, topics.SURFACE_MARKERS, topics.CONTACT_MARKERS, topics.DIAGNOSTICS)
+    topics.TRUE_FORCES, topics.INNOVATION, topics.NOISE_VARIANCE, topics.EFFORT_COMMAND,
+    topics.POSE, topics.POSE_DESIRED, topics.SURFACE_MARKERS, topics.CONTACT_MARKERS,
+    topics.DIAGNOSTICS)
 LOOP = f'{topics.CONTROLLER}: loop'
 CEILING, JOINTS = 'command.force_ceiling', 'robot.joint_names'
 GAINS = ('motion.natural_frequency', 'force.time_constant', 'force.damping_rate')
@@ -99,7 +100,8 @@ class GraphSource:
         self._parts: dict[str, list[str]] = {}  # surfaces that make up one that is drawn
         self._normals = {name: np.array(config.contacts[name].normal_world)
                          for name in config.contact_names}
-        self._stamp, self._heard = -1, time.monotonic()
+        self._start = self._stamp = -1  # of the first sample and the last [ns]
+        self._held, self._heard = False, time.monotonic()
         self._next_point = self._next_snapshot = 0.0
         self._stamps: deque[tuple[float, int]] = deque(maxlen=round(PACE_TIME * RATE))
         try:
@@ -112,7 +114,8 @@ class GraphSource:
         self.refusals: Mapping[str, str] = dict.fromkeys(PLAYING, 'a recording') | (
             {} if self._surfaces else dict.fromkeys(SIMULATED, 'a simulated plant'))
         self.scene = Scene(title, config, setup.urdf_dir, surfaces or felt_surfaces(config),
-                           simulated=dict(self._surfaces), largest_force=ceiling)
+                           simulated=dict(self._surfaces), largest_force=ceiling,
+                           true_forces=self._link.newest(topics.TRUE_FORCES) is not None)
 
     def _meet(self) -> tuple[tuple[float, float, float], float]:
         """Check that the controller is the expected one; return its gains and force ceiling."""
@@ -152,6 +155,8 @@ class GraphSource:
         if message is not None:
             self._stamp = messages.stamp_to_ns(message.header.stamp)
         if self._stamp != before:
+            if before < 0 or self._stamp < before:  # samples begin, or begin anew
+                self._start = self._stamp
             self._heard = now
             self._move_on(1e-9 * (self._stamp - before))
             if now >= self._next_point:
@@ -170,6 +175,11 @@ class GraphSource:
 
     # ---------------------------------------------------------------------------- what is heard
 
+    @property
+    def _time(self) -> float:
+        """Time of the newest sample [s] since the first that was heard."""
+        return 1e-9 * (self._stamp - self._start)
+
     def _values(self, topic: topics.Topic, names: tuple[str, ...], field: str = 'effort') -> Any:
         message = self._link.newest(topic)
         known = {} if message is None else dict(zip(message.name, getattr(message, field)))
@@ -180,16 +190,19 @@ class GraphSource:
         names, joints = self._config.column_names, self._config.robot.joint_names
         limit = np.array(self._config.torque_limit or [np.inf] * len(joints))
         return np.concatenate([
-            [1e-9 * self._stamp], *(self._values(topic, names) for topic in (
+            [self._time], *(self._values(topic, names) for topic in (
                 topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
-                topics.NOISE_VARIANCE)),
+                topics.TRUE_FORCES, topics.NOISE_VARIANCE)),
             np.abs(self._values(topics.INNOVATION, names)),
             np.abs(self._values(topics.EFFORT_COMMAND, joints)) / limit])
 
     def _note(self, status: ControllerStatus) -> None:
         """Tell what has changed and what is refused, and make no motion that is not obeyed."""
-        now, refused = 1e-9 * self._stamp, status.event == REFUSED
-        texts = [f'refused {status.text}'] if refused else []
+        now, refused = self._time, status.event == REFUSED
+        texts = [f'refused: {status.text}'] if refused else []
+        if status.held != self._held:
+            self._held = status.held
+            texts.append('pose and forces held' if status.held else 'hold released')
         if status.contacts:
             texts.append(self._changes.read(Event(
                 now, status.reaction, tuple(status.causes.split()), (), _states(status))))
@@ -235,14 +248,15 @@ class GraphSource:
         events, self._events = self._events, []
         position, turn, place = pose.pose.position, pose.pose.orientation, desired.pose.position
         return Snapshot(
-            time=1e-9 * self._stamp,
+            time=self._time,
             q=self._values(topics.JOINT_STATES, config.robot.joint_names, 'position'),
             position=np.array([position.x, position.y, position.z]),
             quaternion=np.array([turn.x, turn.y, turn.z, turn.w]),
             position_des=np.array([place.x, place.y, place.z]),
             measured=self._values(topics.MEASURED_FORCES, config.column_names),
             estimated=self._values(topics.ESTIMATED_FORCES, config.column_names),
-            desired=wanted, normals_world=np.array(list(self._normals.values())),
+            desired=wanted, true=self._values(topics.TRUE_FORCES, config.column_names),
+            normals_world=np.array(list(self._normals.values())),
             states=_states(status) or ('free',) * len(config.contact_names),
             reaction='no samples' if now - self._heard > SILENCE else
             'none' if status is None else status.reaction,
@@ -262,6 +276,15 @@ class GraphSource:
 
     def command(self, name: str, /, **values: Any) -> str:
         """Give a command, and return what comes of it; see `Source.command`."""
+        try:
+            return self._command(name, **values)
+        except CommandRefusedError:  # the controller has said so, and all that listen know
+            raise
+        except MulticontactError as error:
+            self._events.append((self._time, f'refused: {error}'))
+            raise
+
+    def _command(self, name: str, /, **values: Any) -> str:
         refuse(name, self.refusals)
         motion = self._motion
         motions: Mapping[str, Callable[..., str]] = {
@@ -329,7 +352,7 @@ class GraphSource:
         self._push_publisher.publish(message)
         pushes = ', '.join(f'{x:+g} N along {axis}' for axis, x in zip('xyz', force) if x)
         text = f'{"tool" if tool else "operational point"} pushed by {pushes}'
-        self._events.append((1e-9 * self._stamp, text))
+        self._events.append((self._time, text))
         return text
 
     def _read(self, node: str, names: tuple[str, ...]) -> list[Any]:

@@ -14,7 +14,7 @@ from multicontact_control.errors import MulticontactError, RunError
 from multicontact_control.supervision.reactions import NONE
 from multicontact_control.view.access import guarding
 from multicontact_control.view.controls import Controls, Requests
-from multicontact_control.view.curves import Curves
+from multicontact_control.view.curves import COLOURS, Curves
 from multicontact_control.view.scene import newtons, SceneView, STATE_COLOURS
 from multicontact_control.view.source import Scene, Snapshot, Source
 import numpy as np
@@ -69,7 +69,7 @@ class Page:
         self.newest: Snapshot | None = None
         self._events: deque[tuple[float, str]] = deque(maxlen=LISTED)
         self._listed: list[tuple[float, str]] = []
-        self._told = ('', 0.0)
+        self._told, self._push_test, self._undrawn = ('', 0.0), '', True
         self._next_texts = self._next_curves = 0.0
         self._build(server.gui, source.scene)
 
@@ -89,7 +89,8 @@ class Page:
         gui.main_panel.set_width(CONTROLS_WIDTH)
         panel = gui.add_panel()
         with panel.add_tab('Curves'):
-            self.curves = Curves(gui, scene.config.column_names, scene.config.robot.joint_names)
+            self.curves = Curves(gui, scene.config.column_names, scene.config.robot.joint_names,
+                                 scene.true_forces)
         panel.dock_left()
         panel.set_width(CURVES_WIDTH)
         self.status.content = _line(f'<b>{html.escape(scene.title)}</b>: waiting for samples')
@@ -135,21 +136,23 @@ class Page:
     def _show(self, snapshot: Snapshot, new: bool) -> None:
         """Show a `new` snapshot; of the newest one, now and then what follows the user as well."""
         now, scene, events = time.monotonic(), self.source.scene, [*self._events]
-        texts = now >= self._next_texts
+        texts, self._undrawn = now >= self._next_texts, self._undrawn or new
         with self.server.atomic():
             if new or texts:
                 self.scene_view.show(snapshot, labels=texts)
             if texts:
                 self._next_texts = now + TEXT_TIME
                 self.status.content = status_html(scene.title, snapshot)
-                self.contacts.content = contacts_html(
-                    scene.config.column_names, scene.config.leaders, snapshot)
+                self.contacts.content = contacts_html(scene, snapshot)
                 self.controls.show(snapshot)
+                if snapshot.push_test != self._push_test:  # takes the place of the last answer
+                    self._push_test = snapshot.push_test
+                    self.answer.content = _line(f'<b>{html.escape(self._push_test)}</b>')
             if events != self._listed:
                 self._listed = events
                 self.events.content = events_html(events)
-            if new and now >= self._next_curves:
-                self._next_curves = now + CURVES_TIME
+            if self._undrawn and now >= self._next_curves:
+                self._next_curves, self._undrawn = now + CURVES_TIME, False
                 self.curves.draw()
 
     def _notify(self, title: str, text: str) -> None:
@@ -197,10 +200,11 @@ def status_html(title: str, snapshot: Snapshot) -> str:
                  f'<div style="white-space:nowrap;overflow:hidden">{regular}</div>')
 
 
-def contacts_html(names: Any, leaders: Any, snapshot: Snapshot) -> str:
-    """Return a table of the contacts: state, measured, estimated and desired force."""
+def contacts_html(scene: Scene, snapshot: Snapshot) -> str:
+    """Return a table of the contacts: state, and measured, estimated, desired and true force."""
+    leaders, shown = scene.config.leaders, 4 if scene.true_forces else 3
     rows = []
-    for i, name in enumerate(names):
+    for i, name in enumerate(scene.config.column_names):
         state = ''
         if i in leaders:
             state = snapshot.states[list(leaders).index(i)]
@@ -208,13 +212,14 @@ def contacts_html(names: Any, leaders: Any, snapshot: Snapshot) -> str:
             state = f'<span style="color:rgb({r},{g},{b})">&#9679;</span> {html.escape(state)}'
         numbers = ''.join(
             f'<td style="text-align:right">{newtons(float(values[i]))}</td>'
-            for values in (snapshot.measured, snapshot.estimated, snapshot.desired))
+            for values in (snapshot.measured, snapshot.estimated, snapshot.desired,
+                           snapshot.true)[:shown])
         rows.append(f'<tr><td><b>{html.escape(name)}</b></td><td>{state}</td>{numbers}</tr>')
     head = ''.join(
-        f'<td style="text-align:right;color:{colour}">{text}</td>' for text, colour in (
-            ('meas.', '#e07a28'), ('est.', '#2e74be'), ('des. N', GREEN)))
+        f'<td style="text-align:right;color:{colour}">{text}</td>' for text, colour in zip(
+            ('meas.', 'est.', 'des.', 'true')[:shown], COLOURS))
     return _line('<table style="width:100%;border-spacing:0">'
-                 f'<tr><td></td><td></td>{head}</tr>{"".join(rows)}</table>')
+                 f'<tr><td>N</td><td></td>{head}</tr>{"".join(rows)}</table>')
 
 
 def events_html(events: list[tuple[float, str]]) -> str:

@@ -74,10 +74,11 @@ class ReplaySource:
         self._texts = [(event.time, changes.read(event)) for event in self._events]
         self._end = (data.ticks - 1) / data.rate
         self.refusals: Mapping[str, str] = REFUSALS
-        self.scene = replace(scene, duration=self._end, marks=tuple(sorted(
-            [*scene.marks, *((moment, text) for moment, text in self._texts if text)])))
+        self.scene = replace(
+            scene, duration=self._end, true_forces=bool(np.isfinite(data.alpha_true).any()),
+            marks=tuple(sorted([*scene.marks, *filter(lambda each: each[1], self._texts)])))
         self._since, self._from = monotonic(), 0.0
-        self._speed, self._playing, self._changed = 1.0, True, True
+        self._speed, self._playing, self._changed = 1.0, False, True
         self._shown, self._next = -np.inf, 0.0
 
     def _now(self) -> float:
@@ -113,7 +114,7 @@ class ReplaySource:
         return Snapshot(
             time=now, q=data.q[k], position=data.position[k], quaternion=data.quaternion[k],
             position_des=data.position_des[k], measured=data.alpha_meas[k],
-            estimated=data.alpha_est[k], desired=data.alpha_des[k],
+            estimated=data.alpha_est[k], desired=data.alpha_des[k], true=data.alpha_true[k],
             normals_world=self._normals, states=states, reaction=reaction, reasons=reasons,
             points=self._points[first:end],
             events=tuple(x for x in self._texts[bisect_right(self._event_times, last):index]
@@ -133,15 +134,13 @@ class ReplaySource:
             self._playing = values['on']
             if self._playing and now >= self._end:
                 self._jump(0.0)
-            return 'playing' if self._playing else f'paused at {now:.2f} s'
-        if name == source.SPEED:
+        elif name == source.SPEED:
             self._speed = values['factor']
-            return f'{self._speed:g} times as fast'
-        moment = values['time']
-        if not 0.0 <= moment <= self._end:
+        elif 0.0 <= (moment := values['time']) <= self._end:
+            self._jump(moment)
+        else:
             raise CommandError('time', f'0 to {self._end:g} s', f'{moment:g} s')
-        self._jump(moment)
-        return f'at {moment:.2f} s'
+        return ''  # snapshots show it
 
     def _jump(self, moment: float) -> None:
         self._from, self._shown = moment, moment - LOOKED_BACK
@@ -164,6 +163,7 @@ def block_points(data: RunData, config: ControllerConfig) -> Matrix:
         return np.column_stack([
             blocks(data.time)[:, -1, 0], np.nanmean(blocks(data.alpha_meas), axis=1),
             np.nanmean(blocks(data.alpha_est), axis=1), blocks(data.alpha_des)[:, -1],
+            np.nanmean(blocks(data.alpha_true), axis=1),
             np.nanmean(blocks(data.noise_variance), axis=1),
             np.sqrt(np.nanmean(blocks(data.innovation) ** 2, axis=1)),
             np.nanmax(np.abs(blocks(data.torque)) / limit, axis=1)])

@@ -39,7 +39,7 @@ STEERING = (FORCES, GO_TO, JOG, PATTERN, STOP, HOLD, RETRY, TARE, PUSH_TEST, GAI
 SIMULATED = (SURFACE, PUSH)
 PLAYING = (PLAY, SPEED, SEEK)
 
-KINDS = 5  # of curves for each force or couple, see `Snapshot.points`
+KINDS = 6  # of curves for each force or couple, see `Snapshot.points`
 
 
 class Surface(NamedTuple):
@@ -68,6 +68,7 @@ class Scene:
     surfaces: tuple[Surface, ...]  # those of the contacts first
     simulated: Mapping[str, SurfaceState] = field(default_factory=dict)  # at the start, by name
     largest_force: float = 30.0  # that may be commanded [N]
+    true_forces: bool = False  # whether they are known, as a simulator knows them
     duration: float = 0.0  # of a recording [s]
     marks: tuple[tuple[float, str], ...] = ()  # times in it to jump to [s], and what is there
 
@@ -93,11 +94,12 @@ class Snapshot:
     measured: Vector  # forces and couples, shape (r,) [N]
     estimated: Vector
     desired: Vector
+    true: Vector  # NaN where they are not known
     normals_world: Matrix  # of the contacts now, shape (nc, 3)
     states: tuple[str, ...]  # of the contacts
     reaction: str  # what the supervisor does instead of control
-    # Curves since the snapshot before, shape (k, 1 + KINDS r + n): time [s]; measured, estimated
-    # and desired forces [N], R [N^2], size of the innovation [N]; torques over their limits.
+    # Curves since the snapshot before, shape (k, 1 + KINDS r + n): time [s]; measured, estimated,
+    # desired and true forces [N], R [N^2], size of the innovation [N]; torques over their limits.
     points: Matrix
     commanded: Mapping[str, float] = field(default_factory=dict)  # forces, by name [N]
     goal: Vector | None = None  # where a command leads it [m]
@@ -142,7 +144,11 @@ class Source(Protocol):
         """
 
     def command(self, name: str, /, **values: Any) -> str:
-        """Give a command; return what comes of it, MulticontactError if it is refused."""
+        """
+        Give a command; MulticontactError if it is refused.
+
+        Returns what comes of it, nothing where snapshots show that.
+        """
 
     def close(self) -> None:
         """Leave what is shown."""

@@ -49,7 +49,7 @@ def test_buttons_press_and_move_and_sliders_command_forces(page, chromium):
     wait_for(lambda: page.newest.states == ('holding', 'holding'), 'both contacts')
     start = page.newest.position_des.copy()
     tab.get_by_role('tab', name='Move').press('Enter')
-    tab.get_by_label('drag').first.press('Space')
+    tab.get_by_label('drag handle').first.press('Space')
     handle = page.server.scene.get_handle_by_name('/handle')
     wait_for(lambda: handle.visible and np.abs(handle.position - start).max() < 1e-3,
              'the handle at the arm')

@@ -58,11 +58,17 @@ def seek(replay, moment):
 
 def test_replay_plays_pauses_and_begins_anew(replay, recorded_run, clock):
     data = RunData.load(recorded_run)
+    clock.now += 30.0  # longer than the recording
+    snapshot, = replay.poll()
+    assert snapshot.time == 0.0 and not snapshot.playing
+    np.testing.assert_array_equal(snapshot.q, data.q[0])
+    replay.command(source.PLAY, on=True)
     clock.now += 0.5
     snapshot, = replay.poll()
     assert snapshot.time == pytest.approx(0.5) and snapshot.playing
     np.testing.assert_array_equal(snapshot.q, data.q[250])
     np.testing.assert_array_equal(snapshot.measured, data.alpha_meas[250])
+    np.testing.assert_array_equal(snapshot.true, data.alpha_true[250])
     replay.command(source.SPEED, factor=2.0)
     clock.now += 0.5
     assert replay.poll()[0].time == pytest.approx(1.5)
@@ -75,6 +81,7 @@ def test_replay_plays_pauses_and_begins_anew(replay, recorded_run, clock):
     clock.now += 10.0
     snapshot, = replay.poll()
     assert snapshot.time == replay.scene.duration and not snapshot.playing
+    np.testing.assert_array_equal(snapshot.q, data.q[-1])
     replay.command(source.PLAY, on=True)
     assert replay.poll()[0].time == pytest.approx(0.0)
 
@@ -83,7 +90,9 @@ def test_seek_shows_states_events_and_curves_of_then(replay):
     snapshot = seek(replay, 2.4)
     assert snapshot.states == ('holding', 'holding') and snapshot.reaction == 'none'
     assert len(snapshot.points) == pytest.approx(2.4 * source.RATE * source.POINTS, abs=1)
-    np.testing.assert_allclose(snapshot.points[-1, 1:3], snapshot.measured, atol=2.0)
+    for first, force in ((1, snapshot.measured), (7, snapshot.true)):
+        np.testing.assert_allclose(snapshot.points[-1, first:first + 2], force, atol=2.0)
+    assert replay.scene.true_forces
     assert np.isfinite(snapshot.points).all()
     snapshot = seek(replay, 0.1)
     assert snapshot.states == ('free', 'free') and snapshot.points[-1, 0] <= 0.1
