@@ -14,14 +14,26 @@ class FieldError(MulticontactError):
     """
     A value is not acceptable.
 
-    Named are its dotted field, e.g. ``contacts.table.normal_world``, what was expected, with its
-    unit, what was given (`got`), and the file it came from, if any.
+    Named are its dotted field, e.g. ``contacts.table.normal_world``, the file it came from, if
+    any, what was expected, with its unit, what was given (`got`), and what to do (`hint`): each
+    part where it says something.
     """
 
-    def __init__(self, field: str, expected: str, got: object, source: str = '') -> None:
+    def __init__(
+        self, field: str, expected: str = '', got: object = None, source: str = '', *,
+        hint: str = '',
+    ) -> None:
         self.field, self.expected, self.got, self.source = field, expected, got, source
+        self.hint = hint
         where = f'{source}: {field}' if source else field
-        super().__init__(f'{where}: expected {expected}, got {got}')
+        values = [*([f'expected {expected}'] if expected else []),
+                  *([] if got is None else [f'got {got}'])]
+        super().__init__(f'{where}: {"; ".join(filter(None, [", ".join(values), hint]))}')
+
+    def moved(self, field: str = '', source: str = '') -> ConfigError:
+        """Return the same as an error of a configuration, of another field or file."""
+        return ConfigError(field or self.field, self.expected, self.got, source or self.source,
+                           hint=self.hint)
 
 
 class CommandError(FieldError):
@@ -35,18 +47,20 @@ class MessageError(FieldError):
 class ConfigError(FieldError):
     """One or several values in a configuration are not acceptable: a line for each."""
 
-    def __init__(self, field: str, expected: str, got: object, source: str = '') -> None:
-        super().__init__(field, expected, got, source)
-        self.errors: tuple[ConfigError, ...] = (self,)  # one per value
+    @property
+    def errors(self) -> tuple[ConfigError, ...]:
+        """One error per value."""
+        return self._errors or (self,)
+
+    _errors: tuple[ConfigError, ...] = ()
 
     @classmethod
     def of(cls, errors: Iterable[ConfigError], source: str = '') -> ConfigError:
         """Return one error of one or more, each once, with the first field, of a file `source`."""
-        each = [cls(x.field, x.expected, x.got, source or x.source)
-                for error in errors for x in error.errors]
+        each = [x.moved(source=source) for error in errors for x in error.errors]
         lines = {str(error): error for error in each}
-        whole = cls(each[0].field, each[0].expected, each[0].got, each[0].source)
-        whole.errors, whole.args = (*lines.values(),), ('\n'.join(lines),)
+        whole = each[0].moved()
+        whole._errors, whole.args = (*lines.values(),), ('\n'.join(lines),)
         return whole
 
 

@@ -159,15 +159,16 @@ class ControlLoop:
     def _require_rest(self, purpose: str) -> None:
         """Refuse what is only possible with a wrist sensor that nothing presses on."""
         if not self._feels:
-            raise CommandError('wrench_input', f'raw or filtered, for {purpose}', 'momentum')
+            raise CommandError(
+                'wrench_input', got='momentum', hint=f'a {purpose} needs a wrist sensor')
         if self.output is not None and self.output.active.any():
-            raise CommandError('contacts', f'none under force control for {purpose}', 'some')
+            raise CommandError('contacts', hint='let go of them first: command 0 N')
         if self.supervisor.reactions.presses:
-            raise CommandError('contacts', f'none pressed by a reaction for {purpose}', 'some')
+            raise CommandError('contacts', hint='wait: a reaction still presses one')
 
     def push_test(self, config: PushTestConfig, point_sensor: tuple[float, ...]) -> str:
         """Begin a push test, for which the arm stays where it is; return what to do now."""
-        self._require_rest('a push test')
+        self._require_rest('push test')
         self.push_gate.start(config, point_sensor, {
             name: np.array(x.point_operational) for name, x in self.config.contacts.items()})
         self.supervisor.gate.go_over()
@@ -221,23 +222,22 @@ class ControlLoop:
     def _commandable(self) -> CommandedTask:
         """Return the task that obeys commands now."""
         if self._commanded is None:
-            raise CommandError('reference_file', 'none, to obey commands', 'a scenario')
+            raise CommandError('reference_file', hint='the controller plays a scenario')
         self._require_running()
         if self.held:
-            raise CommandError('~/hold', 'released, to obey commands', 'held')
+            raise CommandError('~/hold', hint='the arm is held; let go of it first')
         return self._commanded
 
     def _require_running(self) -> None:
         """Refuse a command unless the law has begun with the task."""
         if self.output is None:
-            raise CommandError('controller', 'active, with samples coming', 'not so')
+            raise CommandError('controller', hint='it is inactive, or has no samples yet')
         if self.supervisor.task.locked:
-            raise CommandError('~/push_test', 'passed, to obey commands',
-                               f"'{self.push_gate.instruction}'")
+            raise CommandError('~/push_test', hint=f'pass it first: {self.push_gate.instruction}')
         if not self.supervisor.started:
             causes = () if self.status is None else self.status.causes
-            raise CommandError(
-                'control', 'begun, to obey commands', ', '.join(causes) or 'not yet')
+            raise CommandError('control', hint='wait: it has not begun'
+                               + (f' ({", ".join(causes)})' if causes else ''))
 
     def hold(self, wanted: bool) -> None:
         """Hold the present pose and the desired forces, or go on."""
@@ -253,8 +253,7 @@ class ControlLoop:
         if not self.supervisor.guarded:
             raise not_supervised()
         if not self.supervisor.try_again():
-            raise CommandError('~/retry', 'contacts that were given up, or control that is '
-                               'latched', 'neither')
+            raise CommandError('control', hint='nothing to resume')
         return 'trying again'
 
     def tare(self, config: TareConfig) -> Vector:
@@ -265,19 +264,19 @@ class ControlLoop:
         or moves (both would be taken for bias), or if there is no sensor, or a fault of it;
         CalibrationError if there are too few readings, or they are restless.
         """
-        self._require_rest('a tare')
+        self._require_rest('tare')
         rejected = () if self.status is None else self.status.rejected
         fault = self.supervisor.inputs.sensor_fault or next(
             (cause for cause in rejected if cause.startswith('wrench')), '')
         if fault:
-            raise CommandError('wrench', 'nothing wrong with it, for a tare', fault)
+            raise CommandError('wrench', 'one without faults', fault)
         oldest = self.time - (TARE_READINGS - 0.5) * self.config.period
         recent = [row for row in self._readings if row[0] >= oldest]
         readings, postures = (np.array([row[i] for row in recent]) for i in (1, 2))
         way = float(np.abs(postures[-1:] - postures[:1]).max(initial=0.0))
         fastest = way / (max(len(postures) - 1, 1) * self.config.period)
         if not fastest <= MAX_JOINT_SPEED:
-            raise CommandError('joint speeds', f'at most {MAX_JOINT_SPEED:g} rad/s for a tare',
+            raise CommandError('joint speeds', f'at most {MAX_JOINT_SPEED:g} rad/s',
                                f'{fastest:.3g} rad/s')
         rotation_world = self.supervisor.controller.arm.frames['sensor_rotation'][0]
         return tare_bias(readings, rotation_world, self.config.tool,

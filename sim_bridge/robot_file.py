@@ -129,7 +129,7 @@ class RobotFile(Config):
                 yield ConfigError(name, f'{counted(count, "values")}, one per joint',
                                   len(getattr(self, name)))
         if self.tool is not None and self.tip_links:
-            yield ConfigError('tip_links', 'nothing with a tool of ours', list(self.tip_links))
+            yield ConfigError('tip_links', hint='leave it out with `tool`')
         tips = self.tip_links if self.tool is None else tuple(self.tool.tips)
         for name, contact in self.contacts.items():
             if contact.tip not in tips:

@@ -83,7 +83,7 @@ def test_parameter_files_read_back_as_written(tmp_path, name, model, change):
 
 @pytest.mark.parametrize(('text', 'message'), [
     ('a: [1', 'expected valid YAML'), ('- 1', 'expected a mapping of keys to values, got list'),
-    ('rate: 500.0', "one node key holding 'ros__parameters'"), (None, 'a readable file')])
+    ('rate: 500.0', "one node key holding 'ros__parameters'"), (None, 'No such file')])
 def test_file_that_holds_no_parameters_is_named_in_one_line(tmp_path, text, message):
     path = tmp_path / 'bad.yaml'
     if text is not None:

@@ -37,7 +37,7 @@ def calibrate(
             files, namespace=namespace or '', domain_id=domain_id, tilt=math.radians(tilt),
             move_time=move_time, tell=typer.echo)
     else:
-        options.refuse_options(context, ('tilt', 'move_time', 'domain_id'), '--from-bag')
+        options.refuse_options(context, ('tilt', 'move_time', 'domain_id'), 'with --from-bag')
         found = weighing.weigh_recording(from_bag, files, namespace, typer.echo)
     path = weighing.write_tool(out, found)
     typer.echo('\n'.join([*weighing.describe(found), f'written to {path}']))

@@ -141,9 +141,9 @@ def is_given(context: typer.Context, name: str) -> bool:
     return source is not None and source.name == 'COMMANDLINE'
 
 
-def refuse_options(context: typer.Context, names: Sequence[str], what: str) -> None:
+def refuse_options(context: typer.Context, names: Sequence[str], where: str) -> None:
     """Refuse options that have no meaning; ConfigError naming the first."""
     for name in names:
         if is_given(context, name):
             option = 'set' if name == 'settings' else name.replace('_', '-')
-            raise ConfigError(f'--{option}', f'nothing with {what}', 'it')
+            raise ConfigError(f'--{option}', hint=f'leave it out {where}')

@@ -33,7 +33,7 @@ def report(
 
     if all(map(is_whole_run, runs)):
         options.refuse_options(context, ('controller', 'namespace'),
-                               'runs of this package, which know their own')
+                               'with runs of this package, which know their own')
     rows = read_claim_rows(comparison) if comparison is not None else ()
     loaded = [load(path, controller or (), namespace) for path in runs]
     paths = write_report(loaded, out or report_folder(runs[0]), rows)

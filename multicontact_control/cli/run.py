@@ -65,14 +65,14 @@ def run(
     prepare_nodes()
     robot = None
     if external:
-        refuse_options(context, OF_THE_PLANT, '--external')
+        refuse_options(context, OF_THE_PLANT, 'with --external')
         robot = options.external(controller or (), context)
         setup = robot.setup
     else:
-        refuse_options(context, ('controller', 'robot_timeout'), 'a simulated plant')
+        refuse_options(context, ('controller', 'robot_timeout'), 'without --external')
         if commanded and any(x.startswith('scenario.') for x in options.settings or ()):
-            raise ConfigError('--set scenario', 'nothing with --commanded, which plays no '
-                              'scenario (its length is --duration)', 'it')
+            raise ConfigError('--set scenario', hint='leave it out with --commanded, which plays '
+                              'no scenario; --duration sets the length')
         setup = replace(options.setup(), commanded_by_topic=commanded)
     folder = options.folder(setup)
     # Only now: bad input is refused before the simulator is loaded.

@@ -79,7 +79,7 @@ def study(
         lambda: files.read_study(name), lambda: _seeds(seeds),
         lambda: files.read_choices([*([f'plant={plants}'] if plants else []), *(settings or ())]))
     if law and config.kind != 'tune':
-        raise ConfigError('law', 'nothing for other studies than tune', law)
+        raise ConfigError('--law', hint='leave it out: only the study tune has it')
     first = config.seeds[0]
     short = {'seed': [first], **config.quick} if quick else {}
     if numbers:

@@ -40,9 +40,9 @@ def view(
     if recording is not None:
         from multicontact_control.experiment.results import run_of
 
-        refuse_options(context, ('seed', 'engine'), 'a recording')
+        refuse_options(context, ('seed', 'engine'), 'with a recording')
         if run_of(recording)[1]:
-            refuse_options(context, OF_THE_ARM, 'a run, which knows its own')
+            refuse_options(context, OF_THE_ARM, 'with a run, which knows its own')
     setup = options.setup()
     # Only now: bad input is refused before viser is loaded.
     from multicontact_control.view.run import run_view

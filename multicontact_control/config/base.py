@@ -128,7 +128,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         data = yaml.load(path.read_text(encoding='utf-8'), LOADER)
     except OSError as error:
-        raise ConfigError(str(path), 'a readable file', error.strerror or error) from None
+        raise ConfigError(str(path), hint=error.strerror or str(error)) from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ConfigError(str(path), 'valid YAML', str(error).replace('\n', ' ')) from None
     if not isinstance(data, dict):

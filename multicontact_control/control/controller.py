@@ -133,8 +133,9 @@ class Controller:
         """Raise a ConfigError for another arm, contacts or rate, and for dependent contacts."""
         for name in ('rate', 'robot', 'contact_names', 'column_names'):
             if getattr(config, name) != getattr(self.config, name):
-                raise ConfigError(name, f'{getattr(self.config, name)} while in use',
-                                  getattr(config, name))
+                raise ConfigError(
+                    name, f'{getattr(self.config, name)}', getattr(config, name),
+                    hint='it cannot change while the controller is in use')
         columns = self.contacts.copy()
         place_columns(config, columns)
         check_columns(config.column_names, columns)  # normals may be others

@@ -61,8 +61,8 @@ class _NoPlant:
     def __getattr__(self, name: str) -> Any:
         if name.startswith('__'):
             raise AttributeError(name)
-        raise ConfigError('plant', f'a simulated plant, for its {name}',
-                          "a robot or simulator that is not this package's")
+        raise ConfigError('plant', f'a simulated plant, for {name}',
+                          'an external robot or simulator')
 
 
 NO_PLANT: Any = _NoPlant()
@@ -143,7 +143,7 @@ def scenario_with(
     """Return the scenario of a file with values, and a length [s], laid over those in it."""
     if duration is not None:
         if 'duration' in overrides:
-            raise ConfigError('duration', 'nothing together with scenario.duration', duration)
+            raise ConfigError('--duration', hint='give either this or --set scenario.duration')
         overrides = {**overrides, 'duration': duration}
     return validate(ScenarioConfig, merge(values, overrides), str(path))
 
@@ -258,7 +258,7 @@ def check_together(setup: Setup, path: Path) -> None:
     try:
         setup.reference()
     except ConfigError as error:
-        raise ConfigError(error.field, error.expected, error.got, str(path)) from None
+        raise error.moved(source=str(path)) from None
 
 
 class ControllerFiles(NamedTuple):
@@ -335,8 +335,8 @@ def resolve_external(
         path = named_file('scenario', 'scenarios', scenario)
         values = read_yaml(path)
     elif scenario_overrides:
-        raise ConfigError(f'scenario.{min(scenario_overrides)}',
-                          '--scenario that it is laid over, or --duration for the length', 'none')
+        raise ConfigError(f'--set scenario.{min(scenario_overrides)}',
+                          hint='name the --scenario that it changes; --duration sets the length')
     config = scenario_with(values, scenario_overrides or {}, duration, path)
     controller_config = read.config(
         merged(laid_over['controller'], config.controller, controller))
@@ -351,9 +351,10 @@ def resolve_external(
         commanded_by_topic=scenario is None)
     check_together(setup, path)
     RobotModel(controller_config.robot, read.urdf_dir)  # now, and not in a node's log
-    for name, instead in (('reference_file', '--scenario'), ('lockstep', 'nothing')):
+    for name, instead in (('reference_file', 'give --scenario'), ('lockstep', 'set it to false')):
         if read.node.get(name):
-            raise ConfigError(name, f'{instead} in an external run', read.node[name], read.source)
+            raise ConfigError(name, got=read.node[name], source=read.source,
+                              hint=f'{instead} in an external run')
     node = {name: value for name, value in read.node.items()
             if name not in (*OF_THE_RUN, 'reference_file', 'lockstep')}
     return External(setup, node, duration if scenario is None else config.duration)

@@ -149,7 +149,7 @@ class ParameterSet:
         """Change a parameter as its user could; ConfigError if that is refused."""
         result = self._node.set_parameters([Parameter(name, value=value)])[0]
         if not result.successful:
-            raise ConfigError(name, 'an acceptable value', f'{value} ({result.reason})')
+            raise ConfigError(name, got=value, hint=result.reason)
 
     def _on_set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         changes = {x.name: _plain(x.value) for x in parameters if x.name in self._live}
@@ -158,7 +158,7 @@ class ParameterSet:
         try:
             for name, value in changes.items():
                 if value is None or not self._live[name] and value != self.value(name):
-                    raise ConfigError(name, f'{self.value(name)}: it {LOCKED}', value)
+                    raise ConfigError(name, hint=f'{LOCKED}; it stays {self.value(name)}')
             self._use(self.configurations(changes))
         except Exception as error:
             if not isinstance(error, MulticontactError):  # a mistake here: not for the arm to pay

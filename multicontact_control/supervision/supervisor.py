@@ -432,7 +432,7 @@ class Supervisor:
             then = _fixed_values(config)
             for name, value in _fixed_values(self.config).items():
                 if then.get(name) != value:
-                    raise ConfigError(name, 'what it is while in use', 'another value')
+                    raise ConfigError(name, hint='it cannot change while in use')
         self.controller.check(config)
         self.controller.reconfigure(config)
         self._adopt(config)
@@ -464,4 +464,4 @@ def _fixed_values(config: ControllerConfig) -> dict[str, Any]:
 
 def not_supervised() -> CommandError:
     """Return the error of a tick that only a supervisor with guards can answer."""
-    return CommandError('supervised', 'true, to go on without a sample', 'false')
+    return CommandError('control', hint='it needs the supervisor for this (supervised: true)')

@@ -30,7 +30,7 @@ def run_view(
     nothing more to see, empty if the user has ended it.
     """
     if graph and recording is not None:
-        raise ConfigError('graph', 'no recording with it', recording)
+        raise ConfigError('--graph', hint='leave it out with a recording')
     try:
         from multicontact_control.view.page import Page
     except ImportError as error:

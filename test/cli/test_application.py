@@ -16,13 +16,13 @@ from ros_graph import ROOT
     (('view', 'nowhere'), 'recording: expected a folder of `multicontact run` or `simulate`'),
     (('view', '.'), 'recording: expected bag/*.mcap or samples.npz in it, got .'),
     (('run', '--commanded', '--set', 'scenario.duration=20'),
-     '--set scenario: expected nothing with --commanded'),
+     '--set scenario: leave it out with --commanded'),
     (('run', '--namespace', '1st'), 'namespace: expected names of letters, digits and _'),
     (('run', '--external'), '--controller: expected the parameter file of your controller'),
-    (('run', '--external', '--plant', 'rigid'), '--plant: expected nothing with --external'),
-    (('run', '--controller', 'x'), '--controller: expected nothing with a simulated plant'),
+    (('run', '--external', '--plant', 'rigid'), '--plant: leave it out with --external'),
+    (('run', '--controller', 'x'), '--controller: leave it out without --external'),
     (('calibrate', '--from-bag', 'x'), '--controller: expected the parameter file'),
-    (('calibrate', '--from-bag', 'x', '--tilt', '30'), '--tilt: expected nothing with --from-bag'),
+    (('calibrate', '--from-bag', 'x', '--tilt', '30'), '--tilt: leave it out with --from-bag'),
     (('design', 'pi', '--stiffness', '9', '1'), 'stiffness: expected softest and stiffest')])
 def test_bad_input_exits_with_two_and_one_line(multicontact, tmp_path, arguments, message):
     done = multicontact(*arguments, cwd=tmp_path)
@@ -50,7 +50,7 @@ def test_options_that_a_run_knows_itself_are_refused(
     (tmp_path / 'summary.json').write_text('{}')
     done = multicontact(command, str(tmp_path), option, value)
     assert done.returncode == 2
-    assert f'{option}: expected nothing with ' in done.stderr and done.stderr.count('\n') == 1
+    assert f'{option}: leave it out with ' in done.stderr and done.stderr.count('\n') == 1
 
 
 @pytest.mark.slow

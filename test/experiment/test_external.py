@@ -44,7 +44,7 @@ def test_controller_file_is_all_that_is_needed(file):
     assert setup.noise_estimator.rate == setup.controller.rate
     assert (setup.simulated, setup.commanded_by_topic, node, duration) == (False, True, {}, None)
     assert setup.urdf_dir == file.parent
-    with pytest.raises(ConfigError, match='plant: expected a simulated plant, for its surfaces'):
+    with pytest.raises(ConfigError, match='plant: expected a simulated plant, for surfaces'):
         assert setup.plant.surfaces
 
 
@@ -120,7 +120,7 @@ def test_setup_that_was_written_is_read_back(file, tmp_path):
     ({'robot': {'urdf': 'none.urdf', 'joint_names': ['a'], 'operational_frame': 'x',
                 'sensor_frame': 'x'}, 'torque_limit': []}, {}, 'robot.urdf: expected a readable'),
     ({}, {'scenario': 'paper'}, 'expected contacts among wall, got'),
-    ({'reference_file': 'x.yaml'}, {}, 'reference_file: expected --scenario in an external run'),
+    ({'reference_file': 'x.yaml'}, {}, 'reference_file: got x.yaml; give --scenario'),
     ({}, {'noise_estimator': {'estimator': 'x'}}, 'noise_estimator.yaml: estimator: expected'),
     ({}, {'duration': -1.0}, 'duration: expected'),
     ({}, {'preset': 'x'}, 'preset: expected one of')])
@@ -132,9 +132,9 @@ def test_bad_input_is_refused_in_a_line(tmp_path, changes, options, message):
 
 
 @pytest.mark.parametrize(('given', 'duration', 'setting', 'message'), [
-    (False, None, 'scenario.duration=20', 'scenario.duration: expected --scenario'),
-    (False, 4.0, 'scenario.name=mine', 'scenario.name: expected --scenario'),
-    (True, 4.0, 'scenario.duration=20', 'duration: expected nothing together with scenario'),
+    (False, None, 'scenario.duration=20', 'scenario.duration: name the --scenario'),
+    (False, 4.0, 'scenario.name=mine', 'scenario.name: name the --scenario'),
+    (True, 4.0, 'scenario.duration=20', '--duration: give either'),
     (False, None, 'plant.surfaces.*.stiffness=1', 'plant has no parts')])
 def test_setting_without_what_it_is_laid_over_is_refused(
         file, tmp_path, given, duration, setting, message):

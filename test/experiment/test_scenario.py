@@ -85,7 +85,7 @@ def test_settings_reach_every_part():
     ('plant', "--set: expected KEY=VALUE.*'plant'"),
     ('controller.force.damping_rate=[', 'a value as in a YAML file'),
     ('controller.force.wurst=1', "one of law, .*'wurst'"),
-    ('scenario.duration=20', 'duration: expected nothing together with scenario.duration'),
+    ('scenario.duration=20', '--duration: give either'),
     ('plant.surfaces.*.stiffness=-1', 'stiffness: expected greater than 0')])
 def test_bad_setting_is_refused(setting, message):
     with pytest.raises(ConfigError, match=message):

@@ -181,7 +181,7 @@ def test_contact_that_was_given_up_comes_back(way):
         forces, statuses = advance(loop, 2.5)
         assert statuses[-1].contact_states == HOLDING
         assert abs(forces[-100:, 1].mean() - (12.0 if way == 'command' else 10.0)) < 0.5
-        with pytest.raises(CommandError, match='expected contacts that were given up'):
+        with pytest.raises(CommandError, match='nothing to resume'):
             loop.control.retry()
 
 

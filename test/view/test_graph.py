@@ -85,9 +85,9 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
         until(shown, lambda found: found.commanded == {'table': 7.0, 'board': 5.0}, 'the forces')
         other.hold()
         until(shown, lambda found: found.held and not found.moving, 'the hold')
-        with pytest.raises(CommandRefusedError, match='contact_forces/command: ~/hold: expected'):
+        with pytest.raises(CommandRefusedError, match='contact_forces/command: ~/hold: the arm'):
             shown.command(source.FORCES, table=9.0)
-        with pytest.raises(MulticontactError, match='hold: expected released'):
+        with pytest.raises(MulticontactError, match='hold: the arm is held'):
             shown.command(source.JOG, offset=[0.01, 0.0, 0.0])
         other.hold(False)
     released = until(shown, lambda found: not found.held, 'the release')
@@ -99,7 +99,7 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
 @pytest.mark.parametrize(('name', 'values', 'words'), [
     (source.FORCES, {'table': 40.0}, '0 or 3 to 30 N'),
     (source.FORCES, {'floor': 4.0}, r"among \['table', 'board'\]"),
-    (source.TARE, {}, 'none under force control'),
+    (source.TARE, {}, 'let go of them first'),
     (source.GO_TO, {'position': [0.0, 0.5, 9.0]}, 'position z'),
     (source.GAINS, {'natural_frequency': -1.0, 'time_constant': 0.02, 'damping_rate': 60.0},
      'natural_frequency'),

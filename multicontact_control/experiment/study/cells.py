@@ -57,7 +57,7 @@ def run_cells(study: StudyConfig) -> list[Cell]:
                 except ConfigError as error:
                     where = ', '.join(f'{name} = {value}' for name, value, _ in chosen)
                     field = f'{title} ({where}): {error.field}'.strip() if where else error.field
-                    raise ConfigError(field, error.expected, error.got) from None
+                    raise error.moved(field) from None
                 factors = {'part': title, 'plant': setup.plant_name, **absent,
                            **{name: value for name, value, _ in chosen},
                            **{name: value_of(name, setup) for name in absent
