@@ -47,20 +47,15 @@ class MessageError(FieldError):
 class ConfigError(FieldError):
     """One or several values in a configuration are not acceptable: a line for each."""
 
-    @property
-    def errors(self) -> tuple[ConfigError, ...]:
-        """One error per value."""
-        return self._errors or (self,)
-
-    _errors: tuple[ConfigError, ...] = ()
+    errors: tuple[ConfigError, ...] = ()  # one per value, where there are several
 
     @classmethod
     def of(cls, errors: Iterable[ConfigError], source: str = '') -> ConfigError:
         """Return one error of one or more, each once, with the first field, of a file `source`."""
-        each = [x.moved(source=source) for error in errors for x in error.errors]
+        each = [x.moved(source=source) for error in errors for x in error.errors or (error,)]
         lines = {str(error): error for error in each}
         whole = each[0].moved()
-        whole._errors, whole.args = (*lines.values(),), ('\n'.join(lines),)
+        whole.errors, whole.args = (*lines.values(),), ('\n'.join(lines),)
         return whole
 
 

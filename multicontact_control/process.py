@@ -39,28 +39,28 @@ def claim_processor(
 
     Returns one line for each request that failed, with a remedy.
     """
+    def place() -> None:
+        for thread in map(int, os.listdir('/proc/self/task')):
+            with contextlib.suppress(ProcessLookupError):  # it has ended
+                os.sched_setaffinity(thread, cpus)
+
+    def lock() -> None:
+        if ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE) != 0:
+            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+
     problems = []
-    if cpus:
+    for wish, claim, what, need in (
+            (cpus, place, f'processors {list(cpus)}', 'existing processors'),
+            (fifo_priority, lambda: os.sched_setscheduler(
+                0, os.SCHED_FIFO, os.sched_param(fifo_priority)), f'SCHED_FIFO {fifo_priority}',
+             'CAP_SYS_NICE or an rtprio limit (ulimit -r) of that size'),
+            (lock_memory, lock, 'locked memory',
+             'CAP_IPC_LOCK or a memlock limit (ulimit -l) of the size of the process')):
         try:
-            for thread in map(int, os.listdir('/proc/self/task')):
-                with contextlib.suppress(ProcessLookupError):  # it has ended
-                    os.sched_setaffinity(thread, cpus)
+            if wish:
+                claim()
         except (AttributeError, OSError, ValueError) as error:
-            problems.append(f'CPU affinity {list(cpus)} is not possible here: {error}')
-    if fifo_priority:
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(fifo_priority))
-        except (AttributeError, OSError, ValueError) as error:
-            problems.append(f'SCHED_FIFO {fifo_priority} is not possible here: {error}; needs '
-                            'CAP_SYS_NICE or an rtprio limit (ulimit -r) of that size')
-    if lock_memory:
-        try:
-            libc = ctypes.CDLL(None, use_errno=True)
-            if libc.mlockall(MCL_CURRENT | MCL_FUTURE) != 0:
-                raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-        except (AttributeError, OSError) as error:
-            problems.append(f'memory cannot be locked: {error}; needs CAP_IPC_LOCK or a memlock '
-                            'limit (ulimit -l) of the size of the process')
+            problems.append(f'{what}: not possible here ({error}); needs {need}')
     return problems
 
 
