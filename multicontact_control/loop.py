@@ -18,7 +18,6 @@ from multicontact_control.contact.geometry import offset_shares
 from multicontact_control.control.tasks import CommandedTask, MotionReading, TaskSource
 from multicontact_control.control.tick import ControlOutput
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sensor.push_test import PushGate, PushTestConfig
 from multicontact_control.sensor.tool import MAX_JOINT_SPEED, tare_bias, TareConfig
@@ -208,11 +207,6 @@ class ControlLoop:
         check_motion(motion, self.config.limits)
         task.set_motion(
             motion, self.supervisor.task.sought_normals(), self.limits.motion_timeout)
-
-    @property
-    def commanded_pose(self) -> Pose | None:
-        """Return the commanded pose of the operational point; None in a scenario."""
-        return None if self._commanded is None else self._commanded.pose
 
     @property
     def commanded_forces(self) -> dict[str, float]:
