@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 import math
 import threading
@@ -11,7 +11,7 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.view import source
-from multicontact_control.view.source import Scene, Snapshot, Source
+from multicontact_control.view.source import Scene, Snapshot
 
 SETTLED = 0.8  # s without a request, after which elements show what is in force
 SCRUBBED = 0.3  # s, likewise for the time of a recording
@@ -20,6 +20,9 @@ SIGNS = {'-': -1.0, '+': 1.0}
 SPEEDS = {'0.1 x': 0.1, '0.5 x': 0.5, '1 x': 1.0, '2 x': 2.0, '5 x': 5.0}
 STIFFNESS, FRICTION = (200.0, 80_000.0), (0.01, 1.0)  # N/m
 MARKED = {1000.0: '1000', 10_000.0: '10 000'}  # N/m
+# Unit, least, largest, step.
+GAINS = dict(zip(source.GAIN_NAMES, (
+    ('rad/s', 5.0, 60.0, 1.0), ('s', 0.01, 0.1, 0.001), ('1/s', 0.0, 200.0, 5.0))))
 MAX_MARKS = 200  # that can be jumped to
 # What a button does next.
 PLAY, PLAY_AGAIN, PAUSE = 'Play', 'Play again from the start', 'Pause'
@@ -58,32 +61,32 @@ class Requests:
 class Controls:
     """Elements of `gui` that add to `requests` what a source can do; `scene_view` has a handle."""
 
-    def __init__(self, gui: Any, shown: Source, requests: Requests, scene_view: Any) -> None:
+    def __init__(self, gui: Any, scene: Scene, requests: Requests, scene_view: Any) -> None:
         self._gui, self._requests, self._scene_view = gui, requests, scene_view
         self._forces: dict[str, Any] = {}
         self._surfaces: dict[str, tuple[Any, Any, Any]] = {}
-        self._gains: tuple[Any, ...] = ()
-        self._shown_gains: tuple[float, ...] = ()
+        self._gains: dict[str, Any] = {}
+        self._shown_gains: Mapping[str, float] = {}
         self._hold: Any = None
         self._play: Any = None
         self._begun = False
         self._time: Any = None
         tabs = gui.add_tab_group()
-        if source.PLAY not in shown.refusals:
+        if scene.duration is not None:
             with tabs.add_tab('Replay'):
-                self._add_replay(shown.scene)
+                self._add_replay(scene.duration, scene.marks)
             return
         with tabs.add_tab('Press'):
-            self._add_forces(shown.scene)
+            self._add_forces(scene)
         with tabs.add_tab('Move'):
             self._add_motion()
         with tabs.add_tab('Tune'):
             self._add_tuning()
         with tabs.add_tab('World'):
-            if source.SURFACE in shown.refusals:
-                gui.add_markdown(f'*needs {shown.refusals[source.SURFACE]}*')
+            if scene.simulated:
+                self._add_world(scene)
             else:
-                self._add_world(shown.scene)
+                gui.add_markdown('*needs a simulated plant*')
 
     def _button(self, text: str, name: str, hint: str = '',
                 values: Callable[[], dict[str, Any]] = dict) -> Any:
@@ -162,18 +165,11 @@ class Controls:
 
     def _add_tuning(self) -> None:
         gui = self._gui
-        with gui.add_folder('motion'):
-            frequency = gui.add_slider(
-                'natural_frequency [rad/s]', min=5.0, max=60.0, step=1.0, initial_value=30.0)
-        with gui.add_folder('force'):
-            constant = gui.add_slider(
-                'time_constant [s]', min=0.01, max=0.1, step=0.001, initial_value=0.02)
-            damping = gui.add_slider('damping_rate [1/s]', min=0.0, max=200.0, step=5.0,
-                                     initial_value=100.0, hint='K_2')
-        self._gains = frequency, constant, damping
+        for name, (unit, low, high, step) in GAINS.items():
+            self._gains[name] = gui.add_slider(
+                f'{name} [{unit}]', min=low, max=high, step=step, initial_value=low)
         self._button('Set these gains', source.GAINS, 'the torque goes over smoothly', lambda: {
-            'natural_frequency': float(frequency.value),
-            'time_constant': float(constant.value), 'damping_rate': float(damping.value)})
+            name: float(slider.value) for name, slider in self._gains.items()})
         with gui.add_folder('Wrist sensor'):
             self._button('Tare the sensor', source.TARE, 'nothing may touch the tool')
             self._button('Start the push test', source.PUSH_TEST, 'proves sign, frame, scale')
@@ -197,9 +193,9 @@ class Controls:
             for element in elements:
                 self._on_change(element, source.SURFACE, partial(self._surface, name))
         with gui.add_folder('Push'):
-            where = gui.add_dropdown('at', ('operational point', 'tool'))
+            where = gui.add_dropdown('push at', ('operational point', 'tool'))
             force = gui.add_slider('force [N]', min=1.0, max=20.0, step=1.0, initial_value=5.0)
-            self._axes('along', source.PUSH, lambda direction: {
+            self._axes('push along', source.PUSH, lambda direction: {
                 'force': [force.value * x for x in direction], 'tool': where.value == 'tool'})
 
     def _surface(self, name: str, value: Any) -> dict[str, Any]:
@@ -211,17 +207,17 @@ class Controls:
 
     # ------------------------------------------------------------------------------- replay
 
-    def _add_replay(self, scene: Scene) -> None:
+    def _add_replay(self, duration: float, marks: Sequence[tuple[float, str]]) -> None:
         gui = self._gui
         self._play = self._button(PLAY, source.PLAY, values=lambda: {
             'on': self._play.label != PAUSE})
         speed = gui.add_dropdown('speed', tuple(SPEEDS), initial_value='1 x')
         self._on_change(speed, source.SPEED, lambda value: {'factor': SPEEDS[value]})
-        self._time = gui.add_slider('time [s]', min=0.0, max=max(scene.duration, 0.1), step=0.02,
+        self._time = gui.add_slider('time [s]', min=0.0, max=max(duration, 0.1), step=0.02,
                                     initial_value=0.0)
         self._on_change(self._time, source.SEEK, lambda value: {'time': value})
         jumps = {'0 s: start': 0.0, **{
-            f'{moment:.2f} s: {text}': moment for moment, text in scene.marks[:MAX_MARKS]}}
+            f'{moment:.2f} s: {text}': moment for moment, text in marks[:MAX_MARKS]}}
         jump = gui.add_dropdown('jump to', tuple(jumps))
         self._on_change(jump, source.SEEK, lambda value: {'time': jumps[value]})
 
@@ -240,7 +236,8 @@ class Controls:
                   if snapshot.time >= self._time.max else PLAY, 'label')
         if snapshot.gains != self._shown_gains:  # at the start, and when they have been changed
             self._shown_gains = snapshot.gains
-            for slider, value in zip(self._gains, snapshot.gains):
+            for name, value in snapshot.gains.items():
+                slider = self._gains[name]
                 _show(slider, min(max(value, slider.min), slider.max))
         if quiet < SETTLED:
             return

@@ -22,13 +22,10 @@ from multicontact_control.view.motion import Motion
 from multicontact_control.view.source import (
     ChangeReader,
     felt_surfaces,
-    PLAYING,
     point_width,
     POINTS,
     RATE,
-    refuse,
     Scene,
-    SIMULATED,
     Snapshot,
     Surface,
     SurfaceState,
@@ -56,7 +53,6 @@ LISTENED = (
     topics.DIAGNOSTICS)
 LOOP = f'{topics.CONTROLLER}: loop'
 CEILING, JOINTS = 'command.force_ceiling', 'robot.joint_names'
-GAINS = ('motion.natural_frequency', 'force.time_constant', 'force.damping_rate')
 
 
 class GraphSource:
@@ -111,22 +107,21 @@ class GraphSource:
             self._link.close()
             raise
         self._gains = gains
-        self.refusals: Mapping[str, str] = dict.fromkeys(PLAYING, 'a recording') | (
-            {} if self._surfaces else dict.fromkeys(SIMULATED, 'a simulated plant'))
         self.scene = Scene(title, config, setup.urdf_dir, surfaces or felt_surfaces(config),
                            simulated=dict(self._surfaces), largest_force=ceiling,
                            true_forces=self._link.newest(topics.TRUE_FORCES) is not None)
 
-    def _meet(self) -> tuple[tuple[float, float, float], float]:
+    def _meet(self) -> tuple[dict[str, float], float]:
         """Check that the controller is the expected one; return its gains and force ceiling."""
         config, message = self._config, self._link.fresh(topics.MEASURED_FORCES)[0]
-        *gains, ceiling, joints = self._read(topics.CONTROLLER, (*GAINS, CEILING, JOINTS))
+        *gains, ceiling, joints = self._read(
+            topics.CONTROLLER, (*source.GAIN_NAMES, CEILING, JOINTS))
         _require_joints(config.robot.joint_names, tuple(joints))
         if tuple(message.name) != config.column_names:
             raise RunError(
                 f'contact_forces/measured: expected {", ".join(config.column_names)}, got '
                 f'{", ".join(message.name)}; name its --scenario and --plant')
-        return (gains[0], gains[1], gains[2]), ceiling
+        return dict(zip(source.GAIN_NAMES, gains)), ceiling
 
     def _find_surfaces(self) -> tuple[tuple[Surface, ...], dict[str, SurfaceState]]:
         """Return what a simulator has to be touched, and can change; nothing without one."""
@@ -285,7 +280,6 @@ class GraphSource:
             raise
 
     def _command(self, name: str, /, **values: Any) -> str:
-        refuse(name, self.refusals)
         motion = self._motion
         motions: Mapping[str, Callable[..., str]] = {
             source.GO_TO: motion.go_to, source.JOG: motion.jog, source.PATTERN: motion.start_sine}
@@ -331,11 +325,8 @@ class GraphSource:
                             self._motion_identifier)
         return self._link.ask('hold', SetBool, SetBool.Request(data=on))
 
-    def _set_gains(
-        self, natural_frequency: float, time_constant: float, damping_rate: float,
-    ) -> str:
-        gains = (natural_frequency, time_constant, damping_rate)
-        self._set(topics.CONTROLLER, dict(zip(GAINS, gains)))
+    def _set_gains(self, **gains: float) -> str:
+        self._set(topics.CONTROLLER, gains)
         self._gains = gains
         return 'gains are set'
 

@@ -82,7 +82,7 @@ class Page:
         self.status = gui.add_html('')
         self.contacts = gui.add_html('')
         self.answer = gui.add_html('')
-        self.controls = Controls(gui, self.source, self.requests, self.scene_view)
+        self.controls = Controls(gui, scene, self.requests, self.scene_view)
         with gui.add_folder('Events', expand_by_default=True):
             self.events = gui.add_html(_line('none yet'))
         gui.main_panel.dock_right()
@@ -184,7 +184,7 @@ def status_html(title: str, snapshot: Snapshot) -> str:
     timing = snapshot.timing
     slow = f', real-time factor {timing.pace:.2f}' if timing.pace < 0.97 else ''
     parts = [f'<b>{snapshot.time:.1f} s</b>{slow}']
-    if snapshot.reaction not in (NONE, 'recorded'):
+    if snapshot.reaction != NONE:
         reasons = html.escape(' '.join(snapshot.reasons))
         parts.append(f'<b style="color:{RED}">{html.escape(snapshot.reaction)}</b> {reasons}')
     if snapshot.held:

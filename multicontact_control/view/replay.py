@@ -14,7 +14,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.bag import MARKERS, mcap_files, read_messages
-from multicontact_control.experiment.judge import read_event
+from multicontact_control.experiment.judge import Event, read_event
 from multicontact_control.experiment.recording import (
     CUT_OFF,
     read_bag,
@@ -29,21 +29,19 @@ from multicontact_control.experiment.results import (
 )
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.files import read_json
+from multicontact_control.supervision.reactions import NONE
 from multicontact_control.view import source
 from multicontact_control.view.source import (
     ChangeReader,
     felt_surfaces,
     POINTS,
     RATE,
-    refuse,
     Scene,
     Snapshot,
     surfaces_of,
 )
 import numpy as np
 
-REFUSALS = dict.fromkeys(
-    (*source.STEERING, *source.SIMULATED), 'a controller that runs, not a recording')
 LOOKED_BACK = 60.0  # s, of curves after a jump
 SURFACES = 'ground_truth/surfaces'
 
@@ -64,19 +62,18 @@ class ReplaySource:
         self._places = [each for _, each in places]
         self._place_times = [moment for moment, _ in places]
         config = scene.config
-        self._leaders = list(config.leaders)
         self._normals = np.array([
             config.contacts[name].normal_world for name in config.contact_names])
         self._points = block_points(data, config)
-        self._events = [read_event(moment, line) for moment, line in sorted(events)]
+        self._events = [read_event(*line) for line in sorted(events)] or presses(
+            data, list(config.leaders))
         self._event_times = [event.time for event in self._events]
         changes = ChangeReader(config.contact_names)
-        self._texts = [(event.time, changes.read(event)) for event in self._events]
+        texts = [(event.time, changes.read(event)) for event in self._events]
         self._end = (data.ticks - 1) / data.rate
-        self.refusals: Mapping[str, str] = REFUSALS
         self.scene = replace(
             scene, duration=self._end, true_forces=bool(np.isfinite(data.alpha_true).any()),
-            marks=tuple(sorted([*scene.marks, *filter(lambda each: each[1], self._texts)])))
+            marks=tuple(sorted([*scene.marks, *(each for each in texts if each[1])])))
         self._since, self._from = monotonic(), 0.0
         self._speed, self._playing, self._changed = 1.0, False, True
         self._shown, self._next = -np.inf, 0.0
@@ -103,22 +100,14 @@ class ReplaySource:
     def _snapshot(self, now: float, last: float) -> Snapshot:
         data, k = self._data, int(now * self._data.rate + 1e-6)
         first, end = np.searchsorted(self._points[:, 0], (last, now), side='right')
-        active = np.nan_to_num(data.alpha_des[k][self._leaders]) > 0.0
-        states = tuple('force' if each else 'free' for each in active)
-        reasons: tuple[str, ...] = ()
-        reaction, index = 'recorded', bisect_right(self._event_times, now + 1e-9)
-        if index:
-            event = self._events[index - 1]
-            states, reaction = event.contact_states, event.reaction
-            reasons = event.causes + event.limits
+        event = self._events[max(0, bisect_right(self._event_times, now + 1e-9) - 1)]
         return Snapshot(
             time=now, q=data.q[k], position=data.position[k], quaternion=data.quaternion[k],
             position_des=data.position_des[k], measured=data.alpha_meas[k],
             estimated=data.alpha_est[k], desired=data.alpha_des[k], true=data.alpha_true[k],
-            normals_world=self._normals, states=states, reaction=reaction, reasons=reasons,
-            points=self._points[first:end],
-            events=tuple(x for x in self._texts[bisect_right(self._event_times, last):index]
-                         if x[1]),
+            normals_world=self._normals, states=event.contact_states, reaction=event.reaction,
+            reasons=event.causes + event.limits, points=self._points[first:end],
+            events=tuple(mark for mark in self.scene.marks if last < mark[0] <= now + 1e-9),
             places_world=self._places_at(now), playing=self._playing)
 
     def _places_at(self, now: float) -> Mapping[str, Vector3]:
@@ -127,7 +116,6 @@ class ReplaySource:
 
     def command(self, name: str, /, **values: Any) -> str:
         """Play, pause, jump, or play at another speed; see `Source.command`."""
-        refuse(name, REFUSALS)
         now = self._now()
         self._from, self._since, self._changed = now, monotonic(), True
         if name == source.PLAY:
@@ -147,6 +135,16 @@ class ReplaySource:
 
     def close(self) -> None:
         """Nothing has been started."""
+
+
+def presses(data: RunData, leaders: Sequence[int]) -> list[Event]:
+    """Return when forces were asked for, and no longer, in a recording without a log."""
+    known = np.flatnonzero(np.isfinite(data.alpha_des[:, leaders]).all(axis=1))
+    asked = data.alpha_des[known][:, leaders] > 0.0
+    changed = np.any(np.diff(asked, axis=0, prepend=np.zeros((1, len(leaders)), bool)), axis=1)
+    return [Event(0.0, NONE, (), (), ('free',) * len(leaders)), *(
+        Event(float(data.time[k]), NONE, (), (), tuple(np.where(row, 'force', 'free').tolist()))
+        for k, row in zip(known[changed], asked[changed]))]
 
 
 def block_points(data: RunData, config: ControllerConfig) -> Matrix:

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple, Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
-from multicontact_control.errors import CommandError
 from multicontact_control.experiment.judge import Event
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.reactions import NONE
@@ -18,7 +17,7 @@ from sim_bridge.surface_patch import Patch, patch_of
 RATE = 25.0  # Hz, of snapshots
 POINTS = 2  # of the curves, in each of them
 
-# Commands, each with the values it takes.
+# Commands, each with the values it takes: of a graph, of one that is simulated, of a recording.
 FORCES = 'forces'  # of contacts, by name [N]
 GO_TO = 'go_to'  # position: of the operational point [m]
 JOG = 'jog'  # offset: from where it is to go by now [m]
@@ -28,17 +27,15 @@ HOLD = 'hold'  # on
 RETRY = 'retry'
 TARE = 'tare'
 PUSH_TEST = 'push_test'
-GAINS = 'gains'  # natural_frequency [rad/s], time_constant [s], damping_rate [1/s]
+GAINS = 'gains'  # each of `GAIN_NAMES`
 SURFACE = 'surface'  # name, stiffness [N/m], friction
 PUSH = 'push'  # force [N]; tool: whether on the tool, or at the operational point
 PLAY = 'play'  # on
 SPEED = 'speed'  # factor
 SEEK = 'seek'  # time [s]
 
-STEERING = (FORCES, GO_TO, JOG, PATTERN, STOP, HOLD, RETRY, TARE, PUSH_TEST, GAINS)
-SIMULATED = (SURFACE, PUSH)
-PLAYING = (PLAY, SPEED, SEEK)
-
+GAIN_NAMES = (  # [rad/s], [s], [1/s]
+    'motion.natural_frequency', 'force.time_constant', 'force.damping_rate')
 KINDS = 6  # of curves for each force or couple, see `Snapshot.points`
 
 
@@ -66,10 +63,11 @@ class Scene:
     config: ControllerConfig
     urdf_dir: Path  # that its URDF is relative to
     surfaces: tuple[Surface, ...]  # those of the contacts first
-    simulated: Mapping[str, SurfaceState] = field(default_factory=dict)  # at the start, by name
+    # Surfaces at the start, by name; none without a simulator.
+    simulated: Mapping[str, SurfaceState] = field(default_factory=dict)
     largest_force: float = 30.0  # that may be commanded [N]
     true_forces: bool = False  # whether they are known, as a simulator knows them
-    duration: float = 0.0  # of a recording [s]
+    duration: float | None = None  # of a recording [s]; None of a graph
     marks: tuple[tuple[float, str], ...] = ()  # times in it to jump to [s], and what is there
 
 
@@ -109,8 +107,7 @@ class Snapshot:
     held: bool = False  # whether pose and forces are held on command
     moving: str = ''  # motion under way
     push_test: str = ''  # what the user should do now
-    # Natural frequency [rad/s], time constant [s] and K_2 [1/s].
-    gains: tuple[float, float, float] = (float('nan'),) * 3
+    gains: Mapping[str, float] = field(default_factory=dict)  # of `GAIN_NAMES`
     surfaces: Mapping[str, SurfaceState] = field(default_factory=dict)  # simulated ones, by name
     places_world: Mapping[str, Vector3] = field(default_factory=dict)  # points of surfaces [m]
     playing: bool = True  # whether time goes on
@@ -123,14 +120,11 @@ class Source(Protocol):
     Attributes
     ----------
     scene
-        What does not change.
-    refusals
-        Commands that are never obeyed here, each with the reason.
+        What does not change, and which commands there are.
 
     """
 
     scene: Scene
-    refusals: Mapping[str, str]
 
     def poll(self) -> list[Snapshot]:
         """
@@ -152,12 +146,6 @@ class Source(Protocol):
 
     def close(self) -> None:
         """Leave what is shown."""
-
-
-def refuse(name: str, refusals: Mapping[str, str]) -> None:
-    """Raise `CommandError` for a command that a source never obeys."""
-    if name in refusals:
-        raise CommandError(name, refusals[name], 'none')
 
 
 class ChangeReader:

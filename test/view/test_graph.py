@@ -44,7 +44,7 @@ def until(shown, condition, what):
 
 def test_graph_source_joins_presses_moves_and_tunes(shown):
     snapshot = until(shown, lambda found: np.isfinite(found.q).all(), 'samples')
-    assert snapshot.gains == (30.0, 0.02, 100.0)
+    assert tuple(snapshot.gains.values()) == (30.0, 0.02, 100.0)
     simulated = resolve('quick', plant='rigid').plant.surfaces
     for name, _, point, patch in shown.scene.surfaces:
         expected = patch_of(simulated[name])
@@ -63,8 +63,9 @@ def test_graph_source_joins_presses_moves_and_tunes(shown):
     shown.command(source.JOG, offset=[0.02, 0.0, 0.0])
     until(shown, lambda found: found.position_des[0] > start[0] + 0.0199, 'the jog')
     until(shown, lambda found: found.moving == '', 'rest')
-    shown.command(source.GAINS, natural_frequency=25.0, time_constant=0.03, damping_rate=60.0)
-    assert until(shown, lambda found: found.gains[0] == 25.0, 'the gains')
+    gains = dict(zip(source.GAIN_NAMES, (25.0, 0.03, 60.0)))
+    shown.command(source.GAINS, **gains)
+    assert until(shown, lambda found: found.gains == gains, 'the gains')
 
 
 def test_surface_and_push_change_the_simulated_world(shown):
@@ -84,13 +85,22 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
         other.set_forces({'table': 7.0, 'board': 5.0})
         until(shown, lambda found: found.commanded == {'table': 7.0, 'board': 5.0}, 'the forces')
         other.hold()
-        until(shown, lambda found: found.held and not found.moving, 'the hold')
+        events = []
+        until(shown, lambda found: events.extend(found.events) or (
+            found.held and not found.moving), 'the hold')
         with pytest.raises(CommandRefusedError, match='contact_forces/command: ~/hold: the arm'):
             shown.command(source.FORCES, table=9.0)
         with pytest.raises(MulticontactError, match='hold: the arm is held'):
             shown.command(source.JOG, offset=[0.01, 0.0, 0.0])
         other.hold(False)
-    released = until(shown, lambda found: not found.held, 'the release')
+    released = until(shown, lambda found: events.extend(found.events) or not found.held,
+                     'the release')
+    texts = [text for _, text in events]
+    for text in ('pose and forces held', 'refused: contact_forces/command', 'refused: ~/hold',
+                 'hold released'):
+        assert sum(each.startswith(text) for each in texts) == 1, texts
+    with closing(GraphSource(resolve('paper'), namespace='arm', domain_id=domain)) as late:
+        assert until(late, bool, 'a sample').time < until(shown, bool, 'a snapshot').time
     later = until(shown, lambda found: found.time > released.time + 3.0, 'the last pose accepted')
     rest = until(shown, lambda found: found.time > later.time + 0.5, 'a snapshot')
     assert rest.moving == '' and np.abs(rest.position_des - later.position_des).max() < 0.002
@@ -101,10 +111,8 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
     (source.FORCES, {'floor': 4.0}, r"among \['table', 'board'\]"),
     (source.TARE, {}, 'let go of them first'),
     (source.GO_TO, {'position': [0.0, 0.5, 9.0]}, 'position z'),
-    (source.GAINS, {'natural_frequency': -1.0, 'time_constant': 0.02, 'damping_rate': 60.0},
-     'natural_frequency'),
-    (source.SURFACE, {'name': 'table', 'stiffness': -1.0, 'friction': 0.1}, 'stiffness'),
-    (source.SEEK, {'time': 1.0}, 'a recording')])
+    (source.GAINS, dict(zip(source.GAIN_NAMES, (-1.0, 0.02, 60.0))), 'natural_frequency'),
+    (source.SURFACE, {'name': 'table', 'stiffness': -1.0, 'friction': 0.1}, 'stiffness')])
 def test_graph_source_raises_what_a_graph_refuses(shown, name, values, words):
     with pytest.raises(MulticontactError, match=words):
         shown.command(name, **values)

@@ -27,8 +27,6 @@ PORT = 8471
 class Silent:
     """A source without samples, that refuses a tare."""
 
-    refusals = dict.fromkeys((*source.PLAYING, *source.SIMULATED), 'another source')
-
     def __init__(self):
         setup = resolve('paper')
         self.scene = Scene('nothing', setup.controller, setup.urdf_dir, surfaces_of(setup))

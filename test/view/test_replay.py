@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 from multicontact_control.errors import CommandError, ConfigError, RunError
@@ -11,7 +12,7 @@ from multicontact_control.experiment.scenario import resolve
 from multicontact_control.files import write_json
 from multicontact_control.nodes import messages
 from multicontact_control.view import source
-from multicontact_control.view.replay import load_replay
+from multicontact_control.view.replay import load_replay, ReplaySource
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
@@ -102,8 +103,15 @@ def test_seek_shows_states_events_and_curves_of_then(replay):
     assert any(moment == touched for moment, _ in snapshot.events)
     with pytest.raises(CommandError, match='time: expected 0 to 14.998 s, got 90 s'):
         replay.command(source.SEEK, time=90.0)
-    with pytest.raises(CommandError, match='tare: expected a controller that runs'):
-        replay.command(source.TARE)
+
+
+def test_recording_without_a_log_shows_when_forces_were_asked_for(replay, recorded_run):
+    data = RunData.load(recorded_run)
+    bare = ReplaySource(replace(replay.scene, marks=()), data)
+    first = data.time[np.argmax(data.alpha_des[:, 0] > 0.0)]
+    assert seek(bare, first - 0.01).states[0] == 'free'
+    snapshot = seek(bare, first)
+    assert snapshot.states[0] == 'force' and (first, 'table force') in snapshot.events
 
 
 def test_folder_without_a_recording_is_refused(tmp_path, recorded_run):
