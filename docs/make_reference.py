@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from enum import Enum
 import inspect
 import json
 from pathlib import Path
@@ -20,6 +19,8 @@ import typing
 from typing import Any, Literal, NamedTuple, Union
 
 from multicontact_control.cli import app
+from multicontact_control.cli.application import FOLDERS
+from multicontact_control.cli.options import described
 from multicontact_control.config import Config, ControllerConfig, NoiseEstimatorConfig
 from multicontact_control.experiment.scenario import ScenarioConfig
 from multicontact_control.experiment.study.config import StudyConfig
@@ -291,6 +292,9 @@ def commands() -> str:
             parts.append(table(['option', 'value', 'default', 'what it is'], [
                 [_names(x), _value(x, kinds[x.name]), _default(x), _text(x.help)]
                 for x in options]))
+    for folder in dict.fromkeys(FOLDERS.values()):
+        parts += [f'## {folder.capitalize()} by name', table(['name', 'what it is'], [
+            [f'`{name}`', _text(text)] for name, text in described(folder).items()])]
     return _page(parts)
 
 
@@ -325,8 +329,8 @@ def _value(option: Any, kind: Any) -> str:
         return _text(option.metavar)
     kind = _bare(kind)
     kind = _bare(typing.get_args(kind)[0]) if typing.get_origin(kind) is list else kind
-    if issubclass(kind, Enum):
-        return ', '.join(f'`{choice.value}`' for choice in kind)
+    if typing.get_origin(kind) is Literal:
+        return ', '.join(f'`{choice}`' for choice in typing.get_args(kind))
     return VALUES[kind]
 
 

@@ -10,7 +10,13 @@ from multicontact_control import __version__
 from multicontact_control.cli.calibrate import calibrate, push_test
 from multicontact_control.cli.design import design
 from multicontact_control.cli.new_robot import new_robot
-from multicontact_control.cli.options import EXIT_FAILED, EXIT_USAGE, flattened
+from multicontact_control.cli.options import (
+    described,
+    EXIT_FAILED,
+    EXIT_USAGE,
+    flattened,
+    is_given,
+)
 from multicontact_control.cli.report import identify, report
 from multicontact_control.cli.run import run, simulate
 from multicontact_control.cli.study import study
@@ -28,6 +34,8 @@ Press a simulated or a real arm on several surfaces at once. Try first:
   multicontact run                        the paper's experiment on the ROS 2 graph, recorded
   multicontact view runs/latest           replay the latest run
   multicontact --help                     all commands"""
+FOLDERS = {  # of config/, by the option or argument that takes a name from it
+    'robot': 'robots', 'scenario': 'scenarios', 'preset': 'presets', 'name': 'studies'}
 COMMANDS = (run, simulate, view, report, study, identify, calibrate, push_test, new_robot, design)
 
 app = typer.Typer(
@@ -63,16 +71,37 @@ def compile_kernels() -> None:
 
 
 class Command(TyperCommand):
-    """A command that ends with one line and an exit code where an error ends it."""
+    """A command that lists what its options choose from, and names an error in one line."""
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """List the files that can be chosen by name."""
+        for each in self.params:
+            if folder := FOLDERS.get(each.name):
+                with formatter.section(folder.capitalize()):
+                    formatter.write_dl([*described(folder).items()])
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
         try:
             return super().invoke(ctx)
+        except ConfigError as error:
+            typer.echo(f'multicontact: {self._blame_options(ctx, error)}', err=True)
+            raise typer.Exit(EXIT_USAGE) from None
         except MulticontactError as error:
             typer.echo(f'multicontact: {error}', err=True)
-            raise typer.Exit(
-                EXIT_USAGE if isinstance(error, ConfigError) else EXIT_FAILED) from None
+            raise typer.Exit(EXIT_FAILED) from None
+
+    def _blame_options(self, ctx: Any, error: ConfigError) -> ConfigError:
+        """Return an error whose fields are spelled as on the command line, where they were."""
+        names: dict[str, str] = {}
+        for each in self.params:
+            if is_given(ctx, each.name):
+                name, spelled = str(each.name), str(
+                    each.metavar if each.param_type_name == 'argument' else each.opts[0])
+                names |= dict.fromkeys((name, name.removesuffix('s'), spelled.lower()), spelled)
+        return ConfigError.of(ConfigError(
+            x.field if x.source else names.get(x.field, x.field), x.expected, x.got, x.source,
+            hint=x.hint) for x in error.errors)
 
 
 for function in COMMANDS:

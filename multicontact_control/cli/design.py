@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+from multicontact_control.cli.options import Law
 import typer
 
 
 def design(
-    law: Annotated[str, typer.Argument(
-        metavar='LAW', help='aob, pi, dob, lqg, admittance, impedance or feedforward.')],
+    law: Annotated[Law, typer.Argument(metavar='LAW', help='Force law.')],
     stiffness: Annotated[tuple[float, float], typer.Option(
         metavar='SOFTEST STIFFEST', help='Range of the surfaces [N/m].')] = (1000.0, 10000.0),
     input_delay: Annotated[float, typer.Option(

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields, is_dataclass
 from datetime import datetime
 from functools import wraps
 import inspect
 from pathlib import Path
-from typing import Annotated, Any, TYPE_CHECKING
+import signal
+from typing import Annotated, Any, Literal, TYPE_CHECKING
 
 from multicontact_control.errors import ConfigError
+from multicontact_control.paths import config_dir
 import typer
 
 if TYPE_CHECKING:
@@ -20,9 +23,11 @@ EXIT_FAILED, EXIT_USAGE, EXIT_SIGNAL = 1, 2, 128  # and the number of the signal
 SHORT = {'noise_estimator': 'noise_estimator.estimator', 'law': 'controller.force.law',
          'engine': 'plant.engine'}  # options that set one value of a file
 
+Law = Literal['aob', 'pi', 'dob', 'lqg', 'admittance', 'impedance', 'feedforward']
+Estimator = Literal['lead_window', 'hf_window', 'window', 'fixed', 'innovation', 'sage_husa',
+                    'variational_bayes']
 Robot = Annotated[str, typer.Option(
-    help='Robot: a name from config/robots (puma, panda, iiwa, ur5, kinova) or a YAML file; '
-         'puma if not given.')]
+    help='Robot: one of those below, or a YAML file; puma if not given.')]
 ControllerFiles = Annotated[list[Path] | None, typer.Option(
     '--controller', metavar='FILE', help='Parameter file of your controller; may be repeated, '
     'each laid over those before. A relative URDF is looked for beside its file.')]
@@ -44,16 +49,16 @@ class SetupOptions:
         )] = ''
     seed: Annotated[int, typer.Option(help='Seed of sensor noise and surface roughness.')] = 0
     scenario: Annotated[str, typer.Option(
-        help='Scenario: a name from config/scenarios (paper, quick) or a YAML file.')] = 'paper'
+        help='Scenario: one of those below, or a YAML file.')] = 'paper'
     preset: Annotated[str, typer.Option(
-        help='Parameters laid over the files of controller and noise estimator: paper (as '
-        'published), best, adaptive (best, with stiffness found on-line), or a file.')] = 'best'
+        help='Parameters laid over the files of controller and noise estimator: one of those '
+        'below, or a file.')] = 'best'
     settings: Annotated[list[str] | None, typer.Option(
         '--set', metavar='KEY=VALUE', help='A value laid over all files, in SI units, e.g. '
         'plant.surfaces.*.stiffness=60000; may be repeated.')] = None
-    engine: Annotated[str, typer.Option(
-        help='Physics engine: pybullet or mujoco (extra [mujoco]); the configured one, pybullet, '
-        'if not given.')] = ''
+    engine: Annotated[Literal['pybullet', 'mujoco'] | None, typer.Option(
+        help='Physics engine; that of the plant, pybullet, if not given. MuJoCo is an extra: '
+        'pip install mujoco.')] = None
 
     def values(self) -> list[str]:
         """Return all that is laid over the files, as for ``--set``."""
@@ -77,12 +82,14 @@ class RunOptions(SetupOptions):
 
     duration: Annotated[float | None, typer.Option(
         help="Length of the run [s]; the scenario's own if not given.")] = None
-    noise_estimator: Annotated[str | None, typer.Option(
-        help='How R is estimated: lead_window (the paper), hf_window, window, fixed (0.6 N^2), '
-        'innovation, sage_husa or variational_bayes; the configured one if not given.')] = None
-    law: Annotated[str | None, typer.Option(
-        help='Force law of all contacts: aob (the paper), pi, dob, lqg, admittance, impedance or '
-        'feedforward; the configured one if not given.')] = None
+    noise_estimator: Annotated[Estimator | None, typer.Option(
+        metavar='NAME', help='How R, the variance of the force noise, is estimated: lead_window '
+        '(the paper), hf_window, window, fixed (0.6 N^2), innovation, sage_husa or '
+        'variational_bayes; that of the preset if not given.')] = None
+    law: Annotated[Law | None, typer.Option(
+        metavar='NAME', help='Force law of all contacts: aob (the active observer of the paper), '
+        'pi, dob, lqg, admittance, impedance or feedforward; that of the preset if not '
+        'given.')] = None
     out: Annotated[Path | None, typer.Option(
         help='Folder for the results; runs/<date>-<time>-<scenario> if not given.')] = None
     overwrite: Annotated[bool, typer.Option(
@@ -101,11 +108,11 @@ class RunOptions(SetupOptions):
             'scenario': self.scenario if is_given(context, 'scenario') else None,
             'preset': self.preset if is_given(context, 'preset') else ''}, self.values())
 
-    def folder(self, setup: Setup) -> Path:
-        """Make the folder of the run and return it; ConfigError if there is a run in it."""
-        from multicontact_control.experiment.results import prepare_folder
+    def folder(self, setup: Setup) -> AbstractContextManager[Path]:
+        """Return what makes the folder of the run; ConfigError if there is a run in it."""
+        from multicontact_control.experiment.results import run_folder
 
-        return prepare_folder(
+        return run_folder(
             self.out, setup.scenario.name, overwrite=self.overwrite, now=datetime.now())
 
 
@@ -133,6 +140,24 @@ def flattened(command: Callable[..., None]) -> Callable[..., None]:
     flat.__doc__ = (command.__doc__ or '').replace(r'\b', '\b')
     flat.__annotations__ = {each.name: each.annotation for each in ordered}
     return flat
+
+
+def described(folder: str) -> dict[str, str]:
+    """Return the names of the files in a folder of ``config/``, with the first line of each."""
+    there = config_dir() / folder
+    files = {path.relative_to(there).with_suffix('').as_posix(): path.read_text(encoding='utf-8')
+             for path in sorted(there.rglob('*.yaml'))}
+    return {name: text.partition('\n')[0].strip('# .') for name, text in files.items()}
+
+
+def end_at_signals(text: str) -> None:
+    """Let SIGINT and SIGTERM end this process with a line."""
+    def end(number: int, _frame: object) -> None:
+        typer.echo(f'multicontact: {text}', err=True)
+        raise SystemExit(EXIT_SIGNAL + number)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
 
 
 def is_given(context: typer.Context, name: str) -> bool:

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from multicontact_control.cli.options import (
     ControllerFiles,
+    end_at_signals,
     EXIT_FAILED,
     EXIT_SIGNAL,
     refuse_options,
@@ -74,14 +75,14 @@ def run(
             raise ConfigError('--set scenario', hint='leave it out with --commanded, which plays '
                               'no scenario; --duration sets the length')
         setup = replace(options.setup(), commanded_by_topic=commanded)
-    folder = options.folder(setup)
-    # Only now: bad input is refused before the simulator is loaded.
-    from multicontact_control.experiment.run import run_on_graph
+    with options.folder(setup) as folder:
+        # Only now: bad input is refused before the simulator is loaded.
+        from multicontact_control.experiment.run import run_on_graph
 
-    summary, interrupted = run_on_graph(
-        setup, folder, endless=commanded and options.duration is None, external=robot,
-        robot_timeout=robot_timeout, supervised=not options.bare, free_running=free_running,
-        speed=speed, domain_id=domain_id, namespace=namespace, realtime=realtime)
+        summary, interrupted = run_on_graph(
+            setup, folder, endless=commanded and options.duration is None, external=robot,
+            robot_timeout=robot_timeout, supervised=not options.bare, free_running=free_running,
+            speed=speed, domain_id=domain_id, namespace=namespace, realtime=realtime)
     if interrupted is not None:
         raise typer.Exit(EXIT_SIGNAL + interrupted)
     end_by_verdict(summary)
@@ -94,11 +95,13 @@ def simulate(options: RunOptions) -> None:
     The same seed gives the same run, bit for bit. Exit code 0: stable, or not judged because no
     contact was under load; 1: not stable, or held by the supervisor.
     """
+    end_at_signals('interrupted; nothing of this run is kept')
     setup = options.setup()
-    folder = options.folder(setup)
     from multicontact_control.experiment.run import run_simulate
 
-    end_by_verdict(run_simulate(setup, folder, supervised=not options.bare))
+    with options.folder(setup) as folder:
+        summary = run_simulate(setup, folder, supervised=not options.bare)
+    end_by_verdict(summary)
 
 
 def end_by_verdict(summary: dict[str, Any] | None) -> None:

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-import signal
 from typing import Annotated
 
 from multicontact_control.cli import options
-from multicontact_control.cli.options import EXIT_FAILED, EXIT_SIGNAL
 from multicontact_control.errors import check_all, ConfigError
 import typer
 
 
 def study(
     name: Annotated[str, typer.Argument(
-        metavar='STUDY', help='A name from config/studies, or the path of a YAML file; the '
-        'names are listed if not given.')] = '',
+        metavar='STUDY', help='One of the studies below, or a YAML file.')] = '',
     robot: options.Robot = '',
     plants: Annotated[str, typer.Option(
         help="Plants, with commas between: names, ROBOT/PLANT, or paths; the study's own if not "
@@ -26,9 +23,9 @@ def study(
     settings: Annotated[list[str] | None, typer.Option(
         '--set', metavar='FACTOR=VALUES', help='Values, or labels, with commas between, of a '
         'factor of the study, or of a parameter that becomes one; may be repeated.')] = None,
-    law: Annotated[str, typer.Option(
-        help='Force law whose gains `tune` tries: aob, pi, dob, lqg, admittance, impedance or '
-        'feedforward.')] = '',
+    law: Annotated[options.Law | None, typer.Option(
+        metavar='NAME', help='Force law whose gains the study `tune` tries: aob, pi, dob, lqg, '
+        'admittance, impedance or feedforward.')] = None,
     quick: Annotated[bool, typer.Option(
         '--quick', help='The reduced form of the study, with one seed.')] = False,
     jobs: Annotated[int, typer.Option(
@@ -63,14 +60,12 @@ def study(
     study.html and study.png. Ctrl-C keeps what is finished; the same command goes on from there.
     Exit code 1: a worker died, or a fault of `faults` is not safe.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _end)
+    options.end_at_signals('interrupted; the same command goes on from there')
     # Only now: what is heavy is not loaded for the sake of an error.
     from multicontact_control.experiment.study import config as files
 
     if not name:
-        for each in files.study_names():
-            about = files.read_study(each).description.partition(': ')[0]
+        for each, about in options.described('studies').items():
             typer.echo(f'{each:<10} {about}')
         return
     from multicontact_control.experiment.study.study import run_study, study_of
@@ -85,16 +80,10 @@ def study(
     if numbers:
         short['seed'] = numbers if ',' in seeds else range(first, first + numbers[0])
     one = study_of(files.select(
-        config.model_copy(update={'law': law}), {**short, **choices}, robot=robot))
+        config.model_copy(update={'law': law or ''}), {**short, **choices}, robot=robot))
     results = run_study(one, out, jobs=jobs, dask=dask, dry_run=dry_run, overwrite=overwrite)
     if config.kind == 'faults' and results and not results.frame[config.truth].all():
-        raise typer.Exit(EXIT_FAILED)
-
-
-def _end(number: int, _frame: object) -> None:
-    """End at a signal with a line that says how to go on."""
-    typer.echo('multicontact: interrupted; the same command goes on from there', err=True)
-    raise SystemExit(EXIT_SIGNAL + number)
+        raise typer.Exit(options.EXIT_FAILED)
 
 
 def _seeds(text: str) -> list[int]:

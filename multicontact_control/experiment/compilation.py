@@ -8,6 +8,7 @@ libraries and processor; a command that finds none compiles first.
 
 from __future__ import annotations
 
+from dataclasses import replace
 import fcntl
 import hashlib
 from importlib.metadata import version
@@ -86,6 +87,6 @@ def _call_all() -> None:
     for plant, friction, supervised in (
             ('flexible', 0.25, True), ('flexible', 0.25, False), ('rigid', 0.0, False),
             ('rigid', 0.25, False)):
-        run_in_process(resolve(
-            'quick', plant=plant, duration=TICKS * quick.controller.period,
-            plant_overrides={'joint_friction_scale': friction}), supervised=supervised)
+        setup = resolve('quick', plant=plant, plant_overrides={'joint_friction_scale': friction})
+        run_in_process(replace(setup, scenario=setup.scenario.model_copy(
+            update={'duration': TICKS * setup.controller.period})), supervised=supervised)

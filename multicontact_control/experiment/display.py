@@ -111,13 +111,13 @@ def summary_rows(summary: Mapping[str, Any]) -> list[list[str]]:
 
 
 def summary_table(summary: Mapping[str, Any]) -> Table:
-    """Return the short table a run ends with."""
-    table = Table(title=escape(headline(summary)))
-    table.add_column('')
+    """Return the short table a run ends with, of the numbers that are known."""
+    table = Table('')
     for name in summary['contacts']:
         table.add_column(name, justify='right')
     for row in summary_rows(summary):
-        table.add_row(*map(escape, row))
+        if {*row[1:]} != {'-'}:
+            table.add_row(*map(escape, row))
     return table
 
 

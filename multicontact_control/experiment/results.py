@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from itertools import count
 import os
@@ -65,6 +65,30 @@ NAMED_BY = ('contact_forces/measured', 'contact_forces/estimated', 'contact_forc
             'ground_truth/contact_forces')
 
 
+@contextmanager
+def run_folder(
+    out: Path | None, scenario: str, *, overwrite: bool, now: datetime,
+) -> Iterator[Path]:
+    """
+    Yield the folder of a run, as `prepare_folder` makes it; remove it if nothing is left in it.
+
+    What counts are a summary and the logs of nodes. Without `out`, ``latest`` leads to the folder
+    once there is a summary or a recording in it.
+    """
+    folder = prepare_folder(out, scenario, overwrite=overwrite, now=now)
+    try:
+        yield folder
+    finally:
+        if not any((folder / name).exists() for name in (SUMMARY_FILE, LOG_FOLDER)):
+            shutil.rmtree(folder, ignore_errors=True)
+        elif out is None and (
+                (folder / SUMMARY_FILE).is_file() or mcap_files(folder / BAG_FOLDER)):
+            fresh = folder.parent / f'.latest-{os.getpid()}'
+            fresh.unlink(missing_ok=True)
+            fresh.symlink_to(folder.name)
+            fresh.replace(folder.parent / 'latest')
+
+
 def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: datetime) -> Path:
     """
     Make and return the folder of a run, empty of any earlier run.
@@ -88,17 +112,13 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
 
 
 def _make_numbered(folder: Path) -> Path:
-    """Make a new folder, with -2, -3, ... where it exists, and let ``latest`` lead to it."""
+    """Make and return a new folder, with -2, -3, ... where it exists."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     for number in count(1):
         numbered = folder if number == 1 else folder.with_name(f'{folder.name}-{number}')
         with suppress(FileExistsError):
             numbered.mkdir()
             break
-    fresh = folder.parent / f'.latest-{os.getpid()}'
-    fresh.unlink(missing_ok=True)
-    fresh.symlink_to(numbered.name)
-    fresh.replace(folder.parent / 'latest')
     return numbered
 
 

@@ -13,7 +13,12 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
-from multicontact_control.experiment.display import progress_bar, summary_table, verdict_lines
+from multicontact_control.experiment.display import (
+    headline,
+    progress_bar,
+    summary_table,
+    verdict_lines,
+)
 from multicontact_control.experiment.figures import draw_figures, draw_latency
 from multicontact_control.experiment.judge import (
     EXTERNAL_RUN,
@@ -30,7 +35,7 @@ from multicontact_control.experiment.results import (
     summarise,
     SUMMARY_FILE,
 )
-from multicontact_control.experiment.scenario import dotted, External, Setup
+from multicontact_control.experiment.scenario import dotted, External, Setup, SHORTEST
 from multicontact_control.files import finite, write_json
 from rich.console import Console
 
@@ -120,7 +125,8 @@ def run_on_graph(
     data = content.data
     interrupted = None if endless else result.interrupted
     if endless:  # it lasts as long as it has, in the files, too
-        scenario = setup.scenario.model_copy(update={'duration': data.ticks / data.rate})
+        scenario = setup.scenario.model_copy(
+            update={'duration': max(SHORTEST, data.ticks / data.rate)})
         setup = replace(setup, scenario=scenario)
         setup.write(config)
     simulated = REAL_TIME if spec.free_running else LOCKSTEP
@@ -196,6 +202,7 @@ def _finish(
     if summary['timing'].get('latency_histogram'):
         draw_latency(summary, folder / FIGURE_FOLDER)
     write_json(folder / SUMMARY_FILE, finite(summary))
+    console.print(headline(summary), highlight=False, markup=False)
     console.print(summary_table(summary))
     for line in verdict_lines(summary, folder):
         console.print(line, highlight=False, soft_wrap=True)

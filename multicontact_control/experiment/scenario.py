@@ -38,7 +38,7 @@ import yaml
 EXTERNAL = 'external'  # in the place of a plant's name
 CONTROLLER, ESTIMATOR = PRESET_NODES = ('controller_node', 'noise_estimator_node')
 COMMANDS = 'commands'  # in the place of a scenario's name
-UNTIL_STOPPED = 1e6  # s, of a run that Ctrl-C ends
+SHORTEST, UNTIL_STOPPED = 1.0, 1e6  # s, of a run, and of one that Ctrl-C ends
 OF_THE_RUN = ('autostart', 'startup_peers', 'timing_file', 'base_dir')
 
 
@@ -47,7 +47,7 @@ class ScenarioConfig(Config):
 
     name: str = parameter(..., 'Name, as used in file names.', min_length=1)
     description: str = parameter('', 'What it shows.')
-    duration: Real = parameter(..., 'Length of the run.', unit='s', gt=0.0)
+    duration: Real = parameter(..., 'Length of the run.', unit='s', ge=SHORTEST)
     reference: ReferenceConfig = ReferenceConfig()
     controller: dict[str, Any] = parameter({}, 'Values laid over config/controller.yaml.')
     noise_estimator: dict[str, Any] = parameter(
@@ -144,6 +144,8 @@ def scenario_with(
     if duration is not None:
         if 'duration' in overrides:
             raise ConfigError('--duration', hint='give either this or --set scenario.duration')
+        if not SHORTEST <= duration <= UNTIL_STOPPED:
+            raise ConfigError('duration', f'{SHORTEST:g} to {UNTIL_STOPPED:g} s', duration)
         overrides = {**overrides, 'duration': duration}
     return validate(ScenarioConfig, merge(values, overrides), str(path))
 

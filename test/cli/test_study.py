@@ -21,11 +21,11 @@ factors: {noise_estimator.estimator: [fixed, lead_window]}
 
 
 @pytest.mark.parametrize(('arguments', 'fields'), [
-    (('compare', '--plants', 'ur5'), ['plant']), (('compare', '--seeds', '0'), ['seeds']),
+    (('compare', '--plants', 'ur5'), ['--plants']), (('compare', '--seeds', '0'), ['--seeds']),
     (('map', '--set', 'estimator=kalman'), ['estimator']),
-    (('stifness', '--seeds', 'x', '--set', 'x'), ['study', 'seeds', '--set']),
-    (('tune', '--law', 'pid'), ['law']), (('laws', '--law', 'pi'), ['law']),
-    (('robots', '--set', 'robot=robbie'), ['robot']), (('faults', '--dask', 'nowhere'), ['dask'])])
+    (('stifness', '--seeds', 'x', '--set', 'x'), ['STUDY', '--seeds', '--set']),
+    (('laws', '--law', 'pi'), ['--law']), (('robots', '--set', 'robot=robbie'), ['robot']),
+    (('faults', '--dask', 'nowhere'), ['--dask'])])
 def test_bad_options_are_all_named_and_leave_nothing(multicontact, tmp_path, arguments, fields):
     done = multicontact('study', *arguments, cwd=tmp_path)
     assert done.returncode == 2

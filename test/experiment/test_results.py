@@ -4,7 +4,7 @@ from datetime import datetime
 from pathlib import Path
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.results import prepare_folder
+from multicontact_control.experiment.results import prepare_folder, run_folder
 import pytest
 
 NOW = datetime(2026, 1, 2, 3, 4, 5)
@@ -12,10 +12,17 @@ NOW = datetime(2026, 1, 2, 3, 4, 5)
 
 def test_run_that_latest_leads_to_is_overwritten_where_it_is(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    runs = [prepare_folder(None, 'paper', overwrite=False, now=NOW) for _ in range(3)]
-    assert [folder.name for folder in runs] == [
-        f'20260102-030405-paper{end}' for end in ('', '-2', '-3')]
-    run = runs[-1]
+    runs = []
+    for _ in range(3):
+        with run_folder(None, 'paper', overwrite=False, now=NOW) as run:
+            runs.append(run.name)
+            (run / 'summary.json').write_text('{}')
+    assert runs == [f'20260102-030405-paper{end}' for end in ('', '-2', '-3')]
+    with pytest.raises(KeyboardInterrupt), run_folder(
+            None, 'paper', overwrite=False, now=NOW) as unfinished:
+        (unfinished / 'config').mkdir()
+        raise KeyboardInterrupt
+    assert not unfinished.exists()
     scenario_file = run / 'config' / 'scenario.yaml'
     scenario_file.parent.mkdir()
     scenario_file.write_text('')
@@ -24,6 +31,7 @@ def test_run_that_latest_leads_to_is_overwritten_where_it_is(tmp_path, monkeypat
         prepare_folder(latest, 'paper', overwrite=False, now=NOW)
     assert prepare_folder(latest, 'paper', overwrite=True, now=NOW) == run.resolve()
     assert list(run.iterdir()) == []
+    assert {path.name for path in Path('runs').iterdir()} == {*runs, 'latest'}
     assert latest.is_symlink() and latest.resolve() == run.resolve()
 
 

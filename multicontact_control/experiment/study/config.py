@@ -9,7 +9,7 @@ from multicontact_control.config import Config, parameter, read_yaml, Real, vali
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.overrides import read_settings
 from multicontact_control.experiment.scenario import plant_source
-from multicontact_control.paths import config_dir, named_file
+from multicontact_control.paths import named_file
 import numpy as np
 from pydantic import field_validator, model_validator, NonNegativeInt
 from sim_bridge.robots import find_robot
@@ -92,7 +92,7 @@ class PartConfig(Config):
     seeds: tuple[NonNegativeInt, ...] = parameter(
         (0,), 'Seeds, or how many of them, from 0; everything is run with each.', min_length=1)
     duration: Real | None = parameter(
-        None, "Length of every run; the scenario's own if not given.", unit='s', gt=0.0)
+        None, "Length of every run; the scenario's own if not given.", unit='s', ge=1.0)
     preset: str = parameter(
         '', 'What is laid over the files first: paper, best, adaptive, or a path; nothing if '
         'empty.')
@@ -174,11 +174,6 @@ class StudyConfig(PartConfig):
             parts[title] = PartConfig.model_construct(part.model_fields_set, **{
                 **own, **given, 'factors': factors, 'fixed': {**self.fixed, **part.fixed}})
         return parts
-
-
-def study_names() -> list[str]:
-    """Return the names of the studies in config/studies."""
-    return sorted(path.stem for path in (config_dir() / 'studies').glob('*.yaml'))
 
 
 def read_study(name: str) -> StudyConfig:

@@ -1,5 +1,6 @@
 """A study's file: what it may say, what a user chooses of it, and the runs it makes."""
 
+from multicontact_control.cli.options import described
 from multicontact_control.config import NoiseEstimatorConfig, read_yaml
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.study.cells import run_cells
@@ -7,7 +8,6 @@ from multicontact_control.experiment.study.config import (
     read_choices,
     read_study,
     select,
-    study_names,
 )
 from multicontact_control.experiment.study.study import study_of
 from multicontact_control.force.laws import LAWS
@@ -56,7 +56,7 @@ def test_ranges_are_even_and_levels_keep_their_labels(read):
 
 @pytest.mark.parametrize(('changes', 'field'), [
     ({'name': 'a/b'}, 'name'), ({'plants': []}, 'plants'), ({'seeds': [0, -1]}, 'seeds.1'),
-    ({'seeds': 0}, 'seeds'), ({'duration': 0.0}, 'duration'), ({'repeats': 3}, 'repeats'),
+    ({'seeds': 0}, 'seeds'), ({'duration': 0.9}, 'duration'), ({'repeats': 3}, 'repeats'),
     ({'factors': 'all'}, 'factors'), ({'factors': {'a.b': 3}}, 'factors.a.b'),
     ({'factors': {'a.b': {'start': 1.0, 'stop': 2.0}}}, 'factors.a.b'),
     ({'factors': {'a.b': {'start': 0, 'stop': 2, 'count': 3, 'spacing': 'log'}}},
@@ -133,7 +133,7 @@ def test_user_chooses_plants_seeds_and_values(read):
 
 
 def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter(preset):
-    names = study_names()
+    names = described('studies')
     assert {'compare', 'laws', 'map', 'robots', 'tune', 'faults', 'delay', 'stiffness'} <= {*names}
     for name in names:
         study = read_study(name)
