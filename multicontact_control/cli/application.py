@@ -99,9 +99,8 @@ class Command(TyperCommand):
                 name, spelled = str(each.name), str(
                     each.metavar if each.param_type_name == 'argument' else each.opts[0])
                 names |= dict.fromkeys((name, name.removesuffix('s'), spelled.lower()), spelled)
-        return ConfigError.of(ConfigError(
-            x.field if x.source else names.get(x.field, x.field), x.expected, x.got, x.source,
-            hint=x.hint) for x in error.errors)
+        return ConfigError.of(x if x.source else x.moved(names.get(x.field, ''))
+                              for x in error.errors or (error,))
 
 
 for function in COMMANDS:
