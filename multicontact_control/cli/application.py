@@ -37,6 +37,7 @@ Press a simulated or a real arm on several surfaces at once. Try first:
 FOLDERS = {  # of config/, by the option or argument that takes a name from it
     'robot': 'robots', 'scenario': 'scenarios', 'preset': 'presets', 'name': 'studies'}
 COMMANDS = (run, simulate, view, report, study, identify, calibrate, push_test, new_robot, design)
+WITH_ARGUMENTS = (report, study, identify, new_robot, design)  # at least one
 
 app = typer.Typer(
     pretty_exceptions_enable=False, rich_markup_mode=None,
@@ -96,15 +97,15 @@ class Command(TyperCommand):
         names: dict[str, str] = {}
         for each in self.params:
             if is_given(ctx, each.name):
-                name, spelled = str(each.name), str(
-                    each.metavar if each.param_type_name == 'argument' else each.opts[0])
+                name, spelled = str(each.name), each.opts[0]
+                spelled = spelled if spelled.startswith('-') else str(each.metavar)
                 names |= dict.fromkeys((name, name.removesuffix('s'), spelled.lower()), spelled)
         return ConfigError.of(x if x.source else x.moved(names.get(x.field, ''))
                               for x in error.errors or (error,))
 
 
 for function in COMMANDS:
-    app.command(cls=Command)(flattened(function))
+    app.command(cls=Command, no_args_is_help=function in WITH_ARGUMENTS)(flattened(function))
 app.command('compile', cls=Command, hidden=True)(compile_kernels)
 topic = typer.Typer(help='List or print the topics of a running graph.', no_args_is_help=True,
                     rich_markup_mode=None)

@@ -12,7 +12,7 @@ import typer
 
 def study(
     name: Annotated[str, typer.Argument(
-        metavar='STUDY', help='One of the studies below, or a YAML file.')] = '',
+        metavar='STUDY', help='One of the studies below, or a YAML file.')],
     robot: options.Robot = '',
     plants: Annotated[str, typer.Option(
         help="Plants, with commas between: names, ROBOT/PLANT, or paths; the study's own if not "
@@ -63,11 +63,6 @@ def study(
     options.end_at_signals('interrupted; the same command goes on from there')
     # Only now: what is heavy is not loaded for the sake of an error.
     from multicontact_control.experiment.study import config as files
-
-    if not name:
-        for each, about in options.described('studies').items():
-            typer.echo(f'{each:<10} {about}')
-        return
     from multicontact_control.experiment.study.study import run_study, study_of
 
     config, numbers, choices = check_all(

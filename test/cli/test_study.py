@@ -35,7 +35,7 @@ def test_bad_options_are_all_named_and_leave_nothing(multicontact, tmp_path, arg
 
 
 def test_studies_are_listed(multicontact):
-    listed = multicontact('study').stdout
+    listed = multicontact('study', '--help').stdout
     for name in ('compare', 'laws', 'map', 'robots', 'tune', 'faults', 'stiffness', 'delay'):
         assert f'{name} ' in listed
 

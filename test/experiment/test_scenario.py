@@ -22,7 +22,7 @@ def test_every_scenario_resolves_and_is_named_as_its_file(path):
     ({'durration': 3.0}, 'durration: expected a known key .*duration.*, got unknown key'),
     ({'reference': {'motion': {'start_time': 1.0, 'amplitud': 0.1}}},
      'reference.motion.amplitud: expected a known key .*amplitude'),
-    ({'duration': -1.0}, 'duration: expected greater than 0, got -1.0'),
+    ({'duration': -1.0}, 'duration: expected greater than or equal to 1, got -1.0'),
     ({'reference': {'force_steps': [{'time': 1.0, 'forces': {'wall': 3.0}}]}},
      "reference.force_steps.0.forces: expected contacts among table, board, got 'wall'"),
     ({'controller': {'rate': 250.0}}, "noise_estimator.rate: expected the controller's 250 Hz"),
