@@ -67,6 +67,7 @@ extras_require = {
     'view': [
         'viser>=1.1,<1.2',
         'websockets>=14,<17',
+        'pycollada>=0.8,<0.10',  # meshes in .dae, for trimesh, which viser brings
     ],
     # To make HTML of docs/: `make docs`.
     'docs': [

@@ -8,7 +8,7 @@ A chain of joints that turn about the z axis of their own frame, each with one r
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import math
 
 from multicontact_control.config import Vector3
@@ -93,6 +93,7 @@ class Arm:
     tool: Body  # what hangs on the sensor, in the sensor's frame
     tips: Mapping[str, Vector3]  # of the tool, by URDF link, in the sensor's frame [m]
     text: str = ''  # of a URDF with sensor and tool that the arm was read from
+    visuals: Mapping[str, str] = field(default_factory=dict)  # elements by URDF link
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -145,7 +146,8 @@ def urdf_text(arm: Arm, *, for_bullet: bool = False) -> str:
     controller's, and with isotropic inertias, since the importer refuses some published ones: the
     true inertias have to be set afterwards.
     """
-    bodies, base = arm.bodies, [f'  <link name="{BASE_LINK}"/>']
+    bodies, visuals = arm.bodies, {} if for_bullet else arm.visuals
+    base = [f'  <link name="{BASE_LINK}">{visuals.get(BASE_LINK, "")}</link>']
     if for_bullet:
         bodies = tuple(replace(body, inertia=(max(body.inertia),) * 3) for body in bodies)
         base = _link(BASE_LINK, Body(1.0, Placement(), (1.0, 1.0, 1.0)))
@@ -154,7 +156,7 @@ def urdf_text(arm: Arm, *, for_bullet: bool = False) -> str:
         name = f'link{number}'
         endless = for_bullet or not (math.isfinite(link.lower) and math.isfinite(link.upper))
         lower, upper = (-NO_LIMIT, NO_LIMIT) if endless else (link.lower, link.upper)
-        parts += _link(name, body)
+        parts += _link(name, body, visuals.get(name, ''))
         parts += _joint(
             link.joint, 'continuous' if endless else 'revolute', parent, name, link.placement, [
                 '    <axis xyz="0 0 1"/>',
@@ -166,7 +168,7 @@ def urdf_text(arm: Arm, *, for_bullet: bool = False) -> str:
         **{tip: (TOOL_LINK, Placement(point)) for tip, point in arm.tips.items()}}
     parts += _link(SENSOR_FRAME, bodies[-2])
     parts += _joint(f'{SENSOR_FRAME}_joint', 'fixed', parent, SENSOR_FRAME, arm.sensor)
-    parts += _link(TOOL_LINK, bodies[-1])
+    parts += _link(TOOL_LINK, bodies[-1], visuals.get(TOOL_LINK, ''))
     parts += _joint(f'{TOOL_LINK}_joint', 'fixed', SENSOR_FRAME, TOOL_LINK, Placement())
     for name, (carrier, placement) in places.items():
         parts.append(f'  <link name="{name}"/>')
@@ -178,7 +180,7 @@ _HEADER = """<?xml version="1.0"?>
 <!-- Written by sim_bridge/arm.py from the robot's file: change that. -->"""
 
 
-def _link(name: str, body: Body) -> list[str]:
+def _link(name: str, body: Body, visuals: str = '') -> list[str]:
     ixx, iyy, izz = body.inertia
     return [
         f'  <link name="{name}">',
@@ -186,7 +188,7 @@ def _link(name: str, body: Body) -> list[str]:
         f'      {_origin(body.com)}',
         f'      <mass value="{body.mass!r}"/>',
         f'      <inertia ixx="{ixx!r}" iyy="{iyy!r}" izz="{izz!r}" ixy="0" ixz="0" iyz="0"/>',
-        '    </inertial>',
+        f'    </inertial>{visuals}',
         '  </link>']
 
 
@@ -212,7 +214,7 @@ def numbers(values: Iterable[float]) -> str:
     return ' '.join(repr(float(value)) for value in values)
 
 
-def triple(values: Iterable[float]) -> Vector3:
+def triple(values: Iterable[float | str]) -> Vector3:
     """Return three numbers as floats."""
     x, y, z = (float(value) for value in values)
     return (x, y, z)

@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 import math
+import os
 from pathlib import Path
+from urllib.parse import unquote
 import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.dynamics.robot import load_model
@@ -19,8 +21,10 @@ import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import (
     Arm,
+    BASE_LINK,
     Body,
     Link,
+    numbers,
     OPERATIONAL_FRAME,
     Placement,
     SENSOR_FRAME,
@@ -57,23 +61,28 @@ def read_arm(path: Path, file: RobotFile) -> Arm:
     limits = zip(*(map(float, values) for values in (
         model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit,
         model.effortLimit)))
-    links, before = [], pin.SE3.Identity()
+    links, before, frames = [], pin.SE3.Identity(), [(BASE_LINK, pin.SE3.Identity())]
     for number, limit in enumerate(limits, start=1):
         turn = _turn(model, number)
         placement = before.inverse() * model.jointPlacements[number] * turn
         body = _body(turn.actInv(model.inertias[number]), joints[number - 1])
         links.append(Link(joints[number - 1], Placement.of(placement), body, *limit))
         before = turn
+        frames.append((f'link{number}', turn))
     sensor = before.inverse() * mount.placement * pin.SE3(
         pin.rpy.rpyToMatrix(*file.mount_rpy), np.zeros(3))
-    tool = file.tool
+    tool, whole = file.tool, model
     if tool is None:
         arm = Arm(name, tuple(links), Placement.of(sensor), Placement.of(sensor), FACE_MASS,
                   links[-1].body, {})
-        return _with_tool_of_urdf(arm, text, model, before * arm.sensor.se3, file)
-    face = sensor * pin.SE3(np.eye(3), np.array([0.0, 0.0, tool.face_offset]))
-    return Arm(name, tuple(links), Placement.of(sensor), Placement.of(face),
-               tool.face_mass, tool.body, tool.tips)
+        whole, sensor = load_model(text, file.locked), before * arm.sensor.se3
+        arm = _with_tool_of_urdf(arm, whole, model, sensor, file)
+        frames.append((TOOL_LINK, sensor))
+    else:
+        face = sensor * pin.SE3(np.eye(3), np.array([0.0, 0.0, tool.face_offset]))
+        arm = Arm(name, tuple(links), Placement.of(sensor), Placement.of(face),
+                  tool.face_mass, tool.body, tool.tips)
+    return replace(arm, visuals=_visuals(path, text, model, whole, frames))
 
 
 def read_urdf(path: Path) -> str:
@@ -153,11 +162,53 @@ def _body(inertia: pin.Inertia, joint: str) -> Body:
     return replace(body, inertia=triple(max(x, SMALLEST_INERTIA) for x in body.inertia))
 
 
+def _visuals(
+    path: Path, text: str, bare: pin.Model, whole: pin.Model,
+    frames: Sequence[tuple[str, pin.SE3]],
+) -> dict[str, str]:
+    """
+    Return the `<visual>` elements of a URDF by our links, meshes by their files.
+
+    `frames` has the link of every joint, and its frame in the joint's; last the tool.
+    """
+    root, visuals = parse_urdf(text), dict[str, str]()
+    colours = {material.get('name'): material.findall('color')
+               for material in root.iter('material') if len(material)}
+    links = [link for link in root.findall('link')
+             if whole.existFrame(link.get('name', ''), pin.FrameType.BODY)]
+    for link in links:
+        frame = _frame(whole, link.get('name', ''))
+        of_arm = bare.existFrame(frame.name, pin.FrameType.BODY)
+        name, own = frames[frame.parentJoint if of_arm else -1]
+        for visual in link.findall('visual'):
+            origin = visual.find('origin')
+            if origin is None:
+                origin = ElementTree.SubElement(visual, 'origin')
+            given = Placement(*(triple(origin.get(x, '0 0 0').split()) for x in ('xyz', 'rpy')))
+            place = Placement.of(own.actInv(frame.placement * given.se3))
+            origin.attrib.update(xyz=numbers(place.position), rpy=numbers(place.rpy))
+            for material in visual.findall('material'):
+                material[:] = colours.get(material.get('name'), material[:])
+            for mesh in visual.iter('mesh'):
+                if file := mesh_file(mesh.get('filename', ''), path):
+                    mesh.set('filename', file.as_uri())
+            visuals[name] = visuals.get(name, '') + ElementTree.tostring(visual, 'unicode')
+    return visuals
+
+
+def mesh_file(name: str, urdf: Path) -> Path | None:
+    """Return the file of a mesh in a URDF, by its path or URI; None if it is not there."""
+    inside = unquote(name.partition('://')[2]) or name
+    shares = [Path(prefix) / 'share' for prefix in os.environ.get(
+        'AMENT_PREFIX_PATH', '').split(os.pathsep)]
+    files = (folder / inside for folder in (*urdf.absolute().parents, *shares))
+    return next(filter(Path.is_file, files), None)
+
+
 def _with_tool_of_urdf(
-    arm: Arm, text: str, bare: pin.Model, sensor: pin.SE3, file: RobotFile,
+    arm: Arm, full: pin.Model, bare: pin.Model, sensor: pin.SE3, file: RobotFile,
 ) -> Arm:
     """Return an arm with the tool of its URDF; the sensor is placed in the last joint's frame."""
-    full = load_model(text, file.locked)
     last = bare.njoints - 1
     if full.njoints != bare.njoints:
         others = [name for name in full.names if name not in bare.names]

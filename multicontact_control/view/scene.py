@@ -7,10 +7,11 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.view.shapes import BOX, CYLINDER, read_shapes, wxyz_of
+from multicontact_control.view.shapes import BOX, CYLINDER, MESH, read_shapes, rod, TOOL, wxyz_of
 from multicontact_control.view.source import Scene, Snapshot, Surface
 import numpy as np
 from scipy.spatial.transform import Rotation
+from sim_bridge.arm import TOOL_LINK
 from sim_bridge.surface_patch import COLOURS, surface_patch
 
 METRES_PER_NEWTON = 0.012
@@ -19,6 +20,7 @@ HEAD = 0.022  # m
 BESIDE = 0.022  # m, between the arrows of a contact
 LEVEL = 0.8  # component of a normal along z, from which a surface is as good as level
 LEAST_WAY = 5e-4  # m, that is drawn
+TIP = 0.011  # m, radius of the dot of a contact, thickness of an edge or face
 TOUCH = 1.5  # N, from which a surface is known to be there
 MEASURED, ESTIMATED, DESIRED = (205, 82, 0), (10, 78, 165), (10, 122, 58)
 STATE_COLOURS = {
@@ -35,12 +37,12 @@ class SceneView:
         self._scene = scene
         config = scene.config
         self._robot = RobotModel(config.robot, scene.urdf_dir)
-        urdf = (scene.urdf_dir / config.robot.urdf).read_bytes()
-        self._shapes = read_shapes(urdf)
-        self._links = list(dict.fromkeys(shape.link for shape in self._shapes))
+        self._shapes = read_shapes(scene.urdf_dir / config.robot.urdf)
         self._leaders = list(config.leaders)
-        self._points = np.array([
-            config.contacts[name].point_operational for name in config.contact_names])
+        self._contacts = [config.contacts[name] for name in config.contact_names]
+        self._points = np.array([contact.point_operational for contact in self._contacts])
+        self._add_tool()
+        self._links = list(dict.fromkeys(shape.link for shape in self._shapes))
         self._api = server.scene
         self._draw_arm()
         self._draw_contacts()
@@ -51,6 +53,17 @@ class SceneView:
         self._dragged_by: int | None = None  # number of a browser
         server.on_client_disconnect(self._let_go)
         self._look(server)
+
+    def _add_tool(self) -> None:
+        """Let rods lead from the wrist sensor to the contacts where the URDF shows no tool."""
+        robot, names = self._robot, self._scene.config.robot
+        if TOOL_LINK in {shape.link for shape in self._shapes}:
+            return
+        sensor, own = robot.link_poses(
+            np.zeros(len(names.joint_names)), (names.sensor_frame, names.operational_frame))
+        start = own.rotation_world.T @ (sensor.position_world - own.position_world)
+        self._shapes += [rod(names.operational_frame, start, point, TOOL)
+                         for point in self._points]
 
     def _look(self, server: Any) -> None:
         placed = [surface.point_world for surface in self._scene.surfaces if surface.point_world]
@@ -70,7 +83,10 @@ class SceneView:
             name = f'/arm/{shape.link}/{number}'
             place = {'position': shape.position, 'wxyz': shape.wxyz,
                      'color': tuple(round(255 * x) for x in shape.colour)}
-            if shape.kind == BOX:
+            if shape.kind == MESH:
+                del place['color']
+                api.add_glb(name, shape.glb, scale=shape.size, **place)
+            elif shape.kind == BOX:
                 api.add_box(name, dimensions=shape.size, **place)
             elif shape.kind == CYLINDER:
                 api.add_cylinder(name, radius=shape.size[0], height=shape.size[1],
@@ -92,7 +108,7 @@ class SceneView:
         api, config = self._api, self._scene.config
         names = config.contact_names
         nothing = np.zeros((len(names), 2, 3))
-        # The arrows of a level surface are set out towards the arm: the label, too, but beyond.
+        # Beyond the tips of the arrows: below on a level surface, beside on one that stands.
         levels = [abs(config.contacts[name].normal_world[2]) >= LEVEL for name in names]
         self._arrows = [
             api.add_arrows(f'/forces/{kind}', nothing, colour, shaft_radius=0.0055,
@@ -100,10 +116,15 @@ class SceneView:
             for kind, colour in (
                 ('measured', MEASURED), ('estimated', ESTIMATED), ('desired', DESIRED))]
         self._tips = [api.add_icosphere(
-            f'/contacts/{name}', radius=0.011, color=STATE_COLOURS['free']) for name in names]
+            f'/contacts/{name}', radius=TIP, color=STATE_COLOURS['free'])
+            if contact.type == 'point' else api.add_box(
+                f'/contacts/{name}', STATE_COLOURS['free'], dimensions=(
+                    2.0 * contact.half_length,
+                    TIP if contact.type == 'edge' else 2.0 * contact.half_width, TIP))
+            for name, contact in zip(names, self._contacts)]
         self._labels = [api.add_label(
-            f'/labels/{name}', name, anchor='center-right' if level else 'bottom-center',
-            font_screen_scale=1.0) for name, level in zip(names, levels)]
+            f'/labels/{name}', name, anchor='top-center' if level else 'center-left')
+            for name, level in zip(names, levels)]
         self._colours: list[tuple[int, int, int] | None] = [None] * len(names)
 
     def add_handle(self, on_drag: Callable[[Vector], None]) -> Any:
@@ -136,31 +157,35 @@ class SceneView:
             return
         rotation = Rotation.from_quat(snapshot.quaternion).as_matrix()
         points = snapshot.position + self._points @ rotation.T
-        self._show_forces(snapshot, points, labels)
+        self._show_forces(snapshot, points, rotation, labels)
         self._show_surfaces(snapshot, points)
         if self._handle is not None and self._handle.visible and self._dragged_by is None:
             place = snapshot.position_des if snapshot.goal is None else snapshot.goal
             if np.abs(np.array(self._handle.position) - place).max() > LEAST_WAY:
                 self._handle.position = place
 
-    def _show_forces(self, snapshot: Snapshot, points: Matrix, labels: bool) -> None:
+    def _show_forces(
+        self, snapshot: Snapshot, points: Matrix, rotation: Matrix, labels: bool,
+    ) -> None:
         for number, (arrows, forces) in enumerate(zip(
                 self._arrows, (snapshot.measured, snapshot.estimated, snapshot.desired))):
             arrows.points = np.array([
                 _arrow(point, normal, force, number - 1) for point, normal, force in zip(
                     points, snapshot.normals_world, forces[self._leaders])]).astype(np.float32)
         for i, (tip, state, point) in enumerate(zip(self._tips, snapshot.states, points)):
-            tip.position = point
+            tip.position, normal = point, snapshot.normals_world[i]
+            if self._contacts[i].type != 'point':
+                along = rotation @ self._contacts[i].direction_operational
+                tip.wxyz = wxyz_of(Rotation.align_vectors([along, normal], np.eye(3)[[0, 2]])[0])
             colour = STATE_COLOURS.get(state, STATE_COLOURS['free'])
             if colour != self._colours[i]:
                 self._colours[i] = tip.color = colour
             if not labels:
                 continue
             force = float(snapshot.measured[self._leaders[i]])
-            normal = snapshot.normals_world[i]
             label = self._labels[i]
             label.text = f'{self._scene.config.contact_names[i]}  {newtons(force)} N  {state}'
-            label.position = point - 0.02 * normal + 6.5 * BESIDE * _sideways(point, normal)
+            label.position = point + 0.03 * normal + 2.0 * BESIDE * _sideways(point, normal)
 
     def _show_surfaces(self, snapshot: Snapshot, points: Matrix) -> None:
         """Draw the surfaces where they are; those whose place is not known where they are felt."""

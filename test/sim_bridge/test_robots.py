@@ -53,7 +53,8 @@ def test_urdf_that_is_written_gives_the_same_arm_back(name):
     arm = find_robot(name).arm
     bare = tuple(replace(link, armature=0.0, viscous=0.0, coulomb_positive=0.0,
                          coulomb_negative=0.0) for link in arm.links)
-    assert replace(arm_of_urdf(arm.urdf), text='') == replace(arm, links=bare, text='')
+    again = replace(arm_of_urdf(arm.urdf), text='', visuals=arm.visuals)
+    assert again == replace(arm, links=bare, text='')
 
 
 @pytest.mark.parametrize('name', OTHERS)
@@ -75,6 +76,27 @@ def test_arm_moves_its_mount_and_its_masses_as_the_vendor_does(name, rng):
         if name != 'panda':
             expected = np.triu(pin.crba(own, other, q) + jacobian.T @ tool.matrix() @ jacobian)
             np.testing.assert_allclose(np.triu(pin.crba(model, data, q)), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize('name', OTHERS)
+def test_arm_looks_as_the_vendors_does(name, rng):
+    """Every mesh is where pinocchio places it, by the vendor's own links and joints."""
+    arm, model, path = find_robot(name).arm, vendor(name), urdf_path(
+        find_robot(name).file.urdf, config_dir())
+    q = rng.uniform(-1.0, 1.0, len(arm.links))
+    folders = [str(folder) for folder in path.parents[:5]]
+    places = []
+    for body, geometry in (
+            (arm.model(), pin.buildGeomFromUrdfString(arm.model(), arm.urdf, pin.VISUAL)),
+            (model, pin.buildGeomFromUrdf(
+                model, str(path), pin.VISUAL, package_dirs=folders))):
+        data = geometry.createData()
+        pin.updateGeometryPlacements(body, body.createData(), geometry, data, q)
+        places.append({(each.meshPath, *place.translation.round(6)): place.rotation for each, place
+                       in zip(geometry.geometryObjects, data.oMg)})
+    ours, theirs = places
+    assert ours and ours.keys() <= theirs.keys()
+    np.testing.assert_allclose(list(ours.values()), [theirs[key] for key in ours], atol=1e-9)
 
 
 # Links whose inertia is a placeholder, or has lost a decimal point, in the file of their vendor.

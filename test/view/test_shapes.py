@@ -5,10 +5,12 @@ from __future__ import annotations
 from xml.etree import ElementTree
 
 from multicontact_control.paths import config_dir
-from multicontact_control.view.shapes import read_shapes
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+
+pytest.importorskip('trimesh', reason='viser is not installed (extra [view])')
+from multicontact_control.view.shapes import read_shapes  # noqa: E402, I100
 
 TWO_JOINTS = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/>
   <joint name="1" type="revolute"><parent link="a"/><child link="b"/>
@@ -23,11 +25,13 @@ def test_shapes_are_there_for_every_massive_link_we_ship(urdf):
     massive = {link.get('name') for link in root.findall('link')
                if (mass := link.find('inertial/mass')) is not None
                and float(mass.get('value')) > 0.01}
-    assert massive and {shape.link for shape in read_shapes(urdf.read_text())} >= massive
+    assert massive and {shape.link for shape in read_shapes(urdf)} >= massive
 
 
-def test_links_without_visuals_are_rods_to_the_next_joint():
-    first, second = read_shapes(TWO_JOINTS)
+def test_links_without_visuals_are_rods_to_the_next_joint(tmp_path):
+    urdf = tmp_path / 'two.urdf'
+    urdf.write_text(TWO_JOINTS)
+    first, second = read_shapes(urdf)
     assert (first.link, second.link) == ('a', 'b')
     np.testing.assert_allclose(first.size[1], 0.5)
     np.testing.assert_allclose(first.position, [0.0, 0.15, 0.2])
