@@ -27,6 +27,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import exprel
 
+PAPER_SCENARIO = 'paper'
 AFTER_PUSH = 0.5  # s, in which the estimate of R is watched for a reaction
 MISMATCH = 0.1  # of the modelled stiffness, beyond which it counts as not known exactly
 PAPER_ESTIMATOR, FIXED, UNFILTERED, MAYBECK = (
@@ -47,7 +48,7 @@ class Statement:
     select: Callable[[Runs], Runs]  # runs that tell, of which that to be judged is the first
     measure: Callable[[Evidence], Numbers]  # of one of them
     what: str  # the numbers are
-    form: str = '{:.2f}'  # of a number, with its unit
+    form: str = '{:.2f}'  # of a number, with its unit; without a number what is counted of runs
     low: float = 0.0  # bounds of every number
     high: float = math.inf
     over: str = ''  # estimator that medians of the worst of each run are relative to
@@ -64,6 +65,27 @@ class Statement:
         return [('', median(chosen) / median(base))]
 
 
+    def show(self, numbers: Numbers) -> str:
+        """Return numbers as text: their range for each name, or of how many runs it is true."""
+        if '{' not in self.form:
+            return f'{sum(value for _, value in numbers):.0f} of {len(numbers)} {self.form}'
+        ranges = []
+        for name in dict.fromkeys(name for name, _ in numbers):
+            values = sorted(value for each, value in numbers if each == name)
+            ends = (self.form.format(value) if math.isfinite(value) else 'never'
+                    for value in (values[0], values[-1]))
+            ranges.append(f'{name} {" to ".join(dict.fromkeys(ends))}'.strip())
+        return ', '.join(ranges)
+
+    def bound(self) -> str:
+        """Return between which numbers it holds, as text."""
+        if '{' not in self.form:
+            return f'{"all" if self.low else "none"} {self.form}'
+        low, high = self.form.format(self.low), self.form.format(self.high)
+        return f'at least {low}' if math.isinf(self.high) else f'at most {high}' if (
+            self.low == 0.0) else f'{low} to {high}'
+
+
 class Claim(NamedTuple):
     """One row of the claims table: what the paper says, and what the data say of it."""
 
@@ -74,17 +96,22 @@ class Claim(NamedTuple):
     why: str
 
 
+def of_the_paper(setup: Setup) -> bool:
+    """Return whether the scenario is the paper's experiment."""
+    return setup.scenario.name == PAPER_SCENARIO
+
+
 def claims_of(
-    data: RunData, setup: Setup, summary: Mapping[str, Any], comparison: Runs = (),
+    data: RunData, setup: Setup, summary: Mapping[str, Any], *, asked: bool = False,
 ) -> list[Claim]:
     """
-    Judge the paper's claims by a run and the runs of a comparison.
+    Judge the paper's claims by a run of its scenario, of another one only if `asked`.
 
     They are about a simulated plant that plays its scenario; of other runs there are none.
     """
-    if setup.commanded_by_topic or not setup.simulated:
+    if setup.commanded_by_topic or not setup.simulated or not (asked or of_the_paper(setup)):
         return []
-    return judge_claims(evidence_of(data, setup, summary), comparison)
+    return judge_claims(evidence_of(data, setup, summary))
 
 
 def judge_claims(evidence: Evidence, comparison: Runs = ()) -> list[Claim]:
@@ -94,16 +121,10 @@ def judge_claims(evidence: Evidence, comparison: Runs = ()) -> list[Claim]:
     claims = []
     for each in STATEMENTS:
         numbers = each.numbers(runs)
-        measured = ', '.join(
-            f'{name} {each.form.format(value) if math.isfinite(value) else "never"}'.strip()
-            for name, value in numbers)
-        low, high = each.form.format(each.low), each.form.format(each.high)
-        bound = f'at least {low}' if math.isinf(each.high) else f'at most {high}' if (
-            each.low == 0.0) else f'{low} to {high}'
         claims.append(Claim(
-            each.text, each.paper, measured or 'not measured by this run',
+            each.text, each.paper, each.show(numbers) if numbers else 'not measured by this run',
             all(each.low <= value <= each.high for _, value in numbers) if numbers else None,
-            f'{each.what}: {bound}'))
+            f'{each.what}: {each.bound()}'))
     return claims
 
 
@@ -238,17 +259,6 @@ def _static_error(contact: Evidence, run: Evidence) -> float | None:
     return abs(rest['mean_n']) / rest['command_n'] if run['stable'] else math.inf
 
 
-def _start_peak(contact: Evidence, run: Evidence) -> float | None:
-    """Return the largest error after the start of the motion over the spread at rest."""
-    return _ratio(contact['start_peak_n'], contact['rest']['std_n']) if (
-        run['ran_in_motion']) else None
-
-
-def _reaction(contact: Evidence, run: Evidence) -> float | None:
-    """Return the largest R at a push at rest over that at rest."""
-    return _ratio(contact['variance_peak_n2'], contact['rest']['variance_n2'])
-
-
 def _ratio(value: float | None, base: float | None) -> float | None:
     return value / base if value is not None and base else None
 
@@ -258,7 +268,7 @@ def _unstable(*, in_motion: bool) -> Callable[[Evidence], Numbers]:
         if run['stable'] is None or run['stable'] and not run['ran_in_motion']:
             return []
         moved = (run['unstable_after_motion_s'] or -1.0) >= 0.0
-        return [(f'seed {run["seed"]}', float(not run['stable'] and (moved or not in_motion)))]
+        return [('', float(not run['stable'] and (moved or not in_motion)))]
     return measure
 
 
@@ -271,7 +281,8 @@ def _recoveries(run: Evidence) -> Numbers:
 
 STATEMENTS = (
     Statement("Maybeck's innovation-based estimate of R is too sensitive to disturbances",
-              'sec. 4.2', runs_with(MATCHED, MAYBECK), of_contacts(_reaction),
+              'sec. 4.2', runs_with(MATCHED, MAYBECK), of_contacts(lambda contact, run: _ratio(
+                  contact['variance_peak_n2'], contact['rest']['variance_n2'])),
               "rise of R at a push, over that with the paper's filter", '{:.1f} x', low=5.0,
               over=PAPER_ESTIMATOR),
     Statement('The contact forces follow their commands with the designed time constant',
@@ -291,13 +302,14 @@ STATEMENTS = (
               'median, for which the simulated roughness is calibrated', '{:.2f} N²',
               100.0 / 3.0, 300.0),
     Statement('On-line estimation of R keeps the control working in motion', 'Figs 3-6',
-              the_run(PAPER_ESTIMATOR), _unstable(in_motion=False), 'runs',
-              '{:.0%} unstable', high=0.0),
+              the_run(PAPER_ESTIMATOR), _unstable(in_motion=False), 'runs', 'unstable', high=0.0),
     Statement('The contact forces are not too affected by the motion', 'Figs 3, 4', the_run(),
               of_contacts(_moving_error),
               'rms error in motion over the command, no contact lost', '{:.1%}', high=0.2),
     Statement('Starting the motion disturbs both contact forces significantly',
-              'near 195, 205 and 217 s', the_run(), of_contacts(_start_peak),
+              'near 195, 205 and 217 s', the_run(), of_contacts(lambda contact, run: _ratio(
+                  contact['start_peak_n'] if run['ran_in_motion'] else None,
+                  contact['rest']['std_n'])),
               'largest error in the first 2 s over the standard deviation at rest', '{:.1f} x',
               low=5.0),
     Statement('A stiffness that is not known exactly is compensated',
@@ -307,7 +319,7 @@ STATEMENTS = (
               wrong_stiffness, _rises, '63 % of a step, over the design', '{:.2f} x', 0.6, 1.4),
     Statement('Without on-line R the control works only at rest; motion makes it unstable',
               'sec. 5.2', runs_with(FIXED), _unstable(in_motion=True),
-              'runs, in motion', '{:.0%} unstable', low=1.0),
+              'runs', 'unstable in motion', low=1.0),
     Statement('Without the high-pass filter the system responds much slower to disturbances',
               'sec. 5.2', runs_with(UNFILTERED), _recoveries,
               'recovery from a lasting push, over that with the filter', '{:.1f} x', low=2.0,

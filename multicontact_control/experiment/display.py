@@ -105,9 +105,10 @@ def summary_rows(summary: Mapping[str, Any]) -> list[list[str]]:
     contacts, without = summary['contacts'].values(), summary['without_truth']
     left_out = {'true_error_rms_n'} if len(without) == len(contacts) else set()
     left_out |= set() if without else {'measured_error_rms_n'}
-    return [[label, *(_number((contact[window] if window else contact)[key], digits)
+    rows = [[label, *(_number((contact[window] if window else contact)[key], digits)
                       for contact in contacts)]
             for window, key, label, digits in NUMBERS if key not in left_out]
+    return [row for row in rows if {*row[1:]} != {'-'}]
 
 
 def summary_table(summary: Mapping[str, Any]) -> Table:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 import re
 from textwrap import shorten
@@ -12,6 +12,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from multicontact_control.arrays import Vector
+from multicontact_control.experiment.claims import of_the_paper
 from multicontact_control.experiment.judge import STABLE
 from multicontact_control.experiment.metrics import NO_TRUTH, RunMetrics, truth_lacking
 from multicontact_control.experiment.oscillation import stretches
@@ -20,12 +21,11 @@ from multicontact_control.experiment.page import (
     COMMANDED,
     ESTIMATED,
     figure,
-    MEASURED,
     Panel,
     Span,
     Trace,
     TRUE,
-    WINDOW,
+    WINDOWS,
 )
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
@@ -37,6 +37,9 @@ matplotlib.use('Agg')
 TITLE_WIDTH = 110  # characters of the second line that fit
 PAUSE = 0.1  # s between two windows of a kind, below which they are one
 STEP_SHOWN = (0.05, 0.35)  # s before and after a step
+LEAST_LABELLED = 0.06  # share of a run, from which on a window has room for its name
+# What a vertical axis spans at least.
+LEAST_FORCE, LEAST_MOTION, LEAST_ERROR = 1.0, 10.0, 1.0  # N, mm, mm
 PAPER_VARIANCE = ((0.6, 'paper, at rest'), (100.0, 'paper, moving'))  # N^2
 
 
@@ -49,14 +52,14 @@ class RunFigure(NamedTuple):
 
 
 def run_figures(data: RunData, setup: Setup) -> list[RunFigure]:
-    """Return the figures of a run: 3 and 4 for each contact, 5, 6, and the stiffness found."""
-    run = RunMetrics(data, setup)
+    """Return the figures of a run: contact forces, motion, noise variance, and the stiffness."""
+    run, levels = RunMetrics(data, setup), PAPER_VARIANCE if of_the_paper(setup) else ()
     stiffness = np.where(data.stiffness_est > 0.0, data.stiffness_est, np.nan)
     drawn = [
         *(_force(data, i, truth) for i, truth in enumerate(run.truth)), _motion(data, run),
-        RunFigure('fig6_noise_variance', 'Fig. 6: estimated noise variance', [Panel('R [N²]', [
+        RunFigure('fig6_noise_variance', 'Noise variance R found on-line', [Panel('R [N²]', [
             Trace(name, data.noise_variance[:, i], COLOURS[i % len(COLOURS)], 0.7)
-            for i, name in enumerate(data.contact_names)], PAPER_VARIANCE, True)]),
+            for i, name in enumerate(data.contact_names)], levels, True)]),
         RunFigure('stiffness', 'Stiffness found on-line', [Panel(f'{name} [N/m]', (
             Trace('model in use', data.stiffness[:, i], COMMANDED, 1.0, dashed=True),
             Trace('estimated', stiffness[:, i], ESTIMATED, 1.0),
@@ -76,12 +79,12 @@ def _force(data: RunData, i: int, truth: bool) -> RunFigure:
     commanded = Trace('commanded', data.alpha_des[:, i], COMMANDED, 1.0, dashed=True)
     label = 'force [N]' if truth else f'force [N], {NO_TRUTH}'
     return RunFigure(
-        re.sub(r'[^\w.-]', '_', f'fig{number}_force_{name}'),
-        f'Fig. {3 + i if i < 2 else "3/4"}: contact force {name}', (
-            Panel(label, (Trace('measured', data.alpha_meas[:, i]), commanded)),
+        re.sub(r'[^\w.-]', '_', f'fig{number}_force_{name}'), f'Contact force: {name}', (
+            Panel(label, (Trace('measured', data.alpha_meas[:, i]), commanded),
+                  least=LEAST_FORCE),
             Panel(label, (Trace('true', data.alpha_true[:, i], TRUE, 0.4, faint=True),
-                          Trace('estimated (AOB)', data.alpha_est[:, i], ESTIMATED),
-                          commanded))))
+                          Trace('estimated', data.alpha_est[:, i], ESTIMATED), commanded),
+                  least=LEAST_FORCE)))
 
 
 def _motion(data: RunData, run: RunMetrics) -> RunFigure:
@@ -89,11 +92,12 @@ def _motion(data: RunData, run: RunMetrics) -> RunFigure:
     under_load = data.position_des[run.windows.loaded]
     known = under_load[np.isfinite(under_load).all(axis=1)]
     axis = int(np.argmax(np.ptp(known, axis=0))) if len(known) else 0
-    travelled, desired = data.position[:, axis], data.position_des[:, axis]
-    return RunFigure('fig5_motion', f'Fig. 5: wrist motion along {"xyz"[axis]}', (
-        Panel(f'{"xyz"[axis]} [m]', (Trace('measured', travelled, width=1.2), Trace(
-            'commanded', desired, COMMANDED, 1.0, dashed=True))),
-        Panel('error [mm]', (Trace('error', 1e3 * (travelled - desired), TRUE, 0.7),))))
+    travelled, desired = 1e3 * data.position[:, axis], 1e3 * data.position_des[:, axis]
+    return RunFigure('fig5_motion', f'Position of the wrist along {"xyz"[axis]}', (
+        Panel(f'{"xyz"[axis]} [mm]', (Trace('measured', travelled, width=1.2), Trace(
+            'commanded', desired, COMMANDED, 1.0, dashed=True)), least=LEAST_MOTION),
+        Panel('error [mm]', (Trace('error', travelled - desired, TRUE, 0.7),),
+              least=LEAST_ERROR)))
 
 
 def interactive_figures(data: RunData, setup: Setup, number: int) -> str:
@@ -157,27 +161,6 @@ def draw_side_by_side(runs: Sequence[tuple[str, RunData, Setup]], path: Path) ->
     return path
 
 
-def draw_latency(summary: Mapping[str, Any], folder: Path) -> Path:
-    """Draw how long the answers to samples took, from ``summary.json``; return the file."""
-    timing = summary['timing']
-    histogram, latency = timing['latency_histogram'], timing['latency_us']
-    sheet = Figure(figsize=(9.0, 4.0), layout='constrained')
-    axes = sheet.subplots()
-    axes.stairs(histogram['counts'], histogram['edges_us'], fill=True, color=MEASURED)
-    marks = {**{name: latency[name] for name in ('p50', 'p99', 'max')},
-             'period': 1e6 / summary['rate_hz']}
-    for (name, value), colour in zip(marks.items(), COLOURS):
-        axes.axvline(value, color=colour, linestyle='--', label=f'{name} {value:.0f} us')
-    axes.legend()
-    axes.set(xscale='log', xlabel='from a sample to its command [us]', ylabel='samples')
-    axes.set_yscale('symlog', linthresh=1.0)
-    sheet.suptitle(f'Latency\n{summary["scenario"]}, {timing["deadline_misses"]} of '
-                   f'{summary["ticks"]} deadlines missed', fontsize=10)
-    path = folder / 'latency.png'
-    sheet.savefig(path, dpi=130)
-    return path
-
-
 def _judged(data: RunData, setup: Setup) -> list[Span]:
     """Return the windows that the summary is of, without the pauses between setpoints."""
     judged = RunMetrics(data, setup).windows
@@ -191,9 +174,10 @@ def _draw_panel(
     axes: Axes, panel: Panel, time: Vector, shaded: Sequence[Span] = (),
 ) -> None:
     for name, start, end in shaded:
-        axes.axvspan(start, end, color=WINDOW, zorder=0)
-        axes.annotate(name, (start, 1.0), xycoords=('data', 'axes fraction'), fontsize=7,
-                      va='top', color='#777777', xytext=(2, -2), textcoords='offset points')
+        axes.axvspan(start, end, color=WINDOWS[name], zorder=0)
+        if end - start > LEAST_LABELLED * (time[-1] - time[0]):
+            axes.annotate(name, (start, 1.0), xycoords=('data', 'axes fraction'), fontsize=7,
+                          va='top', color='#555555', xytext=(2, -2), textcoords='offset points')
     for trace in panel.traces:
         style: dict[str, Any] = {'alpha': 0.6, 'zorder': 1.5} if trace.faint else {}
         axes.plot(time, trace.values, color=trace.colour, linewidth=trace.width,
@@ -203,6 +187,10 @@ def _draw_panel(
         axes.annotate(text, (1.0, level), xycoords=('axes fraction', 'data'), fontsize=7,
                       ha='right', va='bottom')
     axes.set(ylabel=panel.label, yscale='log' if panel.logarithmic else 'linear')
+    low, high = axes.get_ylim()
+    more = max(panel.least - (high - low), 0.0) / 2.0
+    axes.set_ylim(low - more, high + more)
     axes.grid(alpha=0.3)
-    if len(panel.traces) > 1:
-        axes.legend(loc='upper left', fontsize=8)
+    if len(panel.traces) > 1:  # above, where it covers nothing
+        axes.legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=len(panel.traces),
+                    borderaxespad=0.1, frameon=False, fontsize=8)

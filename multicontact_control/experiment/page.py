@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.errors import counted
 from multicontact_control.experiment.claims import Claim
 from multicontact_control.files import write_text
 import numpy as np
@@ -21,12 +22,12 @@ HEIGHT = 240  # px, without title and legend
 HELP = ('<p class=note>Drag over a figure to zoom into all of them, double click to see all '
         'again; click a name to hide its curve. Of a long run the smallest and the largest of '
         'every few samples are drawn.</p>')
-MEASURED, ESTIMATED, COMMANDED, TRUE = '#4c78a8', '#54a24b', '#222222', '#e45756'
-WINDOW = '#f2f2f2'
-# Of lines that have none of their own.
-COLOURS = ('#1f3b73', '#c26a00', '#18794e', '#c0262d', '#6b4fa0', '#777777', '#0b8a9e', '#8a6d00')
-VERDICTS = {True: '<b class=yes>holds</b>', False: '<b class=no>does not hold</b>',
-            None: '<span class=unknown>not judged</span>'}
+# Colours of Okabe and Ito, which differ for colour-blind readers, too.
+COLOURS = ('#0072b2', '#e69f00', '#009e73', '#d55e00', '#cc79a7', '#56b4e9', '#777777')
+MEASURED, TRUE, ESTIMATED, COMMANDED = '#56b4e9', '#d55e00', '#0072b2', '#222222'
+WINDOWS = {'rest': '#eef1f4', 'moving': '#faf3e0'}
+VERDICTS = {True: '<b class=green>as in the paper</b>', False: '<b class=yellow>differs</b>',
+            None: '<span class=note>not judged</span>'}
 
 
 class Trace(NamedTuple):
@@ -47,6 +48,7 @@ class Panel(NamedTuple):
     traces: Sequence[Trace]
     levels: Sequence[tuple[float, str]] = ()  # horizontal lines and what they stand for
     logarithmic: bool = False
+    least: float = 0.0  # that the vertical axis spans, so that small noise looks small
 
 
 class Span(NamedTuple):
@@ -81,7 +83,7 @@ def figure(
         plots.append({
             'heading': '' if plots else title, 'label': panel.label, 'height': HEIGHT,
             'xlabel': 'time [s]', 'logarithmic': panel.logarithmic, 'levels': panel.levels,
-            'shaded': shaded, 'shade': WINDOW,
+            'least': panel.least, 'shaded': shaded, 'shades': WINDOWS,
             'curves': [{'label': trace.label, 'colour': trace.colour, 'dashed': trace.dashed,
                         'faint': trace.faint} for trace in panel.traces],
             'data': [np.round(times, 4).tolist(), *(
@@ -119,12 +121,25 @@ def table(
     return f'<table>{line(head, "th")}{"".join(line(row, "td") for row in rows)}</table>'
 
 
+def folded(title: str, content: str) -> str:
+    """Return a part of a page in HTML that opens at a click on its plain title."""
+    return f'<details><summary>{escape(title)}</summary>{content}</details>'
+
+
 def claims_table(claims: Mapping[str, Sequence[Claim]]) -> str:
-    """Return the table of the paper's claims, with a column for each run by its name."""
-    return table(('claim', 'in the paper', 'expected', *map(escape, claims)), [
-        (escape(each[0].claim), escape(each[0].paper), escape(each[0].why), *(
-            f'{VERDICTS[claim.holds]}<br>{escape(claim.measured)}' for claim in each))
-        for each in zip(*claims.values())], numbers_from=9)
+    """Return the paper's claims, with a column for each run by its name; folded if not judged."""
+    rows = list(zip(*claims.values()))
+    judged = [each for each in rows if any(claim.holds is not None for claim in each)]
+    others = [(escape(each[0].claim), escape(each[0].paper), escape(each[0].why))
+              for each in rows if each not in judged]
+    return table(('claim', 'in the paper', *map(escape, claims), 'expected'), [
+        (escape(each[0].claim), escape(each[0].paper), *(
+            f'{VERDICTS[claim.holds]}<br>{escape(claim.measured)}' for claim in each),
+         escape(each[0].why)) for each in judged], numbers_from=9) + (folded(
+             f'{counted(len(others), "claims")} not judged: `multicontact study compare` has the '
+             'runs that they are about',
+             table(('claim', 'in the paper', 'expected'), others, numbers_from=9))
+             if others else '')
 
 
 def image(path: Path, alt: str) -> str:

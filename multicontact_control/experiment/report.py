@@ -1,37 +1,47 @@
-"""`multicontact report`: verdict, figures, the paper's claims and the numbers of runs."""
+"""`multicontact report`: scenario, verdict, numbers and figures of runs, on one page."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 import os
 from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.claims import claims_of, Runs
-from multicontact_control.experiment.display import achievement, headline, summary_rows
+from multicontact_control.experiment.claims import Claim, claims_of
+from multicontact_control.experiment.display import COLOURS, headline, summary_rows
 from multicontact_control.experiment.figures import (
     draw_figures,
     draw_side_by_side,
     interactive_figures,
 )
-from multicontact_control.experiment.judge import STABLE, verdict_text
-from multicontact_control.experiment.page import claims_table, HELP, image, table, write_page
+from multicontact_control.experiment.judge import verdict_text
+from multicontact_control.experiment.page import (
+    claims_table,
+    folded,
+    HELP,
+    image,
+    table,
+    write_page,
+)
 from multicontact_control.experiment.results import FIGURE_FOLDER, LoadedRun, REPORT_FILE
 import yaml
 
 FORMATS = ('png', 'pdf')
+# Of `motion` and `torque` of a summary: label, unit, what the number is multiplied by.
+OF_THE_ARM = {
+    'moving_position_rms_m': ('moving: position error rms', 'mm', 1e3),
+    'orientation_max_rad': ('largest orientation error', 'rad', 1.0),
+    'max_fraction_of_limit': ('largest share of a torque limit', '%', 100.0)}
 
 
-def write_report(
-    runs: Sequence[LoadedRun], out: Path, comparison: Runs = (),
-) -> list[Path]:
+def write_report(runs: Sequence[LoadedRun], out: Path, *, claims: bool = False) -> list[Path]:
     """
     Write ``report.html`` and ``figures/`` of at least one run into a folder and return the files.
 
-    The page comes first; `comparison` are the runs of a study for the claims that compare. Raises
-    ConfigError if the folder cannot be made.
+    The page comes first. The paper's claims are judged by runs of its scenario, with `claims` by
+    all. Raises ConfigError if the folder cannot be made.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -48,7 +58,8 @@ def write_report(
             verdict=verdict_text(run.summary), formats=FORMATS)
         if len(runs) > 1:
             parts.append(f'<h2>{escape(name)}: {escape(headline(run.summary))}</h2>')
-        parts += _run_section(run, number, comparison)
+        parts += _run_section(run, number, claims_of(
+            run.data, run.setup, run.summary, asked=claims))
     if len(runs) > 1:
         paths.append(draw_side_by_side(
             [(name, run.data, run.setup) for name, run in zip(names, runs)],
@@ -60,36 +71,48 @@ def write_report(
     return [page, *paths]
 
 
-def _run_section(run: LoadedRun, number: int, comparison: Runs) -> list[str]:
-    summary, verdict = run.summary, verdict_text(run.summary)
-    claims = claims_of(run.data, run.setup, summary, comparison)
+def _run_section(run: LoadedRun, number: int, claims: Sequence[Claim]) -> list[str]:
+    setup, summary = run.setup, run.summary
+    about = '' if setup.commanded_by_topic else setup.scenario.description
     return [
-        f'<p class=verdict><b class={"yes" if verdict == STABLE else "no"}>{escape(verdict)}</b>. '
-        f'{escape(achievement(summary))}.</p>',
+        f'<p class=note>{escape(about)}</p>',
+        f'<p class="verdict {COLOURS[summary["verdict"]]}"><b>{escape(verdict_text(summary))}</b>'
+        '</p>',
         *(f'<p class=note>{escape(text)}</p>' for text in summary.get('remarks', ())),
-        interactive_figures(run.data, run.setup, number), HELP,
-        '<h3>Numbers</h3>', table(('', *map(escape, summary['contacts'])), [
-            list(map(escape, row)) for row in summary_rows(summary)]),
+        _numbers(summary), interactive_figures(run.data, setup, number), HELP,
         '<h3>Claims of the paper</h3>' + claims_table({'measured': claims}) if claims else '',
-        '<h3>Timing</h3>', table(('', ''), [
-            [escape(name), escape(_text(value))] for name, value in summary['timing'].items()
-            if name != 'latency_histogram'], numbers_from=9),
-        '<h3>Configuration</h3>', _configuration(run),
+        folded('Timing', table(('', '', 'unit'), [
+            (escape(name.removesuffix('_us').replace('_', ' ')), escape(_text(value)),
+             'us' if name.endswith('_us') else '') for name, value in summary['timing'].items()
+            if name != 'latency_histogram' and value is not None], numbers_from=9)),
+        _configuration(run),
         f'<p class=note>Torques sha256 {summary["trajectory_sha256"][:16]}</p>']
+
+
+def _numbers(summary: Mapping[str, Any]) -> str:
+    """Return the numbers of the contacts and of the arm, as far as they are known."""
+    rows = [(label, unit.rstrip(']'), *values) for name, *values in summary_rows(summary)
+            for label, _, unit in [name.partition(' [')]]
+    numbers = summary['motion'] | summary['torque']
+    arm = [(label, unit, _text(scale * numbers[name]))
+           for name, (label, unit, scale) in OF_THE_ARM.items() if numbers[name] is not None]
+    tables = [table(('', 'unit', *map(escape, columns)), [
+        [escape(cell) for cell in row] for row in some], numbers_from=2)
+        for columns, some in ((summary['contacts'], rows), (('arm',), arm)) if some]
+    return f'<div class=numbers>{"".join(tables)}</div>'
 
 
 def _configuration(run: LoadedRun) -> str:
     if not run.setup.controller.contacts:
         return '<p class=note>Not known: <code>--controller</code> takes the parameter file.</p>'
-    parts = []
     names = ('scenario', 'controller', 'noise_estimator', 'plant')
-    for name in names if run.setup.simulated else names[:2]:
-        text = yaml.safe_dump(getattr(run.setup, name).model_dump(mode='json'), sort_keys=False)
-        parts.append(f'<details><summary>{name}</summary><pre>{escape(text)}</pre></details>')
-    return '\n'.join(parts)
+    return folded('Configuration', ''.join(folded(name, '<pre>' + escape(yaml.safe_dump(
+        getattr(run.setup, name).model_dump(mode='json'), sort_keys=False)) + '</pre>')
+        for name in (names if run.setup.simulated else names[:2])))
 
 
 def _text(value: Any) -> str:
     if isinstance(value, dict):
         return ', '.join(f'{key} {_text(each)}' for key, each in value.items())
-    return f'{value:.4g}' if isinstance(value, float) else '-' if value is None else str(value)
+    return f'{value:.3g}' if isinstance(value, float) and value < 1e3 else (
+        f'{value:.0f}' if isinstance(value, float) else str(value))

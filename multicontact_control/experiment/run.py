@@ -19,7 +19,7 @@ from multicontact_control.experiment.display import (
     summary_table,
     verdict_lines,
 )
-from multicontact_control.experiment.figures import draw_figures, draw_latency
+from multicontact_control.experiment.figures import draw_figures
 from multicontact_control.experiment.judge import (
     EXTERNAL_RUN,
     INTERRUPTED,
@@ -199,8 +199,6 @@ def _finish(
     """Judge the claims, write figures and summary, show the table."""
     summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
     draw_figures(data, setup, folder / FIGURE_FOLDER, verdict=verdict_text(summary))
-    if summary['timing'].get('latency_histogram'):
-        draw_latency(summary, folder / FIGURE_FOLDER)
     write_json(folder / SUMMARY_FILE, finite(summary))
     console.print(headline(summary), highlight=False, markup=False)
     console.print(summary_table(summary))

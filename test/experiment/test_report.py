@@ -38,17 +38,22 @@ def test_load_run_rebuilds_what_the_run_was_made_with(folder):
         assert getattr(run.setup, part) == getattr(made, part)
     assert (run.setup.urdf_dir / run.setup.controller.robot.urdf).is_file()
     assert run.summary == json.loads((folder / 'summary.json').read_text(encoding='utf-8'))
-    assert {claim.holds for claim in claims_of(run.data, run.setup, run.summary)} >= {True, None}
+    assert {claim.holds for claim in claims_of(
+        run.data, run.setup, run.summary, asked=True)} >= {True, None}
+    assert claims_of(run.data, run.setup, run.summary) == []  # not the paper's scenario
 
 
 def test_report_command_writes_a_page_and_figures(folder, tmp_path):
-    result = CliRunner().invoke(app, ['report', str(folder), '--out', str(tmp_path)])
-    assert result.exit_code == 0, result.output
-    text = (tmp_path / 'report.html').read_text(encoding='utf-8')
-    for words in ('Claims of the paper', 'Fig. 3', 'Fig. 4', 'Fig. 5', 'Fig. 6', 'Timing',
-                  'damping_rate: 100.0'):
-        assert words in text
-    assert len(text) < 1e6
+    claims = ('Claims of the paper', 'as in the paper', 'not judged')
+    for options, shown in (((), ()), (('--claims',), claims)):
+        result = CliRunner().invoke(
+            app, ['report', str(folder), '--out', str(tmp_path), *options])
+        assert result.exit_code == 0, result.output
+        text = (tmp_path / 'report.html').read_text(encoding='utf-8')
+        for words in ('Contact force: table', 'Noise variance', 'Timing', 'damping_rate: 100.0',
+                      '<td>N</td>', *claims):
+            assert (words in text) == (words not in claims or words in shown)
+        assert len(text) < 1e6
     assert sorted(path.name for path in (tmp_path / 'figures').iterdir()) == [
         f'{name}.{ending}' for name in (
             'fig3_force_table', 'fig4_force_board', 'fig5_motion', 'fig6_noise_variance')

@@ -13,7 +13,7 @@ function alone(values) {
 }
 
 function curve(style, values) {
-  const number = (_, value) => value === null ? '-' : String(Number(value.toPrecision(4)));
+  const number = (_, value) => value === null ? '' : String(Number(value.toPrecision(4)));
   const shown = {label: style.label || 'value', stroke: style.colour, value: number,
     width: 1, alpha: style.faint ? 0.6 : 1, dash: style.dashed ? [6, 4] : undefined};
   const single = alone(values);
@@ -27,15 +27,20 @@ function limits(plot) {
     return (_, low, high) => low === null || low === undefined ? [0.1, 10] :
       uPlot.rangeLog(Math.min(low, ...levels), Math.max(high, ...levels), 10, false);
   }
-  return (_, low, high) => low === null || low === undefined ? [0, 1] :
-    uPlot.rangeNum(low, high, 0.1, false);
+  return (_, low, high) => {
+    if (low === null || low === undefined) return [0, 1];
+    const more = Math.max(plot.least - (high - low), 0) / 2;
+    return uPlot.rangeNum(low - more, high + more, 0.1, false);
+  };
 }
 
 function shade(u, plot) {
-  const {left, top, width, height} = u.bbox;
+  const {top, height} = u.bbox;
   u.ctx.save();
-  u.ctx.fillStyle = plot.shade;
-  inside(u, plot.shaded).forEach(([, from, to]) => u.ctx.fillRect(from, top, to - from, height));
+  inside(u, plot.shaded).forEach(([name, from, to]) => {
+    u.ctx.fillStyle = plot.shades[name];
+    u.ctx.fillRect(from, top, to - from, height);
+  });
   u.ctx.restore();
 }
 
@@ -78,7 +83,7 @@ function annotate(u, plot) {
   context.textAlign = 'left';
   context.textBaseline = 'top';
   inside(u, plot.shaded).forEach(([name, from, to]) => {
-    if (context.measureText(name).width < to - from) write(name, from + 4, top + 4);
+    if (context.measureText(name).width + 8 < to - from) write(name, from + 4, top + 4);
   });
   context.restore();
 }
@@ -90,11 +95,23 @@ function decades(u, marks) {
     marks.map(mark => Number.isInteger(Math.log10(mark)) ? mark : null);
 }
 
+// Returns the texts of the marks of a linear axis, with the digits that tell them apart.
+function marks(_, values, axis, space, step) {
+  let digits = 0;
+  while (digits < 9 && Math.abs(step - Number(step.toFixed(digits))) > 1e-3 * step) digits++;
+  return values.map(value => (Math.abs(value) < step / 2 ? 0 : value).toFixed(digits));
+}
+
+// Returns the texts of the marks of a logarithmic axis.
+function powers(_, values) {
+  return values.map(value => value === null ? '' : String(Number(value.toPrecision(3))));
+}
+
 function options(plot, width) {
   const axis = {font: FONT, labelFont: FONT, stroke: TEXT, labelSize: 20,
     grid: {stroke: GRID, width: 1}, ticks: {stroke: GRID, width: 1}};
-  const up = {...axis, size: 58, label: plot.label};
-  const across = {...axis, size: 34, label: plot.xlabel};
+  const up = {...axis, size: 58, label: plot.label, values: plot.logarithmic ? powers : marks};
+  const across = {...axis, size: 34, label: plot.xlabel, values: marks};
   return {
     title: plot.heading || undefined, width, height: plot.height,
     cursor: {y: false, drag: {x: true, y: true, uni: 30, dist: 4}, focus: {prox: 20},
@@ -104,7 +121,7 @@ function options(plot, width) {
       y: {distr: plot.logarithmic ? 3 : 1, range: limits(plot)}},
     axes: [across, plot.logarithmic ? {...up, grid: {...up.grid, filter: decades}} : up],
     series: [
-      {label: plot.xlabel || '', value: (_, x) => x === null || x === undefined ? '-' :
+      {label: plot.xlabel || '', value: (_, x) => x === null || x === undefined ? '' :
         x.toFixed(3)},
       ...plot.curves.map((style, i) => curve(style, plot.data[i + 1]))],
     hooks: {drawClear: [u => shade(u, plot)], draw: [u => annotate(u, plot)]}};

@@ -16,7 +16,7 @@ from sim_bridge.robots import find_robot
 
 DIGITS = 12  # of the values of a range, such that 0.1 is not 0.09999999999999999
 Kind = Literal['sweep', 'compare', 'map', 'robots', 'tune', 'faults']
-Aggregate = Literal['median', 'min', 'max', 'share', 'set', 'survived', 'stable_range']
+Aggregate = Literal['median', 'min', 'max', 'share', 'set', 'good_values']
 Choices = Mapping[str, Sequence[Any]]  # values by factor
 
 
@@ -121,12 +121,11 @@ class ColumnConfig(Config):
     aggregate: Aggregate = parameter(
         'median', 'What is shown of the runs of a line: a statistic, how many are true '
         '(`share`), all that there is (`set`), at which values of a factor all are good '
-        '(`survived`, or around 1 `stable_range`).')
+        '(`good_values`).')
     scale: Real = parameter(1.0, 'What values are multiplied by.')
     digits: int | None = parameter(None, 'After the point; four significant ones if not given.')
     part: str = parameter('', 'Only runs of this part; of all parts if empty.')
     each: bool = parameter(False, 'Whether `*` shows every contact.')
-    wide: bool = parameter(False, 'Left out where the terminal is narrow.')
 
     @model_validator(mode='before')
     @classmethod
@@ -151,12 +150,13 @@ class StudyConfig(PartConfig):
         (), 'Factors with a line of the table for each of their values; all if not given.')
     sections: tuple[str, ...] = parameter(
         ('plant', 'part'), 'Factors with a section of the table for each of their values.')
+    symbols: dict[str, str] = parameter(
+        {}, 'What factors are called in tables and sentences; the last part of their names if not '
+        'given.')
     columns: tuple[ColumnConfig, ...] = parameter(
         (), 'Columns of the table, by their values alone or with the fields below; a choice if '
         'not given.')
     truth: str = parameter('stable', 'Column that tells whether a run is good.')
-    medians: Literal['stable', 'all'] = parameter(
-        'stable', 'Which runs the statistics are of: good ones, or all.')
     figure: bool = parameter(
         True, 'Whether the columns are drawn over the first factor, by part and second factor.')
     notes: str = parameter('', 'What stands below the table.')

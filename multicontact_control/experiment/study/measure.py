@@ -121,7 +121,6 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
         'error': metrics['error'] or ended,
         'instabilities': '; '.join(summary.get('instabilities', ())) or None,
         'settled': share is not None and share <= SETTLED and not ended,
-        'oscillates': any(contact['oscillation_s'] for contact in contacts),
         **{name: evidence.get(name) for name in ('unstable_after_motion_s', 'oscillation_hz')},
         **{f'{window}_{name}': _largest(contact[window][name] for contact in shown)
            for window, name in (

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control import __version__
-from multicontact_control.config import read_yaml, validate
 from multicontact_control.errors import counted
 from multicontact_control.experiment.overrides import unit_of
-from multicontact_control.experiment.page import image, write_page
+from multicontact_control.experiment.page import folded, image, write_page
 from multicontact_control.experiment.study.cells import Cell, is_parameter, run_cells
 from multicontact_control.experiment.study.config import StudyConfig
 from multicontact_control.experiment.study.jobs import (
@@ -26,8 +25,10 @@ from multicontact_control.experiment.study.jobs import (
 from multicontact_control.experiment.study.measure import metrics_row
 from multicontact_control.experiment.study.table import (
     draw_study,
+    extremes,
     html_tables,
     listing_of,
+    sentences,
     table_columns,
     terminal_tables,
     worst,
@@ -81,9 +82,9 @@ class Study:
         return frame
 
     def findings(self, results: Results) -> list[str]:
-        """Return what came out, in sentences."""
-        good = results.frame[self.config.truth]
-        return [f'{int(good.sum())} of {len(good)} are {self.config.truth}.']
+        """Return what the numbers show, in sentences."""
+        frame, config = results.frame, self.config
+        return [*sentences(frame, config), *extremes(listing_of(frame, config))]
 
     def figure(self, results: Results) -> Any:
         """Return the figure, None if there is none."""
@@ -104,13 +105,14 @@ class Study:
         figure = self.figure(results)
         if figure is not None:
             figure.savefig(folder / FIGURE_FILE, dpi=DPI)
-        items = [f'<li>{escape(text)}</li>' for text in self.findings(results)]
-        items += [f'<li class=no>{escape(text)}</li>' for text in self.warnings(results)]
-        write_page(folder / PAGE_FILE, f'Study {self.config.name}', '\n'.join([
-            f'<p>{escape(self.config.description)}</p><ul>{"".join(items)}</ul>',
+        about, _, runs = self.config.description.partition(': ')
+        warnings = self.warnings(results)
+        write_page(folder / PAGE_FILE, f'Study {self.config.name}: {about}', '\n'.join([
+            _listed(self.findings(results)), f'<p>{escape(runs[:1].upper() + runs[1:])}</p>',
             '' if figure is None else image(folder / FIGURE_FILE, self.config.name),
             html_tables(listing_of(frame, self.config)),
             f'<p class=note>{escape(self.config.notes)} Every run is in {CSV_FILE}.</p>',
+            folded(counted(len(warnings), 'remarks'), _listed(warnings)) if warnings else '',
             *(f'<h2>{escape(heading)}</h2>{text}'
               for heading, text in self.sections(results).items())]))
 
@@ -140,6 +142,10 @@ class Study:
         frame.attrs = {'factors': list(cells[0].factors), 'units': units,
                        'study': self.config.name, 'version': __version__}
         return Results(frame, folder)
+
+
+def _listed(texts: Sequence[str]) -> str:
+    return f'<ul>{"".join(f"<li>{escape(text)}</li>" for text in texts)}</ul>'
 
 
 def study_of(config: StudyConfig) -> Study:
@@ -186,7 +192,7 @@ def run_study(
     study.write(results)
     listing = listing_of(results.frame, study.config)
     if sum(map(len, listing.values())) <= SHOWN:
-        console.print(*terminal_tables(name, listing, study.config, console.width))
+        console.print(*terminal_tables(name, listing, console.width))
     for text in study.warnings(results):
         console.print(f'[red]{plain(text)}[/red]', highlight=False)
     for text in study.findings(results):
@@ -203,10 +209,3 @@ def _show_factors(cells: Sequence[Cell], console: Console) -> None:
         if any(values):
             console.print(f'  {name}: {", ".join(filter(None, values))}', highlight=False,
                           markup=False, soft_wrap=True)
-
-
-def read_results(folder: Path) -> tuple[Study, Results]:
-    """Return the study of a folder and what came out; ConfigError if the folder has none."""
-    path = folder / STUDY_FILE
-    study = study_of(validate(StudyConfig, read_yaml(path), str(path)))
-    return study, Results(pd.read_parquet(folder / TABLE_FILE), folder)

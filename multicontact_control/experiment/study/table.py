@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from itertools import product
 import math
@@ -11,7 +11,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 from multicontact_control.experiment.overrides import EVERY
-from multicontact_control.experiment.page import table
+from multicontact_control.experiment.page import COLOURS, table
 from multicontact_control.experiment.study.config import ColumnConfig, StudyConfig
 import numpy as np
 import pandas as pd
@@ -20,9 +20,9 @@ from rich.markup import escape as plain
 from rich.table import Table
 
 WIDE_RANGE = 20.0  # largest over smallest, from which an axis is logarithmic
-WIDE = 130  # columns of a terminal that has room for every column of a table
-LABEL = 18  # characters of a label that stay in one line
+MARKERS = 'osD^vPX'  # one for each of COLOURS
 Listing = Mapping[str, pd.DataFrame]  # texts of lines and columns, by section
+MOST_SHOWN = 5  # columns in sentences and in the figure
 NOT_FACTORS = ('part', 'plant', 'seed')
 CHOICE = (  # of columns to show
     'contacts.*.step_rise_63_s', 'contacts.*.rest.true_error_rms_n',
@@ -40,11 +40,6 @@ def worst(frame: pd.DataFrame, value: str) -> pd.Series:
     return columns_of(frame, value).max(axis=1)
 
 
-def judged(frame: pd.DataFrame, study: StudyConfig) -> pd.DataFrame:
-    """Return the cells that the statistics of a study are of."""
-    return frame if study.medians == 'all' else frame[frame[study.truth]]
-
-
 def table_columns(frame: pd.DataFrame, study: StudyConfig) -> list[ColumnConfig]:
     """Return the columns of a study's table, a choice if it has none."""
     columns = study.columns or [ColumnConfig(name=name) for name in (study.truth, *(
@@ -57,12 +52,12 @@ def table_columns(frame: pd.DataFrame, study: StudyConfig) -> list[ColumnConfig]
 
 def listing_of(frame: pd.DataFrame, study: StudyConfig) -> Listing:
     """Return the tables of a study: a line for each value of its factors, from all seeds."""
-    columns, units = table_columns(frame, study), frame.attrs['units']
+    columns = table_columns(frame, study)
     lines = [name for name in study.lines or frame.attrs['factors']
              if name not in (*NOT_FACTORS, *study.sections)
              and frame[name].astype(str).ne('').any()]
-    heads = [name.rpartition('.')[2].replace('_', ' ') + (
-        f' [{units[name]}]' if units.get(name) else '') for name in lines]
+    heads = [f'{name} [{unit}]' if unit else name
+             for name, unit in (_head(frame, study, name) for name in lines)]
     by = [name for name in study.sections if frame[name].nunique() > 1]
     listing = {}
     for title, section in _groups(frame, by):
@@ -75,18 +70,78 @@ def listing_of(frame: pd.DataFrame, study: StudyConfig) -> Listing:
     return listing
 
 
+def _head(frame: pd.DataFrame, study: StudyConfig, factor: str) -> tuple[str, str]:
+    """Return what a factor is called in tables and sentences, and its unit."""
+    name = study.symbols.get(factor, factor.rpartition('.')[2].replace('_', ' '))
+    return name, frame.attrs['units'].get(factor) or ''
+
+
+def sentences(frame: pd.DataFrame, study: StudyConfig) -> list[str]:
+    """
+    Return what is good on each plant: in how many runs, and with which values in all of them.
+
+    Subjects are the values of the first factor that are no numbers, such as estimators.
+    """
+    varied = [name for name in frame.attrs['factors']
+              if name not in NOT_FACTORS and frame[name].nunique() > 1]
+    subject = [name for name in varied if not pd.api.types.is_numeric_dtype(frame[name])][:1]
+    alike: dict[str, list[str]] = {}
+    for (plant, *who), runs in _groups(frame, ['plant', *subject]):
+        good = runs[study.truth]
+        where = '; '.join(
+            f'{head} = {values} {unit}'.rstrip() for name in varied if name not in subject
+            and runs[name].nunique() > 1 for head, unit in [_head(frame, study, name)]
+            if (values := good_values(runs, name, study.truth)) != 'none')
+        count = 'all runs' if good.all() else f'{int(good.sum())} of {len(runs)} runs'
+        also = '' if good.all() else 'in all of them '
+        alike.setdefault(f'{study.truth} on {plant} in {count}' + (
+            f', {also}with {where}' if where else ''), []).extend(who or ['The arm'])
+    return [f'{", ".join(map(str, names))} {"are" if len(names) > 1 else "is"} {text}.'
+            for text, names in alike.items()]
+
+
+def good_values(frame: pd.DataFrame, factor: str, truth: str) -> str:
+    """Return the values of a factor at which all runs are good: a range, a list, or `none`."""
+    known = frame[frame[factor].astype(str).ne('')]
+    good = known.groupby(factor)[truth].all()
+    values, places = [show(value) for value in good.index[good]], np.flatnonzero(good)
+    if len(values) > 3 and len(values) == places[-1] - places[0] + 1:
+        values = [f'{values[0]} to {values[-1]}']
+    return ', '.join(values) or 'none'
+
+
+def extremes(listing: Listing) -> list[str]:
+    """Return between which numbers the first columns of the tables lie, and on which lines."""
+    lines, count = pd.concat(listing), next(iter(listing.values())).attrs['labels']
+    lines.index = pd.RangeIndex(len(lines))
+    texts = []
+    for column in list(lines)[count:]:
+        numbers = pd.to_numeric(lines[column], errors='coerce').dropna()
+        if numbers.nunique() < 2:
+            continue
+        name, _, unit = column.rstrip(']').partition(' [')
+        ends = [f'{lines[column][at]} {unit}'.rstrip() + ' (' + ', '.join(
+            cell if cell[0].isalpha() else f'{head.partition(" [")[0]} = {cell}'
+            for head, cell in lines.iloc[at, :count].items() if cell) + ')'
+            for at in numbers.sort_values(kind='stable').index[[0, -1]]]
+        texts.append(f'{name}: {" to ".join(ends)}.')
+    return texts[:MOST_SHOWN]
+
+
 def _groups(frame: pd.DataFrame, by: Sequence[str]) -> Iterable[tuple[Any, pd.DataFrame]]:
     """Return the rows of each combination of values, in the order in which they come first."""
     return frame.groupby(list(by) or (lambda _: ''), sort=False, dropna=False)
 
 
 def show(value: Any) -> str:
-    """Return a value as the text of a cell: four significant digits, a dash for no value."""
+    """Return a value as the text of a cell: at least four digits, a dash for no value."""
     if value is None or value != value:
         return '-'
     if isinstance(value, (bool, np.bool_)):
         return 'yes' if value else 'no'
-    return f'{value:.4g}' if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f'{value:.4g}' if abs(value) < 1e4 else f'{value:.0f}'
+    return str(value)
 
 
 def _number(values: pd.Series, column: ColumnConfig) -> str:
@@ -103,61 +158,33 @@ def _number(values: pd.Series, column: ColumnConfig) -> str:
 
 def _cell(column: ColumnConfig, group: pd.DataFrame, study: StudyConfig) -> str:
     cells = group if not column.part else group[group['part'] == column.part]
-    if column.aggregate in FUNCTIONS:
-        return FUNCTIONS[column.aggregate](cells, column.value, study.truth) if (
-            column.value in cells) else '-'  # a part that was not chosen
+    if column.aggregate == 'good_values':
+        chosen = column.value in cells and len(cells)
+        return good_values(cells, column.value, study.truth) if chosen else '-'
     if column.aggregate in ('share', 'set'):
         values = cells.get(column.value, pd.Series(dtype=float)).dropna()
         return f'{int(values.sum())}/{len(values)}' if column.aggregate == 'share' else (
             ', '.join(sorted(set(map(str, values)))) or '-')
-    numbers = columns_of(judged(cells, study), column.value)
+    numbers = columns_of(cells, column.value)
     if column.each:
         return ' / '.join(_number(numbers[name], column)
                           for name in numbers.dropna(axis=1, how='all')) or '-'
     return _number(numbers.max(axis=1), column)
 
 
-def survived(frame: pd.DataFrame, factor: str, truth: str) -> str:
-    """Return the values of a factor at which all are good; in brackets where none oscillates."""
-    texts = []
-    for value, group in frame.groupby(factor):
-        if group[truth].all():
-            texts.append(f'{value:g}')
-        elif not group['oscillates'].any():
-            texts.append(f'({value:g})')
-    return ' '.join(texts) or ('none' if len(frame) else '-')
-
-
-def stable_range(frame: pd.DataFrame, factor: str, truth: str) -> str:
-    """Return the smallest and largest value around 1 from which to which all are good."""
-    good = frame.groupby(factor)[truth].all()
-    middle = int(np.argmin(np.abs(np.log(good.index.to_numpy(float)))))
-    if not good.iloc[middle]:
-        return 'none'
-    bad = np.flatnonzero(~good.to_numpy(bool))
-    low = max((place + 1 for place in bad if place < middle), default=0)
-    high = min((place - 1 for place in bad if place > middle), default=len(good) - 1)
-    return f'{good.index[low]:g} - {good.index[high]:g}'
-
-
-FUNCTIONS: Mapping[str, Callable[[pd.DataFrame, str, str], str]] = {
-    'survived': survived, 'stable_range': stable_range}
-
-
-def terminal_tables(title: str, listing: Listing, study: StudyConfig, width: int) -> list[Table]:
-    """Return a listing for a terminal of some width; a narrow one lacks some columns."""
-    left_out = {column.name for column in study.columns if column.wide and width < WIDE}
+def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
+    """Return a listing for a terminal of some width; what does not fit is left out."""
     tables = []
     for section, frame in listing.items():
         labels = list(frame)[:frame.attrs['labels']]
-        shown = frame[[name for name in frame if name not in left_out]]
+        room = np.cumsum([
+            2 + max(*map(len, name.split()), *frame[name].map(len)) for name in frame])
+        shown = frame.loc[:, (room < width) | frame.columns.isin(labels)]
         text = Table(title=plain(section or title), title_justify='left', box=SIMPLE_HEAD,
                      padding=(0, 1, 0, 0), pad_edge=False)
         for name in shown:
-            short = name in labels and frame[name].str.len().max() <= LABEL
-            text.add_column(
-                plain(name.replace(' ', '\n') if short else name), overflow='fold',
-                justify='left' if name in labels else 'right', no_wrap=short)
+            text.add_column(plain(name.replace(' ', '\n').replace('\n/', ' /')), overflow='fold',
+                            justify='left' if name in labels else 'right')
         for line in shown.itertuples(index=False):
             text.add_row(*map(plain, line))
         tables.append(text)
@@ -177,49 +204,57 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
     """
     Return the figure of a study, a column for each plant, a row for each value.
 
-    The first factor is along the horizontal axis; there is a line for each part and value of the
+    The first factor is along the horizontal axis; there are points for each part and value of the
     second: medians over seeds and whatever else is varied, or the share of good runs. Values that
     do not vary are left out. None without a factor or a value to draw.
     """
     names = [name for name in frame.attrs['factors'] if name not in NOT_FACTORS]
     columns = [column for column in table_columns(frame, study)
                if column.aggregate in ('median', 'share')
-               and worst(frame, column.value).nunique() > 1]
+               and worst(frame, column.value).nunique() > 1][:MOST_SHOWN]
     if not (study.figure and names and columns):
         return None
     lines = ['part'] if frame['part'].nunique() > 1 else []
     lines += names[1:2] or ['part'] * (not lines)
     plants = list(frame['plant'].unique())
-    figure = Figure(figsize=(4.6 * len(plants) + 1.0, 2.6 * len(columns) + 1.0),
+    figure = Figure(figsize=(4.6 * len(plants) + 2.5, 2.2 * len(columns) + 1.0),
                     layout='constrained')
     grid = figure.subplots(len(columns), len(plants), sharex=True, sharey='row', squeeze=False)
     for axes, (column, plant) in zip(grid.flat, product(columns, plants)):
-        here, share = frame[frame['plant'] == plant], column.aggregate == 'share'
-        _draw(axes, here if share else judged(here, study), names[0], lines, column)
-        axes.set_ylabel(f'share of {column.value} runs' if share else column.name.replace(
-            '*', 'worst').replace('.', '\n'), fontsize=8)
+        _draw(axes, frame[frame['plant'] == plant], names[0], lines, column)
+        name = column.name.replace('*', 'worst').replace('.', '\n')
+        axes.set_ylabel(f'share of {name} runs' if column.aggregate == 'share' else name,
+                        fontsize=8)
+        axes.set_xlabel(' '.join(_head(frame, study, names[0])), fontsize=8)
+        axes.label_outer()
     for axes, plant in zip(grid[0], plants):
         axes.set_title(f'plant {plant}', fontsize=9)
-        if len(axes.lines) > 1:
-            axes.legend(fontsize=7, title=', '.join(lines), title_fontsize=7)
+    handles = {label: line for axes in grid.flat for line, label in zip(
+        *axes.get_legend_handles_labels())}
+    if len(handles) > 1:
+        figure.legend(handles.values(), handles, loc='outside right upper', fontsize=8,
+                      title=', '.join(_head(frame, study, name)[0] for name in lines))
     return figure
 
 
 def _draw(
     axes: Any, frame: pd.DataFrame, x: str, lines: list[str], column: ColumnConfig,
 ) -> None:
-    drawn = worst(frame, column.value).replace(np.inf, np.nan)
+    """Draw a column over a factor: lines over numbers, points alone over names."""
+    drawn = worst(frame, column.value).replace(np.inf, np.nan) * (
+        column.scale if column.aggregate == 'median' else 1.0)
     table = frame.assign(drawn=drawn).pivot_table(
         index=x, columns=lines, values='drawn', sort=False,
         aggfunc='mean' if column.aggregate == 'share' else 'median')
     if table.empty:
         return
-    if pd.api.types.is_numeric_dtype(table.index):
-        table = table.sort_index()
-        logarithmic = table.index[0] > 0.0 and table.index[-1] / table.index[0] >= WIDE_RANGE
-        table.plot(ax=axes, style='o-', markersize=3, logx=bool(logarithmic), fontsize=8,
-                   legend=False)
-    else:
-        table.plot(ax=axes, style='o-', markersize=3, fontsize=8, rot=30, legend=False)
-        axes.set_xticks(range(len(table)), table.index, ha='right')
+    numeric = pd.api.types.is_numeric_dtype(table.index)
+    table = table.sort_index() if numeric else table
+    wide = numeric and table.index[0] > 0.0 and table.index[-1] / table.index[0] >= WIDE_RANGE
+    table.plot(ax=axes, style=[f'{mark}{"-" * numeric}' for mark in MARKERS], color=COLOURS,
+               markersize=5, alpha=0.8, logx=bool(wide), fontsize=8, legend=False)
+    if wide:
+        axes.xaxis.set_major_formatter('{x:g}')
+    elif not numeric:
+        axes.set_xticks(range(len(table)), table.index, rotation=30, ha='right')
     axes.grid(alpha=0.3)

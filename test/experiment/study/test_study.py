@@ -6,15 +6,12 @@ import json
 from multicontact_control.experiment import closed_loop
 from multicontact_control.experiment.study.config import read_study, select, StudyConfig
 from multicontact_control.experiment.study.measure import metrics_row
-from multicontact_control.experiment.study.study import (
-    read_results,
-    run_study,
-    study_of,
-)
+from multicontact_control.experiment.study.study import Results, run_study, study_of
 from multicontact_control.experiment.study.table import (
+    extremes,
+    good_values,
     listing_of,
-    stable_range,
-    survived,
+    sentences,
     worst,
 )
 import numpy as np
@@ -62,29 +59,30 @@ def test_star_is_the_worst_contact(frame):
 def test_lines_are_statistics_over_the_seeds(frame):
     assert cells_of(frame) == (
         ['k [N/m]', 'stable', 'step_rise_63_s', 'rest.true_error_rms_n'],
-        [['600', '3/3', '2', '0.1'], ['6e+04', '2/3', '3.5', '0.1']])
+        [['600', '3/3', '2', '0.1'], ['60000', '2/3', '4', '0.1']])
     columns = [
         {'name': 'n', 'value': 'stable', 'aggregate': 'share'},
         {'name': 'ms', 'value': 'late', 'scale': 1000.0, 'digits': 0},
         {'name': 'most', 'value': RISE, 'aggregate': 'max', 'digits': 1},
         {'name': 'all', 'value': 'contacts.*.step_rise_63_s', 'each': True},
-        {'name': 'of a part not chosen', 'value': 'delay', 'aggregate': 'survived'}]
-    assert cells_of(frame, columns=columns, medians='all')[1] == [
+        {'name': 'of a part not chosen', 'value': 'delay', 'aggregate': 'good_values'}]
+    assert cells_of(frame, columns=columns)[1] == [
         ['600', '3/3', 'never', '9.0', '1 / 4.75', '-'],
-        ['6e+04', '2/3', '312', '5.0', '4 / 0.5', '-']]
+        ['60000', '2/3', '312', '5.0', '4 / 0.5', '-']]
 
 
-def test_ranges_of_a_factor_are_where_all_runs_are_good():
-    def frame(*good, oscillates=False):
-        return pd.DataFrame({'k': (0.1, 0.5, 1.0, 2.0, 5.0), 'stable': good,
-                             'oscillates': oscillates})
-
-    yes, no = True, False
-    for stable, found in (((yes, no, yes, yes, no), '1 - 2'), ((yes, yes, no, yes, yes), 'none'),
-                          ((yes,) * 5, '0.1 - 5')):
-        assert stable_range(frame(*stable), 'k', 'stable') == found
-    assert survived(frame(yes, no, no, yes, yes), 'k', 'stable') == '0.1 (0.5) (1) 2 5'
-    assert survived(frame(*[no] * 5, oscillates=True), 'k', 'stable') == 'none'
+def test_sentences_tell_where_all_runs_are_good_and_between_what_the_numbers_lie(frame):
+    for flags, values in (('00111', '1, 2, 5'), ('11110', '0.1 to 2'), ('00000', 'none')):
+        runs = pd.DataFrame({'k': (0.1, 0.5, 1.0, 2.0, 5.0), 'good': [*map(int, flags)]})
+        assert good_values(runs.astype({'good': bool}), 'k', 'good') == values
+    frame['law'] = ['pi', 'dob'] * 3
+    frame.attrs['factors'] = [*frame.attrs['factors'], 'law']
+    config = StudyConfig(name='s', scenario='step', symbols={'k': 'k_s'})
+    assert sentences(frame, config) == [
+        'pi is stable on rigid in all runs, with k_s = 600, 60000 N/m.',
+        'dob is stable on rigid in 2 of 3 runs, in all of them with k_s = 600 N/m.']
+    assert extremes(listing_of(frame, config))[0] == (
+        'step_rise_63_s: 1 (k_s = 600, pi) to 9 (k_s = 600, dob).')
 
 
 def test_row_has_the_worst_contact_and_infinite_times_of_what_never_came():
@@ -103,7 +101,7 @@ def test_row_has_the_worst_contact_and_infinite_times_of_what_never_came():
     row = metrics_row({'summary': summary, 'evidence': evidence, 'error': None,
                        'final_error_share': 0.05})
     expected = {
-        'stable': False, 'settled': True, 'oscillates': True, 'instabilities': 'a: b; c',
+        'stable': False, 'settled': True, 'instabilities': 'a: b; c',
         'rest_rms_n': 0.2, 'moving_lost': 0.0, 'rest_variance_n2': None, 'push_peak_n': 1.0,
         'short_push_s': 0.2, 'lasting_push_s': np.inf, 'push_off_s': np.inf, 'rise_s': np.inf,
         'overshoot_percent': 3.0, 'ticks': 50, 'contacts.a.rest.true_error_rms_n': 0.1}
@@ -146,8 +144,8 @@ def test_changed_study_runs_what_is_missing_and_failures_are_rows(tmp_path, monk
     assert table == ((out / 'study.csv').read_bytes(), (out / 'study.parquet').read_bytes())
     assert {each.name for each in out.iterdir()} == FILES
     assert '0 of them finished' in run(2, dry_run=True, overwrite=True)
-    study, results = read_results(out)
-    assert study.config.name == 'small' and len(results.frame) == len(results.metrics()) == 4
-    assert results.frame['trajectory_sha256'].nunique() == 2
-    cell = json.loads((out / 'cells' / f'{results.frame["key"][0]}.json').read_text())
-    assert cell['metrics'] == results.metrics()[0]
+    frame = pd.read_parquet(out / 'study.parquet')
+    assert len(frame) == 4
+    assert frame['trajectory_sha256'].nunique() == 2
+    cell = json.loads((out / 'cells' / f'{frame["key"][0]}.json').read_text())
+    assert cell['metrics'] == Results(frame, out).metrics()[0]

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.claims import Claim, judge_claims, PAPER_ESTIMATOR, Runs
+from multicontact_control.experiment.claims import Claim, judge_claims, PAPER_ESTIMATOR
 from multicontact_control.experiment.page import claims_table
-from multicontact_control.experiment.study.study import read_results, Results, Study
+from multicontact_control.experiment.study.study import Results, Study
 
 LIKE_THE_PAPER = ('active state', 'K_2')  # parts
 
@@ -16,16 +13,17 @@ class CompareStudy(Study):
     """Noise estimators; the claims of the paper are judged over K_2 on every plant."""
 
     def findings(self, results: Results) -> list[str]:
-        """Return how many claims hold, and which of them depend on K_2."""
+        """Return how many claims agree with each K_2, and with which those that depend on it."""
         found = super().findings(results)
         for plant, claims in comparison_claims(results).items():
-            for rate, judged in claims.items():
-                verdicts = [claim.holds for claim in judged]
-                found.append(f'Plant {plant}, K_2 = {rate:g} 1/s: {verdicts.count(True)} claims '
-                             f'of the paper hold, {verdicts.count(False)} do not.')
-            found += [f'Plant {plant}: depends on K_2: {each[0].claim}'
-                      for each in zip(*claims.values())
-                      if {True, False} <= {claim.holds for claim in each}]
+            rates = [f'{rate:g}' for rate in claims]
+            judged = [[claim.holds for claim in each] for each in claims.values()]
+            found.append(f'Of the claims of the paper, on {plant}, ' + ', '.join(
+                f'{each.count(True)} of {len(each) - each.count(None)} agree with K_2 = {rate}'
+                for rate, each in zip(rates, judged)) + ' 1/s.')
+            found += [f'On {plant}, with K_2 = {", ".join(agree)} 1/s: {each[0].claim}.'
+                      for each in zip(*claims.values()) if len(each) > len(agree := [
+                          rate for rate, claim in zip(rates, each) if claim.holds]) > 0]
         return found
 
     def sections(self, results: Results) -> dict[str, str]:
@@ -35,30 +33,15 @@ class CompareStudy(Study):
             for plant, claims in comparison_claims(results).items()}
 
 
-def claim_rows(results: Results) -> Runs:
-    """Return the runs of a comparison as what claims are judged from."""
-    return [{**metrics['evidence'], 'estimator': estimator}
-            for estimator, metrics in zip(results.frame['estimator'], results.metrics())
-            if metrics['summary']]
-
-
 def comparison_claims(results: Results) -> dict[str, dict[float, list[Claim]]]:
     """Judge the claims on every plant with every K_2, each by its first run like the paper's."""
-    rows = claim_rows(results)
+    rows = [{**metrics['evidence'], 'estimator': row['estimator'], 'part': row['part']}
+            for (_, row), metrics in zip(results.frame.iterrows(), results.metrics())
+            if metrics['summary']]
     claims: dict[str, dict[float, list[Claim]]] = {}
-    for (_, row), metrics in zip(results.frame.iterrows(), results.metrics()):
-        if row['part'] in LIKE_THE_PAPER and row['estimator'] == PAPER_ESTIMATOR and (
-                metrics['summary']):
-            here = claims.setdefault(str(row['plant']), {})
-            evidence = metrics['evidence']
-            here.setdefault(evidence['damping_rate'], judge_claims(evidence, rows))
+    for run in rows:
+        if run['part'] in LIKE_THE_PAPER and run['estimator'] == PAPER_ESTIMATOR:
+            here = claims.setdefault(run['plant'], {})
+            if run['damping_rate'] not in here:
+                here[run['damping_rate']] = judge_claims(run, rows)
     return claims
-
-
-def read_claim_rows(folder: Path) -> Runs:
-    """Return the runs of a comparison in a folder; ConfigError if it holds none."""
-    study, results = read_results(folder)
-    if not isinstance(study, CompareStudy):
-        raise ConfigError('comparison', 'a folder of `multicontact study compare`',
-                          f'{folder}, of the study {study.config.name}')
-    return claim_rows(results)

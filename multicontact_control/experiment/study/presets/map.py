@@ -16,6 +16,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from multicontact_control.contact.geometry import loop_stiffnesses, normal_space
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.operational_space import task_inertia
@@ -36,8 +37,10 @@ import numpy as np
 import pandas as pd
 
 RATIO, DELAY = 'true / model stiffness', 'plant.actuator_delay_ticks'
-VARIANCES = (0.6, 100.0)  # N^2, of the linear boundaries: at rest and in motion
-COLOURS = ('#1f3b73', '#c26a00', '#777777')
+LINEAR_LOOPS = (  # name, R [N^2] at rest or in motion, whether it is that of eq. 32
+    ('The linear loop of the arm', 0.6, False), ('The linear loop of the arm', 100.0, False),
+    ('The plant of eq. 32 alone', 0.6, True))
+STYLES = ('-', '--', ':')
 LARGEST_OVERSHOOT = 300.0  # %, of the colour scale
 RATIOS = tuple(np.geomspace(0.1, 100.0, 73).tolist())  # where boundaries are looked for, upwards
 Boundaries = Mapping[str, Mapping[int, float]]  # largest stable ratio by line and delay
@@ -56,19 +59,17 @@ class MapStudy(Study):
             if any(delay in line for line in lines.values()):
                 continue
             loop = ArmLoop(cell.job.setup())
-            for variance in VARIANCES:
-                lines.setdefault(f'linear loop of the arm, R = {variance:g} N²', {})[delay] = (
-                    loop.boundary(variance))
-            lines.setdefault(f'eq. 32 alone, R = {VARIANCES[0]:g} N²', {})[delay] = (
-                loop.boundary(VARIANCES[0], paper=True))
+            for name, variance, paper in LINEAR_LOOPS:
+                lines.setdefault(f'{name} (R = {variance:g} N²)', {})[delay] = (
+                    loop.boundary(variance, paper=paper))
         return found
 
     def findings(self, results: Results) -> list[str]:
-        """Return how many runs settle, and the boundaries of the linear loops."""
+        """Return where runs settle, and the boundaries of the linear loops."""
         return [*super().findings(results), *(
-            f'Plant {plant}, {name}: stable up to ' + ', '.join(
-                f'{RATIOS[-1] if math.isinf(ratio) else ratio:.2f} (delay {delay})'
-                for delay, ratio in line.items()) + '.'
+            f'{name} is stable on {plant} up to {RATIO} = ' + ', '.join(
+                f'{min(ratio, RATIOS[-1]):.2f} with {delay}' for delay, ratio in line.items())
+            + ' periods of delay.'
             for plant, lines in self.boundaries.items() for name, line in lines.items())]
 
     def figure(self, results: Results) -> Figure:
@@ -92,9 +93,9 @@ class MapStudy(Study):
             axes.set_ylabel('delay [periods]', fontsize=8)
         for axes in grid[-1]:
             axes.set_xlabel(RATIO, fontsize=8)
-        figure.colorbar(mesh, ax=grid, label='overshoot [%]', extend='max')
+        figure.colorbar(mesh, ax=grid, label='overshoot [%]', extend='max', format='{x:g}')
         handles, names = grid[0, 0].get_legend_handles_labels()
-        figure.legend(handles, names, loc='outside lower center', ncols=3, fontsize=8)
+        figure.legend(handles, names, loc='outside lower left', ncols=columns, fontsize=8)
         return figure
 
 
@@ -111,11 +112,13 @@ def _panel(axes: Axes, frame: pd.DataFrame, boundaries: Boundaries) -> Any:
     unstable = frame[~frame['settled']]
     axes.plot(unstable[RATIO], unstable[DELAY], 'x', color='#c0262d', markersize=4,
               label='simulated: not settled')
-    for (name, line), colour in zip(boundaries.items(), COLOURS):
+    for (name, line), style in zip(boundaries.items(), STYLES):
         limits = [line[int(delay)] for delay in delays]
-        axes.plot(np.repeat(limits, 2), np.repeat(levels, 2)[1:-1], color=colour, linewidth=1.6,
-                  label=name)
+        axes.plot(np.repeat(limits, 2), np.repeat(levels, 2)[1:-1], style, color='black',
+                  linewidth=1.6, label=name, path_effects=[withStroke(linewidth=3.0,
+                                                                      foreground='white')])
     axes.set_xscale('log')
+    axes.xaxis.set_major_formatter('{x:g}')
     axes.set_yticks(delays)
     return mesh
 
