@@ -93,7 +93,7 @@ def sentences(frame: pd.DataFrame, study: StudyConfig) -> list[str]:
             and runs[name].nunique() > 1 for head, unit in [_head(frame, study, name)]
             if (values := good_values(runs, name, study.truth)) != 'none')
         count = 'all runs' if good.all() else f'{int(good.sum())} of {len(runs)} runs'
-        also = '' if good.all() else 'in all of them '
+        also = '' if good.all() else 'in every run '
         alike.setdefault(f'{study.truth} on {plant} in {count}' + (
             f', {also}with {where}' if where else ''), []).extend(who or ['The arm'])
     return [f'{", ".join(map(str, names))} {"are" if len(names) > 1 else "is"} {text}.'

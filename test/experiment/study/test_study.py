@@ -80,7 +80,7 @@ def test_sentences_tell_where_all_runs_are_good_and_between_what_the_numbers_lie
     config = StudyConfig(name='s', scenario='step', symbols={'k': 'k_s'})
     assert sentences(frame, config) == [
         'pi is stable on rigid in all runs, with k_s = 600, 60000 N/m.',
-        'dob is stable on rigid in 2 of 3 runs, in all of them with k_s = 600 N/m.']
+        'dob is stable on rigid in 2 of 3 runs, in every run with k_s = 600 N/m.']
     assert extremes(listing_of(frame, config))[0] == (
         'step_rise_63_s: 1 (k_s = 600, pi) to 9 (k_s = 600, dob).')
 
