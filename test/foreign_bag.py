@@ -14,17 +14,19 @@ import yaml
 
 RATE = 125.0
 JOINTS = tuple(f'j{i}' for i in range(7))
-COMMAND, PRELOAD, AT, MADE = 10.0, 2.0, 1.0, 1.5  # N, N, s, s
+COMMAND, PRELOAD, AT, MADE, REFUSED_AT = 10.0, 2.0, 1.0, 1.5, 2.0  # N, N, s, s, s
 START = 1_700_000_000_000_000_000  # ns
 NAMED = ('joint_states', 'joint_effort_command', *(f'contact_forces/{name}' for name in (
-    'measured', 'estimated', 'desired', 'noise_variance', 'command')))
-TRUTH, COMMANDED, MEASURED = (
-    'ground_truth/contact_forces', 'contact_forces/command', 'contact_forces/measured')
+    'measured', 'estimated', 'desired', 'noise_variance')))
+TRUTH, SENT, COMMANDED, MEASURED = (
+    'ground_truth/contact_forces', 'contact_forces/command', 'controller_node/status',
+    'contact_forces/measured')
 TYPES = dict.fromkeys((*NAMED, TRUTH), 'sensor_msgs/msg/JointState') | {
+    SENT: 'sensor_msgs/msg/JointState', COMMANDED: 'diagnostic_msgs/msg/DiagnosticStatus',
     'ft_sensor/wrench': 'geometry_msgs/msg/WrenchStamped'} | dict.fromkeys(
         ('operational_point/pose', 'operational_point/pose_desired'),
         'geometry_msgs/msg/PoseStamped')
-TOPICS = tuple(topic for topic in TYPES if topic != TRUTH)
+TOPICS = tuple(topic for topic in TYPES if topic not in (TRUTH, SENT))
 
 
 def header(ns):
@@ -59,8 +61,13 @@ def rows(seconds, seed=0):
         seen = force + 0.05 * random.normal()
         pose = SimpleNamespace(header=header(ns), pose=SimpleNamespace(
             position=xyz((0.5, 0.0, 0.3)), orientation=xyz((0.0, 0.0, 0.0, 1.0))))
-        if t == AT:
-            yield COMMANDED, t, joint_state(0, ['wall'], effort=[COMMAND])
+        if t in (AT, REFUSED_AT):
+            yield SENT, t, joint_state(
+                0, ['wall'], effort=[COMMAND if t == AT else 5000.0])
+            yield COMMANDED, t, SimpleNamespace(
+                header=header(ns), level=0, name='', message='', hardware_id='', values=[
+                    SimpleNamespace(key='event', value='accepted' if t == AT else 'refused'),
+                    SimpleNamespace(key='forces', value=f'wall {COMMAND}')])
         yield 'joint_states', t, joint_state(ns, JOINTS, np.full(7, 0.3), np.zeros(7))
         yield 'ft_sensor/wrench', t, wrench(ns, [seen, 0, 0, 0, 0, 0])
         yield 'joint_effort_command', t, joint_state(ns, JOINTS, effort=np.full(7, 3.0))

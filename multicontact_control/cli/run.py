@@ -54,7 +54,7 @@ def run(
 
     Starts simulator, controller, noise estimator and recorder, each in a process of its own, and
     draws the figures from the recorded bag. The simulator waits for the controller: on a busy
-    machine simulated time is slow, and the forces are the same. Exit code 0: stable, or not
+    machine simulated time is slow, and the forces are the same. Exit code 0: stable, poor, or not
     judged because no contact was under load, a free run missed more than 1 % of its deadlines, or
     an external run has no ground truth; 1: not stable, held by the supervisor, a node died, or
     the external robot is gone.
@@ -92,8 +92,8 @@ def simulate(options: RunOptions) -> None:
     """
     Run a scenario in one process, without ROS, as fast as it goes.
 
-    The same seed gives the same run, bit for bit. Exit code 0: stable, or not judged because no
-    contact was under load; 1: not stable, or held by the supervisor.
+    The same seed gives the same run, bit for bit. Exit code 0: stable, poor, or not judged because
+    no contact was under load; 1: not stable, or held by the supervisor.
     """
     end_at_signals('interrupted; nothing of this run is kept')
     setup = options.setup()
@@ -105,6 +105,6 @@ def simulate(options: RunOptions) -> None:
 
 
 def end_by_verdict(summary: dict[str, Any] | None) -> None:
-    """Exit with 1 if there is no run, it was not stable, or was held by the supervisor."""
-    if summary is None or summary['stable'] is False:
+    """Exit with 1 if there is no run, or it was judged and its loop is not known to be stable."""
+    if summary is None or not (summary['stable'] or summary['unjudged']):
         raise typer.Exit(EXIT_FAILED)

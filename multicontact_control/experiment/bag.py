@@ -24,6 +24,7 @@ JOINT_STATE, WRENCH, POSE = (
     'sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped',
     'geometry_msgs/msg/PoseStamped')
 MARKERS = 'visualization_msgs/msg/MarkerArray'
+STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'
 # The numbers of a message of a type by field and name.
 READERS: dict[str, Callable[[Any], dict[tuple[str, str], float]]] = {
     JOINT_STATE: lambda message: {
@@ -38,7 +39,12 @@ READERS: dict[str, Callable[[Any], dict[tuple[str, str], float]]] = {
             ('quaternion', message.pose.orientation, 'xyzw')) for axis in axes},
     MARKERS: lambda message: {
         (axis, marker.ns.rpartition('/')[2]): getattr(marker.pose.position, axis)
-        for axis in 'xyz' for marker in message.markers}}
+        for axis in 'xyz' for marker in message.markers},
+    # Of the controller: the forces that it obeys, e.g. `table 10, board 5`, and no stamp.
+    STATUS: lambda message: {
+        ('effort', each.rsplit(' ', 1)[0]): float(each.rsplit(' ', 1)[1])
+        for value in message.values if value.key == 'forces' for each in value.value.split(', ')
+        if each}}
 
 
 class BagColumns:
@@ -53,10 +59,11 @@ class BagColumns:
 
     def take(self, message: Any, published: int) -> None:
         """Add a message that was sent at a time [ns since the epoch], or nothing if it fails."""
-        stamp = (message.markers[0] if self._type == MARKERS else message).header.stamp
+        first = message.markers[0] if self._type == MARKERS else message
         content = READERS[self._type](message)
         numbers = array('d', content.values())
-        stamps = array('q', [stamp.sec * 1_000_000_000 + stamp.nanosec])
+        stamps = array('q', [published if self._type == STATUS else (
+            first.header.stamp.sec * 1_000_000_000 + first.header.stamp.nanosec)])
         rows, kept = self._parts.setdefault(tuple(content), (array('q'), array('d')))
         rows.append(len(self))
         kept.extend(numbers)

@@ -9,13 +9,12 @@ from typing import Any
 from multicontact_control.errors import counted
 from multicontact_control.experiment.judge import (
     EXTERNAL_RUN,
-    HELD,
     LOCKSTEP,
     NOT_STABLE,
     REAL_TIME,
     RECORDED,
+    SILENT,
     STABLE,
-    UNJUDGED,
     verdict_text,
 )
 from multicontact_control.experiment.metrics import truth_lacking
@@ -32,7 +31,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
-COLOURS = {STABLE: 'green', HELD: 'yellow', UNJUDGED: 'yellow', NOT_STABLE: 'red'}
+COLOURS = {STABLE: 'green', NOT_STABLE: 'red', SILENT: 'red'}
 # Of a contact: in a window of the run, or of its largest step; label, and digits.
 NUMBERS = (
     ('', 'step_rise_63_s', 'step rise 63 % [s]', 3),
@@ -133,8 +132,9 @@ def achievement(summary: Mapping[str, Any]) -> str:
 def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
     """Return the lines below the table: verdict, warnings, where the results are."""
     timing, text = summary['timing'], verdict_text(summary)
-    colour = COLOURS[HELD if summary['stable'] and text != STABLE else summary['verdict']]
-    lines = [achievement(summary), f'[{colour}]{escape(text)}[/{colour}]']
+    colour = COLOURS.get(summary['verdict'], 'yellow')
+    lines = [achievement(summary),
+             f'[{colour}]{escape(text)}[/{colour}] (judged: {escape(summary["judged"])})']
     if summary['mode'] == REAL_TIME:
         p99 = (timing['latency_us'] or {}).get('p99')
         lines.append(f'free-running: {timing["deadline_misses"]} of {summary["ticks"]} deadlines '

@@ -1,8 +1,8 @@
-"""The verdict on a run: against limits, and with what help of the supervisor."""
+"""The verdict on a run: against limits, with what help of the supervisor, and how well."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 import math
 from typing import Any, NamedTuple
 
@@ -29,8 +29,9 @@ from multicontact_control.supervision.reactions import INFLATE, NONE
 from multicontact_control.supervision.report import CAPACITY
 import numpy as np
 
-STABLE, HELD, NOT_STABLE, UNJUDGED = (
-    'stable', 'held by the supervisor', 'not stable', 'not judged')
+STABLE, POOR, HELD, NOT_STABLE, SILENT, UNJUDGED = (
+    'stable', 'poor', 'held by the supervisor', 'not stable', 'ended: robot silent', 'not judged')
+LOOP_IS_STABLE = {STABLE: True, POOR: True, HELD: False, NOT_STABLE: False}  # None of the others
 INTERRUPTED = 'interrupted by a signal'  # no failure of the run
 BY_MEASUREMENT = 'by the measured forces'
 
@@ -45,7 +46,10 @@ IMPACT_SHARE = 0.5  # 30 N of 60 N
 # within 10 s. One surface that goes away makes one loss, and a bounce or two when it is back.
 AGAIN = 5
 AGAIN_TIME = 10.0  # s
-LARGEST_OVERSHOOT = 50.0  # % of the largest step, that a verdict `stable` mentions
+# A run beyond these is stable, and poor: a force that goes twice as far as its largest step, and a
+# motion that is off by twice what the paper's may be (`claims`), a tenth of its 0.1 m.
+LARGEST_OVERSHOOT = 100.0  # %
+LARGEST_MOTION_ERROR = 0.01  # m rms, while the commanded pose moves
 LARGEST_HELD_SHARE = 0.05  # of the time under load, in which reactions replace the control law
 LEAST_JUDGED = 0.5  # of the time under load, for which every force is known in a stable run
 
@@ -87,8 +91,9 @@ class Finding(NamedTuple):
 class Verdict(NamedTuple):
     """What a run is called, and why."""
 
-    name: str  # `STABLE`, `HELD`, `NOT_STABLE` or `UNJUDGED`
+    name: str  # `STABLE`, `POOR`, `HELD`, `NOT_STABLE`, `SILENT` or `UNJUDGED`
     reasons: tuple[str, ...]  # of a run that is not judged, what was seen all the same
+    judged: str  # which forces and errors, over what time
     unstable_at: float | None  # of limits that were passed: the first that has a time [s], if any
     unjudged: str = ''  # why it is not judged, if it is not
 
@@ -101,11 +106,7 @@ def verdict_text(summary: Mapping[str, Any]) -> str:
         return f"{name}: {summary['unjudged']}" + (f'; seen: {reasons}' if reasons else '')
     if summary['forces'] != TRUE and summary['instabilities'] != [summary['ended_early']]:
         return f'{name} {BY_MEASUREMENT}: {reasons}'
-    if name != STABLE:
-        return f'{name}: {reasons}'
-    far = [f'{contact} {percent:.0f} %' for contact, numbers in summary['contacts'].items()
-           if (percent := numbers['step_overshoot_percent'] or 0.0) > LARGEST_OVERSHOOT]
-    return f'{STABLE}, but overshoots a step: {", ".join(far)}' if far else STABLE
+    return f'{name}: {reasons}' if reasons else name
 
 
 def judge(
@@ -120,12 +121,35 @@ def judge(
     """
     run = RunMetrics(data, setup)
     passed, helped = _findings(run, mode, ended_early), _interventions(run, events)
-    name = NOT_STABLE if passed else HELD if helped else STABLE
-    unjudged = _doubt(run, ended_early) if name == STABLE else ''
+    steps = [run.largest_step(i) for i in range(len(data.contact_names))]
+    overshoots = {contact: step.overshoot_percent
+                  for contact, step in zip(data.contact_names, steps) if step}
+    error = run.motion_summary()['moving_position_rms_m']
+    far = [Finding(f'{contact}: overshoots its largest step by {percent:.0f} %')
+           for contact, percent in overshoots.items() if percent > LARGEST_OVERSHOOT]
+    if error is not None and error > LARGEST_MOTION_ERROR:
+        far.append(Finding(f'motion error of {1e3 * error:.0f} mm rms'))
+    silent = mode == EXTERNAL_RUN and ended_early not in ('', INTERRUPTED)  # the first that passed
+    name = NOT_STABLE if passed[silent:] else SILENT if silent else HELD if helped else (
+        POOR if far else STABLE)
+    unjudged = _doubt(run, ended_early) if name in (STABLE, POOR) else ''
     times = [finding.time for finding in passed if finding.time is not None]
     return Verdict(
-        UNJUDGED if unjudged else name, tuple(finding.text for finding in passed + helped),
-        min(times, default=None), unjudged)
+        UNJUDGED if unjudged else name,
+        tuple(finding.text for finding in (*passed, *helped, *far)),
+        _judged(run, overshoots.values(), error), min(times, default=None), unjudged)
+
+
+def _judged(run: RunMetrics, overshoots: Collection[float], error: float | None) -> str:
+    """Return what a verdict is about: forces and their time under load, overshoot, motion."""
+    without, names = run.without_truth(), run.data.contact_names
+    parts = [f'{run.windows.loaded.sum() / run.data.rate:.3g} s under load', *(
+        f'{kind} force of {" and ".join(chosen)}' for kind, chosen in (
+            (TRUE, [name for name in names if name not in without]), (MEASURED, without))
+        if chosen)]
+    if overshoots:
+        parts.append(f'overshoot at most {max(overshoots):.0f} %')
+    return ', '.join(parts + ([] if error is None else [f'motion error {1e3 * error:.2g} mm rms']))
 
 
 def _doubt(run: RunMetrics, ended_early: str) -> str:

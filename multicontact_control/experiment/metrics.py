@@ -174,6 +174,10 @@ class RunMetrics:
                 100.0 * max(float(np.nanmax(travelled)) - 1.0, 0.0)))
         return responses
 
+    def largest_step(self, i: int) -> StepResponse | None:
+        """Return the answer of a contact to its largest step up, None without any."""
+        return max(self.step_responses(i), key=lambda response: response.size_n, default=None)
+
     def _steps(self, i: int) -> list[tuple[float, float, float]]:
         """Return when what force was asked of a contact at rest [s], from what to what [N]."""
         data = self.data
@@ -225,12 +229,11 @@ class RunMetrics:
     def contact_summary(self, i: int) -> dict[str, Any]:
         """Return the numbers of one contact; of the steps those of the largest one up."""
         judged, asked = self.windows, ~(self.pressing[:, i] == 0.0)
-        responses = self.step_responses(i)
-        largest = max(responses, key=lambda response: response.size_n, default=None)
+        largest = self.largest_step(i)
         return {
             'step_rise_63_s': largest.rise_63_s if largest else None,
             'step_overshoot_percent': largest.overshoot_percent if largest else None,
-            'steps': [response._asdict() for response in responses],
+            'steps': [response._asdict() for response in self.step_responses(i)],
             'oscillation_s': max((oscillation.duration for oscillation in self.oscillations(
                 i, judged.loaded & asked)), default=None),
             **{name: self._window_summary(i, window & asked)

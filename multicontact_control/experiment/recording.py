@@ -18,6 +18,7 @@ from multicontact_control.experiment.bag import (
     JOINT_STATE,
     POSE,
     read_messages,
+    STATUS,
     WRENCH,
 )
 from multicontact_control.experiment.oscillation import stretches
@@ -46,10 +47,10 @@ SERIES: dict[str, dict[str, str]] = {
         'position_des': 'point', 'quaternion_des': 'quaternion'}}
 # Published only where the stiffness is found on-line.
 OPTIONAL = ('contact_forces/stiffness', 'contact_forces/stability_margin')
-SAMPLES, MEASURED, FORCE_COMMAND = (
-    'joint_states', 'contact_forces/measured', 'contact_forces/command')
-TYPES = dict.fromkeys((*SERIES, FORCE_COMMAND), JOINT_STATE) | {
-    'ft_sensor/wrench': WRENCH, 'ft_sensor/wrench_filtered': WRENCH,
+SAMPLES, MEASURED, OBEYED = (
+    'joint_states', 'contact_forces/measured', 'controller_node/status')
+TYPES = dict.fromkeys(SERIES, JOINT_STATE) | {
+    OBEYED: STATUS, 'ft_sensor/wrench': WRENCH, 'ft_sensor/wrench_filtered': WRENCH,
     'operational_point/pose': POSE, 'operational_point/pose_desired': POSE}
 SPARSE = 20.0  # ticks per sample beyond which the stamps are no clock
 CUT_OFF = 'the recording is cut off'
@@ -84,8 +85,8 @@ class RunData:
     stiffness_est: Matrix
     stiffness_std: Matrix
     margin: Matrix
-    # Forces commanded over topics, shape (m, r) [N]: from when the contact was made on, 0 where
-    # none is asked for; NaN of a run in process.
+    # Forces commanded over topics, as accepted, shape (m, r) [N]: from when the contact was made
+    # on, 0 where none is asked for; NaN of a run in process.
     command: Matrix
     position: Matrix  # operational point, world axes, shape (m, 3)
     quaternion: Matrix  # scalar last, shape (m, 4)
@@ -215,7 +216,7 @@ def content_of(
         for series, field in SERIES.get(name, {}).items():
             getattr(data, series)[ticks[places[known]]] = columns.values(field, names)[known]
     data = replace(data, command=_commands(
-        data, messages.by_topic.get(FORCE_COMMAND), samples.published[::-1][newest], ticks))
+        data, messages.by_topic.get(OBEYED), samples.published[::-1][newest], ticks))
     begin, end = _answered(data) if answered else (0, count)
     return BagContent(
         data.part(begin, end),
@@ -233,29 +234,26 @@ def _answered(data: RunData) -> tuple[int, int]:
 
 
 def _commands(
-    data: RunData, sent: BagColumns | None, published: NDArray[np.uint64],
+    data: RunData, status: BagColumns | None, published: NDArray[np.uint64],
     ticks: NDArray[np.int64],
 ) -> Matrix:
     """
-    Return the forces that were commanded over topics, shape (m, r) [N].
+    Return the forces that were commanded over topics and accepted, shape (m, r) [N].
 
-    A command counts from when the contact was made. Where no command was recorded it is the
-    force that the controller aimed at.
+    The controller says on ~/status which ones it obeys; they count from when the contact was made.
+    Where it does not, and of couples, it is the force that the controller aimed at.
     """
-    if sent is None:
-        return data.alpha_des.copy()
-    command = np.zeros_like(data.alpha_des)
+    command = data.alpha_des.copy()
+    if status is None:
+        return command
     order = np.argsort(published)
-    places = np.searchsorted(published[order], sent.published)
+    places = np.searchsorted(published[order], status.published)
     begins = np.append(ticks[order], data.ticks)[places]
     for i, (name, forces) in enumerate(
-            zip(data.contact_names, sent.values('effort', data.contact_names).T)):
-        desired = data.alpha_des[:, i]
-        if name.endswith((SUFFIXES[ALONG], SUFFIXES[ACROSS])):
-            # A couple may be commanded as a centre of pressure.
-            command[:, i] = desired
+            zip(data.contact_names, status.values('effort', data.contact_names).T)):
+        desired, named = data.alpha_des[:, i], ~np.isnan(forces)
+        if not named.any() or name.endswith((SUFFIXES[ALONG], SUFFIXES[ACROSS])):
             continue
-        named = ~np.isnan(forces)
         begun = np.full(data.ticks + 1, np.nan)
         begun[0] = 0.0
         begun[begins[named]] = forces[named]

@@ -25,9 +25,9 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.bag import BagMessages, mcap_files
 from multicontact_control.experiment.judge import (
     judge,
+    LOOP_IS_STABLE,
     MEASURED,
     RECORDED,
-    STABLE,
     TRUE,
     UNKNOWN,
 )
@@ -61,8 +61,7 @@ LEFT_BY_RUNS = frozenset((CONFIG_FOLDER, BAG_FOLDER, FIGURE_FOLDER, LOG_FOLDER, 
                           REPORT_FILE, SERIES_FILE))
 WHOLE = 1e-3  # of a rate, within which it is taken for one of whole Hz
 NAMED_BY = ('contact_forces/measured', 'contact_forces/estimated', 'contact_forces/desired',
-            'contact_forces/noise_variance', 'contact_forces/command',
-            'ground_truth/contact_forces')
+            'contact_forces/noise_variance', 'ground_truth/contact_forces')
 
 
 @contextmanager
@@ -168,8 +167,8 @@ def summarise(
         'trajectory_sha256': data.trajectory_sha256(), 'timing': timing,
         'contacts': {name: run.contact_summary(i) for i, name in enumerate(data.contact_names)},
         'motion': run.motion_summary(), 'torque': run.torque_summary(),
-        'stable': None if verdict.unjudged else verdict.name == STABLE,
-        'verdict': verdict.name, 'unjudged': verdict.unjudged or None,
+        'stable': LOOP_IS_STABLE.get(verdict.name), 'verdict': verdict.name,
+        'judged': verdict.judged, 'unjudged': verdict.unjudged or None,
         'instabilities': list(verdict.reasons), 'unstable_at_s': verdict.unstable_at,
         'ended_early': ended_early or None, 'claims': [],
         'truth': truth, 'without_truth': without, 'forces': TRUE if truth else known,

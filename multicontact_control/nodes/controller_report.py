@@ -67,8 +67,8 @@ class ControllerReport:
         if (identifier or error is not None) and (
                 answer != self._answered or now >= self._next_answer):
             self._answered, self._next_answer = answer, now + ANSWER_INTERVAL
-            self._publish(*((ACCEPTED, identifier) if error is None else (
-                REFUSED, identifier, f'{source}: {error}')))
+            event, refusal = (ACCEPTED, '') if error is None else (REFUSED, f'{source}: {error}')
+            self._publish(event, identifier, refusal, self._node.count_subscribers(source))
 
     def look(self) -> None:
         """Tell what has changed with the newest tick, if anything has."""
@@ -97,7 +97,9 @@ class ControllerReport:
             self._node.get_logger().warning(text)
         return text
 
-    def _publish(self, event: str, identifier: str = '', refusal: str = '') -> None:
+    def _publish(
+        self, event: str, identifier: str = '', refusal: str = '', readers: int = 0,
+    ) -> None:
         loop, status, reaction = self._loop, self._loop.status or QUIET, self._reaction()
         text = refusal or reaction or loop.push_gate.instruction or (
             'safe behaviour' if loop.safe else 'held' if loop.held else 'ok')
@@ -106,7 +108,8 @@ class ControllerReport:
             reaction=status.reaction, causes=' '.join(status.causes),
             contacts=', '.join(f'{name} {state}' for name, state in zip(
                 loop.config.contact_names, status.contact_states)),
-            held=loop.held, refused=self._refused, push_test=loop.push_gate.instruction,
+            held=loop.held, refused=self._refused, readers=readers,
+            push_test=loop.push_gate.instruction,
             forces=loop.commanded_forces).message(
                 f'{self._node.get_name()}: status',
                 DiagnosticStatus.WARN if refusal or reaction else DiagnosticStatus.OK))

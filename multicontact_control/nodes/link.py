@@ -20,6 +20,7 @@ from multicontact_control.nodes.runtime import start_ros
 from multicontact_control.nodes.status import ControllerStatus, identify, new_identifier, REFUSED
 from multicontact_control.nodes.topics import Topic
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
@@ -31,6 +32,7 @@ FIRST_TIMEOUT = 5.0  # s; an answer may be lost: then the state tells
 ASK_PERIOD = 1.0  # s
 QUEUED = (topics.STATUS, topics.DIAGNOSTICS)  # of which no message may be missed
 RESEND_PERIOD = 0.2  # s, of a command that is not answered
+CONNECTION_TIME = 2.0  # s, that the first command waits for all its readers at most
 WAIT_PERIOD, POLL_PERIOD = 0.02, 0.001  # s, for services, and for messages
 
 T = TypeVar('T')
@@ -181,6 +183,13 @@ class ControllerLink(GuestNode):
             for topic, kept in self._kept.items()}
         self._publishers = {topic: create_publisher(self.node, topic)
                             for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND)}
+        self._connected: set[Topic] = set()  # those whose first command all readers have
+
+    def close(self) -> None:
+        """Leave the graph, when all readers of the commands have these."""
+        for publisher in self._publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=CONNECTION_TIME))
+        super().close()
 
     def _taken(self, topic: Topic) -> deque[Any]:
         kept = self._kept[topic]
@@ -240,23 +249,34 @@ class ControllerLink(GuestNode):
         identify(command, identifier)
         self._publishers[topic].publish(command)
 
-    def accepted(self, identifier: str) -> bool | None:
-        """Return True if a command was accepted since the last look; CommandRefusedError."""
+    def accepted(self, identifier: str) -> ControllerStatus | None:
+        """Return the acceptance of a command since the last look, if any; CommandRefusedError."""
         found = [status for status in self.look() if status.command == identifier]
         for status in found:
             if status.event == REFUSED:
                 raise CommandRefusedError(status.text)
-        return bool(found) or None
+        return found[-1] if found else None
 
     def command(self, topic: Topic, command: Any) -> None:
-        """Publish a command until it is accepted; CommandRefusedError, RunError without answer."""
+        """
+        Publish a command until it is accepted; CommandRefusedError, RunError without answer.
+
+        A recorder may be connected later than the controller: the first command of a topic is
+        then published for it again.
+        """
         identifier, due = new_identifier(), 0.0
 
-        def accepted() -> bool | None:
+        def accepted() -> ControllerStatus | None:
             nonlocal due
             if time.monotonic() >= due:  # one that comes before the connection stands is lost
                 due = time.monotonic() + RESEND_PERIOD
                 self.send(topic, command, identifier)
             return self.accepted(identifier)
 
-        self._awaited(accepted, f'{topic.name}: expected an answer')
+        answer = self._awaited(accepted, f'{topic.name}: expected an answer')
+        readers = self._publishers[topic].get_subscription_count
+        if topic not in self._connected:
+            self._connected.add(topic)
+            if readers() < answer.readers and self._wait(
+                    lambda: readers() >= answer.readers, CONNECTION_TIME, topic.name):
+                self.send(topic, command, identifier)

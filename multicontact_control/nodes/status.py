@@ -27,6 +27,7 @@ class ControllerStatus:
     contacts: str  # the state of each in words
     held: bool  # on command
     refused: int  # commands so far
+    readers: int  # of the command's topic that the controller knows, a recorder among them
     push_test: str  # what it asks for; empty for nothing
     forces: Mapping[str, float]  # obeyed by contact and couple [N]; empty in a scenario
 
@@ -36,15 +37,15 @@ class ControllerStatus:
         values = {x.key: x.value for x in message.values}
         forces = [each.rsplit(' ', 1) for each in values['forces'].split(', ') if each]
         return cls(text=message.message, refused=int(values['refused']),
-                   held=values['held'] == str(True),
+                   readers=int(values['readers']), held=values['held'] == str(True),
                    forces={name: float(force) for name, force in forces},
                    **{name: values[name] for name in TEXTS})
 
     def message(self, name: str, level: bytes) -> DiagnosticStatus:
         """Return the message that says so."""
         values = {each: getattr(self, each) for each in TEXTS} | {
-            'refused': str(self.refused), 'held': str(self.held), 'forces': ', '.join(
-                f'{contact} {force:.9g}' for contact, force in self.forces.items())}
+            'refused': str(self.refused), 'readers': str(self.readers), 'held': str(self.held),
+            'forces': ', '.join(f'{name} {force:.9g}' for name, force in self.forces.items())}
         return DiagnosticStatus(
             name=name, level=level, message=self.text,
             values=[KeyValue(key=key, value=value) for key, value in values.items()])

@@ -67,7 +67,7 @@ def test_simulate_leaves_a_run_folder(multicontact, tmp_path):
     assert (summary['scenario'], summary['plant'], summary['seed']) == ('quick', 'rigid', 5)
     assert (summary['mode'], summary['ticks']) == ('in_process', 1500)
     assert len(list((tmp_path / 'run/figures').glob('*.png'))) == 4
-    assert summary['verdict'] == 'stable' and '\nstable\n' in done.stdout
+    assert summary['verdict'] == 'stable' and '\nstable (judged: ' in done.stdout
     assert multicontact('report', out).returncode == 0
     again = multicontact('simulate', *options)
     assert again.returncode == 2

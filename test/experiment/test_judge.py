@@ -177,6 +177,8 @@ def test_limit_cycle_is_named_with_and_without_supervisor(scenario, changes, rea
     (6000, {'events': [(0.0, CALM)]}, 'stable', True, None),
     (6000, {'events': CAUGHT}, 'held by the supervisor', False, 1),
     (3000, {'ended_early': 'tick 3000: singular'}, 'not stable', False, 1),
+    (3000, {'ended_early': 'arm has not published', 'mode': 'external'},
+     'ended: robot silent', None, 1),
     (5000, {'ended_early': INTERRUPTED, 'mode': 'real_time'}, 'not judged', None, None),
     (1000, {}, 'not judged', None, None)])
 def test_verdict_is_shown_and_decides_the_exit_code(
@@ -193,6 +195,21 @@ def test_verdict_is_shown_and_decides_the_exit_code(
     with pytest.raises(typer.Exit) as ended:
         end_by_verdict(summary)
     assert ended.value.exit_code == code
+
+
+@pytest.mark.parametrize(('force', 'shift', 'reasons'), [
+    (17.9, 0.0099, ()), (22.0, 0.0, ('table: overshoots its largest step by 150 %',)),
+    (10.0, 0.026, ('motion error of 26 mm rms',))])
+def test_force_or_motion_far_off_its_command_makes_a_stable_run_poor(
+        setup, data, force, shift, reasons):
+    """A step from 2 to 10 N at 2.5 s, and a motion that is judged from 8.5 s on."""
+    data.alpha_true[1300:1310, 0] = force
+    data.position[data.time >= 8.5, 0] += shift
+    summary = summarise(data, setup, mode='in_process', timing={})
+    assert (summary['verdict'], summary['stable']) == ('poor' if reasons else 'stable', True)
+    assert tuple(summary['instabilities']) == reasons
+    assert f'motion error {1e3 * shift:.2g} mm rms' in summary['judged']
+    end_by_verdict(summary)
 
 
 @pytest.mark.parametrize('verdict', ['stable', 'not stable: face: oscillates at 42 Hz'])

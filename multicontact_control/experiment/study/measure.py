@@ -22,7 +22,7 @@ SHORTEST = 2  # samples that a summary can be made of
 AWAY = 0.05  # m, by which a surface moves away
 MEAN_TIME = 0.012  # s, over which forces of a vanishing surface's neighbour are averaged
 # Of summary.json: what stands elsewhere in the row, is no result, or depends on the machine.
-LEFT_OUT = ('claims', 'ended_early', 'instabilities', 'mode',
+LEFT_OUT = ('claims', 'ended_early', 'instabilities', 'judged', 'mode',
             'noise_estimator', 'plant', 'scenario', 'schema', 'seed', 'stable', 'supervised',
             'timing', 'trajectory_sha256', 'verdict')
 Metrics = Mapping[str, Any]

@@ -213,5 +213,5 @@ def test_robot_that_is_gone_ends_the_run_and_is_named(shell, tmp_path):
     assert 'ended: my_arm has not published /left/' in text
     summary = json.loads((tmp_path / 'run/summary.json').read_text())
     assert summary['ended_early'].startswith('my_arm has not published')
-    assert not summary['truth'] and summary['verdict'] == 'not stable'
+    assert not summary['truth'] and summary['verdict'] == 'ended: robot silent'
     assert (tmp_path / 'run/figures/fig3_force_wall.png').is_file()

@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 
-from multicontact_control.client import MultiContactClient
+from multicontact_control.client import CommandRefusedError, MultiContactClient
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.graph.domain import (
@@ -192,6 +192,8 @@ def test_commanded_arm_obeys_until_a_signal_and_is_judged_by_what_was_commanded(
                 state = arm.wait_until_reached(timeout=PATIENCE)
                 arm.move(state.position_world + [0.02, 0.0, 0.0], duration=1.0)
                 moved = arm.wait_until_reached(timeout=PATIENCE)
+                with pytest.raises(CommandRefusedError):
+                    arm.set_forces({'table': 5000.0})
                 while (end := arm.read()).time < moved.time + 1.5:  # rest begins after 1 s
                     pass
         finally:
