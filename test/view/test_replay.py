@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 from multicontact_control.errors import CommandError, ConfigError, RunError
 from multicontact_control.experiment.recording import RunData
@@ -85,6 +87,18 @@ def test_replay_plays_pauses_and_begins_anew(replay, recorded_run, clock):
     np.testing.assert_array_equal(snapshot.q, data.q[-1])
     replay.command(source.PLAY, on=True)
     assert replay.poll()[0].time == pytest.approx(0.0)
+
+
+def test_page_plays_a_recording_from_the_first_browser_to_its_end(replay, clock, monkeypatch):
+    page_module = pytest.importorskip('multicontact_control.view.page', reason='needs viser')
+    with closing(page_module.Page(replay, 8472)) as page:
+        page.update()
+        monkeypatch.setattr(page.server, 'get_clients', lambda: {0: Mock()})
+        for wait, moment, playing in ((30.0, 0.0, False), (0.0, 0.0, True), (1.0, 1.0, True),
+                                      (30.0, replay.scene.duration, False)):
+            clock.now += wait
+            page.update()
+            assert (page.newest.time, page.newest.playing) == (pytest.approx(moment), playing)
 
 
 def test_seek_shows_states_events_and_curves_of_then(replay):
