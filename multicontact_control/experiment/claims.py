@@ -64,7 +64,6 @@ class Statement:
             return []
         return [('', median(chosen) / median(base))]
 
-
     def show(self, numbers: Numbers) -> str:
         """Return numbers as text: their range for each name, or of how many runs it is true."""
         if '{' not in self.form:
@@ -97,8 +96,8 @@ class Claim(NamedTuple):
 
 
 def of_the_paper(setup: Setup) -> bool:
-    """Return whether the scenario is the paper's experiment."""
-    return setup.scenario.name == PAPER_SCENARIO
+    """Return whether a run plays the paper's experiment."""
+    return setup.scenario.name == PAPER_SCENARIO and not setup.commanded_by_topic
 
 
 def claims_of(

@@ -18,6 +18,7 @@ from multicontact_control.experiment.judge import (
     verdict_text,
 )
 from multicontact_control.experiment.metrics import truth_lacking
+from multicontact_control.experiment.scenario import COMMANDS
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import (
@@ -93,7 +94,8 @@ def headline(summary: Mapping[str, Any]) -> str:
     if summary['mode'] in (EXTERNAL_RUN, RECORDED):
         text = f'{scenario}, {estimator}, {summary["mode"]}'
     else:
-        text = (f'{scenario}, plant {summary["plant"]}, {estimator}, seed {summary["seed"]}, '
+        what = COMMANDS if summary['commanded_by_topic'] else scenario
+        text = (f'{what}, plant {summary["plant"]}, {estimator}, seed {summary["seed"]}, '
                 f'{summary["mode"]}')
     unknown = truth_lacking(summary['without_truth'], summary['contacts'])
     return text + (f', {unknown}: forces as measured' if unknown else '')

@@ -143,7 +143,7 @@ def draw_side_by_side(runs: Sequence[tuple[str, RunData, Setup]], path: Path) ->
     sheet = Figure(figsize=(5.5 * len(runs), 2.4 * (count + 1)), layout='constrained')
     grid = sheet.subplots(count + 1, len(runs), squeeze=False, sharey='row')
     for column, (label, data, setup) in zip(grid.T, runs):
-        column[0].set_title(label, fontsize=11)
+        column[0].set_title(label, fontsize=11, loc='left')
         run, indices = RunMetrics(data, setup), range(len(data.contact_names))
         for i, axes in zip(indices, column):
             measured = _force(data, i, True).panels[0]

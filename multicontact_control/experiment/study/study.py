@@ -107,7 +107,8 @@ class Study:
             figure.savefig(folder / FIGURE_FILE, dpi=DPI)
         about, _, runs = self.config.description.partition(': ')
         warnings = self.warnings(results)
-        write_page(folder / PAGE_FILE, f'Study {self.config.name}: {about}', '\n'.join([
+        title = ': '.join(filter(None, (f'Study {self.config.name}', about)))
+        write_page(folder / PAGE_FILE, title, '\n'.join([
             _listed(self.findings(results)), f'<p>{escape(runs[:1].upper() + runs[1:])}</p>',
             '' if figure is None else image(folder / FIGURE_FILE, self.config.name),
             html_tables(listing_of(frame, self.config)),
