@@ -77,7 +77,8 @@ def _run_section(run: LoadedRun, number: int, claims: Sequence[Claim]) -> list[s
     return [
         f'<p class=note>{escape(about)}</p>',
         f'<p class="verdict {COLOURS.get(summary["verdict"], "yellow")}">'
-        f'<b>{escape(verdict_text(summary))}</b></p>',
+        f'<b>{escape(verdict_text(summary))}</b></p>'
+        f'<p class=note>Judged: {escape(summary["judged"])}.</p>',
         *(f'<p class=note>{escape(text)}</p>' for text in summary.get('remarks', ())),
         _numbers(summary), interactive_figures(run.data, setup, number), HELP,
         '<h3>Claims of the paper</h3>' + claims_table({'measured': claims}) if claims else '',
