@@ -52,9 +52,9 @@ def identify(
     """
     Identify the contacts of a run from its force steps.
 
-    For each contact: stiffness and damping of the surface, friction of the others, inertia of the
-    tool, noise of the sensor, and the delay from a commanded torque to the motion, each with its
-    standard error, by the band-pass and the regression of the on-line estimate.
+    For each contact: stiffness and damping of the surface in series with the arm, and without it
+    where its drives are known, friction of the others, inertia of the tool, noise of the sensor,
+    and the delay from a commanded torque to the motion, each with its standard error.
     """
     from multicontact_control.experiment.contact_identification import identify_contacts, show
     from multicontact_control.experiment.results import load

@@ -2,7 +2,11 @@
 What recorded force steps say of the contacts: stiffness, damping, friction, tool, noise, delay.
 
 The signals pass the band-pass of the on-line estimate (`force.stiffness`), whose regression is
-done at once over all samples that it would accept, with the tool's inertia as one more unknown.
+done at once over all samples that it would accept, with the tool's inertia as one more unknown,
+and every unknown within its physical range. Encoders on the motors see surface and arm in series;
+where the springs of the drives are known, the surface alone is found as well. The standard errors
+are those of the scatter, and of what changes if any one step is left out (jackknife), where a
+spring, a damper and a mass do not explain all.
 The delay is that at which the acceleration of a contact point by the commanded torque fits best
 what is measured, less what felt forces and gravity do.
 """
@@ -26,23 +30,32 @@ from multicontact_control.force.stiffness import (
     CORRELATION,
     find_stiffness,
     friction_of_others,
+    LARGEST_FRICTION,
     SLOW_BAND,
     STEP,
 )
 from multicontact_control.records import STIFFNESS
 import numpy as np
+from scipy.optimize import lsq_linear
 from scipy.stats import linregress, median_abs_deviation
 
 QUIET_SPEED = 1e-3  # m/s, below which the contact point counts as being at rest
 LONGEST_DELAY = 0.02  # s
 DELAY_STEP = 1e-4  # s, in which the delay is looked for
 LEAST_SAMPLES = 50
+APART = 0.1  # s, between the samples of two steps
+# Of the unknowns: the largest values, with 0 as the least.
+LARGEST = {'stiffness_n_m': math.inf, 'damping_n_s_m': math.inf, 'tool_mass_kg': math.inf,
+           'friction': LARGEST_FRICTION}
+SERIES = 'surface and arm in series'
 # Of the variance found from n changes, relative to its square, times n: 5.44 for the median of
 # independent ones; of white noise neighbouring changes have a value in common.
 SCATTER = 6.6
 # Of each result: text, unit, scale and digits.
 TEXTS = {
-    'stiffness_n_m': ('stiffness', 'N/m', 1.0, 0), 'damping_n_s_m': ('damping', 'N s/m', 1.0, 1),
+    'stiffness_n_m': ('stiffness', 'N/m', 1.0, 0),
+    'surface_n_m': ('stiffness of the surface alone', 'N/m', 1.0, 0),
+    'damping_n_s_m': ('damping', 'N s/m', 1.0, 1),
     'friction': ('friction of the others', '', 1.0, 3), 'tool_mass_kg': ('tool', 'kg', 1.0, 3),
     'noise_variance_n2': ('noise variance at rest', 'N^2', 1.0, 5),
     'delay_s': ('delay', 'ms', 1e3, 2)}
@@ -58,6 +71,7 @@ class ContactSignals(NamedTuple):
     friction: Vector  # of the others, per mu [N]
     commanded: Vector  # acceleration by the commanded torque [m/s^2]
     resisted: Vector  # and by the felt forces, gravity and the arm's own motion [m/s^2]
+    given: Vector  # way that the springs of the drives give under the felt forces [m]
 
 
 def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
@@ -66,8 +80,10 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
 
     Returns by contact: `stiffness_n_m`, `damping_n_s_m`, `friction` of the other surfaces,
     `tool_mass_kg`, `noise_variance_n2` of the measured force at rest and `delay_s`, each a mapping
-    of `value` and `std`, its standard error; None where the data cannot tell. `samples` is their
-    number, `explained` the share of their variance. Raises ConfigError if the arm is not known or
+    of `value` and `std`, its standard error, infinite from a single step; None where the data
+    cannot tell. `surface_n_m` is the stiffness without flexible drives that are known, `of` says
+    what the others are of, `samples` is their number, `explained` the share of their variance.
+    Raises ConfigError if the arm is not known or
     has no wrist sensor, RunError if no contact has a step of its command.
     """
     config = setup.controller
@@ -77,8 +93,11 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
     if config.wrench_input == 'momentum':
         raise ConfigError('wrench_input', 'raw or filtered: the forces of a wrist sensor',
                           config.wrench_input)
-    signals = contact_signals(data, config, setup.urdf_dir)
-    found = {name: _identify(signal, config) for name, signal in signals.items()}
+    flexible = setup.simulated and setup.plant.drives == 'flexible'
+    springs = np.array(setup.plant.drive_stiffness) if flexible else np.array(math.inf)
+    signals = contact_signals(data, config, setup.urdf_dir, springs)
+    of = SERIES if flexible or not setup.simulated else 'surface'
+    found = {name: _identify(signal, config) | {'of': of} for name, signal in signals.items()}
     if all(contact['stiffness_n_m'] is None for contact in found.values()):
         raise RunError(
             'identify: expected joint states, wrenches and commanded torques of one stamp during '
@@ -87,9 +106,9 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
 
 
 def contact_signals(
-    data: RunData, config: ControllerConfig, base_dir: Path,
+    data: RunData, config: ControllerConfig, base_dir: Path, springs: Vector,
 ) -> dict[str, ContactSignals]:
-    """Return the signals of every contact's normal force, from joints, wrench and torque alone."""
+    """Return the signals of every contact's normal force; of `springs` of the drives [N m/rad]."""
     names = config.column_names
     controller = Controller(config, RobotModel(config.robot, base_dir))
     contacts, frame = controller.contacts, controller.controls[0]['frame']
@@ -104,44 +123,60 @@ def contact_signals(
         signals[0, :, k], signals[2, :, k] = contacts['alpha_meas'], contacts['N'] @ twist
         signals[3, :, k] = np.linalg.norm(twist[:3] + np.cross(twist[3:], levers), axis=1)
         signals[4, :, k] = [friction_of_others(frame, contacts, i) for i in range(len(names))]
-        signals[5:, :, k] = _accelerations(controller, data.torque[k])
+        signals[5:, :, k] = _reactions(controller, data.torque[k], springs)
     return {names[i]: ContactSignals(*signals[:, i]) for i in config.leaders}
 
 
-def _accelerations(controller: Controller, torque: Vector) -> Matrix:
-    """Return how a torque, and all else, accelerates the contact points, shape (2, r)."""
+def _reactions(controller: Controller, torque: Vector, springs: Vector) -> Matrix:
+    """Return how torque, and all else, accelerates the contact points, and what springs give."""
     terms, contacts = controller.robot.terms, controller.contacts
     M = np.triu(terms.mass_matrix)
     M += np.triu(M, 1).T
     felt = terms.jacobian.T @ (contacts['N'].T @ contacts['alpha_meas'])
     both = np.linalg.solve(M, np.column_stack([torque, controller.arm.bias_torque + felt]))
-    accelerations: Matrix = (contacts['N'] @ terms.jacobian @ both).T
-    return accelerations
+    reactions: Matrix = (
+        contacts['N'] @ terms.jacobian @ np.column_stack([both, felt / springs])).T
+    return reactions
 
 
 def _identify(signal: ContactSignals, config: ControllerConfig) -> dict[str, Any]:
     h = config.period
     filtered, accepted = _band_passed(signal, config)
-    z, v, w, y, a = filtered.T
-    unknown = [z, v, a] + ([w] if np.abs(w[accepted]).max(initial=0.0) > STEP else [])
-    names = ['stiffness_n_m', 'damping_n_s_m', 'tool_mass_kg', 'friction']
-    found: dict[str, Any] = dict.fromkeys(names)
-    found |= {'samples': int(accepted.sum()), 'explained': None,
-              'noise_variance_n2': noise_at_rest(signal), 'delay_s': _delay(signal, accepted, h)}
-    if accepted.sum() < LEAST_SAMPLES:
-        return found
-    columns = np.column_stack(unknown)[accepted]
-    scale = np.linalg.norm(columns, axis=0)
-    values, _, rank, _ = np.linalg.lstsq(columns / scale, y[accepted], rcond=1e-6)
-    if rank < len(unknown):
-        return found
-    left = y[accepted] - columns @ (values / scale)
-    variance = CORRELATION * float(left @ left) / max(len(left) - len(unknown), 1)
-    spread = np.sqrt(variance * np.diag(np.linalg.inv((columns / scale).T @ (columns / scale))))
-    for name, value, error in zip(names, values / scale, spread / scale):
-        found[name] = {'value': float(value), 'std': float(error)}
-    found['explained'] = 1.0 - float(left @ left) / float(y[accepted] @ y[accepted])
+    found = {'samples': int(accepted.sum()), **_fit(filtered, accepted, h), 'surface_n_m': None,
+             'noise_variance_n2': noise_at_rest(signal), 'delay_s': _delay(signal, accepted, h)}
+    if np.nan_to_num(signal.given).any():
+        rate = np.nan_to_num(np.gradient(signal.given, h))  # none beside a gap
+        alone = signal._replace(speed=signal.speed - rate)
+        found['surface_n_m'] = _fit(*_band_passed(alone, config), h)['stiffness_n_m']
     return found
+
+
+def _fit(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
+    """Return the unknowns with their errors, and what share they explain; None if too little."""
+    z, v, w, y, a = filtered[accepted].T
+    columns = np.column_stack([z, v, a] + ([w] if np.abs(w).max(initial=0.0) > STEP else []))
+    count = columns.shape[1]
+    scale = np.linalg.norm(columns, axis=0)
+    if len(y) < LEAST_SAMPLES or np.linalg.matrix_rank(columns / scale, 1e-6) < count:
+        return dict.fromkeys((*LARGEST, 'explained'))
+
+    def solve(kept: Any) -> Vector:
+        largest = np.array(list(LARGEST.values()))[:count] * scale
+        return np.asarray(lsq_linear(columns[kept] / scale, y[kept], (0.0, largest)).x / scale)
+
+    values = solve(slice(None))
+    left = y - columns @ values
+    scatter = CORRELATION * float(left @ left) / max(len(y) - count, 1) * np.diag(
+        np.linalg.inv((columns / scale).T @ (columns / scale))) / scale ** 2
+    ends = np.flatnonzero(np.diff(np.flatnonzero(accepted)) > APART / h) + 1
+    steps = np.split(np.arange(len(y)), ends)
+    without = [solve(np.delete(np.arange(len(y)), step)) for step in steps if len(steps) > 1]
+    of_model = (len(steps) - 1) * np.var(without, axis=0) if without else math.inf
+    found: dict[str, Any] = {
+        name: {'value': float(value), 'std': float(error)}
+        for name, value, error in zip(LARGEST, values, np.sqrt(scatter + of_model))}
+    return dict.fromkeys(LARGEST) | found | {
+        'explained': 1.0 - float(left @ left) / float(y @ y)}
 
 
 def _band_passed(signal: ContactSignals, config: ControllerConfig) -> tuple[Matrix, Mask]:
@@ -204,7 +239,7 @@ def _delay(signal: ContactSignals, accepted: Mask, h: float) -> dict[str, float]
 
 
 def show(found: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return what was identified as lines of text."""
+    """Return what was identified as lines of text, and of what it is."""
     lines = []
     for name, contact in found.items():
         share = '' if contact['explained'] is None else (
@@ -212,7 +247,12 @@ def show(found: Mapping[str, Mapping[str, Any]]) -> str:
         lines.append(f'{name}: {counted(contact["samples"], "samples")}{share}')
         for key, (text, unit, scale, digits) in TEXTS.items():
             value = contact[key]
+            if key == 'surface_n_m' and value is None:
+                continue
             lines.append(f'  {text}: not known from this recording' if value is None else (
                 f'  {text}: {scale * value["value"]:.{digits}f} +- '
-                f'{scale * value["std"]:.{digits}f} {unit}').rstrip())
+                f'{scale * value["std"]:.{digits}f} {unit}').rstrip().replace(
+                    '+- inf', '+- unknown (one step only)'))
+    if any(contact['of'] == SERIES for contact in found.values()):
+        lines.append(f'stiffness and damping are those of {SERIES}, as the force loop feels them')
     return '\n'.join(lines)
