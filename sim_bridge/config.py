@@ -17,6 +17,7 @@ from multicontact_control.config import (
 from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import ConfigError, counted
 
+PUSH_TIME = 0.8  # s, of a push that is asked for, longer than a push test holds
 MAX_ACTUATOR_DELAY = 5
 
 

@@ -48,7 +48,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.arm import SENSOR_FRAME
-from sim_bridge.config import PlantConfig
+from sim_bridge.config import PlantConfig, PUSH_TIME
 from sim_bridge.drives import PositionHold
 from sim_bridge.plant import Plant, Sample
 from sim_bridge.surface_patch import SurfaceMarkers
@@ -61,7 +61,6 @@ ANSWER_TIMEOUT = 3.0  # s, longest wait for a command in lockstep
 RESENDS = 5  # times that a sample is sent in lockstep within that
 WAIT_FRACTION = 0.5  # of a period: time for the command of a sample before the plant moves on
 COMMAND_TIMEOUT = 0.05  # s without a command, free-running; then the drives hold their position
-PUSH_TIME = 0.8  # s, longer than a push test holds
 TOOL = 'tool'
 EDGES = np.logspace(1.0, 5.0, 41)  # us, of the latencies: ten per decade, 10 us to 100 ms
 REMEMBERED = 1024  # samples whose time of publication is known

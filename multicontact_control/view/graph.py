@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 import time
 from typing import Any
 
@@ -24,6 +24,7 @@ from multicontact_control.view.source import (
     felt_surfaces,
     point_width,
     POINTS,
+    Push,
     RATE,
     Scene,
     Snapshot,
@@ -34,6 +35,7 @@ from multicontact_control.view.source import (
 import numpy as np
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 from rclpy.parameter import Parameter, parameter_value_to_python
+from sim_bridge.config import PUSH_TIME
 from sim_bridge.robots import find_robot, robot_names
 from sim_bridge.surface_patch import Patch
 from std_msgs.msg import Header
@@ -50,7 +52,7 @@ LISTENED = (
     topics.JOINT_STATES, topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
     topics.TRUE_FORCES, topics.INNOVATION, topics.NOISE_VARIANCE, topics.EFFORT_COMMAND,
     topics.POSE, topics.POSE_DESIRED, topics.SURFACE_MARKERS, topics.CONTACT_MARKERS,
-    topics.DIAGNOSTICS)
+    topics.DIAGNOSTICS, topics.PUSH)
 LOOP = f'{topics.CONTROLLER}: loop'
 CEILING, JOINTS = 'command.force_ceiling', 'robot.joint_names'
 
@@ -87,6 +89,9 @@ class GraphSource:
             LISTENED, namespace=namespace, domain_id=domain_id, timeout=PATIENCE,
             on_status=self._note)
         self._push_publisher = create_publisher(self._link.node, topics.PUSH)
+        self._last_push: tuple[float, Push | None] = (0.0, None)  # and until when it lasts
+        self._pushed = {'': config.robot.operational_frame, **(
+            {'tool': setup.plant.tool_push_link} if setup.simulated else {})}
         self._motion, self._motion_identifier = Motion(config.limits), ''
         self._delay = 0.0  # of a motion, that is still to be made up for [s]
         self._changes = ChangeReader(config.contact_names)
@@ -233,10 +238,19 @@ class GraphSource:
                 tail, tip = (np.array([point.x, point.y, point.z]) for point in marker.points)
                 self._normals[name] = (tip - tail) / np.linalg.norm(tip - tail)
 
+    def _look_at_pushes(self) -> None:
+        """Take the pushes that are asked for, from here or elsewhere, for as long as they last."""
+        for message in self._link.queue(topics.PUSH):
+            force, where = message.vector, message.header.frame_id
+            push = Push((force.x, force.y, force.z), self._pushed.get(where, self._pushed['']))
+            self._last_push = self._time + PUSH_TIME, push
+            self._events.append((self._time, _push_text(push.force_world, where)))
+
     def _snapshot(self, now: float, pose: Any, desired: Any) -> Snapshot:
         config, status = self._config, self._link.last_status
         self._look_at_timing(now)
         self._look_at_normals()
+        self._look_at_pushes()
         markers = self._link.newest(topics.SURFACE_MARKERS)
         wanted = self._values(topics.DESIRED_FORCES, config.column_names)
         points, self._points = self._points, []
@@ -264,6 +278,7 @@ class GraphSource:
             goal=self._motion.goal, events=tuple(events), timing=self._timing,
             held=status is not None and status.held, moving=self._motion.what,
             push_test='' if status is None else status.push_test, gains=self._gains,
+            push=self._last_push[1] if self._time < self._last_push[0] else None,
             surfaces=dict(self._surfaces), places_world={} if markers is None else {
                 _name_of(marker): _place_of(marker) for marker in markers.markers})
 
@@ -341,10 +356,7 @@ class GraphSource:
         message = Vector3Stamped(header=Header(frame_id='tool' if tool else ''))
         message.vector.x, message.vector.y, message.vector.z = force
         self._push_publisher.publish(message)
-        pushes = ', '.join(f'{x:+g} N along {axis}' for axis, x in zip('xyz', force) if x)
-        text = f'{"tool" if tool else "operational point"} pushed by {pushes}'
-        self._events.append((self._time, text))
-        return text
+        return _push_text(force, message.header.frame_id)
 
     def _read(self, node: str, names: tuple[str, ...]) -> list[Any]:
         """Return parameters of a node; RunError if it lacks one."""
@@ -364,6 +376,11 @@ class GraphSource:
             node, SetParametersAtomically, 'set_parameters_atomically', request).result
         if not result.successful:
             raise RunError(str(result.reason))
+
+
+def _push_text(force: Sequence[float], where: str) -> str:
+    forces = ', '.join(f'{x:+g} N along {axis}' for axis, x in zip('xyz', force) if x)
+    return f'push{where and " on the "}{where}: {forces}'
 
 
 def _states(status: ControllerStatus | None) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import redirect_stdout
 import html
 import io
+import json
 import time
 from typing import Any
 
@@ -19,6 +20,7 @@ from multicontact_control.view.scene import newtons, SceneView, STATE_COLOURS
 from multicontact_control.view.source import Scene, Snapshot, Source
 import numpy as np
 import viser
+from viser._messages import RunJavascriptMessage
 
 HOST = '127.0.0.1'
 TURN = 0.01  # s
@@ -27,7 +29,10 @@ LISTED = 12  # events
 TOAST_TIME = 6.0  # s
 AGAIN = 3.0  # s, after which the same refusal is told again
 CURVES_WIDTH, CONTROLS_WIDTH = 370, 340  # px
-SMALL = 'font-size:12px;line-height:1.5;padding:2px 14px;white-space:pre-wrap'
+SMALL = 'font-size:12px;line-height:18px;padding:2px 14px;white-space:pre-wrap;'
+ONE_LINE = 'white-space:nowrap;overflow:hidden;text-overflow:ellipsis'
+# Of what changes, so that nothing below moves under the mouse: px, of two lines and of twelve.
+ANSWER, EVENTS = (f'height:{18 * lines}px;overflow-y:auto' for lines in (2, 12))
 GREEN, RED, GREY = '#34965c', '#c0392b', '#6b7280'
 
 
@@ -78,13 +83,16 @@ class Page:
             show_logo=False, show_share_button=False, brand_color=(46, 116, 190),
             control_width='medium')
         gui.set_panel_label('multicontact view')
+        # The only way to a title of the tab in viser.
+        gui._websock_interface.queue_message(RunJavascriptMessage(
+            f'document.title = {json.dumps(scene.title)}'))
         self.scene_view = SceneView(self.server, scene)
         self.status = gui.add_html('')
         self.contacts = gui.add_html('')
-        self.answer = gui.add_html('')
+        self.answer = gui.add_html(_line('', ANSWER))
         self.controls = Controls(gui, scene, self.requests, self.scene_view)
         with gui.add_folder('Events', expand_by_default=True):
-            self.events = gui.add_html(_line('none yet'))
+            self.events = gui.add_html(events_html([]))
         gui.main_panel.dock_right()
         gui.main_panel.set_width(CONTROLS_WIDTH)
         panel = gui.add_panel()
@@ -93,7 +101,8 @@ class Page:
                                  scene.true_forces)
         panel.dock_left()
         panel.set_width(CURVES_WIDTH)
-        self.status.content = _line(f'<b>{html.escape(scene.title)}</b>: waiting for samples')
+        self.status.content = _lines(
+            html.escape(scene.title), '<b>waiting for samples</b>', '&nbsp;')
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Give commands and show what comes until it is to stop; what has ended stays."""
@@ -131,7 +140,7 @@ class Page:
         except MulticontactError as error:
             colour, text = RED, f'refused: {error}'
             self._notify('refused', str(error))
-        self.answer.content = _line(f'<span style="color:{colour}">{html.escape(text)}</span>')
+        self.answer.content = _line(html.escape(text), f'color:{colour};{ANSWER}')
 
     def _show(self, snapshot: Snapshot, new: bool) -> None:
         """Show a `new` snapshot; of the newest one, now and then what follows the user as well."""
@@ -147,7 +156,8 @@ class Page:
                 self.controls.show(snapshot)
                 if snapshot.push_test != self._push_test:  # takes the place of the last answer
                     self._push_test = snapshot.push_test
-                    self.answer.content = _line(f'<b>{html.escape(self._push_test)}</b>')
+                    self.answer.content = _line(
+                        f'<b>{html.escape(self._push_test)}</b>', ANSWER)
             if events != self._listed:
                 self._listed = events
                 self.events.content = events_html(events)
@@ -171,22 +181,19 @@ class Page:
             self.server.stop()
 
 
-def _line(content: str) -> str:
-    return f'<div style="{SMALL}">{content}</div>'
+def _line(content: str, style: str = '') -> str:
+    return f'<div style="{SMALL}{style}">{content}</div>'
+
+
+def _lines(*contents: str) -> str:
+    return ''.join(_line(content, ONE_LINE) for content in contents)
 
 
 def status_html(title: str, snapshot: Snapshot) -> str:
-    """
-    Return the time, what the loop does, and how regular it is.
-
-    The number of its lines does not follow the numbers: what is below would move under the mouse.
-    """
+    """Return what is shown, the time, and how regular the loop is or what takes its place."""
     timing = snapshot.timing
     slow = f', real-time factor {timing.pace:.2f}' if timing.pace < 0.97 else ''
     parts = [f'<b>{snapshot.time:.1f} s</b>{slow}']
-    if snapshot.reaction != NONE:
-        reasons = html.escape(' '.join(snapshot.reasons))
-        parts.append(f'<b style="color:{RED}">{html.escape(snapshot.reaction)}</b> {reasons}')
     if snapshot.held:
         parts.append('<b>held</b>')
     if snapshot.moving:
@@ -195,9 +202,11 @@ def status_html(title: str, snapshot: Snapshot) -> str:
     if np.isfinite(timing.typical):
         regular = (f'latency {1e-3 * timing.typical:.2f} ms, 99 % below {1e-3 * timing.worst:.2f}'
                    + (f' &middot; {timing.misses} late' if timing.misses else ''))
-    return _line(f'<span style="color:{GREY}">{html.escape(title)}</span><br>'
-                 f'{" &middot; ".join(parts)}'
-                 f'<div style="white-space:nowrap;overflow:hidden">{regular}</div>')
+    if snapshot.reaction != NONE:
+        reasons = html.escape(' '.join(snapshot.reasons))
+        regular = f'<b style="color:{RED}">{html.escape(snapshot.reaction)}</b> {reasons}'
+    return _lines(f'<span style="color:{GREY}">{html.escape(title)}</span>',
+                  ' &middot; '.join(parts), regular)
 
 
 def contacts_html(scene: Scene, snapshot: Snapshot) -> str:
@@ -226,4 +235,4 @@ def events_html(events: list[tuple[float, str]]) -> str:
     """Return the newest events, the newest first."""
     return _line('<br>'.join(
         f'<span style="color:{GREY}">{moment:.2f} s</span> {html.escape(text)}'
-        for moment, text in reversed(events)) or 'none yet')
+        for moment, text in reversed(events)) or 'none yet', EVENTS)

@@ -8,7 +8,7 @@ from typing import Any
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.view.shapes import BOX, CYLINDER, MESH, read_shapes, rod, TOOL, wxyz_of
-from multicontact_control.view.source import Scene, Snapshot, Surface
+from multicontact_control.view.source import Push, Scene, Snapshot, Surface
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sim_bridge.arm import TOOL_LINK
@@ -22,7 +22,10 @@ LEVEL = 0.8  # component of a normal along z, from which a surface is as good as
 LEAST_WAY = 5e-4  # m, that is drawn
 TIP = 0.011  # m, radius of the dot of a contact, thickness of an edge or face
 TOUCH = 1.5  # N, from which a surface is known to be there
+PUSH = 0.08  # m, from where a push acts, inside the arm, to its arrow, and of that at least
+AXES, PLACE = 0.15, (0.15, 0.05)  # m, of the names of the directions, on the floor from the middle
 MEASURED, ESTIMATED, DESIRED = (205, 82, 0), (10, 78, 165), (10, 122, 58)
+PUSHED = (138, 60, 176)
 STATE_COLOURS = {
     'free': (150, 155, 162), 'approaching': (232, 176, 48), 'impact': (120, 190, 90),
     'holding': (52, 150, 92), 'lost': (208, 60, 50), 'retracting': (208, 60, 50),
@@ -72,6 +75,11 @@ class SceneView:
         server.initial_camera.look_at = target
         server.initial_camera.position = target + BACK
         server.initial_camera.fov = np.radians(42.0)
+        axes = self._api.add_frame(
+            '/world', axes_length=AXES, axes_radius=0.025 * AXES,
+            position=(target[0] + PLACE[0], target[1] + PLACE[1], 0.0))
+        for name, end in zip('xyz', 1.15 * AXES * np.eye(3)):
+            self._api.add_label(f'{axes.name}/{name}', name, position=end, anchor='center-center')
 
     def _draw_arm(self) -> None:
         api = self._api
@@ -126,6 +134,10 @@ class SceneView:
             f'/labels/{name}', name, anchor='top-center' if level else 'center-left')
             for name, level in zip(names, levels)]
         self._colours: list[tuple[int, int, int] | None] = [None] * len(names)
+        self._push = api.add_arrows(
+            '/push', nothing[:1], PUSHED, shaft_radius=0.008, head_radius=0.018, head_length=HEAD,
+            visible=False)
+        self._push_label = api.add_label('/push/force', '', anchor='bottom-center')
 
     def add_handle(self, on_drag: Callable[[Vector], None]) -> Any:
         """Return a hidden handle of the operational point; `on_drag` takes where it goes [m]."""
@@ -158,6 +170,7 @@ class SceneView:
         rotation = Rotation.from_quat(snapshot.quaternion).as_matrix()
         points = snapshot.position + self._points @ rotation.T
         self._show_forces(snapshot, points, rotation, labels)
+        self._show_push(snapshot.q, snapshot.push)
         self._show_surfaces(snapshot, points)
         if self._handle is not None and self._handle.visible and self._dragged_by is None:
             place = snapshot.position_des if snapshot.goal is None else snapshot.goal
@@ -186,6 +199,19 @@ class SceneView:
             label = self._labels[i]
             label.text = f'{self._scene.config.contact_names[i]}  {newtons(force)} N  {state}'
             label.position = point + 0.03 * normal + 2.0 * BESIDE * _sideways(point, normal)
+
+    def _show_push(self, q: Vector, push: Push | None) -> None:
+        force = np.array(push.force_world if push else (0.0,) * 3)
+        size = float(np.linalg.norm(force))
+        shown = 0.0 < size < np.inf
+        if self._push.visible != shown:
+            self._push.visible = shown
+        if push and shown:
+            pose, = self._robot.link_poses(q, [push.link])
+            tip = pose.position_world - PUSH * force / size
+            tail = tip - (METRES_PER_NEWTON + PUSH / size) * force
+            self._push.points = np.array([[tail, tip]], dtype=np.float32)
+            self._push_label.text, self._push_label.position = f'push {size:g} N', tail
 
     def _show_surfaces(self, snapshot: Snapshot, points: Matrix) -> None:
         """Draw the surfaces where they are; those whose place is not known where they are felt."""

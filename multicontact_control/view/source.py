@@ -55,6 +55,13 @@ class SurfaceState(NamedTuple):
     friction: float
 
 
+class Push(NamedTuple):
+    """A force that pushes the arm."""
+
+    force_world: Vector3  # [N]
+    link: str  # URDF link at whose origin it acts
+
+
 @dataclass(frozen=True)
 class Scene:
     """What does not change while it is shown."""
@@ -110,6 +117,7 @@ class Snapshot:
     gains: Mapping[str, float] = field(default_factory=dict)  # of `GAIN_NAMES`
     surfaces: Mapping[str, SurfaceState] = field(default_factory=dict)  # simulated ones, by name
     places_world: Mapping[str, Vector3] = field(default_factory=dict)  # points of surfaces [m]
+    push: Push | None = None  # under way
     playing: bool = True  # whether time goes on
 
 
