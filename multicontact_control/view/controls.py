@@ -117,8 +117,6 @@ class Controls:
 
         handle.on_update(changed)
 
-    # -------------------------------------------------------------------------------- press
-
     def _add_forces(self, scene: Scene) -> None:
         gui, config, largest = self._gui, scene.config, scene.largest_force
         for column in config.columns:
@@ -137,8 +135,6 @@ class Controls:
         self._hold = self._button(HOLD, source.HOLD, values=lambda: {
             'on': self._hold.label == HOLD})
         self._button('Seek given-up contacts again', source.RETRY)
-
-    # --------------------------------------------------------------------------------- move
 
     def _add_motion(self) -> None:
         gui = self._gui
@@ -161,8 +157,6 @@ class Controls:
                 'period': float(period.value)})
         self._button('Stop every motion', source.STOP)
 
-    # --------------------------------------------------------------------------------- tune
-
     def _add_tuning(self) -> None:
         gui = self._gui
         for name, (unit, low, high, step) in GAINS.items():
@@ -173,8 +167,6 @@ class Controls:
         with gui.add_folder('Wrist sensor'):
             self._button('Tare the sensor', source.TARE, 'nothing may touch the tool')
             self._button('Start the push test', source.PUSH_TEST, 'proves sign, frame, scale')
-
-    # -------------------------------------------------------------------------------- world
 
     def _add_world(self, scene: Scene) -> None:
         gui = self._gui
@@ -205,8 +197,6 @@ class Controls:
         return {'name': name, 'stiffness': float(stiffness.value),
                 'friction': float(friction.value)}
 
-    # ------------------------------------------------------------------------------- replay
-
     def _add_replay(self, duration: float, marks: Sequence[tuple[float, str]]) -> None:
         gui = self._gui
         self._play = self._button(PLAY, source.PLAY, values=lambda: {
@@ -220,8 +210,6 @@ class Controls:
             f'{moment:.2f} s: {text}': moment for moment, text in marks[:MAX_MARKS]}}
         jump = gui.add_dropdown('jump to', tuple(jumps))
         self._on_change(jump, source.SEEK, lambda value: {'time': jumps[value]})
-
-    # --------------------------------------------------------------------------------- show
 
     def show(self, snapshot: Snapshot) -> None:
         """Show what is in force, unless the user is just about to change it."""

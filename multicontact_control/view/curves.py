@@ -124,9 +124,7 @@ class Curves:
         return found
 
 
-def charts_of(
-    names: Sequence[str], joints: Sequence[str], true_forces: bool = False,
-) -> list[Chart]:
+def charts_of(names: Sequence[str], joints: Sequence[str], true_forces: bool) -> list[Chart]:
     """Return what there is to show of these forces, couples and joints."""
     shown = 4 if true_forces else 3
     *columns, torques = np.split(

@@ -54,6 +54,7 @@ LISTENED = (
     topics.POSE, topics.POSE_DESIRED, topics.SURFACE_MARKERS, topics.CONTACT_MARKERS,
     topics.DIAGNOSTICS, topics.PUSH)
 LOOP = f'{topics.CONTROLLER}: loop'
+SHOWN = ('latency_us_p50', 'latency_us_p99', 'deadline_misses')  # of it, or `none`
 CEILING, JOINTS = 'command.force_ceiling', 'robot.joint_names'
 
 
@@ -173,8 +174,6 @@ class GraphSource:
         """Leave the graph, which goes on."""
         self._link.close()
 
-    # ---------------------------------------------------------------------------- what is heard
-
     @property
     def _time(self) -> float:
         """Time of the newest sample [s] since the first that was heard."""
@@ -223,11 +222,10 @@ class GraphSource:
         for report in self._link.queue(topics.DIAGNOSTICS):
             for part in report.status:
                 if part.name.rpartition('/')[2] == LOOP:
-                    values = {each.key: each.value for each in part.values}
-                    self._timing = Timing(
-                        _number(values['latency_us_p50']),
-                        _number(values['latency_us_p99']),
-                        self._timing.misses + int(values['deadline_misses']), pace)
+                    values = {each.key: float(each.value.replace('none', 'nan'))
+                              for each in part.values if each.key in SHOWN}
+                    typical, worst, misses = (values[key] for key in SHOWN)
+                    self._timing = Timing(typical, worst, self._timing.misses + int(misses), pace)
 
     def _look_at_normals(self) -> None:
         """Take the normals, which a controller may find on-line, from the arrows of the forces."""
@@ -276,22 +274,19 @@ class GraphSource:
                 name: force for name, force in zip(config.column_names, wanted.tolist())
                 if np.isfinite(force)},
             goal=self._motion.goal, events=tuple(events), timing=self._timing,
-            held=status is not None and status.held, moving=self._motion.what,
+            held=self._held, moving=self._motion.what,
             push_test='' if status is None else status.push_test, gains=self._gains,
             push=self._last_push[1] if self._time < self._last_push[0] else None,
             surfaces=dict(self._surfaces), places_world={} if markers is None else {
                 _name_of(marker): _place_of(marker) for marker in markers.markers})
 
-    # ------------------------------------------------------------------------------ commands
-
     def command(self, name: str, /, **values: Any) -> str:
         """Give a command, and return what comes of it; see `Source.command`."""
         try:
             return self._command(name, **values)
-        except CommandRefusedError:  # the controller has said so, and all that listen know
-            raise
         except MulticontactError as error:
-            self._events.append((self._time, f'refused: {error}'))
+            if not isinstance(error, CommandRefusedError):  # which the controller tells of
+                self._events.append((self._time, f'refused: {error}'))
             raise
 
     def _command(self, name: str, /, **values: Any) -> str:
@@ -326,7 +321,7 @@ class GraphSource:
 
     def _start_motion(self) -> None:
         """Begin a motion from where the point should be, or go on with the one under way."""
-        if self._link.last_status is not None and self._link.last_status.held:
+        if self._held:
             raise CommandError('~/hold', hint='the arm is held; let go of it first')
         if not self._motion.what:
             self._motion_identifier, self._delay = new_identifier(), 0.0
@@ -356,7 +351,7 @@ class GraphSource:
         message = Vector3Stamped(header=Header(frame_id='tool' if tool else ''))
         message.vector.x, message.vector.y, message.vector.z = force
         self._push_publisher.publish(message)
-        return _push_text(force, message.header.frame_id)
+        return ''  # what a push test asks for stays
 
     def _read(self, node: str, names: tuple[str, ...]) -> list[Any]:
         """Return parameters of a node; RunError if it lacks one."""
@@ -414,8 +409,3 @@ def _require_joints(expected: tuple[str, ...], found: tuple[str, ...]) -> None:
                if found == (robot.file.joint_names or robot.arm.joint_names)]
     raise RunError(f'{JOINTS}: expected {", ".join(expected)}, got {", ".join(found)}; name '
                    f'{" or ".join(fitting) or "its --robot"}, and its --scenario')
-
-
-def _number(text: str) -> float:
-    """Return a number of the diagnostics, NaN for `none`."""
-    return float('nan') if text == 'none' else float(text)

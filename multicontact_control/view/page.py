@@ -140,7 +140,8 @@ class Page:
         except MulticontactError as error:
             colour, text = RED, f'refused: {error}'
             self._notify('refused', str(error))
-        self.answer.content = _line(html.escape(text), f'color:{colour};{ANSWER}')
+        if text:
+            self.answer.content = _line(html.escape(text), f'color:{colour};{ANSWER}')
 
     def _show(self, snapshot: Snapshot, new: bool) -> None:
         """Show a `new` snapshot; of the newest one, now and then what follows the user as well."""

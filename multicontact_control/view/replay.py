@@ -59,7 +59,7 @@ class ReplaySource:
         places: Sequence[tuple[float, Mapping[str, Vector3]]] = (),
     ) -> None:
         self._data = data
-        self._places = [each for _, each in places]
+        self._places = [each for _, each in places] or [{}]
         self._place_times = [moment for moment, _ in places]
         config = scene.config
         self._normals = np.array([
@@ -108,11 +108,8 @@ class ReplaySource:
             normals_world=self._normals, states=event.contact_states, reaction=event.reaction,
             reasons=event.causes + event.limits, points=self._points[first:end],
             events=tuple(mark for mark in self.scene.marks if last < mark[0] <= now + 1e-9),
-            places_world=self._places_at(now), playing=self._playing)
-
-    def _places_at(self, now: float) -> Mapping[str, Vector3]:
-        index = bisect_right(self._place_times, now)
-        return self._places[max(0, index - 1)] if self._places else {}
+            places_world=self._places[max(0, bisect_right(self._place_times, now) - 1)],
+            playing=self._playing)
 
     def command(self, name: str, /, **values: Any) -> str:
         """Play, pause, jump, or play at another speed; see `Source.command`."""
