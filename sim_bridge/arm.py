@@ -64,6 +64,9 @@ class Body:
         return cls(float(inertia.mass), com, triple(moments))
 
 
+MASSLESS = Body(0.0, Placement(), (0.0, 0.0, 0.0))  # PyBullet takes none at all for 1 kg
+
+
 @dataclass(frozen=True)
 class Link:
     """One joint and what it carries."""
@@ -147,7 +150,7 @@ def urdf_text(arm: Arm, *, for_bullet: bool = False) -> str:
     true inertias have to be set afterwards.
     """
     bodies, visuals = arm.bodies, {} if for_bullet else arm.visuals
-    base = [f'  <link name="{BASE_LINK}">{visuals.get(BASE_LINK, "")}</link>']
+    base = _link(BASE_LINK, MASSLESS, visuals.get(BASE_LINK, ''))
     if for_bullet:
         bodies = tuple(replace(body, inertia=(max(body.inertia),) * 3) for body in bodies)
         base = _link(BASE_LINK, Body(1.0, Placement(), (1.0, 1.0, 1.0)))
@@ -171,7 +174,7 @@ def urdf_text(arm: Arm, *, for_bullet: bool = False) -> str:
     parts += _link(TOOL_LINK, bodies[-1], visuals.get(TOOL_LINK, ''))
     parts += _joint(f'{TOOL_LINK}_joint', 'fixed', SENSOR_FRAME, TOOL_LINK, Placement())
     for name, (carrier, placement) in places.items():
-        parts.append(f'  <link name="{name}"/>')
+        parts += _link(name, MASSLESS)
         parts += _joint(f'{name}_joint', 'fixed', carrier, name, placement)
     return '\n'.join([_HEADER, f'<robot name="{arm.name}">', *parts, '</robot>', ''])
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 import math
-import os
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.arrays import Vector
@@ -18,136 +18,191 @@ import pinocchio as pin
 from sim_bridge.arm import Arm
 from sim_bridge.posture import condition, limits_of, middle_of, reach, turn_onto
 from sim_bridge.robot_file import RobotFile
-from sim_bridge.robots import find_robot
+from sim_bridge.robots import Robot
 from sim_bridge.urdf_arm import ends_of, parse_urdf, read_arm, read_urdf
 import yaml
 
 MARK = 'PLACEHOLDER'
+TIP = 'tip'  # a name of its own, since the arm's links are named anew
+GUESSED_CONTACTS = {'table': {
+    'tip': TIP, 'normal_world': [0.0, 0.0, -1.0], 'gap': 0.007, 'stiffness': 6000.0}}
 GUESSED_TOOL = {
     'face_offset': 0.0, 'face_mass': 0.001, 'mass': 0.5, 'com': [0.0, 0.0, 0.08],
-    'inertia': [0.002, 0.002, 0.001]}
-GUESSED_TIP = [0.0, 0.0, 0.15]  # m, where the URDF has no tool
+    'inertia': [0.002, 0.002, 0.001], 'tips': {TIP: [0.0, 0.0, 0.15]}}  # where the URDF has none
 GUESSED_LIMITS = {'torque_limit': (50.0, 'N m'), 'speed_limit': (1.0, 'rad/s')}
 GUESSED_ARMATURE = 0.1  # kg m^2
 LARGEST_LIMIT = 1e6  # N m or rad/s, from which on a limit is none
+TURNING = ('revolute', 'continuous')
+FEWEST_JOINTS = 6  # for force and motion in six directions
 # Places of the operational point that are tried for home, as shares of the arm's length: how far
 # out and how high, on the four sides.
 PLACES = ((0.45, 0.35), (0.35, 0.3), (0.5, 0.2), (0.4, 0.45), (0.3, 0.2))
 STARTS = 4  # postures from which each is tried
 GOOD_CONDITION = 20.0  # of the Jacobian
+GOOD_LOAD = 0.7  # share of the torque limit that gravity takes
+HEADS = {
+    'locked_joints': 'Joints that are no part of the arm, and where they stay.',
+    'tool': f'{MARK}: the URDF has no tool with a mass beyond the sensor link. In the frame of '
+            'the sensor; m, kg, kg m^2.',
+    'contacts': f'{MARK}: a table 7 mm below the tip at home; the normal points INTO it.'}
+COMMENTS = {
+    'locked_positions': 'rad or m', 'mount_link': 'carries the wrist sensor',
+    'mount_rpy': 'rad, axes of the sensor in it', 'tip_links': 'of the tool, which is in the URDF',
+    'armature': f'kg m^2, {MARK}', 'home': 'rad'}
 
 
-class NewRobot(NamedTuple):
-    """A configuration that was written."""
-
-    path: Path
-    missing: tuple[str, ...]  # what it still needs, in sentences
-    remarks: tuple[str, ...]  # what is known of it, in sentences
-
-
-def new_robot(urdf: Path, sensor: str, tip: str, out: Path) -> NewRobot:
+def new_robot(
+    urdf: Path, sensor: str, tip: str, out: Path, controller: Path, lock: Sequence[str] = (),
+) -> tuple[str, ...]:
     """
-    Write a file for a robot from its vendor's URDF, check it, and say what is missing.
+    Write the files of a robot from its vendor's URDF, and return what they are and lack.
 
-    `sensor` is the link that carries the wrist sensor, `tip` the one that touches. Raises
-    ConfigError if the URDF is not that of an arm, has no such links, or has impossible figures.
+    Beside the controller's file is the URDF of the arm with its tool.
+
+    Parameters
+    ----------
+    urdf
+        File of the vendor.
+    sensor, tip
+        Links that carry the wrist sensor, and that touch.
+    out, controller
+        Files to write: of the robot, and of the controller on the real arm.
+    lock
+        Joints that are no part of the arm, and where they stay, as ``JOINT=POSITION`` [rad or m].
+
+    Raises
+    ------
+    ConfigError
+        If the URDF is not that of an arm, has no such links or joints, or has impossible figures.
+
     """
-    text, suspicious = read_urdf(urdf), list[str]()
-    joints, locked = _joints(parse_urdf(text), sensor, tip)
+    text, suspicious, missing = read_urdf(urdf), list[str](), list[str]()
+    joints, locked = _joints(parse_urdf(text), sensor, tip, _positions(lock))
+    path, folder = urdf.resolve(), out.parent.resolve()
     values: dict[str, Any] = {
-        'urdf': os.path.relpath(urdf.resolve(), out.parent.resolve()), 'joint_names': joints,
-        'mount_link': sensor, 'tip_links': [tip], 'home': [0.0] * len(joints),
-        'contacts': _contacts(tip), 'armature': [GUESSED_ARMATURE] * len(joints)}
+        'urdf': str(path.relative_to(folder) if path.is_relative_to(folder) else path),
+        'joint_names': joints, 'mount_link': sensor, 'mount_rpy': [0.0] * 3,
+        'tip_links': {TIP: tip}, 'home': [0.0] * len(joints), 'contacts': GUESSED_CONTACTS,
+        'armature': [GUESSED_ARMATURE] * len(joints)}
     if locked:
         values |= {'locked_joints': list(locked), 'locked_positions': list(locked.values())}
-    missing: list[str] = []
     try:
         arm = read_arm(urdf, RobotFile(**values))
     except ConfigError as error:
-        if error.field not in ('tool', 'tip_links'):
+        if error.field != 'tool':
             raise
-        tip = f'{tip}_tip'  # the arm may have a link or joint of that name
         missing.append('tool: weigh it (`multicontact calibrate` shows how) and measure the tip')
         del values['tip_links']
-        values |= {'tool': {**GUESSED_TOOL, 'tips': {tip: GUESSED_TIP}},
-                   'contacts': _contacts(tip)}
+        values['tool'] = GUESSED_TOOL
         arm = read_arm(urdf, RobotFile(**values))
     load_model(text, locked, suspicious)
-    limits = {name: [value if 0.0 < (value := getattr(link, name)) < LARGEST_LIMIT else math.nan
-                     for link in arm.links] for name in GUESSED_LIMITS}
-    suspicious += check_torques(arm.model(), np.array(limits['torque_limit']))
-    home = _home(arm, np.array(arm.tips[tip]))
+    limits = {name: np.array([value if 0.0 < (value := getattr(link, name)) < LARGEST_LIMIT
+                              else math.nan for link in arm.links]) for name in GUESSED_LIMITS}
+    suspicious += check_torques(arm.model(), limits['torque_limit'])
+    home = _home(arm, np.array(arm.tips[TIP]), limits['torque_limit'])
     if home is None:
         home = middle_of(arm.model(), np.zeros(len(joints)))
         missing.append('home: no posture with the tool straight down was found; this one is the '
                        "middle of the joints' range")
-    values['home'] = [round(float(angle), 9) for angle in home]
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(_text(urdf.name, values, limits, missing), encoding='utf-8')
+    values['home'] = home.round(9).tolist()
+    comments = dict(COMMENTS)
+    for name, (guess, unit) in GUESSED_LIMITS.items():
+        values[name] = np.nan_to_num(limits[name], nan=guess).tolist()
+        comments[name] = unit
+        if lacking := ', '.join(np.array(joints)[np.isnan(limits[name])]):
+            comments[name] = f'{unit}, {MARK} for {lacking}: the URDF has none'
+            missing.append(f'{name} of {lacking}: the URDF has none')
     missing += ['armature: rotor inertia x gear ratio squared of each joint',
                 'contacts: the surfaces your tip really meets, and their stiffness']
-    return NewRobot(out, tuple(missing), (
-        *(f'suspicious: {remark}' for remark in suspicious), *_remarks(out)))
+    robot = Robot(str(out), validate(RobotFile, values, str(out)), folder)
+    remarks = _remarks(robot)
+    _write_controller(robot, controller, missing)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(_text(urdf.name, values, comments), encoding='utf-8')
+    return (*(f'suspicious: {remark}' for remark in suspicious), *remarks,
+            *(f'missing: {what}' for what in missing))
 
 
-def write_controller(made: NewRobot, out: Path) -> None:
-    """
-    Write what the controller on the real arm needs, beside the URDF of the arm with its tool.
-
-    What the robot's file still needs is guessed here, too, and listed in the head. Raises
-    ConfigError if a value in it is not acceptable.
-    """
-    robot = find_robot(str(made.path))
+def _write_controller(robot: Robot, out: Path, missing: Sequence[str]) -> None:
+    """Write what the controller needs, beside the URDF of the arm with its tool."""
     values = robot.controller_base()
-    urdf = out.with_name(f'{made.path.stem}_with_tool.urdf')
+    urdf = out.with_name(f'{Path(robot.name).stem}_with_tool.urdf')
     values['robot'] = {**values['robot'], 'urdf': urdf.name}
     # Nothing of the simulated sensor; and no contact before this one is proven by a push test.
     values['sensor'], values['watchdog'] = {'require_push_test': True}, {}
     validate(ControllerConfig, values, str(out))
     out.parent.mkdir(parents=True, exist_ok=True)
     urdf.write_text(robot.arm.urdf, encoding='utf-8')
-    guesses = '\n'.join(f'# - {text}' for text in made.missing)
+    guesses = '\n'.join(f'# - {text}' for text in missing)
     write_parameters(
         out, {'/**': values},
-        f'# Written by `multicontact new-robot` beside {made.path.name}, yours from here on.\n'
-        "# Check every contact's normal and point, what hangs on the sensor, the torque limits\n"
-        "# and the sensor's frame. Guessed or not known, and yours to replace:\n"
+        f'# Written by `multicontact new-robot` beside {Path(robot.name).name}, yours from here '
+        "on.\n# Check every contact's normal and point, what hangs on the sensor, the torque "
+        "limits\n# and the sensor's frame. Guessed or not known, and yours to replace:\n"
         f'{guesses}\n')
 
 
+def _positions(lock: Sequence[str]) -> dict[str, float]:
+    """Return positions by joint."""
+    positions = {}
+    for text in lock:
+        joint, _, position = text.rpartition('=')
+        try:
+            positions[joint] = float(position)
+        except ValueError:
+            raise ConfigError('--lock', 'JOINT=POSITION [rad or m]', f"'{text}'") from None
+    return positions
+
+
 def _joints(
-    root: ElementTree.Element, sensor: str, tip: str,
+    root: ElementTree.Element, sensor: str, tip: str, lock: Mapping[str, float],
 ) -> tuple[list[str], dict[str, float]]:
     """Return the joints between base and sensor, and where all others are to stay."""
     links = [link.get('name', '') for link in root.findall('link')]
-    for field, name in (('sensor', sensor), ('tip', tip)):
-        if name not in links:
-            raise ConfigError(field, f'a link of the URDF among {", ".join(links)}', f"'{name}'")
-    moving = [joint for joint in root.findall('joint') if joint.get('type') != 'fixed']
-    carried = {ends_of(joint)[1]: joint for joint in root.findall('joint')}
-    chain: list[str] = []
-    link = sensor
-    while joint := carried.get(link):
-        link = ends_of(joint)[0]
-        if joint in moving:
-            chain.insert(0, joint.get('name', ''))
-    if not chain:
-        raise ConfigError('sensor', 'a link that joints carry', f"'{sensor}'")
+    moving = {joint.get('name', ''): joint for joint in root.findall('joint')
+              if joint.get('type') != 'fixed'}
+    for field, names, known in (('sensor', [sensor], links), ('tip', [tip], links),
+                                ('lock', lock, moving)):
+        if unknown := [name for name in names if name not in known]:
+            raise ConfigError(f'--{field}', f'one of {", ".join(known)}', f"'{unknown[0]}'")
+    chain = [name for joint in _way_to(root, sensor).values()
+             if (name := joint.get('name', '')) in moving and name not in lock]
+    turning = [name for name in chain if moving[name].get('type') in TURNING]
+    if len(turning) < FEWEST_JOINTS:
+        raise ConfigError(
+            '--sensor', f'a link carried by {FEWEST_JOINTS} or more joints that turn, for force '
+            'and motion in six directions',
+            f"'{sensor}', carried by {len(turning)} ({', '.join(turning) or 'none'})")
+    for name, joint in moving.items():
+        kind = joint.get('type')
+        if kind not in TURNING and (name in chain or kind != 'prismatic'):
+            raise ConfigError(
+                '--sensor', 'an arm of joints that turn', f"'{name}', which is {kind}",
+                hint=f'add --lock {name}=POSITION' if kind == 'prismatic' else
+                'make it fixed in the URDF')
+    if tip != sensor and sensor not in _way_to(root, tip):
+        raise ConfigError('--tip', f"'{sensor}' or a link beyond it", f"'{tip}'")
     locked = {}
-    for joint in moving:
+    for name, joint in moving.items():
         limit = joint.find('limit')
         ends = {} if limit is None else limit.attrib
         lower, upper = (float(ends.get(end, 0.0)) for end in ('lower', 'upper'))
-        locked[joint.get('name', '')] = min(max(0.0, lower), upper) if lower <= upper else 0.0
-    return chain, {name: place for name, place in locked.items() if name not in chain}
+        locked[name] = min(max(0.0, lower), upper) if lower <= upper else 0.0
+    return chain, {name: place for name, place in (locked | dict(lock)).items()
+                   if name not in chain}
 
 
-def _contacts(tip: str) -> dict[str, Any]:
-    return {'table': {
-        'tip': tip, 'normal_world': [0.0, 0.0, -1.0], 'gap': 0.007, 'stiffness': 6000.0}}
+def _way_to(root: ElementTree.Element, link: str) -> dict[str, ElementTree.Element]:
+    """Return the joints from the base to a link, each under the link that it carries."""
+    carried = {ends_of(joint)[1]: joint for joint in root.findall('joint')}
+    way = {}
+    while joint := carried.pop(link, None):
+        way[link] = joint
+        link = ends_of(joint)[0]
+    return dict(reversed(way.items()))
 
 
-def _home(arm: Arm, tip: Vector) -> Vector | None:
+def _home(arm: Arm, tip: Vector, limit: Vector) -> Vector | None:
     """Return a posture with the tip straight below the sensor, or None."""
     model = arm.model()
     lower, upper = limits_of(model)
@@ -166,61 +221,43 @@ def _home(arm: Arm, tip: Vector) -> Vector | None:
             pose = pin.SE3(turn @ down, turn @ np.array([out * length, 0.0, high * length]))
             for start in starts:
                 q = reach(model, pose, start)
-                if q is not None and (value := condition(model, q)) < best:
+                if q is None:
+                    continue
+                value = max(condition(model, q) / GOOD_CONDITION,
+                            np.nanmax(_load(model, q) / limit, initial=0.0) / GOOD_LOAD)
+                if value < best:
                     best, home = value, q
-        if best < GOOD_CONDITION:
+        if best < 1.0:
             break
     return home
 
 
-def _text(
-    urdf: str, values: dict[str, Any], limits: dict[str, list[float]], missing: list[str],
-) -> str:
-    """Return the text of the file, and add the limits to what is missing."""
-    comments = {
-        'locked_positions': 'rad or m', 'mount_link': 'carries the wrist sensor',
-        'tip_links': 'of the tool, which is in the URDF', 'armature': f'kg m^2, {MARK}',
-        'home': 'rad'}
-    heads = {
-        'locked_joints': 'Joints that are no part of the arm, and where they stay.',
-        'tool': f'{MARK}: the URDF has no tool with a mass beyond the sensor link. In the frame '
-                'of the sensor; m, kg, kg m^2.',
-        'contacts': f'{MARK}: a table 7 mm below the tip at home; the normal points INTO it.'}
+def _load(model: pin.Model, q: Vector) -> Vector:
+    """Return the torque that holds the arm, by its size, shape (n,) [N m]."""
+    return np.abs(pin.computeGeneralizedGravity(model, model.createData(), q))
+
+
+def _text(urdf: str, values: dict[str, Any], comments: Mapping[str, str]) -> str:
+    """Return the text of the robot's file."""
     lines = [
         f'# Written by `multicontact new-robot {urdf}`; what is marked {MARK} is a guess.',
         '# SI units. What is not here follows from the URDF (docs/your_robot.md).']
     for name, value in values.items():
-        if name in heads:
-            lines.append(f'# {heads[name]}')
-        comment = f'  # {comments[name]}' if name in comments else ''
-        lines.append(_entry(name, value) + comment)
-    for name, (guess, unit) in GUESSED_LIMITS.items():
-        lacking = ', '.join(joint for joint, value in zip(values['joint_names'], limits[name])
-                            if math.isnan(value))
-        entry = _entry(name, [guess if math.isnan(x) else x for x in limits[name]])
-        if lacking:
-            missing.append(f'{name} of {lacking}: the URDF has none')
-        lines.append(f'{entry}  # {unit}, {MARK} for {lacking}: the URDF has none' if lacking
-                     else f'# {entry}  # {unit}, those of the URDF')
-    return '\n'.join([*lines, '# mount_rpy: [0.0, 0.0, 0.0]  # rad, axes of the sensor', ''])
+        if name in HEADS:
+            lines.append(f'# {HEADS[name]}')
+        style = None if isinstance(value, (list, dict)) else False  # lists in one line each
+        entry = yaml.safe_dump({name: value}, default_flow_style=style, sort_keys=False,
+                               width=math.inf).strip()
+        lines.append(f'{entry}  # {comments[name]}' if name in comments else entry)
+    return '\n'.join([*lines, ''])
 
 
-def _entry(name: str, value: Any) -> str:
-    """Return an entry of a YAML file, its lists in one line each."""
-    style = None if isinstance(value, (list, dict)) else False
-    return yaml.safe_dump({name: value}, default_flow_style=style, sort_keys=False,
-                          width=math.inf).strip()
-
-
-def _remarks(out: Path) -> tuple[str, ...]:
-    """Check the file by reading it, and return what it makes."""
-    robot = find_robot(str(out))
+def _remarks(robot: Robot) -> tuple[str, ...]:
+    """Return what is known of a robot, whose values are checked."""
     arm, home = robot.arm, np.array(robot.file.home)
     model = arm.model()
     robot.plant_values('rigid')
-    robot.controller_base()
-    gravity = np.abs(pin.computeGeneralizedGravity(model, model.createData(), home))
-    share = gravity / np.array(arm.torque_limit)
+    share = _load(model, home) / arm.torque_limit
     return (
         f'{len(arm.links)} joints, {sum(body.mass for body in arm.bodies):.3g} kg, of which '
         f'{arm.carried_mass:.3g} kg hang on the sensor',

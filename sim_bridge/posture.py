@@ -60,13 +60,14 @@ def frame_pose(model: pin.Model, q: Vector, frame: str = OPERATIONAL_FRAME) -> p
     """Return where a frame is in the world at joint angles, shape (n,) [rad]."""
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
-    return data.oMf[model.getFrameId(frame)].copy()
+    return data.oMf[model.getFrameId(frame, pin.FrameType.BODY)].copy()
 
 
 def frame_jacobian(model: pin.Model, q: Vector, frame: str = OPERATIONAL_FRAME) -> Matrix:
     """Return the Jacobian of a frame, world axes, linear rows first, shape (6, n) [m, rad]."""
     jacobian: Matrix = pin.computeFrameJacobian(
-        model, model.createData(), q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)
+        model, model.createData(), q, model.getFrameId(frame, pin.FrameType.BODY),
+        pin.LOCAL_WORLD_ALIGNED)
     return jacobian
 
 

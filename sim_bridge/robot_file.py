@@ -90,8 +90,8 @@ class RobotFile(Config):
         (0.0, 0.0, 0.0), 'Axes of operational point and sensor in that link.', unit='rad')
     tool: ToolData | None = parameter(
         None, 'Our tool, instead of all that the URDF has beyond mount_link; none for that.')
-    tip_links: tuple[str, ...] = parameter(
-        (), 'Of a tool in the URDF, the links that may touch.')
+    tip_links: dict[str, str] = parameter(
+        {}, 'Of a tool in the URDF, the links that may touch, each under the name of its tip.')
     home: Vector = parameter((), 'Joint angles at the start, the tool at the surfaces.',
                              unit='rad')
     armature: Vector = parameter((), 'Rotor inertia at each joint; empty for none.',
@@ -130,7 +130,7 @@ class RobotFile(Config):
                                   len(getattr(self, name)))
         if self.tool is not None and self.tip_links:
             yield ConfigError('tip_links', hint='leave it out with `tool`')
-        tips = self.tip_links if self.tool is None else tuple(self.tool.tips)
+        tips = tuple(self.tip_links if self.tool is None else self.tool.tips)
         for name, contact in self.contacts.items():
             if contact.tip not in tips:
                 yield ConfigError(f'contacts.{name}.tip', f'one of {", ".join(tips)}',

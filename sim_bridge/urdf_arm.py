@@ -46,9 +46,10 @@ def read_arm(path: Path, file: RobotFile) -> Arm:
         arm = arm_of_urdf(text)
         _check_names(list(arm.joint_names), file.joint_names)
         return arm
-    name, locked, joints = parse_urdf(text).get('name') or 'arm', file.locked, file.joint_names
+    name, joints = parse_urdf(text).get('name') or 'arm', file.joint_names
     bare = _without_tool(text, file.mount_link)
-    model = load_model(bare, {name: locked[name] for name in locked if f'"{name}"' in bare})
+    there = {joint.get('name') for joint in parse_urdf(bare).findall('joint')}
+    model = load_model(bare, {key: file.locked[key] for key in file.locked if key in there})
     _check_names(list(model.names)[1:], joints)
     last = model.njoints - 1
     if list(model.parents)[1:] != list(range(last)):
@@ -218,12 +219,12 @@ def _with_tool_of_urdf(
             'tool', f"a tool, or one with a mass beyond '{file.mount_link}' in the URDF",
             'neither')
     tips = {}
-    for link in file.tip_links:
+    for name, link in file.tip_links.items():
         if not full.existFrame(link, pin.FrameType.BODY) or _frame(
                 full, link).parentJoint != last:
             raise ConfigError('tip_links', 'links of the URDF that the last joint carries',
                               f"'{link}'")
-        tips[link] = triple(sensor.actInv(_frame(full, link).placement.translation))
+        tips[name] = triple(sensor.actInv(_frame(full, link).placement.translation))
     tool = sensor.actInv(full.inertias[last] - bare.inertias[last])
     return replace(arm, tool=_body(tool, file.mount_link), tips=tips)
 

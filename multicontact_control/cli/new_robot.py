@@ -19,6 +19,9 @@ def new_robot(
     controller: Annotated[Path, typer.Option(
         help='Parameter file to write, of the controller on the real arm.',
         )] = Path('controller.yaml'),
+    lock: Annotated[list[str] | None, typer.Option(
+        metavar='JOINT=POSITION', help='A joint that is no part of the arm, e.g. of a mobile base '
+        'or gripper, and where it stays [rad or m]; may be repeated.')] = None,
     overwrite: Annotated[bool, typer.Option(
         '--overwrite', help='Replace these files.')] = False,
 ) -> None:
@@ -33,14 +36,11 @@ def new_robot(
     target = out or Path(f'{urdf.stem}.yaml')
     for name, path in (('out', target), ('controller', controller)):
         if path.exists() and not overwrite:
-            raise ConfigError(name, 'a new file, or --overwrite', path)
+            raise ConfigError(f'--{name}', 'a new file, or --overwrite', path)
     # Only now: bad input is refused before pinocchio is loaded.
     from sim_bridge.new_robot import new_robot as write
-    from sim_bridge.new_robot import write_controller
 
-    robot = write(urdf, sensor, tip, target)
-    write_controller(robot, controller)
-    for text in (*robot.remarks, *(f'missing: {text}' for text in robot.missing)):
+    for text in write(urdf, sensor, tip, target, controller, lock or ()):
         typer.echo(text)
     typer.echo(f'written to {target}; try: multicontact simulate --robot {target} '
                '--scenario one_contact')

@@ -116,10 +116,10 @@ class RobotModel:
                 f"'{config.operational_frame}', carried by {joints[0]}")
 
     def _frame_id(self, field: str, name: str) -> int:
-        if not self._model.existFrame(name):
-            bodies = [f.name for f in self._model.frames if f.type == pin.FrameType.BODY]
+        bodies = [f.name for f in self._model.frames if f.type == pin.FrameType.BODY]
+        if name not in bodies:
             raise ConfigError(field, f'a link of the robot among {", ".join(bodies)}', f"'{name}'")
-        return int(self._model.getFrameId(name))
+        return int(self._model.getFrameId(name, pin.FrameType.BODY))
 
     def _shared_terms(self) -> Terms:
         """Return arrays that share pinocchio's memory, so that nothing needs to be copied."""
@@ -202,28 +202,22 @@ def load_model(
         not locked, does not have a joint that is, or has impossible figures (`model_check`).
 
     """
-    if isinstance(urdf, Path):
-        source = str(urdf)
-        try:
-            text: str | bytes = urdf.read_bytes()  # it declares its encoding
-        except OSError as error:
-            raise ConfigError('robot.urdf', 'a readable URDF file',
-                              f'{source} ({error.strerror})') from None
-    else:
-        source, text = 'text', urdf
+    source = str(urdf) if isinstance(urdf, Path) else 'text'
     try:
+        text = urdf.read_bytes() if isinstance(urdf, Path) else urdf  # which has its encoding
         root = ElementTree.fromstring(text)
         axes, endless = _complete(root)
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding='unicode'))
+    except OSError as error:
+        raise ConfigError('robot.urdf', 'a readable URDF file',
+                          f'{source} ({error.strerror})') from None
     except (ElementTree.ParseError, ValueError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else 'not a URDF'
         raise ConfigError('robot.urdf', 'a valid URDF', f'{source} ({reason})') from None
     locked = dict(locked_joints or {})
     names = list(model.names)[1:]
-    unknown = [name for name in locked if name not in names]
-    if unknown:
-        raise ConfigError(
-            'robot.locked_joints', f'joints of the robot among {", ".join(names)}', unknown)
+    if unknown := [name for name in locked if name not in names]:
+        raise ConfigError('robot.locked_joints', f'joints among {", ".join(names)}', unknown)
     if locked:
         model = _locked(model, locked)
     if model.nq != model.nv:
@@ -262,7 +256,13 @@ def _locked(model: pin.Model, locked: Mapping[str, float]) -> pin.Model:
             raise ConfigError(
                 'robot.locked_joints', 'joints with one coordinate each', f"'{name}'")
         posture[joint.idx_q] = position
-    return pin.buildReducedModel(model, [model.getJointId(name) for name in locked], posture)
+    # Pinocchio looks joints up among all frames, where a link may have the same name.
+    for frame in model.frames:
+        frame.name = f' {frame.name}' if frame.type == pin.FrameType.BODY else frame.name
+    reduced = pin.buildReducedModel(model, [model.getJointId(name) for name in locked], posture)
+    for frame in reduced.frames:
+        frame.name = frame.name.strip()
+    return reduced
 
 
 def _findings(model: pin.Model, axes: Mapping[str, Vector]) -> Iterator[model_check.Finding]:

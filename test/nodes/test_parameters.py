@@ -23,7 +23,7 @@ from multicontact_control.paths import config_dir
 import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sim_bridge.new_robot import new_robot, write_controller
+from sim_bridge.new_robot import new_robot
 
 CONTROLLER_FILE = config_dir() / 'controller.yaml'
 
@@ -68,8 +68,8 @@ def test_load_parameters_reads_what_a_file_says(make_node, tmp_path):
 
 
 def new_robot_file(folder):
-    made = new_robot(seven_joint_urdf(folder), 'wrist', 'wrist', folder / 'mine.yaml')
-    write_controller(made, folder / 'controller.yaml')
+    new_robot(seven_joint_urdf(folder), 'wrist', 'wrist', folder / 'mine.yaml',
+              folder / 'controller.yaml')
     return folder / 'controller.yaml'
 
 

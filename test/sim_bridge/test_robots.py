@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 from pathlib import Path
+import re
 
 from arms import seven_joint_urdf
+from multicontact_control.cli.new_robot import new_robot as command
 from multicontact_control.config import ControllerConfig, read_yaml, validate
 from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.errors import ConfigError
@@ -11,10 +13,11 @@ from multicontact_control.experiment.scenario import read_controller_files
 from multicontact_control.paths import config_dir
 import numpy as np
 import pinocchio as pin
+import pybullet as bullet
 import pytest
 from robots import OTHERS, ROBOTS
 from sim_bridge.config import PlantConfig
-from sim_bridge.new_robot import new_robot, write_controller
+from sim_bridge.new_robot import new_robot
 from sim_bridge.posture import condition, frame_pose
 from sim_bridge.robots import find_robot, urdf_path
 from sim_bridge.urdf_arm import arm_of_urdf
@@ -48,9 +51,15 @@ def test_motors_and_limits_of_the_puma_are_the_published_ones_at_the_joint(puma)
 
 
 @pytest.mark.parametrize('name', ROBOTS)
-def test_urdf_that_is_written_gives_the_same_arm_back(name):
-    """But for what no URDF has: rotor inertia and friction."""
-    arm = find_robot(name).arm
+def test_urdf_that_is_written_gives_the_same_arm_back(tmp_path, name):
+    """But for what no URDF has: rotor inertia and friction; PyBullet adds no mass to it."""
+    arm, path = find_robot(name).arm, tmp_path / 'arm.urdf'
+    path.write_text(arm.urdf)
+    client = bullet.connect(bullet.DIRECT)
+    body = bullet.loadURDF(str(path), useFixedBase=True, physicsClientId=client)
+    assert sum(bullet.getDynamicsInfo(body, link, client)[0] for link in range(
+        bullet.getNumJoints(body, client))) == pytest.approx(sum(x.mass for x in arm.bodies))
+    bullet.disconnect(client)
     bare = tuple(replace(link, armature=0.0, viscous=0.0, coulomb_positive=0.0,
                          coulomb_negative=0.0) for link in arm.links)
     again = replace(arm_of_urdf(arm.urdf), text='', visuals=arm.visuals)
@@ -143,43 +152,71 @@ def test_robot_file_names_the_bad_field(tmp_path, changes, field):
     assert caught.value.field == field
 
 
-WELDED = """<link name="sensor"/><joint name="sensor_joint" type="fixed"><parent link="l6"/>
-<child link="sensor"/><origin xyz="0 0 0.05"/></joint>
+# A lifted base, a tool on a gripper, and joints with the names of links.
+WELDED = """<link name="floor"/><joint name="lift" type="prismatic"><parent link="floor"/>
+<child link="base"/><axis xyz="0 0 1"/></joint><link name="sensor"/>
+<joint name="sensor_joint" type="fixed"><parent link="l6"/><child link="sensor"/>
+<origin xyz="0 0 0.05"/></joint>
 <link name="stick"><inertial><origin xyz="0 0 0.1"/><mass value="0.4"/>
 <inertia ixx="0.002" iyy="0.002" izz="0.0002" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="stick_joint" type="fixed"><parent link="sensor"/><child link="stick"/></joint>
+<joint name="stick" type="revolute"><parent link="sensor"/><child link="stick"/>
+<axis xyz="0 0 1"/><limit lower="-3" upper="3"/></joint>
 <link name="tip"/><joint name="tip_joint" type="fixed"><parent link="stick"/>
 <child link="tip"/><origin xyz="0 0 0.2"/></joint></robot>"""
 LIMIT = '<limit lower="-3" upper="3" effort="100" velocity="3"/>'
 
 
-@pytest.mark.parametrize('welded', [True, False])
-def test_new_robot_writes_files_that_work_and_says_what_is_missing(tmp_path, welded):
-    """With the tool in the URDF, and without; the first joint has no limits of its own."""
+@pytest.fixture
+def welded(tmp_path):
+    """Return a URDF whose first joint has no limits of its own."""
     urdf = seven_joint_urdf(tmp_path)
     text = urdf.read_text().replace(LIMIT, '<limit lower="-3" upper="3"/>', 1)
-    urdf.write_text(text.replace('</robot>', WELDED) if welded else text)
-    made = new_robot(urdf, 'sensor' if welded else 'wrist', 'tip' if welded else 'wrist',
-                     tmp_path / 'mine.yaml')
-    missing = [text.split(':')[0] for text in made.missing]
-    assert missing == [*([] if welded else ['tool']), 'torque_limit of j0', 'speed_limit of j0',
-                       'armature', 'contacts']
-    robot = find_robot(str(made.path))
+    urdf.write_text(re.sub(r'"[jl](\d)"', r'"link\1"', text.replace('</robot>', WELDED)))
+    return urdf
+
+
+@pytest.mark.parametrize(('sensor', 'tip', 'mass', 'below'), [
+    ('sensor', 'tip', 0.4, 0.2), ('link6', 'link6', 0.4, 0.0), ('wrist', 'wrist', 0.5, 0.15)])
+def test_new_robot_writes_files_that_work_and_says_what_is_missing(
+        tmp_path, welded, monkeypatch, sensor, tip, mass, below):
+    """With the tool in the URDF, and without."""
+    mine, controller = tmp_path / 'mine.yaml', tmp_path / 'controller.yaml'
+    lines = new_robot(welded, sensor, tip, mine, controller, ['lift=0.3'])
+    missing = [text.split(': ')[1] for text in lines if text.startswith('missing: ')]
+    assert missing == [*(['tool'] if sensor == 'wrist' else []), 'torque_limit of link0',
+                       'speed_limit of link0', 'armature', 'contacts']
+    monkeypatch.chdir('/')
+    robot = find_robot(str(mine))
     assert [link.torque_limit for link in robot.arm.links] == [50.0] + [100.0] * 6
+    assert robot.arm.links[0].placement.position == pytest.approx((0.0, 0.0, 0.5))
     model, home = robot.arm.model(), np.array(robot.file.home)
-    assert robot.arm.carried_mass == pytest.approx(0.401 if welded else 0.501)
+    assert robot.arm.carried_mass == pytest.approx(mass + 0.001)
     pose = frame_pose(model, home)
-    tip = frame_pose(model, home, 'tip' if welded else 'wrist_tip').translation
     np.testing.assert_allclose(
-        pose.translation - tip, [0.0, 0.0, 0.2 if welded else 0.15], atol=1e-6)
+        pose.translation - frame_pose(model, home, 'tip').translation, [0.0, 0.0, below],
+        atol=1e-6)
     validate(PlantConfig, robot.plant_values('rigid'))
-    write_controller(made, tmp_path / 'controller.yaml')
-    files = read_controller_files([tmp_path / 'controller.yaml'])
+    files = read_controller_files([controller])
     config = files.config()
     assert config.sensor.require_push_test and config.contact_names == ('table',)
     assert config.tool.mass == pytest.approx(robot.arm.carried_mass)
     there = RobotModel(config.robot, files.urdf_dir).update(home, np.zeros(len(home))).pose
     np.testing.assert_allclose(there.position_world, pose.translation, atol=1e-9)
-    made.path.write_text(made.path.read_text().replace('\ntorque_limit', '\n# torque_limit'))
-    with pytest.raises(ConfigError, match='torque_limit: .* for j0, got nothing'):
-        assert find_robot(str(made.path)).arm
+    mine.write_text(mine.read_text().replace('\ntorque_limit', '\n# torque_limit'))
+    with pytest.raises(ConfigError, match='torque_limit: .* for link0, got nothing'):
+        assert find_robot(str(mine)).arm
+
+
+@pytest.mark.parametrize(('sensor', 'tip', 'lock', 'message'), [
+    ('sensor', 'tip', [], "got 'lift', which is prismatic; add --lock lift=POSITION"),
+    ('sensor', 'tip', ['lift=up'], r"--lock: expected JOINT=POSITION .*, got 'lift=up'"),
+    ('sensor', 'tip', ['left=0.1'], "--lock: expected one of .*, got 'left'"),
+    ('sensor', 'link6', ['lift=0.1'], "--tip: expected 'sensor' or a link beyond it, got 'link6'"),
+    ('link4', 'tip', ['lift=0'], "6 or more joints that turn, .*, got 'link4', carried by 5 "),
+    ('floor', 'tip', [], r"got 'floor', carried by 0 \(none\)")])
+def test_new_robot_refuses_what_is_no_arm_in_one_line(
+        tmp_path, monkeypatch, welded, sensor, tip, lock, message):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=message) as caught:
+        command(welded, tip, sensor, lock=lock)
+    assert '\n' not in str(caught.value) and not list(tmp_path.glob('*.yaml'))
