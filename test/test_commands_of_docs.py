@@ -36,10 +36,10 @@ TUTORIAL, FIRST = ROOT / 'docs/tutorial.md', Path('runs/first')
 NODES = {CONTROLLER, ESTIMATOR, RECORDER, SIM}
 # Files that are the reader's own.
 YOURS = {'my_arm.urdf', 'arm.urdf', 'my_arm.yaml', 'controller.yaml', 'tool.yaml'}
-OTHERS = ('. ', 'cp', 'dask', 'python3 -m venv', 'ros2 bag', 'ros2 launch foxglove_bridge',
-          'ros2 param set /sim_node surfaces.', 'ros2 topic pub --once /sim_node/push',
-          'ros2 run robot_state_publisher', 'ros2 run tf2_ros', 'ssh', 'pip install',
-          'tsid/bin/pip install')
+OTHERS = ('. ', 'cp', 'dask', 'python docs/minimal_simulator.py', 'python3 -m venv', 'ros2 bag',
+          'ros2 launch foxglove_bridge', 'ros2 param set /sim_node surfaces.',
+          'ros2 topic pub --once /sim_node/push', 'ros2 run robot_state_publisher',
+          'ros2 run tf2_ros', 'ssh', 'pip install', 'tsid/bin/pip install')
 
 
 def blocks(document, language):

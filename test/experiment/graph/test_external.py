@@ -1,7 +1,7 @@
 """
 A user's own robot behind the topics, on the way that docs/your_robot.md shows.
 
-The robot is `external_arm.py`, a process that knows nothing of this package.
+The robot is `docs/minimal_simulator.py`, which takes what `new-robot` writes.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ import signal
 import subprocess
 import sys
 
-from external_arm import BIAS, TOOL_COM, TOOL_MASS
-from foreign_bag import controller_file
+from arms import seven_joint_urdf
 from multicontact_control.client import MultiContactClient
+from multicontact_control.config import merge, read_parameters
 from multicontact_control.experiment.graph.domain import reserve_domain
+from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.experiment.recording import read_graph
 from multicontact_control.experiment.results import load
 from multicontact_control.nodes import messages, qos, topics
@@ -26,17 +27,15 @@ from multicontact_control.nodes.link import GuestNode
 import numpy as np
 import pytest
 from ros_graph import PATIENCE, ROOT, wait_for
+from sim_bridge.new_robot import new_robot
 import yaml
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
-ARM = str(ROOT / 'test/external_arm.py')
-# What a test has no time for, and what a busy machine may be late by.
-QUICK = ['--move-time', '0.5', '--tilt', '15']
-NODE = {'patience': 50.0, 'push_test': {'timeout': 1.0},
-        'sensor': {'require_push_test': False}}  # no hand is there
-WATCHDOG = {'joint_max_age': 100.0, 'wrench_max_age': 100.0, 'variance_max_age': 500.0,
-            'rate_band': 100.0}
+ARM = (str(ROOT / 'docs/minimal_simulator.py'), 'my_arm.yaml', 'controller.yaml')
+QUICK = ['--move-time', '0.5', '--tilt', '15']  # what a test has time for
+# A simulator may be slow, and has no hand that pushes.
+NODE = {'patience': 0.0, 'push_test': {'timeout': 1.0}, 'sensor': {'require_push_test': False}}
 
 
 def documented():
@@ -99,19 +98,18 @@ def shell(tmp_path):
         terminals.close()
 
 
-def write_controller(folder, **changes):
-    """Write what `new-robot` would, for the arm of seven joints, and return its URDF."""
-    controller_file(folder, **{
-        'rate': 500.0, 'limits': {'operational_speed': 0.5}, 'watchdog': WATCHDOG, **NODE,
-        **changes})
-    return folder / 'seven.urdf'
+def write_robot(folder, **changes):
+    """Write what `new-robot` does, for the arm of seven joints, and what a simulator needs."""
+    file = folder / 'controller.yaml'
+    new_robot(seven_joint_urdf(folder), 'wrist', 'wrist', folder / 'my_arm.yaml', file)
+    write_parameters(file, {'/**': merge(read_parameters(file), {**NODE, **changes})})
 
 
 @pytest.mark.nightly
 def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     commands, program = documented()
-    urdf = write_controller(tmp_path)
-    # What `new-robot` writes is written above.
+    # Of what `new-robot` writes, the tool is another one than the simulated.
+    write_robot(tmp_path, tool={'mass': 0.2, 'com_sensor': [0.0, 0.0, 0.0]})
     commands = [command for command in commands if command[0] not in ('new-robot', 'simulate')]
     assert [command[0] for command in commands] == [
         'run', 'calibrate', 'run', 'push-test', 'report', 'identify']
@@ -119,13 +117,13 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
 
     running = shell.multicontact(*first, log='first')
     shell.wait_for_line(running, 'first', 'waiting for /joint_states')
-    arm = shell.start(ARM, str(urdf), log='arm')
+    arm = shell.start(*ARM, log='arm')
     shell.wait_for_line(running, 'first', 'found /joint_states from ')
     shell.end(shell.multicontact(*calibrate, *QUICK, log='weighing'), 'weighing')
     tool = yaml.safe_load((tmp_path / 'tool.yaml').read_text())['/**']['ros__parameters']['tool']
-    assert tool['mass'] == pytest.approx(TOOL_MASS, abs=0.02)
-    np.testing.assert_allclose(tool['com_sensor'], TOOL_COM, atol=3e-3)
-    np.testing.assert_allclose(tool['bias_sensor'], BIAS, atol=0.1)
+    assert tool['mass'] == pytest.approx(0.501, abs=0.02)
+    np.testing.assert_allclose(tool['com_sensor'], [0.0, 0.0, 0.08], atol=3e-3)
+    np.testing.assert_allclose(tool['bias_sensor'], np.zeros(6), atol=0.1)
     # With no push no force is obeyed afterwards: not in the second run, as documented.
     text = shell.end(shell.multicontact(*push, log='pushing'), 'pushing', code=1)
     assert text.splitlines()[-1].startswith('push test failed'), text
@@ -136,7 +134,7 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     running = shell.multicontact(*second, log='second')
     shell.wait_for_line(running, 'second', 'found /joint_states from ')
     text = shell.end(shell.start('-c', program, log='program'), 'program')
-    assert float(re.search(r"'wall': ([\d.]+)", text)[1]) == pytest.approx(10.0, abs=1.0), text
+    assert float(re.search(r"'table': ([\d.]+)", text)[1]) == pytest.approx(10.0, abs=1.0), text
     text = shell.end(running, 'second', signal.SIGINT)
     assert arm.poll() is None
     arm.kill()
@@ -152,7 +150,7 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
         recorded['contact_forces/measured'].stamps[-1])
     shell.end(shell.multicontact(*report, log='report'), 'report')
     assert 'no ground truth' in (run / 'report.html').read_text(encoding='utf-8')
-    assert 'wall: ' in shell.end(shell.multicontact(*identify, log='identify'), 'identify')
+    assert 'table: ' in shell.end(shell.multicontact(*identify, log='identify'), 'identify')
     assert 'not judged' in shell.end(judged, 'first')
 
 
@@ -179,14 +177,12 @@ def nodes_of(folder):
 
 
 def test_robot_is_left_with_the_safe_behaviour_when_the_command_is_killed(shell, tmp_path):
-    urdf = write_controller(
-        tmp_path, safe_behaviour='zero_torque',
-        tool={'mass': TOOL_MASS, 'com_sensor': TOOL_COM.tolist(), 'bias_sensor': BIAS.tolist()})
-    shell.start(ARM, str(urdf), log='arm')
+    write_robot(tmp_path, safe_behaviour='zero_torque')
+    shell.start(*ARM, log='arm')
     running = shell.multicontact(
         'run', '--external', '--controller', 'controller.yaml', '--out', 'run', log='log')
     with MultiContactClient(domain_id=shell.domain_id, timeout=PATIENCE) as arm:
-        arm.set_forces({'wall': 10.0})
+        arm.set_forces({'table': 10.0})
         arm.wait_until_reached(force_tolerance=1.0, timeout=PATIENCE)
     with Listener(shell.domain_id) as listener:
         wait_for(lambda: listener.poll() and listener.stamps[1], 'measured forces')
@@ -199,19 +195,19 @@ def test_robot_is_left_with_the_safe_behaviour_when_the_command_is_killed(shell,
 
 
 def test_robot_that_is_gone_ends_the_run_and_is_named(shell, tmp_path):
-    urdf = write_controller(tmp_path)
-    arm = shell.start(ARM, str(urdf), 'left', log='arm')
+    write_robot(tmp_path)
+    arm = shell.start(*ARM, '--ros-args', '-r', '__ns:=/left', log='arm')
     running = shell.multicontact(
         'run', '--external', '--controller', 'controller.yaml', '--namespace', 'left',
         '--robot-timeout', '3', '--out', 'run', log='left')
     shell.wait_for_line(running, 'left', 'found /left/joint_states from ')
     with Listener(shell.domain_id, 'left') as listener:
-        wait_for(lambda: listener.poll() and listener.stamps[0] > 2_000_000_000, 'commands',
+        wait_for(lambda: listener.poll() and listener.stamps[0] > 1_000_000_000, 'commands',
                  lambda: shell.output('left'))
     arm.kill()
     text = shell.end(running, 'left', code=1)
-    assert 'ended: my_arm has not published /left/' in text
+    assert 'ended: my_simulator has not published /left/' in text
     summary = json.loads((tmp_path / 'run/summary.json').read_text())
-    assert summary['ended_early'].startswith('my_arm has not published')
+    assert summary['ended_early'].startswith('my_simulator has not published')
     assert not summary['truth'] and summary['verdict'] == 'ended: robot silent'
-    assert (tmp_path / 'run/figures/fig3_force_wall.png').is_file()
+    assert (tmp_path / 'run/figures/fig3_force_table.png').is_file()
