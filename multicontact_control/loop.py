@@ -219,7 +219,7 @@ class ControlLoop:
             raise CommandError('reference_file', hint='the controller plays a scenario')
         self._require_running()
         if self.held:
-            raise CommandError('~/hold', hint='the arm is held; let go of it first')
+            raise CommandError('~/hold', hint='the arm is held; release the hold first')
         return self._commanded
 
     def _require_running(self) -> None:

@@ -126,13 +126,14 @@ class Curves:
 
 def charts_of(names: Sequence[str], joints: Sequence[str], true_forces: bool) -> list[Chart]:
     """Return what there is to show of these forces, couples and joints."""
-    shown = 4 if true_forces else 3
+    first = 0 if true_forces else 1  # the true force is drawn below the others
     *columns, torques = np.split(
         1 + np.arange(KINDS * len(names) + len(joints)), len(names) * np.arange(1, KINDS + 1))
     *forces, variance, innovation = columns
     return [
-        *(Chart(f'force on {name} [N]', ('measured', 'estimated', 'desired', 'true')[:shown],
-                each[:shown], COLOURS, from_zero(5.0)) for name, *each in zip(names, *forces)),
+        *(Chart(f'force on {name} [N]', ('true', 'measured', 'estimated', 'desired')[first:],
+                [true, *each][first:], (COLOURS[3], *COLOURS[:3])[first:], from_zero(5.0))
+          for name, *each, true in zip(names, *forces)),
         Chart('R [N^2], logarithmic', (*names, ''), variance.tolist(),
               (*np.resize(COLOURS, len(names)).tolist(), 'transparent'), LOGARITHMIC),
         Chart('innovation [N]', names, innovation.tolist(), COLOURS, from_zero(0.2)),

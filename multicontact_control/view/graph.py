@@ -322,7 +322,7 @@ class GraphSource:
     def _start_motion(self) -> None:
         """Begin a motion from where the point should be, or go on with the one under way."""
         if self._held:
-            raise CommandError('~/hold', hint='the arm is held; let go of it first')
+            raise CommandError('~/hold', hint='the arm is held; release the hold first')
         if not self._motion.what:
             self._motion_identifier, self._delay = new_identifier(), 0.0
             pose = self._link.fresh(topics.POSE_DESIRED)[0].pose

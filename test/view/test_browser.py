@@ -70,10 +70,7 @@ def test_buttons_press_and_move_and_sliders_command_forces(page, chromium):
         wait_for(lambda held=held: page.newest.held is held, label)
     tab.get_by_role('tab', name='World').press('Enter')
     tab.locator('.multi-slider-thumb').first.drag_to(tab.get_by_text('10 000').first)
-    table = wait_for(lambda: (now := page.newest.surfaces['table']) != page.source.scene.simulated[
-        'table'] and now, 'a stiffer table')
-    assert table.stiffness == pytest.approx(1e4, rel=0.1)
-    number = f'{table.stiffness:g}'
-    wait_for(lambda: tab.get_by_label('stiffness').first.input_value() == number, 'its number')
+    wait_for(lambda: 9e3 < page.newest.surfaces['table'].stiffness < 1.1e4, 'a stiffer table')
+    wait_for(lambda: float(tab.get_by_label('stiffness').first.input_value()) > 9e3, 'its number')
     context.close()
     assert opened.problems == []
