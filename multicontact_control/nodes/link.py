@@ -264,19 +264,19 @@ class ControllerLink(GuestNode):
         A recorder may be connected later than the controller: the first command of a topic is
         then published for it again.
         """
-        identifier, due = new_identifier(), 0.0
+        identifier, due, sent_to = new_identifier(), 0.0, 0
+        readers = self._publishers[topic].get_subscription_count
 
         def accepted() -> ControllerStatus | None:
-            nonlocal due
+            nonlocal due, sent_to
             if time.monotonic() >= due:  # one that comes before the connection stands is lost
-                due = time.monotonic() + RESEND_PERIOD
+                due, sent_to = time.monotonic() + RESEND_PERIOD, readers()
                 self.send(topic, command, identifier)
             return self.accepted(identifier)
 
         answer = self._awaited(accepted, f'{topic.name}: expected an answer')
-        readers = self._publishers[topic].get_subscription_count
         if topic not in self._connected:
             self._connected.add(topic)
-            if readers() < answer.readers and self._wait(
+            if sent_to < answer.readers and self._wait(
                     lambda: readers() >= answer.readers, CONNECTION_TIME, topic.name):
                 self.send(topic, command, identifier)
