@@ -24,9 +24,10 @@ MARKERS = 'osD^vPX'  # one for each of COLOURS
 Listing = Mapping[str, pd.DataFrame]  # texts of lines and columns, by section
 MOST_SHOWN = 5  # columns in sentences and in the figure
 NOT_FACTORS = ('part', 'plant', 'seed')
-CHOICE = (  # of columns to show
-    'contacts.*.step_rise_63_s', 'contacts.*.rest.true_error_rms_n',
-    'contacts.*.moving.true_error_rms_n')
+CHOICE = {  # of columns to show
+    'rise [s]': 'contacts.*.step_rise_63_s',
+    'rest rms [N]': 'contacts.*.rest.true_error_rms_n',
+    'move rms [N]': 'contacts.*.moving.true_error_rms_n'}
 
 
 def columns_of(frame: pd.DataFrame, value: str) -> pd.DataFrame:
@@ -42,8 +43,9 @@ def worst(frame: pd.DataFrame, value: str) -> pd.Series:
 
 def table_columns(frame: pd.DataFrame, study: StudyConfig) -> list[ColumnConfig]:
     """Return the columns of a study's table, a choice if it has none."""
-    columns = study.columns or [ColumnConfig(name=name) for name in (study.truth, *(
-        name for name in CHOICE if worst(frame, name).notna().any()))]
+    columns = study.columns or [ColumnConfig(name=study.truth), *(
+        ColumnConfig(name=name, value=value, digits=3) for name, value in CHOICE.items()
+        if worst(frame, value).notna().any())]
     return [column if column.value else column.model_copy(update={
         'value': column.name, 'name': column.name.rpartition(f'{EVERY}.')[2],
         'aggregate': 'share' if column.name == study.truth else column.aggregate})
@@ -177,13 +179,14 @@ def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
     tables = []
     for section, frame in listing.items():
         labels = list(frame)[:frame.attrs['labels']]
-        room = np.cumsum([
-            2 + max(*map(len, name.split()), *frame[name].map(len)) for name in frame])
+        heads = [re.sub(r' (?![^[]*\]|/)', '\n', name) for name in frame]  # a word on each line
+        room = np.cumsum([2 + max(*map(len, head.split('\n')), *frame[name].map(len))
+                          for head, name in zip(heads, frame)])
         shown = frame.loc[:, (room < width) | frame.columns.isin(labels)]
         text = Table(title=plain(section or title), title_justify='left', box=SIMPLE_HEAD,
                      padding=(0, 1, 0, 0), pad_edge=False)
-        for name in shown:
-            text.add_column(plain(name.replace(' ', '\n').replace('\n/', ' /')), overflow='fold',
+        for head, name in zip(heads, shown):
+            text.add_column(plain(head), overflow='fold',
                             justify='left' if name in labels else 'right')
         for line in shown.itertuples(index=False):
             text.add_row(*map(plain, line))

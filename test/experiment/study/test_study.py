@@ -58,8 +58,8 @@ def test_star_is_the_worst_contact(frame):
 
 def test_lines_are_statistics_over_the_seeds(frame):
     assert cells_of(frame) == (
-        ['k [N/m]', 'stable', 'step_rise_63_s', 'rest.true_error_rms_n'],
-        [['600', '3/3', '2', '0.1'], ['60000', '2/3', '4', '0.1']])
+        ['k [N/m]', 'stable', 'rise [s]', 'rest rms [N]'],
+        [['600', '3/3', '2.000', '0.100'], ['60000', '2/3', '4.000', '0.100']])
     columns = [
         {'name': 'n', 'value': 'stable', 'aggregate': 'share'},
         {'name': 'ms', 'value': 'late', 'scale': 1000.0, 'digits': 0},
@@ -82,7 +82,7 @@ def test_sentences_tell_where_all_runs_are_good_and_between_what_the_numbers_lie
         'pi is stable on rigid in all runs, with k_s = 600, 60000 N/m.',
         'dob is stable on rigid in 2 of 3 runs, in every run with k_s = 600 N/m.']
     assert extremes(listing_of(frame, config))[0] == (
-        'step_rise_63_s: 1 (k_s = 600, pi) to 9 (k_s = 600, dob).')
+        'rise: 1.000 s (k_s = 600, pi) to 9.000 s (k_s = 600, dob).')
 
 
 def test_row_has_the_worst_contact_and_infinite_times_of_what_never_came():
