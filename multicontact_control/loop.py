@@ -174,6 +174,12 @@ class ControlLoop:
         self.supervisor.task.lock(True)
         return self.push_gate.instruction
 
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """Go on with another configuration; see `Supervisor`. A push test keeps its tool."""
+        if self.push_gate.running and config.tool != self.config.tool:
+            raise CommandError('tool', hint='wait: it cannot change while a push test runs')
+        self.supervisor.reconfigure(config)
+
     def set_forces(
         self, forces: dict[str, float], centres: Mapping[str, float] | None = None,
     ) -> None:
@@ -233,14 +239,15 @@ class ControlLoop:
             raise CommandError('control', hint='wait: it has not begun'
                                + (f' ({", ".join(causes)})' if causes else ''))
 
-    def hold(self, wanted: bool) -> None:
-        """Hold the present pose and the desired forces, or go on."""
+    def hold(self, wanted: bool) -> str:
+        """Hold the present pose and the desired forces, or go on; return what happens now."""
         self._require_running()
         if not wanted:
             self.supervisor.try_again()
         if wanted or self.held:
             self.supervisor.gate.go_over()
             self.supervisor.task.hold(wanted)
+        return 'held' if wanted else 'released'
 
     def retry(self) -> str:
         """Resume control that is latched, and seek contacts given up; return what happens now."""

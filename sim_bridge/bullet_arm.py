@@ -63,6 +63,12 @@ class BulletArm(EngineArm):
         wrench: tuple[float, ...] = states[-1][2]
         return wrench
 
+    def set_tool_mass(self, mass: float) -> None:
+        """Change the mass of the tool; see `EngineArm`."""
+        for values in ({'mass': mass}, {'localInertiaDiagonal': self._arm.tool.inertia}):
+            bullet.changeDynamics(
+                self.body, self._bodies[-1], physicsClientId=self.client, **values)
+
     def close(self) -> None:
         """Give the world back."""
         if bullet.isConnected(physicsClientId=self.client):

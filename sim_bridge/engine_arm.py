@@ -52,5 +52,9 @@ class EngineArm(ABC):
         numbers [N, N m].
         """
 
+    @abstractmethod
+    def set_tool_mass(self, mass: float) -> None:
+        """Let the tool weigh this much [kg]; its centre and the inertia about it stay."""
+
     def close(self) -> None:  # noqa: B027 - not every engine has anything to give back
         """Give the world back."""

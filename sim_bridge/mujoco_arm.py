@@ -76,6 +76,11 @@ class MujocoArm(EngineArm):
         wrench: tuple[float, ...] = tuple(data.sensordata.tolist())
         return wrench
 
+    def set_tool_mass(self, mass: float) -> None:
+        """Change the mass of the tool; see `EngineArm`."""
+        self._model.body_mass[self._bodies[-1]] = mass
+        mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
+
     def _read_contacts(self, forces: Vector) -> None:
         """Add up the normal forces on each plane."""
         forces[:] = 0.0

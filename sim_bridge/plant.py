@@ -11,7 +11,7 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 import pinocchio as pin
-from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
+from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME, TOOL_LINK
 from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import act_on_arm, Contacts, HAND, Pushes
 from sim_bridge.drives import DRIVE, flexible_drives, joint_friction, RigidDrives
@@ -19,6 +19,8 @@ from sim_bridge.engine_arm import EngineArm
 from sim_bridge.kinematics import chain_of
 from sim_bridge.robots import find_robot
 from sim_bridge.wrench_sensor import WrenchSensor
+
+PICK_UP_RATE = 6.0  # kg/s, at which a payload is taken over from what has carried it
 
 
 class Sample(NamedTuple):
@@ -52,7 +54,9 @@ class Plant:
     description
         The arm as it is simulated.
     model
-        Its rigid-body model, with armature.
+        Its rigid-body model, with armature and what is carried of the payload.
+    payload
+        What the tool is to carry besides, at its centre of mass [kg]; set it to pick up, lay down.
 
     Raises
     ------
@@ -76,6 +80,7 @@ class Plant:
         self.initial_torque: Vector = pin.rnea(
             self.model, self.model.createData(), self._home, still, still).copy()
         self.model.armature = np.array(self.description.armature)
+        self._bare = pin.Inertia(self.model.inertias[self.model.nv])
         self._limit = np.array(config.torque_limit or self.description.torque_limit)
         self.arm = make_engine(config, self.description)
         self._hands: Any = np.zeros(2, dtype=HAND)
@@ -124,6 +129,8 @@ class Plant:
         self._act = partial(act_on_arm, *acting)
         self._tick = 0
         self.arm.reset(self._home)
+        self.payload = 0.0
+        self._carry(0.0)
         if len(self._drives):  # springs wound up
             self._drives['q'] = self._home + self.initial_torque / self._drives['stiffness']
             self._drives['qd'] = 0.0
@@ -140,11 +147,23 @@ class Plant:
         """
         require_shape('torque', torque, self._limit.shape)
         self._motor[:] = torque
+        if self._carried != self.payload:
+            most = PICK_UP_RATE / self._rate
+            self._carry(min(max(self.payload, self._carried - most), self._carried + most))
         self._wrist_push.start_period(self._tick)
         self._tool_push.start_period(self._tick)
         self._sensor.read(np.array(self._advance()).reshape(-1, 6))
         self._tick += 1
         return self._sample()
+
+    def _carry(self, payload: float) -> None:
+        """Let the tool weigh so much more than its own mass [kg]."""
+        self._carried, tool = payload, self.description.tool
+        self.arm.set_tool_mass(tool.mass + payload)
+        frame = self.model.frames[self.model.getFrameId(TOOL_LINK)]
+        load = pin.Inertia(
+            payload, frame.placement.act(np.array(tool.com.position)), np.zeros((3, 3)))
+        self.model.inertias[frame.parentJoint] = self._bare + load if payload else self._bare
 
     def scale_torque_limit(self, factor: float) -> None:
         """Multiply the torque limits of the drives, unknown to the controller."""

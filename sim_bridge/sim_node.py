@@ -78,6 +78,9 @@ class SimNodeConfig(StartupConfig):
     speed: Real = parameter(
         1.0, 'Simulated time per wall time at most, in lockstep; 0 for as fast as it goes.',
         ge=0.0, le=100.0)
+    payload: Real = parameter(
+        0.0, 'Mass that the tool picks up, at its centre of mass, and lays down with 0.',
+        unit='kg', live=True, ge=0.0)
 
 
 def stamp_of(tick: int, rate: float) -> int:
@@ -95,11 +98,12 @@ class SimNode(Node):
         parameters = ParameterSet(self, PlantConfig, SimNodeConfig)
         plant_config, config = parameters.configurations()
         self._plant_config, self._config = plant_config, config
-        parameters.lock(self._change_surfaces)
+        parameters.lock(self._change)
         self._plant = Plant(plant_config, rate=config.rate, seed=config.seed)
         # The first step ever takes many times as long as all others: not in the run.
         self._plant.step(self._plant.initial_torque)
         self._sample: Sample = self._plant.reset()
+        self._plant.payload = config.payload
         self._delay_ticks = plant_config.actuator_delay_ticks
         self._delay = ActuatorDelay(self._delay_ticks, self._plant.initial_torque)
         self._refusals = Refusals(self.get_logger())
@@ -347,8 +351,8 @@ class SimNode(Node):
             self._plant.push(messages.finite_array([force.x, force.y, force.z], 3, 'vector'),
                              PUSH_TIME, tool=place == TOOL)
 
-    def _change_surfaces(self, configurations: Sequence[Any]) -> None:
-        """Give the surfaces other stiffness and friction; ConfigError with native contacts."""
+    def _change(self, configurations: Sequence[Any]) -> None:
+        """Change payload, stiffness and friction; ConfigError with native contacts."""
         config: PlantConfig = configurations[0]
         contacts, before = self._plant.contacts, self._plant_config.surfaces
         for number, name in enumerate(config.met):
@@ -357,7 +361,7 @@ class SimNode(Node):
                 contacts.scale_stiffness(number, new.stiffness / old.stiffness)
             if new.friction != old.friction:
                 contacts.set_friction(number, new.friction)
-        self._plant_config = config
+        self._plant_config, self._plant.payload = config, configurations[1].payload
 
     def _statuses(self) -> list[Status]:
         wall = (time.monotonic_ns() - self._start) * 1e-9

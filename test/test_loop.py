@@ -176,6 +176,15 @@ def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
         assert bench.loop.config is config
 
 
+def test_tool_of_an_impossible_mass_or_in_a_push_test_is_refused():
+    bench, other = Bench(tool={'mass': 5.0}), still_config(tool={'mass': 4.0})
+    bench.step(5)
+    with pytest.raises(ConfigError, match='tool.mass: expected above 4.419 kg, got 4'):
+        bench.loop.reconfigure(other)
+    bench.loop.push_test(PushTestConfig(), ())
+    bench.assert_refused('^tool: wait: .*push test', lambda: bench.loop.reconfigure(other))
+
+
 @BARE
 @pytest.mark.parametrize('kind', ['gravity_compensation', 'zero_torque', 'hold_position'])
 def test_stop_leads_from_the_last_command_to_the_declared_behaviour(kind, supervised):

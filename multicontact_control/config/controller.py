@@ -60,6 +60,8 @@ class TransitionConfig(Config):
         0.2, 'Shortest fade of the difference of two laws.', unit='s', live=True, ge=0.0, le=10.0)
     torque_rate: Real = parameter(
         100.0, 'Largest rate at which it fades, in any joint.', unit='N m/s', live=True, gt=0.0)
+    slew_time: Real = parameter(
+        0.2, 'Time of a change of `tool`.', unit='s', live=True, ge=0.0, le=10.0)
 
 
 class ControllerConfig(Config):

@@ -54,9 +54,9 @@ class RobotConfig(Config):
 class ToolConfig(Config):
     """The load of the wrist sensor, whose weight is subtracted from the readings."""
 
-    mass: Real = parameter(0.0, 'Mass beyond the sensor.', unit='kg', ge=0.0)
+    mass: Real = parameter(0.0, 'Mass beyond the sensor.', unit='kg', live=True, ge=0.0)
     com_sensor: Vector3 = parameter(
-        (0.0, 0.0, 0.0), 'Its centre, in the sensor frame.', unit='m')
+        (0.0, 0.0, 0.0), 'Its centre, in the sensor frame.', unit='m', live=True)
     bias_sensor: Vector = parameter(
         (0.0,) * 6, 'Reading without load, force first, subtracted from every reading.',
         unit='N, N m', live=True)

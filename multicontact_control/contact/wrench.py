@@ -220,6 +220,18 @@ def tool_record(tool: ToolConfig, gravity_world: Vector) -> Records:
     return record
 
 
+def tool_between(before: ToolConfig, after: ToolConfig, share: float) -> ToolConfig:
+    """Return what is a share of the way between: linear in mass, first moment and bias."""
+    if share >= 1.0:
+        return after
+    old, new = (np.array((tool.mass, *tool.mass * np.array(tool.com_sensor), *tool.bias_sensor))
+                for tool in (before, after))
+    mass, *numbers = (old + share * (new - old)).tolist()
+    return ToolConfig(
+        mass=mass, com_sensor=tuple(moment / mass if mass else 0.0 for moment in numbers[:3]),
+        bias_sensor=tuple(numbers[3:]))
+
+
 def contact_wrench(
     wrench_sensor: Vector, sensor_pose: tuple[Vector, Matrix], position_world: Vector,
     tool: ToolConfig, gravity_world: Vector,

@@ -12,9 +12,10 @@ from multicontact_control.contact.geometry import (
     loop_stiffnesses,
     place_columns,
 )
-from multicontact_control.contact.wrench import tool_record
+from multicontact_control.contact.wrench import tool_between, tool_record
 from multicontact_control.control.arm import AMBIGUOUS, ArmState
 from multicontact_control.control.law import control_law, DEPENDENT, LIMITED
+from multicontact_control.control.tasks import quintic
 from multicontact_control.control.tick import ControlOutput
 from multicontact_control.dynamics.operational_space import STOP_MARGIN, task_inertia
 from multicontact_control.dynamics.robot import RobotModel
@@ -62,6 +63,8 @@ class Controller:
         shape (r,) [N^2].
     controls, contacts, laws
         One record of `CONTROL`, records of `CONTACT` and `FORCE_LAW`, shape (r,).
+    tool, next_tool
+        What hangs on the sensor now, and the one that is configured; see `change_tool`.
     active, torque
         Which contacts are force controlled, shape (r,), and the answer, shape (n,) [N m].
     started
@@ -104,10 +107,12 @@ class Controller:
         before = getattr(self, 'config', None)
         self.config = config
         self.controls['law'] = law_record(config)
-        by_momentum = config.wrench_input == 'momentum'  # from which nothing has to be taken off
-        self.controls['tool'] = tool_record(
-            ToolConfig() if by_momentum else config.tool, np.array(config.robot.gravity_world))
-        self.controls['momentum']['is_input'] = by_momentum
+        self.controls['momentum']['is_input'] = config.wrench_input == 'momentum'
+        if before is None:
+            self._in_urdf = self.next_tool = config.tool
+            self._carry(config.tool)
+        elif config.tool != self.next_tool:
+            self._last_tool, self.next_tool, self._slewed = self.tool, config.tool, 0
         # What has been learnt of the surfaces is kept.
         if before is None or before.contacts != config.contacts:
             place_columns(config, self.contacts)
@@ -119,6 +124,20 @@ class Controller:
         joints['upper'] = config.limits.joint_upper or np.inf
         self._coordinate_driven = config.force.allocation == 'paper'
 
+    def _carry(self, tool: ToolConfig) -> None:
+        """Take a tool off the readings (by momentum they are without it), and bear its weight."""
+        self.tool, felt = tool, self.config.wrench_input != 'momentum'
+        self.controls['tool'] = tool_record(
+            tool if felt else ToolConfig(), np.array(self.config.robot.gravity_world))
+        self.robot.carry(tool, self._in_urdf)
+
+    def change_tool(self) -> None:
+        """Go a tick on from one tool to the next: weight, inertia and bias together."""
+        self._slewed += 1
+        elapsed = self._slewed * self.config.period
+        self._carry(tool_between(self._last_tool, self.next_tool, quintic(
+            elapsed, self.config.transition.slew_time)[0]))
+
     def _design(self, config: ControllerConfig) -> Records:
         self._stiffnesses = loop_stiffnesses(config, self.arm.pose.rotation_world)
         return make_force_laws(config, self._stiffnesses)
@@ -126,16 +145,22 @@ class Controller:
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
         self.started = False
+        self._carry(self.next_tool)
         self.contacts['normal'] = self.contacts['config']['normal']
         self.contacts['surface_speed_est'] = 0.0
 
     def check(self, config: ControllerConfig) -> None:
-        """Raise a ConfigError for another arm, contacts or rate, and for dependent contacts."""
+        """Raise a ConfigError for another arm, contacts or rate, or what cannot be of these."""
         for name in ('rate', 'robot', 'contact_names', 'column_names'):
             if getattr(config, name) != getattr(self.config, name):
                 raise ConfigError(
                     name, f'{getattr(self.config, name)}', getattr(config, name),
                     hint='it cannot change while the controller is in use')
+        mass = self.robot.last_mass
+        if mass + config.tool.mass <= self._in_urdf.mass:
+            raise ConfigError('tool.mass', f'above {self._in_urdf.mass - mass:.4g} kg',
+                              config.tool.mass, hint='the last link of the URDF weighs '
+                              f'{mass:.4g} kg, with the {self._in_urdf.mass:.4g} kg of its tool')
         columns = self.contacts.copy()
         place_columns(config, columns)
         check_columns(config.column_names, columns)  # normals may be others
@@ -228,10 +253,8 @@ class Controller:
 
     def own_weight(self) -> Vector:
         """Return the torque by which drives with `adds_gravity` carry the arm, (n,) [N m]."""
-        torque, tool = self.robot.terms.gravity.copy(), self.config.tool
-        if not self.config.robot.adds_tool_gravity:
-            torque -= self.robot.load_torque(tool.mass, np.array(tool.com_sensor))
-        return torque
+        with_tool, own = self.config.robot.adds_tool_gravity, self.robot.terms.gravity.copy()
+        return own if with_tool else own - self.robot.load_torque(self.tool)
 
     def account_for(self, torque: Vector) -> None:
         """

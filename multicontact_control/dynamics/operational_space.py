@@ -116,13 +116,10 @@ def add_nullspace_torque(
     free, pull = np.empty(n), np.empty(n)
     for j in range(n):
         joint = joints[j]
-        push = 0.0
-        below = STOP_MARGIN - (joint.q - joint.lower)
-        if below > 0.0:
-            push += law.stop_stiffness * below * below / STOP_MARGIN
-        above = STOP_MARGIN - (joint.upper - joint.q)
-        if above > 0.0:
-            push -= law.stop_stiffness * above * above / STOP_MARGIN
+        below = max(STOP_MARGIN - (joint.q - joint.lower), 0.0)
+        above = max(STOP_MARGIN - (joint.upper - joint.q), 0.0)
+        push = law.stop_stiffness * below * below / STOP_MARGIN - (
+            law.stop_stiffness * above * above / STOP_MARGIN)
         pull[j] = law.posture_stiffness * (joint.posture - joint.q) + push
     for i in range(n):
         momentum = 0.0

@@ -8,7 +8,7 @@ from pathlib import Path
 import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
-from multicontact_control.config import RobotConfig
+from multicontact_control.config import RobotConfig, ToolConfig
 from multicontact_control.dynamics import model_check
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
@@ -85,8 +85,16 @@ class RobotModel:
         if config.sensor_frame:
             self._sensor = self._frame_id('robot.sensor_frame', config.sensor_frame)
             self._require_felt(config)
-        self._data = self._model.createData()
-        self.terms = self._shared_terms()
+        self._mount = self._model.frames[self._sensor]
+        self._body = pin.Inertia(self._model.inertias[self._mount.parentJoint])
+        self.last_mass = float(self._body.mass)
+        data = self._data = self._model.createData()
+        frame, sensor = data.oMf[self._frame], data.oMf[self._sensor]
+        self.terms = Terms(  # pinocchio's memory, so that nothing needs to be copied
+            mass_matrix=data.M, bias_torque=data.nle, gravity=data.g,
+            jacobian=np.zeros((6, self._model.nv)),
+            jacobian_rate=np.zeros((6, self._model.nv)), placements=(
+                frame.translation, frame.rotation, sensor.translation, sensor.rotation))
         self.turning: Mask = np.array(['ModelR' in x.shortname() for x in self._model.joints[1:]])
 
     @property
@@ -121,16 +129,6 @@ class RobotModel:
             raise ConfigError(field, f'a link of the robot among {", ".join(bodies)}', f"'{name}'")
         return int(self._model.getFrameId(name, pin.FrameType.BODY))
 
-    def _shared_terms(self) -> Terms:
-        """Return arrays that share pinocchio's memory, so that nothing needs to be copied."""
-        data = self._data
-        frame, sensor = data.oMf[self._frame], data.oMf[self._sensor]
-        return Terms(
-            mass_matrix=data.M, bias_torque=data.nle, gravity=data.g,
-            jacobian=np.zeros((6, self._model.nv)),
-            jacobian_rate=np.zeros((6, self._model.nv)), placements=(
-                frame.translation, frame.rotation, sensor.translation, sensor.rotation))
-
     def compute(self, q: Vector, v: Vector) -> Terms:
         """Return `terms` at positions [rad] and velocities [rad/s], valid until the next call."""
         model, data, terms = self._model, self._data, self.terms
@@ -155,19 +153,23 @@ class RobotModel:
             pose=_pose(data.oMf[self._frame]), twist_world=jacobian @ v, velocity=v.copy(),
             sensor_pose=_pose(data.oMf[self._sensor]))
 
-    def load_torque(self, mass: float, com_sensor: Vector) -> Vector:
-        """
-        Return what a load on the sensor adds to g(q), where `compute` was called last.
-
-        Of a mass [kg] with its centre at `com_sensor` in the sensor frame, shape (3,) [m]; the
-        torque is of shape (n,) [N m].
-        """
-        weight = mass * self._model.gravity.linear
-        lever = self._data.oMf[self._sensor].rotation @ com_sensor
+    def load_torque(self, load: ToolConfig) -> Vector:
+        """Return what a load adds to g(q) where `compute` was called last, shape (n,) [N m]."""
+        weight = load.mass * self._model.gravity.linear
+        lever = self._data.oMf[self._sensor].rotation @ np.array(load.com_sensor)
         jacobian = pin.getFrameJacobian(
             self._model, self._data, self._sensor, pin.LOCAL_WORLD_ALIGNED)
         torque: Vector = -jacobian.T @ np.concatenate([weight, np.cross(lever, weight)])
         return torque
+
+    def carry(self, load: ToolConfig, in_urdf: ToolConfig) -> None:
+        """Let the model carry a point mass on the sensor in place of one that its URDF has."""
+        parameters = self._body.toDynamicParameters()  # linear in mass, first and second moments
+        for sign, each in ((1.0, load), (-1.0, in_urdf)):
+            body = pin.Inertia(each.mass, np.array(each.com_sensor), np.zeros((3, 3)))
+            parameters += sign * self._mount.placement.act(body).toDynamicParameters()
+        self._model.inertias[self._mount.parentJoint] = (
+            self._body if load == in_urdf else pin.Inertia.FromDynamicParameters(parameters))
 
     def link_poses(self, q: Vector, links: Sequence[str]) -> list[Pose]:
         """Return where links are at positions, shape (n,) [rad]; ConfigError for others."""

@@ -111,7 +111,7 @@ class ControllerNode(ManagedNode):
         """Go on with new configurations from the next sample on; raise if that cannot be."""
         config, node_config = configurations
         if config != self._loop.config:
-            self._loop.supervisor.reconfigure(config)
+            self._loop.reconfigure(config)
         self._node_config, self._loop.limits = node_config, node_config.command
 
     def statuses(self) -> list[Status]:

@@ -130,10 +130,6 @@ def serve_commands(
         node.parameter_set.assign('tool.bias_sensor', bias)
         return 'bias [N, N m]: ' + ', '.join(f'{x:.4g}' for x in bias)
 
-    def hold(request: Any) -> str:
-        loop.hold(request.data)
-        return 'held' if request.data else 'released'
-
     commands: dict[topics.Topic, Callable[[Any], Any]] = {
         topics.FORCE_COMMAND: lambda message: loop.set_forces(
             *messages.read_force_command(message, loop.config.column_names)),
@@ -143,7 +139,8 @@ def serve_commands(
             topic.message, topic.name, lambda message, source=topic.name, work=command: obey(
                 source, work, message, identifier_of(message)), qos.EVENT)
     works: dict[str, Callable[[Any], Any]] = {
-        'tare': tare, 'hold': hold, 'retry': lambda _: loop.retry(),
+        'tare': tare, 'hold': lambda request: loop.hold(request.data),
+        'retry': lambda _: loop.retry(),
         'push_test': lambda _: loop.push_test(settings().push_test, settings().push_point_sensor)}
     for name, (kind, _) in SERVICES.items():
         node.create_service(kind, f'~/{name}', partial(serve, f'~/{name}', works[name]))

@@ -146,11 +146,8 @@ class ManagedNode(LifecycleNode):
     on_error = on_cleanup
 
     def _end(self) -> None:
+        """Close, and destroy the ends of topics and services that `configure` has created."""
         self.close()
-        self._free()
-
-    def _free(self) -> None:
-        """Destroy the ends of topics and services that `configure` has created."""
         self.parameter_set.unlock()
         if self._gate is not None:
             self._lasting.append(self._gate.marker)
@@ -170,7 +167,7 @@ class ManagedNode(LifecycleNode):
             work()
         except Exception as error:
             if self.state == UNCONFIGURED:
-                self._free()
+                self._end()
             if not isinstance(error, MulticontactError):
                 self.get_logger().fatal(f'cannot {what}: {traceback.format_exc()}')
                 return TransitionCallbackReturn.ERROR

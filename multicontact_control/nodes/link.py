@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import atexit
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 import os
@@ -19,10 +19,12 @@ from multicontact_control.nodes.graph import create_publisher, take
 from multicontact_control.nodes.runtime import start_ros
 from multicontact_control.nodes.status import ControllerStatus, identify, new_identifier, REFUSED
 from multicontact_control.nodes.topics import Topic
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 CONFIGURE, ACTIVATE, DEACTIVATE, CLEAN_UP = 'configure', 'activate', 'deactivate', 'cleanup'
 GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
@@ -143,6 +145,15 @@ class GuestNode:
                 f'{client.service_name}: expected an answer within {timeout:g} s, got none')
         return future.result()
 
+    def set_parameters(self, node_name: str, values: Mapping[str, Any]) -> None:
+        """Set parameters of a node, all or none; RunError if it refuses."""
+        request = SetParametersAtomically.Request(parameters=[
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
+        result = self.call(
+            node_name, SetParametersAtomically, 'set_parameters_atomically', request).result
+        if not result.successful:
+            raise RunError(str(result.reason))
+
     def _wait(self, condition: Callable[[], Any], timeout: float, what: str) -> bool:
         """Return whether a condition came true in time; errors of `keep_waiting` go through."""
         give_up = time.monotonic() + timeout
@@ -199,8 +210,7 @@ class ControllerLink(GuestNode):
 
     def newest(self, topic: Topic) -> Any | None:
         """Return the newest message of a topic, None if none has come so far."""
-        kept = self._taken(topic)
-        return kept[-1] if kept else None
+        return next(reversed(self._taken(topic)), None)
 
     def queue(self, topic: Topic) -> list[Any]:
         """Return the messages of a topic that have come since this was called last."""

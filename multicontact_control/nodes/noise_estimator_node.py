@@ -95,9 +95,8 @@ class NoiseEstimatorNode(ManagedNode):
                         self._estimator.reset()
                     self._last_stamp, self._last_answer = stamp, b''
                     self._samples += 1
-                    found = next((x for at, x in self._innovations if at == stamp), None)
-                    self._last_answer = self._publisher.write(
-                        stamp, self._estimator.update(values, found))
+                    self._last_answer = self._publisher.write(stamp, self._estimator.update(
+                        values, dict(self._innovations).get(stamp)))
                 if self._last_answer:
                     self._publisher.publish(self._last_answer)
 

@@ -199,8 +199,9 @@ class Supervisor:
             seen = self._as_it_came(inputs)
         elif self.started and not self._paused:
             self._task_ticks += seen.skipped
-        arm = self.controller.arm
-        self._seen, self._wrench_known = seen, seen.measured
+        self._seen, arm = seen, self.controller.arm
+        if self.controller.tool is not self.controller.next_tool:
+            self.controller.change_tool()
         if seen.joints and arm.refresh():
             self._arm = arm
             if arm.flags or self._flags:
@@ -208,8 +209,7 @@ class Supervisor:
             if self._adds_gravity:
                 self.gate.allow_for(self.controller.own_weight())
             self._flags = arm.flags
-        if self._flags & AMBIGUOUS:  # what the contacts bear is of some time before
-            self._wrench_known = False
+        self._wrench_known = seen.measured and not self._flags & AMBIGUOUS  # then it is older
         self._controls['measured'] = self._wrench_known
         return seen.causes + self._alarms
 

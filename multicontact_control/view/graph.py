@@ -33,8 +33,8 @@ from multicontact_control.view.source import (
     Timing,
 )
 import numpy as np
-from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
-from rclpy.parameter import Parameter, parameter_value_to_python
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.parameter import parameter_value_to_python
 from sim_bridge.config import PUSH_TIME
 from sim_bridge.robots import find_robot, robot_names
 from sim_bridge.surface_patch import Patch
@@ -336,14 +336,15 @@ class GraphSource:
         return self._link.ask('hold', SetBool, SetBool.Request(data=on))
 
     def _set_gains(self, **gains: float) -> str:
-        self._set(topics.CONTROLLER, gains)
+        self._link.set_parameters(topics.CONTROLLER, gains)
         self._gains = gains
         return 'gains are set'
 
     def _set_surface(self, name: str, stiffness: float, friction: float) -> str:
         state = SurfaceState(stiffness, friction)
-        self._set(topics.SIM, {f'surfaces.{part}.{key}': value for part in self._parts[name]
-                               for key, value in state._asdict().items()})
+        self._link.set_parameters(topics.SIM, {
+            f'surfaces.{part}.{key}': value for part in self._parts[name]
+            for key, value in state._asdict().items()})
         self._surfaces[name] = state
         return f'{name}: {stiffness:g} N/m, friction {friction:g}'
 
@@ -361,16 +362,6 @@ class GraphSource:
         if len(found) != len(names) or None in found:
             raise RunError(f'{node}: expected the parameters {", ".join(names)}, got not all')
         return found
-
-    def _set(self, node: str, values: Mapping[str, float]) -> None:
-        """Set parameters of a node, all or none; RunError if it refuses."""
-        request = SetParametersAtomically.Request(parameters=[
-            Parameter(name, value=float(value)).to_parameter_msg()
-            for name, value in values.items()])
-        result = self._link.call(
-            node, SetParametersAtomically, 'set_parameters_atomically', request).result
-        if not result.successful:
-            raise RunError(str(result.reason))
 
 
 def _push_text(force: Sequence[float], where: str) -> str:

@@ -10,6 +10,7 @@ import equations
 from external_arm import Arm
 from hypothesis import given
 from hypothesis import strategies as st
+from multicontact_control.config import ToolConfig
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.law import control_law, OK
 from multicontact_control.dynamics.robot import load_model, RobotModel
@@ -21,6 +22,7 @@ from multicontact_control.records import CONTACT, CONTROL, FORCE_LAW, LAW
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import JointInput, TickInputs, WrenchInput
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 from sim_bridge.robots import find_robot
@@ -70,6 +72,23 @@ def test_jacobian_and_drift_agree_with_finite_differences(tmp_path):
             state.twist_world, [*linear, skew[2, 1], skew[0, 2], skew[1, 0]], atol=1e-7)
         rate = (ahead.jacobian - behind.jacobian) @ v
         np.testing.assert_allclose(state.jacobian_drift, rate / (2 * h), atol=1e-6)
+
+
+def test_model_carries_another_load_than_its_urdf_has():
+    config, load = controller_config(), ToolConfig(mass=1.7, com_sensor=(0.05, -0.03, 0.11))
+    models = [load_model(config_dir() / config.robot.urdf) for _ in range(3)]
+    for model, tool in zip(models, (load, config.tool)):
+        frame = model.frames[model.getFrameId(config.robot.sensor_frame)]
+        model.appendBodyToJoint(frame.parentJoint, pin.Inertia(
+            tool.mass, np.array(tool.com_sensor), np.zeros((3, 3))), frame.placement)
+    robot = RobotModel(config.robot, config_dir())
+    robot.carry(load, config.tool)
+    for q, v, a in np.random.default_rng(1).uniform(-1.5, 1.5, (5, 3, 6)):
+        state = robot.update(q, v)
+        torque = (state.mass_matrix - np.diag(config.robot.armature)) @ a
+        more, less, bare = (pin.rnea(x, x.createData(), q, v, a) for x in models)
+        np.testing.assert_allclose(
+            torque + state.coriolis + state.gravity, bare + more - less, atol=1e-9)
 
 
 @given(st.integers(0, 2 ** 32 - 1), st.floats(0.0, 1.8))

@@ -123,7 +123,7 @@ def test_tare_makes_the_compensated_wrench_zero_and_is_refused_under_force_contr
     assert answer.success, answer.message
     np.testing.assert_allclose(
         get_parameter(driver, NAME, 'tool.bias_sensor'), bias, atol=1e-9)
-    arm.settle()
+    arm.settle(120)
     np.testing.assert_allclose(list(arm.forces('measured').values()), 0.0, atol=1e-9)
     arm.wrench = arm.wrench - bias
     assert set_parameter(driver, NAME, 'tool.bias_sensor', [0.0] * 6).successful

@@ -1,11 +1,12 @@
 """Simulated arms do not fall: what carries them through every fault, their drives included."""
 
 from contextlib import closing
-from functools import reduce
+from functools import partial, reduce
 from unittest.mock import Mock
 from xml.etree import ElementTree
 
 from arms import controller_config, HOME, still_config
+from multicontact_control.config import ToolConfig
 from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.closed_loop import ClosedLoop
@@ -179,3 +180,28 @@ def test_arm_that_carries_itself_presses_and_stays_in_every_reaction(with_tool, 
             assert kind == 'zero_torque' or np.abs(loop.sample.q - start).max() < 0.05
         if kind == 'zero_torque':
             np.testing.assert_allclose(loop.command, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(('plant', 'force', 'carries_itself'), [
+    ('rigid', 0.0, False), ('puma', 0.0, False), ('puma', 10.0, False), ('rigid', 10.0, True)])
+def test_tool_that_is_picked_up_and_told_of_is_borne_without_a_jump(plant, force, carries_itself):
+    """1.2 kg, at rest and while pressing; also by an arm that carries itself without a tool."""
+    robot = {'adds_gravity': carries_itself, 'adds_tool_gravity': False}
+    make = partial(SelfCarryingLoop, with_tool=False) if carries_itself else ClosedLoop
+    setup = resolve('quick', plant=plant, controller={'robot': robot})
+    with closing(make(setup, commanded=True)) as loop:
+        carried(loop, 50)
+        loop.control.set_forces({'table': force, 'board': force})
+        carried(loop, 1200, sag=0.1)
+        config, tool = setup.controller, loop.plant.description.tool
+        for payload in (1.2, 0.0):
+            loop.plant.payload, mass = payload, config.tool.mass + payload
+            com = tuple((tool.mass + payload) / mass * np.array(tool.com.position))
+            loop.control.reconfigure(config.model_copy(update={
+                'tool': ToolConfig(mass=mass, com_sensor=com)}))
+            for most in (5.0,) * 250 + (1.0,) * 150:  # N, up to 0.5 s and after
+                before = loop.command
+                loop.advance()
+                assert np.abs(loop.command - before).max() < 1.0
+                assert loop.status.reaction == 'none'
+                assert np.abs(loop.sample.contact_force - force).max() < most
