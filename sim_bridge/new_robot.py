@@ -19,7 +19,7 @@ from sim_bridge.arm import Arm
 from sim_bridge.posture import condition, limits_of, middle_of, reach, turn_onto
 from sim_bridge.robot_file import RobotFile
 from sim_bridge.robots import Robot
-from sim_bridge.urdf_arm import ends_of, parse_urdf, read_arm, read_urdf
+from sim_bridge.urdf_arm import parse_urdf, read_arm, read_urdf, way_to
 import yaml
 
 MARK = 'PLACEHOLDER'
@@ -57,24 +57,13 @@ def new_robot(
     """
     Write the files of a robot from its vendor's URDF, and return what they are and lack.
 
-    Beside the controller's file is the URDF of the arm with its tool.
+    `out` is the robot's file and `controller` that of the controller on the real arm, beside which
+    the URDF of the arm with its tool is written. `sensor` is the link that carries the wrist
+    sensor, `tip` the one that touches; `lock` has joints that are no part of the arm, and where
+    they stay, as ``JOINT=POSITION`` [rad or m].
 
-    Parameters
-    ----------
-    urdf
-        File of the vendor.
-    sensor, tip
-        Links that carry the wrist sensor, and that touch.
-    out, controller
-        Files to write: of the robot, and of the controller on the real arm.
-    lock
-        Joints that are no part of the arm, and where they stay, as ``JOINT=POSITION`` [rad or m].
-
-    Raises
-    ------
-    ConfigError
-        If the URDF is not that of an arm, has no such links or joints, or has impossible figures.
-
+    Raises ConfigError if the URDF is not that of an arm, has no such links or joints, or has
+    impossible figures.
     """
     text, suspicious, missing = read_urdf(urdf), list[str](), list[str]()
     joints, locked = _joints(parse_urdf(text), sensor, tip, _positions(lock))
@@ -165,7 +154,7 @@ def _joints(
                                 ('lock', lock, moving)):
         if unknown := [name for name in names if name not in known]:
             raise ConfigError(f'--{field}', f'one of {", ".join(known)}', f"'{unknown[0]}'")
-    chain = [name for joint in _way_to(root, sensor).values()
+    chain = [name for joint in way_to(root, sensor).values()
              if (name := joint.get('name', '')) in moving and name not in lock]
     turning = [name for name in chain if moving[name].get('type') in TURNING]
     if len(turning) < FEWEST_JOINTS:
@@ -180,7 +169,7 @@ def _joints(
                 '--sensor', 'an arm of joints that turn', f"'{name}', which is {kind}",
                 hint=f'add --lock {name}=POSITION' if kind == 'prismatic' else
                 'make it fixed in the URDF')
-    if tip != sensor and sensor not in _way_to(root, tip):
+    if tip != sensor and sensor not in way_to(root, tip):
         raise ConfigError('--tip', f"'{sensor}' or a link beyond it", f"'{tip}'")
     locked = {}
     for name, joint in moving.items():
@@ -190,16 +179,6 @@ def _joints(
         locked[name] = min(max(0.0, lower), upper) if lower <= upper else 0.0
     return chain, {name: place for name, place in (locked | dict(lock)).items()
                    if name not in chain}
-
-
-def _way_to(root: ElementTree.Element, link: str) -> dict[str, ElementTree.Element]:
-    """Return the joints from the base to a link, each under the link that it carries."""
-    carried = {ends_of(joint)[1]: joint for joint in root.findall('joint')}
-    way = {}
-    while joint := carried.pop(link, None):
-        way[link] = joint
-        link = ends_of(joint)[0]
-    return dict(reversed(way.items()))
 
 
 def _home(arm: Arm, tip: Vector, limit: Vector) -> Vector | None:

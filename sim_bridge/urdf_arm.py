@@ -102,6 +102,16 @@ def parse_urdf(text: str | bytes) -> ElementTree.Element:
         raise ConfigError('urdf', 'a valid URDF', str(error)) from None
 
 
+def way_to(root: ElementTree.Element, link: str) -> dict[str, ElementTree.Element]:
+    """Return the joints of a URDF from the base to a link, each under the link it carries."""
+    carried = {ends_of(joint)[1]: joint for joint in root.findall('joint')}
+    way = {}
+    while joint := carried.pop(link, None):
+        way[link] = joint
+        link = ends_of(joint)[0]
+    return dict(reversed(way.items()))
+
+
 def ends_of(joint: ElementTree.Element) -> tuple[str, str]:
     """Return parent and child link of a joint; empty where it does not say."""
     ends = (joint.find('parent'), joint.find('child'))
@@ -116,14 +126,7 @@ def _without_tool(text: str, mount: str) -> str:
     if mount not in known:
         raise ConfigError('mount_link', f'a link of the URDF among {", ".join(known)}',
                           f"'{mount}'")
-    joints = [ends_of(joint) for joint in root.findall('joint')]
-    beyond: set[str] = set()
-    ahead = [mount]
-    while ahead:
-        parent = ahead.pop()
-        children = [child for start, child in joints if start == parent]
-        beyond.update(children)
-        ahead += children
+    beyond = {link for link in known if link != mount and mount in way_to(root, link)}
     for element in list(root):
         name = element.get('name') if element.tag == 'link' else ends_of(element)[1]
         # What is neither link nor joint names joints that may be gone.
