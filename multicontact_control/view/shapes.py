@@ -45,7 +45,8 @@ def read_shapes(urdf: Path) -> list[Shape]:
     shapes = [shape for link in root.findall('link') for visual in link.findall('visual')
               if (shape := _shape(str(link.get('name')), visual, colours, urdf)) is not None]
     seen = {shape.link for shape in shapes}
-    places = {link.get('name') for link in root.findall('link') if not len(link)}
+    places = {link.get('name') for link in root.findall('link') if not len(link)
+              or link.find("inertial/mass[@value='0.0']") is not None}
     for joint in root.findall('joint'):
         (link, child), end = ends_of(joint), np.array(_origin(joint)[0])
         if link not in seen and np.linalg.norm(end) >= BONE and not (

@@ -16,6 +16,9 @@ TWO_JOINTS = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/>
   <joint name="1" type="revolute"><parent link="a"/><child link="b"/>
     <origin xyz="0 0.3 0.4" rpy="0 0 0"/></joint>
   <joint name="2" type="revolute"><parent link="b"/><child link="c"/>
+    <origin xyz="0 0 0.2"/></joint>
+  <link name="place"><inertial><mass value="0.0"/></inertial></link>
+  <joint name="3" type="fixed"><parent link="c"/><child link="place"/>
     <origin xyz="0 0 0.2"/></joint></robot>"""
 
 
