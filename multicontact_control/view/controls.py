@@ -173,8 +173,9 @@ class Controls:
         for name, state in scene.simulated.items():
             with gui.add_folder(f'surfaces.{name}'):
                 low, high = (pick(*STIFFNESS, state.stiffness) for pick in (min, max))
-                elements = self._surfaces[name] = (
-                    gui.add_number('stiffness [N/m]', state.stiffness, min=low, max=high),
+                # The number shows only: of 60000 every digit typed would be a command.
+                _, *sliders = self._surfaces[name] = (
+                    gui.add_number('stiffness [N/m]', state.stiffness, disabled=True),
                     gui.add_multi_slider(
                         'log scale', min=math.log10(low), max=math.log10(high), step=0.01,
                         initial_value=_exponent(state.stiffness), marks=tuple(
@@ -182,8 +183,8 @@ class Controls:
                     gui.add_slider('friction', min=min(FRICTION[0], state.friction),
                                    max=max(FRICTION[1], state.friction), step=0.01,
                                    initial_value=state.friction))
-            for element in elements:
-                self._on_change(element, source.SURFACE, partial(self._surface, name))
+            for slider in sliders:
+                self._on_change(slider, source.SURFACE, partial(self._surface, name))
         with gui.add_folder('Push'):
             where = gui.add_dropdown('push at', ('operational point', 'tool'))
             force = gui.add_slider('force [N]', min=1.0, max=20.0, step=1.0, initial_value=5.0)
