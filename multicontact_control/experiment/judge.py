@@ -104,7 +104,7 @@ def verdict_text(summary: Mapping[str, Any]) -> str:
     reasons = '; '.join(summary['instabilities'])
     if name == UNJUDGED:
         return f"{name}: {summary['unjudged']}" + (f'; seen: {reasons}' if reasons else '')
-    if summary['forces'] != TRUE and summary['instabilities'] != [summary['ended_early']]:
+    if summary['forces'] != TRUE and name != SILENT:
         return f'{name} {BY_MEASUREMENT}: {reasons}'
     return f'{name}: {reasons}' if reasons else name
 

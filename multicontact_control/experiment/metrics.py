@@ -254,13 +254,17 @@ class RunMetrics:
         """
         Return how well the commanded motion was followed, under load and in `moving`.
 
-        The position error counts along the directions that no contact constrains.
+        The position error counts along the directions that no contact constrains: by the normals
+        of simulated surfaces, by those that the controller is given of others.
         """
         data, judged, config = self.data, self.windows, self.setup.controller
         if not (judged.loaded.any() and config.robot.urdf):  # a recording tells no normals
             return dict.fromkeys(('position_rms_m', 'moving_position_rms_m',
                                   'orientation_max_rad'))
-        normals = np.array([config.contacts[name].normal_world for name in config.contact_names])
+        plant = self.setup.plant
+        normals = np.array([each.normal_world for each in (
+            (plant.surfaces[name] for name in plant.touched) if self.setup.simulated else
+            (config.contacts[name] for name in config.contact_names))])
         free = np.eye(3) - np.linalg.pinv(normals) @ normals
         error = np.linalg.norm((data.position - data.position_des) @ free, axis=1)
         known = np.isfinite(error)

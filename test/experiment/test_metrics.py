@@ -96,6 +96,10 @@ def test_motion_error_counts_in_free_directions_and_in_its_window(setup, data):
     assert found['moving_position_rms_m'] == pytest.approx(0.002)
     assert found['position_rms_m'] == pytest.approx(0.002 * np.sqrt(3.5 / 9.5), rel=1e-3)
     assert found['orientation_max_rad'] == pytest.approx(0.02)
+    tilted = resolve('tilt', plant='rigid')
+    data = perfect_run(tilted)
+    data.position[:] += 0.03 * np.array(tilted.plant.surfaces['table'].normal_world)
+    assert RunMetrics(data, tilted).motion_summary()['position_rms_m'] < 1e-12
 
 
 @pytest.fixture(scope='module')
