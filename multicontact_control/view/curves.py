@@ -134,7 +134,7 @@ def charts_of(names: Sequence[str], joints: Sequence[str], true_forces: bool) ->
         *(Chart(f'force on {name} [N]', ('true', 'measured', 'estimated', 'desired')[first:],
                 [true, *each][first:], (COLOURS[3], *COLOURS[:3])[first:], from_zero(5.0))
           for name, *each, true in zip(names, *forces)),
-        Chart('R [N^2], logarithmic', (*names, ''), variance.tolist(),
+        Chart('R [N^2], logarithmic', (*names, '\u00a0'), variance.tolist(),
               (*np.resize(COLOURS, len(names)).tolist(), 'transparent'), LOGARITHMIC),
         Chart('innovation [N]', names, innovation.tolist(), COLOURS, from_zero(0.2)),
         Chart('torque of each joint, % of its limit', [str(k + 1) for k in range(len(joints))],

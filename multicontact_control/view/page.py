@@ -33,6 +33,13 @@ SMALL = 'font-size:12px;line-height:18px;padding:2px 14px;white-space:pre-wrap;'
 ONE_LINE = 'white-space:nowrap;overflow:hidden;text-overflow:ellipsis'
 # Of what changes, so that nothing below moves under the mouse: px, of two lines and of twelve.
 ANSWER, EVENTS = (f'height:{18 * lines}px;overflow-y:auto' for lines in (2, 12))
+# What viser has no call for: the title of the tab, and the time axes of charts, which uPlot leaves
+# out of those that are made before their width is known.
+SCRIPT = """
+document.title = {title};
+window.axesTimer ??= setInterval(() => Object.values(window.__viserTestpoints?.uplots ?? {{}})
+  .forEach(({{chart}}) => chart.axes[0]._space || chart.redraw(true, true)), 500);
+"""
 GREEN, RED, GREY = '#34965c', '#c0392b', '#6b7280'
 
 
@@ -83,9 +90,8 @@ class Page:
             show_logo=False, show_share_button=False, brand_color=(46, 116, 190),
             control_width='medium')
         gui.set_panel_label('multicontact view')
-        # The only way to a title of the tab in viser.
         gui._websock_interface.queue_message(RunJavascriptMessage(
-            f'document.title = {json.dumps(scene.title)}'))
+            SCRIPT.format(title=json.dumps(scene.title))))
         self.scene_view = SceneView(self.server, scene)
         self.status = gui.add_html('')
         self.contacts = gui.add_html('')

@@ -45,8 +45,13 @@ def test_buttons_press_and_move_and_sliders_command_forces(page, chromium):
     tab = opened.page
     tab.get_by_text('Press with 10 N').wait_for()
     wait_for(lambda: page.server.get_clients() and page.newest, 'a connection and samples')
+    tab.wait_for_function('Object.values(__viserTestpoints.uplots).every('
+                          'x => x.chart.axes.every(axis => axis._splits.length >= 3))')
+    assert tab.title() == page.source.scene.title
+    top = tab.get_by_role('slider').first.bounding_box()
     tab.get_by_role('button', name='Press with 10 N').press('Enter')
     wait_for(lambda: page.newest.states == ('holding', 'holding'), 'both contacts')
+    assert tab.get_by_role('slider').first.bounding_box() == top
     start = page.newest.position_des.copy()
     tab.get_by_role('tab', name='Move').press('Enter')
     tab.get_by_label('drag handle').first.press('Space')
