@@ -7,7 +7,7 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.view.shapes import BOX, CYLINDER, MESH, read_shapes, rod, TOOL, wxyz_of
+from multicontact_control.view.shapes import read_shapes, rod, TOOL, wxyz_of
 from multicontact_control.view.source import Push, Scene, Snapshot, Surface
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -23,9 +23,9 @@ LEAST_WAY = 5e-4  # m, that is drawn
 TIP = 0.011  # m, radius of the dot of a contact, thickness of an edge or face
 TOUCH = 1.5  # N, from which a surface is known to be there
 PUSH = 0.08  # m, from where a push acts, inside the arm, to its arrow, and of that at least
-AXES, PLACE = 0.15, (0.15, 0.05)  # m, of the names of the directions, on the floor from the middle
+AXES, AXES_PLACE = 0.15, (0.1, 0.2, 0.0)  # m, of those that show the directions of the world
 MEASURED, ESTIMATED, DESIRED = (205, 82, 0), (10, 78, 165), (10, 122, 58)
-PUSHED = (138, 60, 176)
+PUSHED, ABOVE = (138, 60, 176), (0.0, 0.0, 0.015)
 STATE_COLOURS = {
     'free': (150, 155, 162), 'approaching': (232, 176, 48), 'impact': (120, 190, 90),
     'holding': (52, 150, 92), 'lost': (208, 60, 50), 'retracting': (208, 60, 50),
@@ -44,8 +44,8 @@ class SceneView:
         self._leaders = list(config.leaders)
         self._contacts = [config.contacts[name] for name in config.contact_names]
         self._points = np.array([contact.point_operational for contact in self._contacts])
-        self._add_tool()
-        self._links = list(dict.fromkeys(shape.link for shape in self._shapes))
+        if TOOL_LINK not in self._shapes:
+            self._add_tool()
         self._api = server.scene
         self._draw_arm()
         self._draw_contacts()
@@ -58,15 +58,13 @@ class SceneView:
         self._look(server)
 
     def _add_tool(self) -> None:
-        """Let rods lead from the wrist sensor to the contacts where the URDF shows no tool."""
-        robot, names = self._robot, self._scene.config.robot
-        if TOOL_LINK in {shape.link for shape in self._shapes}:
-            return
-        sensor, own = robot.link_poses(
+        """Let rods lead from the wrist sensor to the contacts, since the URDF shows no tool."""
+        names = self._scene.config.robot
+        sensor, own = self._robot.link_poses(
             np.zeros(len(names.joint_names)), (names.sensor_frame, names.operational_frame))
         start = own.rotation_world.T @ (sensor.position_world - own.position_world)
-        self._shapes += [rod(names.operational_frame, start, point, TOOL)
-                         for point in self._points]
+        for point in self._points:
+            self._shapes[names.operational_frame].add_geometry(rod(start, point, TOOL))
 
     def _look(self, server: Any) -> None:
         placed = [surface.point_world for surface in self._scene.surfaces if surface.point_world]
@@ -76,8 +74,7 @@ class SceneView:
         server.initial_camera.position = target + BACK
         server.initial_camera.fov = np.radians(42.0)
         axes = self._api.add_frame(
-            '/world', axes_length=AXES, axes_radius=0.025 * AXES,
-            position=(target[0] + PLACE[0], target[1] + PLACE[1], 0.0))
+            '/world', axes_length=AXES, axes_radius=0.025 * AXES, position=AXES_PLACE)
         for name, end in zip('xyz', 1.15 * AXES * np.eye(3)):
             self._api.add_label(f'{axes.name}/{name}', name, position=end, anchor='center-center')
 
@@ -86,21 +83,9 @@ class SceneView:
         api.add_grid('/floor', width=3.0, height=3.0, cell_size=0.1, section_size=0.5,
                      cell_color=(226, 228, 231), section_color=(205, 208, 213),
                      position=(0.0, 0.0, 0.0), plane='xy')
-        self._frames = [api.add_frame(f'/arm/{link}', show_axes=False) for link in self._links]
-        for number, shape in enumerate(self._shapes):
-            name = f'/arm/{shape.link}/{number}'
-            place = {'position': shape.position, 'wxyz': shape.wxyz,
-                     'color': tuple(round(255 * x) for x in shape.colour)}
-            if shape.kind == MESH:
-                del place['color']
-                api.add_glb(name, shape.glb, scale=shape.size, **place)
-            elif shape.kind == BOX:
-                api.add_box(name, dimensions=shape.size, **place)
-            elif shape.kind == CYLINDER:
-                api.add_cylinder(name, radius=shape.size[0], height=shape.size[1],
-                                 radial_segments=40, flat_shading=False, **place)
-            else:
-                api.add_icosphere(name, radius=shape.size[0], flat_shading=False, **place)
+        self._links = {link: api.add_glb(
+            f'/arm/{link}', shape.export(file_type='glb', include_normals=True))
+            for link, shape in self._shapes.items()}
 
     def _draw_surface(self, surface: Surface) -> None:
         if surface.point_world is None:
@@ -161,10 +146,10 @@ class SceneView:
     def show(self, snapshot: Snapshot, *, labels: bool = True) -> None:
         """Draw a snapshot; the labels only now and then."""
         if np.isfinite(snapshot.q).all():
-            for frame, pose in zip(
-                    self._frames, self._robot.link_poses(snapshot.q, self._links)):
-                frame.position = pose.position_world
-                frame.wxyz = wxyz_of(Rotation.from_matrix(pose.rotation_world))
+            for link, pose in zip(
+                    self._links.values(), self._robot.link_poses(snapshot.q, [*self._links])):
+                link.position = pose.position_world
+                link.wxyz = wxyz_of(Rotation.from_matrix(pose.rotation_world))
         if not (np.isfinite(snapshot.position).all() and np.isfinite(snapshot.quaternion).all()):
             return
         rotation = Rotation.from_quat(snapshot.quaternion).as_matrix()
@@ -211,7 +196,7 @@ class SceneView:
             tip = pose.position_world - PUSH * force / size
             tail = tip - (METRES_PER_NEWTON + PUSH / size) * force
             self._push.points = np.array([[tail, tip]], dtype=np.float32)
-            self._push_label.text, self._push_label.position = f'push {size:g} N', tail
+            self._push_label.text, self._push_label.position = f'push {size:g} N', tail + ABOVE
 
     def _show_surfaces(self, snapshot: Snapshot, points: Matrix) -> None:
         """Draw the surfaces where they are; those whose place is not known where they are felt."""
