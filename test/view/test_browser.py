@@ -48,10 +48,10 @@ def test_buttons_press_and_move_and_sliders_command_forces(page, chromium):
     tab.wait_for_function('Object.values(__viserTestpoints.uplots).every('
                           'x => x.chart.axes.every(axis => axis._splits?.length >= 3))')
     assert tab.title() == page.source.scene.title
-    top = tab.get_by_role('slider').first.bounding_box()
+    place = tab.get_by_role('tab', name='Move').bounding_box()
     tab.get_by_role('button', name='Press with 10 N').press('Enter')
     wait_for(lambda: page.newest.states == ('holding', 'holding'), 'both contacts')
-    assert tab.get_by_role('slider').first.bounding_box() == top
+    assert tab.get_by_role('tab', name='Move').bounding_box() == place, 'a line moved it'
     start = page.newest.position_des.copy()
     tab.get_by_role('tab', name='Move').press('Enter')
     tab.get_by_label('drag handle').first.press('Space')
