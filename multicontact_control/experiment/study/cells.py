@@ -99,7 +99,7 @@ def _job(
     overrides = overrides_of({**values, **settings}, base, 'factors')
     return job_of(
         scenario, base.plant_name, part.seeds[0], supervised=part.supervised,
-        duration=part.duration, **files,
+        surface_gone=part.surface_gone, duration=part.duration, **files,
         **{ARGUMENTS[section]: nested for section, nested in overrides.items()})
 
 

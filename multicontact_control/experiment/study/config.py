@@ -99,6 +99,8 @@ class PartConfig(Config):
     supervised: bool = parameter(
         True, 'Whether contact states, watchdogs and limits are put around the controller, as '
         'in `simulate`; false is its `--bare`.')
+    surface_gone: tuple[Real, Real] | None = parameter(
+        None, 'From when to when the last surface is away.', unit='s')
     fixed: dict[str, Any] = parameter({}, 'Parameters that differ from the files in every run.')
     factors: dict[str, FactorConfig] = parameter(
         {}, 'What is varied, by parameter or by a name: a list of values, levels by label, or the '

@@ -93,6 +93,7 @@ class RunJob:
     seed: int
     overrides: str = '{}'  # canonical JSON of the other arguments of `resolve`
     supervised: bool = False
+    surface_gone: tuple[float, float] | None = None  # from when to when the last one is away [s]
 
     def setup(self) -> Setup:
         """Return everything the run needs, checked."""
@@ -100,15 +101,15 @@ class RunJob:
 
     def key(self) -> str:
         """Return the hash of all that decides the outcome; see `Job.key`."""
-        return content_key('run', {
-            **setup_content(self.setup()), 'supervised': self.supervised})
+        return content_key('run', {**setup_content(self.setup()), 'supervised': self.supervised,
+                                   'surface_gone': self.surface_gone})
 
     def run(self) -> dict[str, Any]:
         """Run it and measure it; see `measure_run`."""
         # Only here: what gives out the work to others needs neither kernels nor simulator.
         from multicontact_control.experiment.study.measure import measure_run
 
-        return measure_run(self.setup(), self.supervised)
+        return measure_run(self.setup(), self.supervised, self.surface_gone)
 
 
 # Jobs that differ in their seed only follow each other: one is remembered.
@@ -118,12 +119,13 @@ def _resolved(job: RunJob) -> Setup:
 
 
 def job_of(
-    scenario: str, plant: str, seed: int, *, supervised: bool = False, **overrides: Any,
+    scenario: str, plant: str, seed: int, *, supervised: bool = False,
+    surface_gone: tuple[float, float] | None = None, **overrides: Any,
 ) -> RunJob:
     """Return a job; `overrides` are arguments of `resolve`."""
     kept = {name: value for name, value in overrides.items() if value}
     return RunJob(scenario, plant, seed, json.dumps(
-        kept, sort_keys=True, separators=(',', ':')), supervised)
+        kept, sort_keys=True, separators=(',', ':')), supervised, surface_gone)
 
 
 def read_cell(folder: Path, key: str) -> dict[str, Any] | None:

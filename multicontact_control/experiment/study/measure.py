@@ -13,11 +13,14 @@ from multicontact_control.experiment.results import summarise
 import numpy as np
 
 if TYPE_CHECKING:
+    from multicontact_control.experiment.closed_loop import ClosedLoop
     from multicontact_control.experiment.scenario import Setup
 
 LAST = 0.5  # s, the end of a run that tells whether it has settled
 SETTLED = 0.1  # of the command: with a larger error at its end a run has not settled
 SHORTEST = 2  # samples that a summary can be made of
+AWAY = 0.05  # m, by which a surface moves away
+MEAN_TIME = 0.012  # s, over which forces of a vanishing surface's neighbour are averaged
 # Of summary.json: what stands elsewhere in the row, is no result, or depends on the machine.
 LEFT_OUT = ('claims', 'ended_early', 'instabilities', 'judged', 'mode',
             'noise_estimator', 'plant', 'scenario', 'schema', 'seed', 'stable', 'supervised',
@@ -25,17 +28,21 @@ LEFT_OUT = ('claims', 'ended_early', 'instabilities', 'judged', 'mode',
 Metrics = Mapping[str, Any]
 
 
-def measure_run(setup: Setup, supervised: bool) -> dict[str, Any]:
+def measure_run(
+    setup: Setup, supervised: bool, surface_gone: tuple[float, float] | None = None,
+) -> dict[str, Any]:
     """
     Run a setup in this process and measure it; an exception is its `error`, and ends no study.
 
-    Returned are `summary`, the content of ``summary.json``, None after an exception; `evidence`,
-    which claims rest on; `final_error_share`, `activity_nm` (see `metrics_row`); `error`.
+    The last surface is away between the two times of `surface_gone` [s], if given. Returned are
+    `summary`, the content of ``summary.json``, None after an exception; `evidence`, which claims
+    rest on; `final_error_share`, `activity_nm` and `neighbour_n` (see `metrics_row`); `error`.
     """
     from multicontact_control.experiment.closed_loop import run_in_process
 
     try:
-        result = run_in_process(setup, supervised=supervised)
+        result = run_in_process(
+            setup, supervised=supervised, disturb=_disturbance(setup, surface_gone))
         if result.data.ticks < SHORTEST:
             raise RunError(result.ended_early)
         data, run = result.data, RunMetrics(result.data, setup)
@@ -46,10 +53,24 @@ def measure_run(setup: Setup, supervised: bool) -> dict[str, Any]:
             'summary': summary,
             'evidence': evidence_of(data, setup, summary),
             'final_error_share': _final_error_share(run), 'activity_nm': _activity(run),
-            'error': None}
+            'neighbour_n': _neighbour_error(run, surface_gone), 'error': None}
     except Exception as problem:
         # Whatever one combination does to the law or the simulator, the others shall be run.
         return {'summary': None, 'error': f'{type(problem).__name__}: {problem}'}
+
+
+def _disturbance(setup: Setup, gone: tuple[float, float] | None) -> Any:
+    """Return what takes the last surface away and brings it back, None if it stays."""
+    if gone is None:
+        return None
+    rate, last = setup.controller.rate, len(setup.controller.contact_names) - 1
+    moves = dict(zip((round(time * rate) for time in gone), (AWAY, -AWAY)))
+
+    def disturb(loop: ClosedLoop) -> None:
+        if loop.tick in moves:
+            loop.plant.contacts.shift(last, moves[loop.tick])
+
+    return disturb
 
 
 def _final_error_share(run: RunMetrics) -> float:
@@ -66,6 +87,17 @@ def _activity(run: RunMetrics) -> float:
     window = run.windows.moving if run.windows.moving.any() else run.windows.loaded
     change = np.diff(run.data.torque, axis=0)[window[1:]]
     return float(np.sqrt((change * change).mean(axis=0)).max()) if len(change) else math.nan
+
+
+def _neighbour_error(run: RunMetrics, gone: tuple[float, float] | None) -> float | None:
+    """Return the largest mean error over 12 ms of the first force around that time [N]."""
+    if gone is None:
+        return None
+    time, count = run.data.time, round(MEAN_TIME * run.data.rate)
+    error = run.error[(time >= gone[0]) & (time < gone[1] + 1.0), 0]
+    if len(error) < count:  # the run ended before
+        return None
+    return float(np.abs(np.convolve(error, np.full(count, 1.0 / count), 'valid')).max())
 
 
 def metrics_row(metrics: Metrics) -> dict[str, Any]:
@@ -102,7 +134,7 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
             push['recovery'] for push in pushes if push['duration'] >= LASTING),
         'rise_s': _latest(step['rise_63_s'] for step in steps),
         'overshoot_percent': _largest(step['overshoot_percent'] for step in steps),
-        'activity_nm': metrics.get('activity_nm'),
+        **{name: metrics.get(name) for name in ('activity_nm', 'neighbour_n')},
         **dict(_flat({name: value for name, value in summary.items() if name not in LEFT_OUT})),
         'trajectory_sha256': summary.get('trajectory_sha256')}
 

@@ -140,7 +140,7 @@ def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter(preset
         assert study.name == name and ': ' in study.description
     counts = [{cell.key for cell in preset(name, quick=True, plant=('rigid',)).cells()}
               for name in ('compare', 'laws', 'map', 'delay', 'faults')]
-    assert [len(keys) for keys in counts] == [18, 36, 64, 14, 12]
+    assert [len(keys) for keys in counts] == [18, 45, 64, 14, 12]
     with pytest.raises(ConfigError, match=rf"^study: expected one of {', '.join(names)}"):
         read_study('stifness')
 

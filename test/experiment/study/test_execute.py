@@ -33,7 +33,8 @@ def test_key_changes_with_all_that_changes_the_outcome_and_with_nothing_else(mon
         job_of('quick', 'rigid', 0, plant_overrides={'actuator_delay_ticks': 2}),
         job_of('quick', 'rigid', 0, scenario_overrides={'reference': {
             'approach': {'speed': 0.03}}}),
-        job_of('quick', 'rigid', 0, supervised=True)]
+        job_of('quick', 'rigid', 0, supervised=True),
+        job_of('quick', 'rigid', 0, surface_gone=(5.0, 6.0))]
     keys = [job.key() for job in variants]
     assert len(set(keys)) == len(variants)
     assert keys[0] == pickle.loads(pickle.dumps(variants[0])).key()
