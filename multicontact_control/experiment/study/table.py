@@ -58,8 +58,7 @@ def listing_of(frame: pd.DataFrame, study: StudyConfig) -> Listing:
     lines = [name for name in study.lines or frame.attrs['factors']
              if name not in (*NOT_FACTORS, *study.sections)
              and frame[name].astype(str).ne('').any()]
-    heads = [f'{name} [{unit}]' if unit else name
-             for name, unit in (_head(frame, study, name) for name in lines)]
+    heads = [_head(frame, study, name) for name in lines]
     by = [name for name in study.sections if frame[name].nunique() > 1]
     listing = {}
     for title, section in _groups(frame, by):
@@ -72,10 +71,11 @@ def listing_of(frame: pd.DataFrame, study: StudyConfig) -> Listing:
     return listing
 
 
-def _head(frame: pd.DataFrame, study: StudyConfig, factor: str) -> tuple[str, str]:
-    """Return what a factor is called in tables and sentences, and its unit."""
+def _head(frame: pd.DataFrame, study: StudyConfig, factor: str) -> str:
+    """Return what a factor is called in tables and sentences, with its unit in brackets."""
     name = study.symbols.get(factor, factor.rpartition('.')[2].replace('_', ' '))
-    return name, frame.attrs['units'].get(factor) or ''
+    unit = frame.attrs['units'].get(factor)
+    return f'{name} [{unit}]' if unit else name
 
 
 def sentences(frame: pd.DataFrame, study: StudyConfig) -> list[str]:
@@ -92,8 +92,9 @@ def sentences(frame: pd.DataFrame, study: StudyConfig) -> list[str]:
         good = runs[study.truth]
         where = '; '.join(
             f'{head} = {values} {unit}'.rstrip() for name in varied if name not in subject
-            and runs[name].nunique() > 1 for head, unit in [_head(frame, study, name)]
-            if (values := good_values(runs, name, study.truth)) != 'none')
+            and runs[name].nunique() > 1
+            and (values := good_values(runs, name, study.truth)) != 'none'
+            for head, _, unit in [_head(frame, study, name).rstrip(']').partition(' [')])
         count = 'all runs' if good.all() else f'{int(good.sum())} of {len(runs)} runs'
         also = '' if good.all() else 'in every run '
         alike.setdefault(f'{study.truth} on {plant} in {count}' + (
@@ -208,8 +209,8 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
     Return the figure of a study, a column for each plant, a row for each value.
 
     The first factor is along the horizontal axis; there are points for each part and value of the
-    second: medians over seeds and whatever else is varied, or the share of good runs. Values that
-    do not vary are left out. None without a factor or a value to draw.
+    second: medians of the good runs over seeds and whatever else is varied, or the share of good
+    runs. Values that do not vary are left out. None without a factor or a value to draw.
     """
     names = [name for name in frame.attrs['factors'] if name not in NOT_FACTORS]
     columns = [column for column in table_columns(frame, study)
@@ -224,11 +225,11 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
                     layout='constrained')
     grid = figure.subplots(len(columns), len(plants), sharex=True, sharey='row', squeeze=False)
     for axes, (column, plant) in zip(grid.flat, product(columns, plants)):
-        _draw(axes, frame[frame['plant'] == plant], names[0], lines, column)
+        _draw(axes, frame[frame['plant'] == plant], names[0], lines, column, study.truth)
         name = column.name.replace('*', 'worst').replace('.', '\n')
         axes.set_ylabel(f'share of {name} runs' if column.aggregate == 'share' else name,
                         fontsize=8)
-        axes.set_xlabel(' '.join(_head(frame, study, names[0])), fontsize=8)
+        axes.set_xlabel(_head(frame, study, names[0]), fontsize=8)
         axes.label_outer()
     for axes, plant in zip(grid[0], plants):
         axes.set_title(f'plant {plant}', fontsize=9)
@@ -236,21 +237,25 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
         *axes.get_legend_handles_labels())}
     if len(handles) > 1:
         figure.legend(handles.values(), handles, loc='outside right upper', fontsize=8,
-                      title=', '.join(_head(frame, study, name)[0] for name in lines))
+                      title=', '.join(_head(frame, study, name) for name in lines))
     return figure
 
 
 def _draw(
-    axes: Any, frame: pd.DataFrame, x: str, lines: list[str], column: ColumnConfig,
+    axes: Any, frame: pd.DataFrame, x: str, lines: list[str], column: ColumnConfig, truth: str,
 ) -> None:
     """Draw a column over a factor: lines over numbers, points alone over names."""
-    drawn = worst(frame, column.value).replace(np.inf, np.nan) * (
-        column.scale if column.aggregate == 'median' else 1.0)
+    drawn, statistic = worst(frame, column.value), 'mean'
+    if column.aggregate == 'median':
+        drawn = column.scale * drawn.where(frame[truth] & np.isfinite(drawn))
+        statistic = 'median'
     table = frame.assign(drawn=drawn).pivot_table(
-        index=x, columns=lines, values='drawn', sort=False,
-        aggfunc='mean' if column.aggregate == 'share' else 'median')
+        index=x, columns=lines, values='drawn', sort=False, aggfunc=statistic,
+    ).reindex(frame[x].unique())
     if table.empty:
         return
+    table.columns = [', '.join(map(show, label if isinstance(label, tuple) else (label,)))
+                     for label in table]
     numeric = pd.api.types.is_numeric_dtype(table.index)
     table = table.sort_index() if numeric else table
     wide = numeric and table.index[0] > 0.0 and table.index[-1] / table.index[0] >= WIDE_RANGE
