@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from typing import Annotated, Any
 
 from multicontact_control import __version__
+from multicontact_control.cli import options
 from multicontact_control.cli.calibrate import calibrate, push_test
 from multicontact_control.cli.design import design
 from multicontact_control.cli.new_robot import new_robot
-from multicontact_control.cli.options import (
-    described,
-    EXIT_FAILED,
-    EXIT_USAGE,
-    flattened,
-    is_given,
-)
 from multicontact_control.cli.report import identify, report
 from multicontact_control.cli.run import run, simulate
 from multicontact_control.cli.study import study
@@ -79,7 +74,7 @@ class Command(TyperCommand):
         for each in self.params:
             if folder := FOLDERS.get(each.name):
                 with formatter.section(folder.capitalize()):
-                    formatter.write_dl([*described(folder).items()])
+                    formatter.write_dl([*options.described(folder).items()])
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -87,16 +82,18 @@ class Command(TyperCommand):
             return super().invoke(ctx)
         except ConfigError as error:
             typer.echo(f'multicontact: {self._blame_options(ctx, error)}', err=True)
-            raise typer.Exit(EXIT_USAGE) from None
-        except MulticontactError as error:
+            raise typer.Exit(options.EXIT_USAGE) from None
+        except (MulticontactError, OSError) as error:
+            if isinstance(error, OSError) and error.errno != errno.ENOSPC:
+                raise
             typer.echo(f'multicontact: {error}', err=True)
-            raise typer.Exit(EXIT_FAILED) from None
+            raise typer.Exit(options.EXIT_FAILED) from None
 
     def _blame_options(self, ctx: Any, error: ConfigError) -> ConfigError:
         """Return an error whose fields are spelled as on the command line, where they were."""
         names: dict[str, str] = {}
         for each in self.params:
-            if is_given(ctx, each.name):
+            if options.is_given(ctx, each.name):
                 name, spelled = str(each.name), each.opts[0]
                 spelled = spelled if spelled.startswith('-') else str(each.metavar)
                 names |= dict.fromkeys((name, name.removesuffix('s'), spelled.lower()), spelled)
@@ -105,7 +102,8 @@ class Command(TyperCommand):
 
 
 for function in COMMANDS:
-    app.command(cls=Command, no_args_is_help=function in WITH_ARGUMENTS)(flattened(function))
+    app.command(cls=Command, no_args_is_help=function in WITH_ARGUMENTS)(
+        options.flattened(function))
 app.command('compile', cls=Command, hidden=True)(compile_kernels)
 topic = typer.Typer(help='List or print the topics of a running graph.', no_args_is_help=True,
                     rich_markup_mode=None)

@@ -62,6 +62,7 @@ def run(
     from multicontact_control.experiment.graph.domain import check_namespace
 
     namespace = check_namespace(namespace)
+    end_at_signals('interrupted')
     # The nodes' modules are loaded by another process, while this one loads its own.
     prepare_nodes()
     robot = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+import signal
 from typing import Any, TYPE_CHECKING
 
 from multicontact_control.compiled import compiled_here
@@ -91,10 +92,11 @@ def run_on_graph(
     An `endless` run is ended by a signal, whatever the scenario says. With `external`, whose setup
     this is, the user's own robot is behind the topics, which counts as gone after `robot_timeout`
     [s] without a message. `options` are fields of `GraphSpec`, the other parameters those of
-    `run_simulate`. Returns the content of ``summary.json``, None if no sample was answered, and
-    the signal that ended the run early, if one did. Raises ConfigError if the scenario cannot
-    begin by itself or a parameter of the node is not acceptable, RunError if ROS cannot be loaded
-    or a node dies; what was recorded stays in the folder.
+    `run_simulate`. Returns the content of ``summary.json``, None if no sample was answered or the
+    report was skipped by a Ctrl-C, and the signal that ended the run early, if one did. Raises
+    ConfigError if the scenario cannot begin by itself or a parameter of the node is not
+    acceptable, RunError if ROS cannot be loaded or a node dies; what was recorded stays in the
+    folder.
     """
     from multicontact_control.experiment.graph.robot import Robot
     from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
@@ -119,24 +121,42 @@ def run_on_graph(
     result = _show_graph(spec, setup, console)
     if not result.controlled:
         console.print(UNANSWERED, highlight=False, soft_wrap=True)
-        return None, result.interrupted
+        return None, next(iter(result.signals), None)
+    try:
+        if len(result.signals) > 1:
+            raise KeyboardInterrupt
+        return _report_graph(result, spec, setup, external, console)
+    except (KeyboardInterrupt, SystemExit):
+        console.print(f'report skipped; to write it: multicontact report {folder}',
+                      highlight=False, markup=False, soft_wrap=True)
+        return None, signal.SIGINT
+
+
+def _report_graph(
+    result: GraphResult, spec: GraphSpec, setup: Setup, external: External | None,
+    console: Console,
+) -> tuple[dict[str, Any], int | None]:
+    """Return the summary of a run on the graph, and the signal that ended it early."""
+    from multicontact_control.experiment.graph.spec import CONTROLLER
+
     content = read_bag(result.bag, setup.controller, namespace=spec.namespace,
                        answered=external is not None)
     data = content.data
-    interrupted = None if endless else result.interrupted
-    if endless:  # it lasts as long as it has, in the files, too
+    interrupted = result.signals[0] if result.signals and spec.ticks else None
+    if not spec.ticks:  # it lasts as long as it has, in the files, too
         scenario = setup.scenario.model_copy(
             update={'duration': max(SHORTEST, data.ticks / data.rate)})
         setup = replace(setup, scenario=scenario)
-        setup.write(config)
+        setup.write(spec.out / CONFIG_FOLDER)
     simulated = REAL_TIME if spec.free_running else LOCKSTEP
     summary = summarise(
         data, setup, mode=simulated if external is None else EXTERNAL_RUN,
         timing=graph_timing(result.timing, content),
         ended_early=result.ended or (INTERRUPTED if interrupted else ''),
-        events=result.timing[CONTROLLER].get('events', []) if supervised else None)
+        events=result.timing[CONTROLLER].get('events', []) if (
+            spec.extra_parameters[CONTROLLER]['supervised']) else None)
     summary |= {'ros_domain_id': result.domain_id, 'remarks': list(content.remarks)}
-    return _finish(data, setup, folder, summary, console), interrupted
+    return _finish(data, setup, spec.out, summary, console), interrupted
 
 
 def _show_graph(spec: GraphSpec, setup: Setup, console: Console) -> GraphResult:
@@ -150,9 +170,8 @@ def _show_graph(spec: GraphSpec, setup: Setup, console: Console) -> GraphResult:
     with progress_bar(
             f'run {setup.scenario.name}', duration, console, 'starting the nodes') as show:
         result = run_graph(
-            spec, lambda progress: show(*progress), tell=tell, on_domain=lambda number: tell(
-                f'ROS domain {number}: ROS_DOMAIN_ID={number} multicontact topic list'))
-        if duration is not None and result.interrupted is None:
+            spec, lambda progress: show(*progress), tell=tell)
+        if duration is not None and not result.signals:
             show(duration, {})
     if spec.realtime:
         for name, node in result.timing.items():
@@ -201,7 +220,8 @@ def _finish(
     draw_figures(data, setup, folder / FIGURE_FOLDER, verdict=verdict_text(summary))
     write_json(folder / SUMMARY_FILE, finite(summary))
     console.print(headline(summary), highlight=False, markup=False)
-    console.print(summary_table(summary))
+    if (table := summary_table(summary)).row_count:
+        console.print(table)
     for line in verdict_lines(summary, folder):
         console.print(line, highlight=False, soft_wrap=True)
     return summary

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import resource
 import signal
 import time
 
@@ -116,6 +117,23 @@ def test_recorder_that_is_killed_leaves_a_bag_that_is_read(publishers, record, t
     content = read_bag(folder, controller)
     assert content.data.effort[:COUNT, 0].tolist() == [*range(COUNT)]
     assert any('cut off' in remark for remark in content.remarks)
+
+
+def test_recorder_whose_disk_is_full_says_so_in_a_line_and_leaves_a_bag_that_is_read(
+        publishers, record, tmp_path):
+    process, folder = record(publishers, 'sim_node'), tmp_path / 'bag'
+    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (200_000, 200_000))
+    sent = 0
+    while process.poll() is None:
+        publish(publishers, sent, 50)
+        sent += 50
+    _, errors = process.communicate()
+    assert process.returncode == 1 and errors.splitlines()[-1:] == [
+        f'recorder_node: {folder}: File too large; what was recorded until then can be read']
+    assert 'Traceback' not in errors and (folder / 'bag.mcap').stat().st_size < 200_000
+    controller = validate(ControllerConfig, read_parameters(config_dir() / 'controller.yaml'))
+    recorded = read_bag(folder, controller).data.effort[:, 0]
+    assert 0 < len(recorded) < sent and {*recorded} <= {*range(sent)}
 
 
 @pytest.mark.parametrize(('parameters', 'field'), [

@@ -34,9 +34,10 @@ def prepare_nodes() -> None:
     limit_threads()
     CONTEXT.set_forkserver_preload(list(MODULES.values()))
     # Inherited by the server: a run stops its nodes in order, also when its terminal closes.
-    handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    handlers = {x: signal.signal(x, signal.SIG_IGN) for x in (signal.SIGHUP, signal.SIGINT)}
     forkserver.ensure_running()
-    signal.signal(signal.SIGHUP, handler)
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
 
 
 def start_node(
@@ -65,6 +66,7 @@ def _run(
     name = module.rpartition('.')[2]
     setproctitle(f'{name} {title}'.strip())  # before the environment is another
     os.setsid()  # a Ctrl-C in the terminal is for the process that runs the graph
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     output = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
     for stream in (1, 2):
         os.dup2(output, stream)

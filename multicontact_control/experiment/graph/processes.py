@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 import contextlib
 import json
 from multiprocessing.process import BaseProcess
 import os
 from pathlib import Path
+import re
 import signal
+from textwrap import shorten
 from typing import Any
 
 from multicontact_control.errors import RunError
@@ -27,7 +30,8 @@ STOP_ORDER = (SIM, CONTROLLER, ESTIMATOR, RECORDER)
 # write what has come; if it is killed, the bag has no end.
 STOP_TIMEOUT, RECORDER_TIMEOUT = 8.0, 20.0
 STOPPED = (0, -signal.SIGINT, -signal.SIGTERM)  # exit codes of nodes that were
-LOG_LINES = 12
+LOG_LINES, LINE_LENGTH = 12, 230
+WARNING = re.compile(r'\[(WARN|ERROR|FATAL)\] \[[\d.]+\] \[(\S+)\]: (.*)\n')
 
 
 class NodeProcesses:
@@ -37,6 +41,7 @@ class NodeProcesses:
         self.spec, self.domain_id = spec, domain_id
         spec.logs.mkdir(parents=True, exist_ok=True)
         self.running: dict[str, BaseProcess] = {}
+        self._seen: Counter[str] = Counter()  # characters of each log
 
     def start(self, name: str, parameters: Mapping[str, Any] | None = None) -> None:
         """Start a node, again if it has ended, with parameters over those of the graph."""
@@ -59,6 +64,9 @@ class NodeProcesses:
         for name, process in self.running.items():
             code = process.exitcode
             if code is not None and (name, code) != (SIM, 0) and not (stopped and code in STOPPED):
+                last = ''.join(self._lines(name)[-1:])
+                if code > 0 and last.startswith(f'{name}: '):  # it has said why
+                    raise RunError(last)
                 raise RunError(self.report(
                     name, f'ended with exit code {code}' if code >= 0 else
                     f'was killed by {signal.Signals(-code).name}'))
@@ -72,10 +80,22 @@ class NodeProcesses:
         """Return the last line of a node's log, without time and name."""
         return ''.join(self._lines(name)[-1:]).rpartition(f'[{name}]: ')[2]
 
+    def new_warnings(self) -> str:
+        """Return the last warning or error logged since the last call, and how many there are."""
+        found = []
+        for name in self.running:
+            text = self._text(name)
+            found += WARNING.findall(text, self._seen[name])
+            self._seen[name] = text.rfind('\n') + 1
+        more = f' (and {len(found) - 1} more in {self.spec.logs})' if len(found) > 1 else ''
+        return shorten(': '.join(found[-1]), LINE_LENGTH) + more if found else ''
+
     def _lines(self, name: str) -> list[str]:
         """Return the end of a node's log."""
-        return self._log(name).read_text(
-            encoding='utf-8', errors='replace').splitlines()[-LOG_LINES:]
+        return self._text(name).splitlines()[-LOG_LINES:]
+
+    def _text(self, name: str) -> str:
+        return self._log(name).read_text(encoding='utf-8', errors='replace')
 
     def _log(self, name: str) -> Path:
         return self.spec.logs / f'{name}.log'

@@ -9,7 +9,7 @@ it gets nothing. If this process is killed, the controller does that by itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass
 import math
@@ -38,7 +38,8 @@ from multicontact_control.nodes.link import (
 )
 
 WATCH_PERIOD, PROGRESS_PERIOD = 0.05, 0.2  # s
-TELL_PERIOD = 5.0  # s, between two lines on what is waited for
+TELL_PERIOD, WARN_PERIOD = 5.0, 1.0  # s, between two lines on what is waited for, or is wrong
+STOPPING = 'stopping the nodes; Ctrl-C again skips the report'
 DEACTIVATION_TIMEOUT = 5.0  # s
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -63,7 +64,7 @@ class GraphResult:
 
     bag: Path  # folder of the recording, closed
     controlled: bool  # whether any sample was answered
-    interrupted: int | None  # signal that ended it early
+    signals: Sequence[int]  # that ended it early
     timing: Mapping[str, Mapping[str, Any]]  # counts and times that each node wrote at its end
     domain_id: int | None = None  # that it ran in; None if a signal ended its start
     ended: str = ''  # what ended it early on the side of the user's own robot
@@ -125,7 +126,7 @@ class RunningGraph:
 
     def _wait(self, what: str) -> None:
         self.processes.check_running()
-        self._keep_waiting(what)
+        self._keep_waiting(f'{what}, in ROS domain {self.domain_id}')
 
     def _lead(self, transition: str) -> None:
         with GuestNode('lifecycle_driver', self.domain_id, self.spec.namespace,
@@ -154,19 +155,16 @@ class RunningGraph:
 @contextlib.contextmanager
 def running_graph(
     spec: GraphSpec, keep_waiting: Callable[[str], None] = lambda what: None,
-    on_domain: Callable[[int], None] = lambda domain_id: None,
 ) -> Iterator[RunningGraph]:
     """
     Start a graph and activate it, yield it, and stop it afterwards.
 
     Without a `reference_file` the graph obeys the command topics, e.g. of a `ControllerLink` with
     its `domain_id`. Start it in the main thread. `keep_waiting` is called many times a second
-    during the start with what is waited for, and may raise; `on_domain` is called with the ROS
-    domain before anything runs in it. Raises RunError if a node cannot be started: its name and
-    the end of its log.
+    during the start with what is waited for, and may raise. Raises RunError if a node cannot be
+    started: its name and the end of its log.
     """
     with reserve_domain(spec.domain_id) as domain_id:
-        on_domain(domain_id)
         graph = RunningGraph(spec, domain_id, keep_waiting)
         hurry = True
         try:
@@ -179,7 +177,7 @@ def running_graph(
 
 def run_graph(
     spec: GraphSpec, on_progress: Callable[[GraphProgress], None] = lambda progress: None,
-    on_domain: Callable[[int], None] = lambda domain_id: None, tell: Tell = lambda text: None,
+    tell: Tell = lambda text: None,
 ) -> GraphResult:
     """
     Run a graph to its end.
@@ -187,8 +185,9 @@ def run_graph(
     SIGINT, SIGTERM and SIGHUP end it early and cleanly; call it in the main thread for that.
 
     `on_progress` is called about 5 times a second once samples are answered, `tell` every few
-    seconds with what is waited for, and with what was found of a robot. Raises RunError if a node
-    cannot be started or dies: its name, how it ended and the end of its log.
+    seconds with what is waited for, with what was found of a robot, once with commands to try, and
+    at most once a second with what nodes warn of. Raises RunError if a node cannot be started or
+    dies: its name, how it ended and the end of its log.
     """
     start = time.monotonic()
     due = start + TELL_PERIOD
@@ -196,6 +195,7 @@ def run_graph(
     def keep_waiting(what: str) -> None:
         nonlocal due
         if signals:
+            tell(STOPPING)
             raise InterruptedRunError
         if (now := time.monotonic()) > due:
             due = now + TELL_PERIOD
@@ -203,33 +203,42 @@ def run_graph(
 
     with collected_signals() as signals:
         try:
-            with running_graph(spec, keep_waiting, on_domain) as graph:
+            with running_graph(spec, keep_waiting) as graph:
                 if graph.robot is not None:
                     tell(f'found {graph.robot.found}')
-                ended = _watch(graph, signals, on_progress, keep_waiting)
+                ended = _watch(graph, signals, on_progress, keep_waiting, tell)
+                if signals:
+                    tell(STOPPING)
         except InterruptedRunError:
-            return GraphResult(spec.bag, controlled=False, interrupted=signals[0], timing={})
+            return GraphResult(spec.bag, controlled=False, signals=signals, timing={})
     graph.processes.check_running(stopped=True)
     return GraphResult(
-        spec.bag, graph.progress.heard or not (signals or ended), signals[0] if signals else None,
+        spec.bag, graph.progress.heard or not (signals or ended), signals,
         graph.processes.timing(), graph.domain_id, ended)
 
 
 def _watch(
     graph: RunningGraph, signals: list[int], on_progress: Callable[[GraphProgress], None],
-    keep_waiting: Callable[[str], None],
+    keep_waiting: Callable[[str], None], tell: Tell,
 ) -> str:
     """Look at a graph until it ends; return what ended it on the side of the user's robot."""
     processes, robot = graph.processes, graph.spec.robot
     newest: GraphProgress | None = None
-    due = 0.0
+    due = warning_due = 0.0
+    end = graph.spec.ticks / graph.spec.rate  # after which no node has messages [s]; 0 for none
     while not signals and not processes.ended(SIM):
         processes.check_running()
+        ending = newest is not None and 0.0 < end < newest.time + WARN_PERIOD
+        if time.monotonic() >= warning_due and not ending and (text := processes.new_warnings()):
+            warning_due = time.monotonic() + WARN_PERIOD
+            tell(text)
         if graph.robot is not None and (silent := graph.robot.silent()):
             return silent
         if time.monotonic() >= due:
             due = time.monotonic() + PROGRESS_PERIOD
             if (progress := graph.progress.newest()) is not None:
+                if newest is None:
+                    tell(_first_steps(graph, progress))
                 newest = progress
                 on_progress(progress)
             elif newest is None and not signals:  # the controller says why it cannot answer
@@ -240,6 +249,20 @@ def _watch(
         time.sleep(WATCH_PERIOD)
     processes.check_running()
     return ''
+
+
+def _first_steps(graph: RunningGraph, progress: GraphProgress) -> str:
+    """Return two commands to try on a graph that answers samples."""
+    place, namespace = f'--domain-id {graph.domain_id}', graph.spec.namespace
+    second = f'multicontact view --graph {place}' + f' --namespace {namespace}' * bool(namespace)
+    if graph.spec.reference_file is None:
+        second = (
+            'python -c "from multicontact_control.client import MultiContactClient as Arm; '
+            f'Arm({namespace!r}, domain_id={graph.domain_id}).set_forces('
+            f'{{{next(iter(progress.forces))!r}: 10.0}})"')
+    topic = '/'.join(('', *filter(None, (namespace, topics.MEASURED_FORCES.name))))
+    return (f'ready; try in another terminal:\n  multicontact topic echo {topic} {place}\n'
+            f'  {second}')
 
 
 @contextlib.contextmanager

@@ -17,6 +17,7 @@ from multicontact_control.experiment.graph.domain import (
     domain_in_use,
     reserve_domain,
 )
+from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.experiment.graph.run import run_graph
 from multicontact_control.experiment.graph.spec import (
     CONTROLLER,
@@ -178,6 +179,33 @@ def test_nodes_end_when_the_process_that_started_them_is_killed(tmp_path):
 
 
 @pytest.mark.slow
+def test_second_interrupt_skips_the_report_and_says_how_to_write_it(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'multicontact_control.cli', 'run', '--plant', 'rigid', '--out',
+         str(tmp_path / 'run')], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    for text in ('ready; ', 'stopping the nodes'):
+        assert any(text in line for line in process.stdout)
+        process.send_signal(signal.SIGINT)
+    text, _ = end_of(process)
+    assert process.returncode == 130 and f'multicontact report {tmp_path / "run"}' in text
+    assert counts(tmp_path / 'run/bag') and not (tmp_path / 'run/summary.json').exists()
+
+
+def test_warnings_of_nodes_are_told_once_each(tmp_path):
+    spec = GraphSpec(out=tmp_path, parameter_files={}, ticks=1, rate=500.0)
+    processes = NodeProcesses(spec, 0)
+    processes.running = {CONTROLLER: None}
+    with (spec.logs / f'{CONTROLLER}.log').open('a') as log:
+        for text, told in (('[INFO] [1.5] [controller_node]: fine\n', ''),
+                           ('[WARN] [1.5] [controller_node]: hot\n', 'WARN: controller_node: hot'),
+                           ('[ERROR] [2.5] [controller_node]: n', ''),
+                           ('o\n', 'ERROR: controller_node: no')):
+            log.write(text)
+            log.flush()
+            assert [processes.new_warnings(), processes.new_warnings()] == [told, '']
+
+
+@pytest.mark.slow
 def test_commanded_arm_obeys_until_a_signal_and_is_judged_by_what_was_commanded(tmp_path):
     out = tmp_path / 'run'
     with reserve_domain() as domain_id:
@@ -200,6 +228,7 @@ def test_commanded_arm_obeys_until_a_signal_and_is_judged_by_what_was_commanded(
             process.send_signal(signal.SIGINT)
             text, _ = end_of(process)
     assert process.returncode == 0 and 'stable' in text, text
+    assert f'topic echo /contact_forces/measured --domain-id {domain_id}' in text
     assert node_processes(out) == {}
     summary = json.loads((out / 'summary.json').read_text(encoding='utf-8'))
     assert (summary['verdict'], summary['commanded_by_topic']) == ('stable', True)
