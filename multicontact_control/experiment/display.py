@@ -112,15 +112,18 @@ def summary_rows(summary: Mapping[str, Any]) -> list[list[str]]:
     return [row for row in rows if {*row[1:]} != {'-'}]
 
 
-def summary_table(summary: Mapping[str, Any]) -> Table:
-    """Return the short table a run ends with, of the numbers that are known."""
+def print_summary(console: Console, summary: Mapping[str, Any], folder: object) -> None:
+    """Print what a run was, its numbers as far as they are known, verdict, and where it is."""
+    console.print(headline(summary), markup=False)
     table = Table('')
     for name in summary['contacts']:
         table.add_column(name, justify='right')
     for row in summary_rows(summary):
-        if {*row[1:]} != {'-'}:
-            table.add_row(*map(escape, row))
-    return table
+        table.add_row(*map(escape, row))
+    if table.row_count:
+        console.print(table)
+    for line in verdict_lines(summary, folder):
+        console.print(line)
 
 
 def achievement(summary: Mapping[str, Any]) -> str:

@@ -69,10 +69,9 @@ def run_folder(
     out: Path | None, scenario: str, *, overwrite: bool, now: datetime,
 ) -> Iterator[Path]:
     """
-    Yield the folder of a run, as `prepare_folder` makes it; remove it if nothing is left in it.
+    Yield the folder of a run, as `prepare_folder` makes it; remove it if the run leaves nothing.
 
-    What counts are a summary and the logs of nodes. Without `out`, ``latest`` leads to the folder
-    once there is a summary or a recording in it.
+    Without `out`, ``latest`` leads to a folder with a summary or a recording.
     """
     folder = prepare_folder(out, scenario, overwrite=overwrite, now=now)
     try:

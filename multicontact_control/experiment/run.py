@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 import signal
 from typing import Any, TYPE_CHECKING
@@ -14,12 +15,7 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
-from multicontact_control.experiment.display import (
-    headline,
-    progress_bar,
-    summary_table,
-    verdict_lines,
-)
+from multicontact_control.experiment.display import print_summary, progress_bar
 from multicontact_control.experiment.figures import draw_figures
 from multicontact_control.experiment.judge import (
     EXTERNAL_RUN,
@@ -39,6 +35,7 @@ from multicontact_control.experiment.results import (
 from multicontact_control.experiment.scenario import dotted, External, Setup, SHORTEST
 from multicontact_control.files import finite, write_json
 from rich.console import Console
+from rich.markup import escape
 
 if TYPE_CHECKING:
     from multicontact_control.experiment.graph.run import GraphResult
@@ -47,24 +44,22 @@ if TYPE_CHECKING:
 # Periods: a robot moves on while its samples are late, the simulated one has stood still, and a
 # busy machine is no fault of its sensors.
 SIMULATION_PATIENCE = 25.0
+CONSOLE = Console(highlight=False, soft_wrap=True)
 UNANSWERED = 'ended before any sample was answered: there is nothing to report'
 
 
-def run_simulate(
-    setup: Setup, folder: Path, *, supervised: bool = True, console: Console | None = None,
-) -> dict[str, Any]:
+def run_simulate(setup: Setup, folder: Path, *, supervised: bool = True) -> dict[str, Any]:
     """
     Run a scenario in this process and leave its results in a folder.
 
     They are the series, ``summary.json``, whose content is returned, figures and configuration.
     Without supervision there are no contact states, watchdogs and limits around the control law.
     """
-    console = console or Console()
     refuse_push_test(setup)
-    ensure_compiled(console)
+    ensure_compiled(CONSOLE)
     setup.write(folder / CONFIG_FOLDER)
     with progress_bar(
-            f'simulate {setup.scenario.name}', setup.scenario.duration, console) as show:
+            f'simulate {setup.scenario.name}', setup.scenario.duration, CONSOLE) as show:
         result = run_in_process(setup, lambda time, alpha: show(
             time, dict(zip(setup.controller.contact_names, alpha))), supervised=supervised)
         show(setup.scenario.duration, {})
@@ -78,13 +73,12 @@ def run_simulate(
     summary = summarise(result.data, setup, mode='in_process', timing=timing,
                         ended_early=result.ended_early,
                         events=result.events if supervised else None)
-    return _finish(result.data, setup, folder, summary, console)
+    return _finish(result.data, setup, folder, summary)
 
 
 def run_on_graph(
     setup: Setup, folder: Path, *, endless: bool = False, external: External | None = None,
-    robot_timeout: float = 5.0, supervised: bool = True, console: Console | None = None,
-    **options: Any,
+    robot_timeout: float = 5.0, supervised: bool = True, **options: Any,
 ) -> tuple[dict[str, Any] | None, int | None]:
     """
     Run a scenario, or commands, on the ROS 2 graph, and leave recording and results in a folder.
@@ -102,7 +96,7 @@ def run_on_graph(
     from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
     from multicontact_control.nodes.controller_config import ControllerNodeConfig
 
-    console, config = console or Console(), folder / CONFIG_FOLDER
+    config = folder / CONFIG_FOLDER
     if external is None or not setup.commanded_by_topic:
         refuse_push_test(setup)
     parameters: Mapping[str, Any] = {'patience': SIMULATION_PATIENCE}
@@ -112,29 +106,27 @@ def run_on_graph(
         options |= {'domain_id': options.get('domain_id') or 0, 'robot': Robot(
             setup.controller.robot.joint_names, setup.controller.wrench_input,
             node.effort_output_topic, robot_timeout, external.duration)}
-    ensure_compiled(console)
+    ensure_compiled(CONSOLE)
     spec = GraphSpec(
         out=folder, ticks=0 if endless else setup.ticks, rate=setup.controller.rate,
         seed=setup.seed, parameter_files=setup.write(config),
         reference_file=None if setup.commanded_by_topic else config / 'reference.yaml',
         extra_parameters={CONTROLLER: {**parameters, 'supervised': supervised}}, **options)
-    result = _show_graph(spec, setup, console)
+    result = _show_graph(spec, setup)
     if not result.controlled:
-        console.print(UNANSWERED, highlight=False, soft_wrap=True)
+        CONSOLE.print(UNANSWERED)
         return None, next(iter(result.signals), None)
     try:
         if len(result.signals) > 1:
             raise KeyboardInterrupt
-        return _report_graph(result, spec, setup, external, console)
+        return _report_graph(result, spec, setup, external)
     except (KeyboardInterrupt, SystemExit):
-        console.print(f'report skipped; to write it: multicontact report {folder}',
-                      highlight=False, markup=False, soft_wrap=True)
+        CONSOLE.print(f'report skipped; to write it: multicontact report {escape(str(folder))}')
         return None, signal.SIGINT
 
 
 def _report_graph(
     result: GraphResult, spec: GraphSpec, setup: Setup, external: External | None,
-    console: Console,
 ) -> tuple[dict[str, Any], int | None]:
     """Return the summary of a run on the graph, and the signal that ended it early."""
     from multicontact_control.experiment.graph.spec import CONTROLLER
@@ -156,21 +148,18 @@ def _report_graph(
         events=result.timing[CONTROLLER].get('events', []) if (
             spec.extra_parameters[CONTROLLER]['supervised']) else None)
     summary |= {'ros_domain_id': result.domain_id, 'remarks': list(content.remarks)}
-    return _finish(data, setup, spec.out, summary, console), interrupted
+    return _finish(data, setup, spec.out, summary), interrupted
 
 
-def _show_graph(spec: GraphSpec, setup: Setup, console: Console) -> GraphResult:
+def _show_graph(spec: GraphSpec, setup: Setup) -> GraphResult:
     """Run the graph and show how far it is."""
     from multicontact_control.experiment.graph.run import run_graph
 
-    def tell(text: str) -> None:
-        console.print(text, highlight=False, markup=False, soft_wrap=True)
-
+    tell = partial(CONSOLE.print, markup=False)
     duration = setup.scenario.duration if spec.ticks else None
     with progress_bar(
-            f'run {setup.scenario.name}', duration, console, 'starting the nodes') as show:
-        result = run_graph(
-            spec, lambda progress: show(*progress), tell=tell)
+            f'run {setup.scenario.name}', duration, CONSOLE, 'starting the nodes') as show:
+        result = run_graph(spec, lambda progress: show(*progress), tell)
         if duration is not None and not result.signals:
             show(duration, {})
     if spec.realtime:
@@ -212,16 +201,10 @@ def graph_timing(
     return found
 
 
-def _finish(
-    data: RunData, setup: Setup, folder: Path, summary: dict[str, Any], console: Console,
-) -> dict[str, Any]:
+def _finish(data: RunData, setup: Setup, folder: Path, summary: dict[str, Any]) -> dict[str, Any]:
     """Judge the claims, write figures and summary, show the table."""
     summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
     draw_figures(data, setup, folder / FIGURE_FOLDER, verdict=verdict_text(summary))
     write_json(folder / SUMMARY_FILE, finite(summary))
-    console.print(headline(summary), highlight=False, markup=False)
-    if (table := summary_table(summary)).row_count:
-        console.print(table)
-    for line in verdict_lines(summary, folder):
-        console.print(line, highlight=False, soft_wrap=True)
+    print_summary(CONSOLE, summary, folder)
     return summary

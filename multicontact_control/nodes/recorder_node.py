@@ -8,7 +8,6 @@ is killed leaves a bag that `report` and `view` read up to half a second before 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 import contextlib
 from dataclasses import dataclass
 from importlib import import_module
@@ -60,15 +59,10 @@ class _Stream:
 
 
 class Bag(Writer):
-    """
-    One recording, in a folder to create; RunError if it exists, or cannot be written to.
-
-    Where the disk is full, what was written before stays readable, as of a killed recorder.
-    """
+    """One recording, in a folder to create; RunError if it exists, or cannot be written to."""
 
     def __init__(self, folder: Path) -> None:
         self._types = get_typestore(Stores.ROS2_JAZZY)
-        self._whole = 0  # size of the file after its last whole chunk
         try:
             super().__init__(folder, version=9, storage_plugin=StoragePlugin.MCAP)
             self.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -98,21 +92,6 @@ class Bag(Writer):
         if storage.chunk.msgs:
             storage.close_chunk()
             storage.bio.flush()
-            self._whole = storage.bio.tell()
-
-    @contextlib.contextmanager
-    def cut_if_full(self) -> Iterator[None]:
-        """Cut off what cannot be written whole, which makes room for a log, and end: RunError."""
-        try:
-            yield
-        except OSError as error:
-            storage: Any = self.storage
-            if storage is not None:
-                self.storage = None
-                storage.bio.raw.close()  # with what is in the buffer
-                os.truncate(storage.path, self._whole)
-            raise RunError(f'{self.path}: {error.strerror}; what was recorded until then can be '
-                           'read') from None
 
 
 class RecorderNode(Node):
@@ -191,12 +170,11 @@ class RecorderNode(Node):
                 if stream.topic.rate == 'control' and 0 < last < number - 1 and (
                         stream.subscription.get_publisher_count() < 2):  # it counts its own
                     self._lost[stream.connection.topic] += number - last - 1
-        with self._bag.cut_if_full():
-            for sent, connection, data in sorted(arrived, key=itemgetter(0)):
-                self._bag.write(connection, sent, data)
-            if time.monotonic() >= self._next_flush:
-                self._bag.flush()
-                self._next_flush = time.monotonic() + FLUSH_PERIOD
+        for sent, connection, data in sorted(arrived, key=itemgetter(0)):
+            self._bag.write(connection, sent, data)
+        if time.monotonic() >= self._next_flush:
+            self._bag.flush()
+            self._next_flush = time.monotonic() + FLUSH_PERIOD
         return bool(arrived)
 
     def _meet_publishers(self) -> None:
@@ -214,11 +192,7 @@ class RecorderNode(Node):
 
     def close(self) -> None:
         """Close the bag, and write the counts of this run, if asked to."""
-        if self._bag.storage is None:
-            return  # the disk is full
-        with self._bag.cut_if_full():
-            self._bag.flush()
-            self._bag.close()
+        self._bag.close()
         counts = {x.topic: self._bag.counts[x.id] for x in self._bag.connections}
         self._config.write_counts({
             'messages': sum(counts.values()), 'counts': counts, 'lost': self._lost.total(),

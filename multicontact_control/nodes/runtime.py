@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 import contextlib
+import errno
 import gc
 import inspect
 import os
@@ -19,13 +20,18 @@ from multicontact_control.errors import ConfigError, MulticontactError, RunError
 from multicontact_control.paths import config_dir
 from multicontact_control.process import settle_process
 import rclpy
-from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+try:
+    from rclpy.experimental import EventsExecutor  # faster
+except ImportError:
+    EventsExecutor = SingleThreadedExecutor
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a disk, or what a user may have of it
 AUTOSTART = '--autostart'
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 ACKNOWLEDGE_TIMEOUT = 5.0  # s; the last acknowledgement may take long after the data has come
@@ -60,7 +66,7 @@ class Spinner:
     def spin_once(self, timeout: float) -> None:
         """Wait for one callback for up to `timeout` [s] and run it."""
         if self._executor is None:  # made late: it empties the subscriptions that a node takes
-            self._executor = make_executor(self._node.context)
+            self._executor = EventsExecutor(context=self._node.context)
             self._executor.add_node(self._node)
         # The events executor raises for events of ends that are destroyed (rclpy issue 1644).
         with contextlib.suppress(InvalidHandle):
@@ -70,15 +76,6 @@ class Spinner:
         """Stop running callbacks."""
         if self._executor is not None:
             self._executor.shutdown(timeout_sec=0)
-
-
-def make_executor(context: Context | None = None) -> Executor:
-    """Return the fastest executor there is; only its `spin_once` with a timeout may be used."""
-    try:
-        from rclpy.experimental import EventsExecutor
-    except ImportError:
-        return SingleThreadedExecutor(context=context)
-    return EventsExecutor(context=context)
 
 
 def start_ros(args: Sequence[str] | None, **options: Any) -> None:
@@ -108,7 +105,8 @@ def run_node(make_node: Callable[[], Any]) -> int:
     Run a node in this process until it has ended or is asked to stop; return the exit code.
 
     Of the node, `run(spinner)` returns when the work is done or the process should stop; `close()`
-    is called however it ended. The code is 2 for a bad configuration, 1 for other errors.
+    is called however it ended. The code is 2 for a bad configuration, one of `FULL` for a disk
+    that is full, 1 for other errors.
     """
     program, stop = os.path.basename(sys.argv[0]), StopFlag()
     stop.install()
@@ -125,9 +123,12 @@ def run_node(make_node: Callable[[], Any]) -> int:
     except MulticontactError as error:
         print(f'{program}: {one_line(error)}', file=sys.stderr)
         return 2 if isinstance(error, ConfigError) else 1
-    except Exception:
-        traceback.print_exc()
-        return 1
+    except Exception as error:
+        code = error.errno if isinstance(error, OSError) and error.errno in FULL else 1
+        with contextlib.suppress(OSError):  # the log may be on the same disk
+            print(f'{program}: {error}', file=sys.stderr) if code in FULL else (
+                traceback.print_exc())
+        return code
     finally:
         # A signal that comes while interpreter and middleware shut down would end it with -15.
         for number in SIGNALS:

@@ -13,7 +13,7 @@ from fake_arm import wrench_message
 from multicontact_control.experiment.faults.fault import Edit
 from multicontact_control.experiment.faults.vocabulary import CLOCK, PERIOD
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.runtime import make_executor, start_ros
+from multicontact_control.nodes.runtime import EventsExecutor, start_ros
 import numpy as np
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
@@ -86,7 +86,7 @@ class Stream:
 def main():
     """Pass messages on until the standard input is closed."""
     start_ros([])
-    node, executor = Node('fault_relay'), make_executor()
+    node, executor = Node('fault_relay'), EventsExecutor()
     executor.add_node(node)
     streams, line = {source: Stream(node, topic) for source, topic in INPUTS.items()}, 'none'
     while line:

@@ -22,12 +22,13 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from multicontact_control.cli import app
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.experiment.display import summary_table, verdict_lines
+from multicontact_control.experiment.display import print_summary
 from multicontact_control.experiment.figures import draw_figures, interactive_figures, run_figures
 from multicontact_control.experiment.judge import verdict_text
 from multicontact_control.experiment.results import load
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 import zstandard
 
@@ -40,8 +41,7 @@ def bag(tmp_path_factory):
 
 def verdict_shown(run):
     """Go through all that is shown of a run but the drawing of files; return the verdict."""
-    summary_table(run.summary)
-    verdict_lines(run.summary, 'here')
+    print_summary(Console(quiet=True), run.summary, 'here')
     interactive_figures(run.data, run.setup, 0)
     json.dumps(run.summary, allow_nan=False)
     assert not run.summary['truth'] and run.summary['stable'] is not True

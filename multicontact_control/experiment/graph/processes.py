@@ -24,6 +24,7 @@ from multicontact_control.experiment.graph.spec import (
     RECORDER,
     SIM,
 )
+from multicontact_control.nodes.runtime import FULL
 
 STOP_ORDER = (SIM, CONTROLLER, ESTIMATOR, RECORDER)
 # s, until a node that was asked to end is killed. On a busy machine a recorder takes seconds to
@@ -64,9 +65,9 @@ class NodeProcesses:
         for name, process in self.running.items():
             code = process.exitcode
             if code is not None and (name, code) != (SIM, 0) and not (stopped and code in STOPPED):
-                last = ''.join(self._lines(name)[-1:])
-                if code > 0 and last.startswith(f'{name}: '):  # it has said why
-                    raise RunError(last)
+                if code in FULL:
+                    raise RunError(f'{name}: {os.strerror(code)}; {self.spec.bag} has what was '
+                                   'recorded until then')
                 raise RunError(self.report(
                     name, f'ended with exit code {code}' if code >= 0 else
                     f'was killed by {signal.Signals(-code).name}'))

@@ -225,13 +225,13 @@ def _watch(
     processes, robot = graph.processes, graph.spec.robot
     newest: GraphProgress | None = None
     due = warning_due = 0.0
-    end = graph.spec.ticks / graph.spec.rate  # after which no node has messages [s]; 0 for none
     while not signals and not processes.ended(SIM):
         processes.check_running()
-        ending = newest is not None and 0.0 < end < newest.time + WARN_PERIOD
-        if time.monotonic() >= warning_due and not ending and (text := processes.new_warnings()):
+        if time.monotonic() >= warning_due and (text := processes.new_warnings()):
             warning_due = time.monotonic() + WARN_PERIOD
-            tell(text)
+            if not newest or not graph.spec.ticks or (  # at the end nodes miss each other
+                    newest.time + WARN_PERIOD < graph.spec.ticks / graph.spec.rate):
+                tell(text)
         if graph.robot is not None and (silent := graph.robot.silent()):
             return silent
         if time.monotonic() >= due:
@@ -253,16 +253,16 @@ def _watch(
 
 def _first_steps(graph: RunningGraph, progress: GraphProgress) -> str:
     """Return two commands to try on a graph that answers samples."""
-    place, namespace = f'--domain-id {graph.domain_id}', graph.spec.namespace
-    second = f'multicontact view --graph {place}' + f' --namespace {namespace}' * bool(namespace)
+    domain, namespace = graph.domain_id, graph.spec.namespace
+    topic = '/'.join(filter(None, (namespace, topics.MEASURED_FORCES.name)))
+    second = f'multicontact view --graph --domain-id {domain} --namespace "{namespace}"'
     if graph.spec.reference_file is None:
         second = (
             'python -c "from multicontact_control.client import MultiContactClient as Arm; '
-            f'Arm({namespace!r}, domain_id={graph.domain_id}).set_forces('
-            f'{{{next(iter(progress.forces))!r}: 10.0}})"')
-    topic = '/'.join(('', *filter(None, (namespace, topics.MEASURED_FORCES.name))))
-    return (f'ready; try in another terminal:\n  multicontact topic echo {topic} {place}\n'
-            f'  {second}')
+            f"Arm('{namespace}', domain_id={domain}).set_forces({{'{next(iter(progress.forces))}'"
+            ': 10.0})"')
+    return ('ready; try in another terminal:\n'
+            f'  multicontact topic echo /{topic} --domain-id {domain}\n  {second}')
 
 
 @contextlib.contextmanager
