@@ -29,22 +29,21 @@ TICKS = 3
 KEPT = 5  # folders, each for one state of the sources
 
 
-def ensure_compiled(console: Console | None = None) -> int:
+def ensure_compiled() -> int:
     """
     Compile every kernel that the cache on disk lacks, and return how many that were.
 
-    A second process that wants the same waits for the first. `console` shows what is done.
+    A second process that wants the same waits for the first.
     """
     folder = cache_folder()
     if folder is not None and _marker(folder).is_file():
         return 0
-    console = console or Console(stderr=True)
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
     if folder is None:
-        console.print(NO_FOLDER, style='yellow', highlight=False, soft_wrap=True)
+        console.print(NO_FOLDER, style='yellow')
         return 0
     with (folder / LOCK_FILE).open('w') as lock:  # the system frees it when this process ends
-        console.print(f'compiling the numerical kernels, once (half a minute), into {folder}',
-                      highlight=False, soft_wrap=True)
+        console.print(f'compiling the numerical kernels, once (half a minute), into {folder}')
         fcntl.flock(lock, fcntl.LOCK_EX)
         if _marker(folder).is_file():
             return 0

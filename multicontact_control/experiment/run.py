@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 # Periods: a robot moves on while its samples are late, the simulated one has stood still, and a
 # busy machine is no fault of its sensors.
 SIMULATION_PATIENCE = 25.0
+Ending = tuple[dict[str, Any] | None, int | None]  # a summary, and a signal
 CONSOLE = Console(highlight=False, soft_wrap=True)
-UNANSWERED = 'ended before any sample was answered: there is nothing to report'
 
 
 def run_simulate(setup: Setup, folder: Path, *, supervised: bool = True) -> dict[str, Any]:
@@ -56,7 +56,7 @@ def run_simulate(setup: Setup, folder: Path, *, supervised: bool = True) -> dict
     Without supervision there are no contact states, watchdogs and limits around the control law.
     """
     refuse_push_test(setup)
-    ensure_compiled(CONSOLE)
+    ensure_compiled()
     setup.write(folder / CONFIG_FOLDER)
     with progress_bar(
             f'simulate {setup.scenario.name}', setup.scenario.duration, CONSOLE) as show:
@@ -79,7 +79,7 @@ def run_simulate(setup: Setup, folder: Path, *, supervised: bool = True) -> dict
 def run_on_graph(
     setup: Setup, folder: Path, *, endless: bool = False, external: External | None = None,
     robot_timeout: float = 5.0, supervised: bool = True, **options: Any,
-) -> tuple[dict[str, Any] | None, int | None]:
+) -> Ending:
     """
     Run a scenario, or commands, on the ROS 2 graph, and leave recording and results in a folder.
 
@@ -106,7 +106,7 @@ def run_on_graph(
         options |= {'domain_id': options.get('domain_id') or 0, 'robot': Robot(
             setup.controller.robot.joint_names, setup.controller.wrench_input,
             node.effort_output_topic, robot_timeout, external.duration)}
-    ensure_compiled(CONSOLE)
+    ensure_compiled()
     spec = GraphSpec(
         out=folder, ticks=0 if endless else setup.ticks, rate=setup.controller.rate,
         seed=setup.seed, parameter_files=setup.write(config),
@@ -114,36 +114,32 @@ def run_on_graph(
         extra_parameters={CONTROLLER: {**parameters, 'supervised': supervised}}, **options)
     result = _show_graph(spec, setup)
     if not result.controlled:
-        CONSOLE.print(UNANSWERED)
+        CONSOLE.print('ended before any sample was answered: there is nothing to report')
         return None, next(iter(result.signals), None)
     try:
         if len(result.signals) > 1:
             raise KeyboardInterrupt
-        return _report_graph(result, spec, setup, external)
+        return _report_graph(result, spec, setup)
     except (KeyboardInterrupt, SystemExit):
         CONSOLE.print(f'report skipped; to write it: multicontact report {escape(str(folder))}')
         return None, signal.SIGINT
 
 
-def _report_graph(
-    result: GraphResult, spec: GraphSpec, setup: Setup, external: External | None,
-) -> tuple[dict[str, Any], int | None]:
+def _report_graph(result: GraphResult, spec: GraphSpec, setup: Setup) -> Ending:
     """Return the summary of a run on the graph, and the signal that ended it early."""
     from multicontact_control.experiment.graph.spec import CONTROLLER
 
     content = read_bag(result.bag, setup.controller, namespace=spec.namespace,
-                       answered=external is not None)
+                       answered=spec.robot is not None)
     data = content.data
     interrupted = result.signals[0] if result.signals and spec.ticks else None
     if not spec.ticks:  # it lasts as long as it has, in the files, too
-        scenario = setup.scenario.model_copy(
-            update={'duration': max(SHORTEST, data.ticks / data.rate)})
-        setup = replace(setup, scenario=scenario)
+        setup = replace(setup, scenario=setup.scenario.model_copy(
+            update={'duration': max(SHORTEST, data.ticks / data.rate)}))
         setup.write(spec.out / CONFIG_FOLDER)
-    simulated = REAL_TIME if spec.free_running else LOCKSTEP
+    mode = EXTERNAL_RUN if spec.robot else REAL_TIME if spec.free_running else LOCKSTEP
     summary = summarise(
-        data, setup, mode=simulated if external is None else EXTERNAL_RUN,
-        timing=graph_timing(result.timing, content),
+        data, setup, mode=mode, timing=graph_timing(result.timing, content),
         ended_early=result.ended or (INTERRUPTED if interrupted else ''),
         events=result.timing[CONTROLLER].get('events', []) if (
             spec.extra_parameters[CONTROLLER]['supervised']) else None)
@@ -157,8 +153,8 @@ def _show_graph(spec: GraphSpec, setup: Setup) -> GraphResult:
 
     tell = partial(CONSOLE.print, markup=False)
     duration = setup.scenario.duration if spec.ticks else None
-    with progress_bar(
-            f'run {setup.scenario.name}', duration, CONSOLE, 'starting the nodes') as show:
+    title = f'run {setup.scenario.name}'
+    with progress_bar(title, duration, CONSOLE, 'starting the nodes') as show:
         result = run_graph(spec, lambda progress: show(*progress), tell)
         if duration is not None and not result.signals:
             show(duration, {})

@@ -84,8 +84,6 @@ class RobotWatch(GuestNode):
         """Return what is missing of the robot and from whom, in one line; empty if nothing is."""
         self.poll()
         lines = [self._missing_of(topic, stream) for topic, stream in self._streams.items()]
-        if not any(lines):
-            lines.append(self._missing_values())
         efforts = [self._full(name) for name in (
             topics.EFFORT_COMMAND.name, self._robot.effort_output_topic) if name]
         readers = {info.node_name for name in efforts
@@ -106,14 +104,6 @@ class RobotWatch(GuestNode):
         if publishers := self._publishers(topic):
             return f'{name} from {publishers}, which publishes nothing yet'
         return f'{name} ({topic.type_name}) from the robot: it has no publisher'
-
-    def _missing_values(self) -> str:
-        message = self._streams[topics.JOINT_STATES].newest
-        names, positions, velocities = map(
-            len, (message.name, message.position, message.velocity))
-        return '' if names == positions and velocities in (0, names) else (
-            f'the position of every joint in joint_states, and all velocities or none; it has '
-            f'{names} names, {positions} positions and {velocities} velocities')
 
     def silent(self) -> str:
         """Return which topic has not come for the robot's `timeout`, and from whom, or empty."""

@@ -257,10 +257,9 @@ def _first_steps(graph: RunningGraph, progress: GraphProgress) -> str:
     topic = '/'.join(filter(None, (namespace, topics.MEASURED_FORCES.name)))
     second = f'multicontact view --graph --domain-id {domain} --namespace "{namespace}"'
     if graph.spec.reference_file is None:
-        second = (
-            'python -c "from multicontact_control.client import MultiContactClient as Arm; '
-            f"Arm('{namespace}', domain_id={domain}).set_forces({{'{next(iter(progress.forces))}'"
-            ': 10.0})"')
+        second = ('python -c "from multicontact_control.client import MultiContactClient as Arm; '
+                  f"Arm('{namespace}', domain_id={domain}).set_forces("
+                  f"{{'{next(iter(progress.forces))}': 10.0}})\"")
     return ('ready; try in another terminal:\n'
             f'  multicontact topic echo /{topic} --domain-id {domain}\n  {second}')
 

@@ -170,7 +170,7 @@ def run_jobs(
     done = {key: metrics for key in jobs if (metrics := read_cell(folder, key)) is not None}
     todo = {key: job for key, job in jobs.items() if key not in done}
     if todo:
-        ensure_compiled(console)  # here once, not in every worker at once
+        ensure_compiled()  # here once, not in every worker at once
     with count_bar(console) as progress, closing(_outcomes(todo, workers, client)) as outcomes:
         bar = progress.add_task(title, total=len(jobs), completed=len(done))
         for key, metrics, wall_time in outcomes:
