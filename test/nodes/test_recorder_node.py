@@ -31,6 +31,7 @@ pytestmark = pytest.mark.ros
 RECORDED = (topics.JOINT_STATES, topics.TRUE_FORCES, topics.WRENCH)
 COUNT, PERIOD = 600, 2_000_000
 STORE = get_typestore(Stores.ROS2_JAZZY)
+CONTROLLER = validate(ControllerConfig, read_parameters(config_dir() / 'controller.yaml'))
 JOINTS = [f'joint{i}' for i in range(1, 7)]
 
 
@@ -103,11 +104,10 @@ def test_recorder_keeps_every_message_and_what_was_latched_before_it_came(
 
 def test_recorder_that_is_killed_leaves_a_bag_that_is_read(publishers, record, tmp_path):
     process, folder = record(publishers, 'sim_node'), tmp_path / 'bag'
-    controller = validate(ControllerConfig, read_parameters(config_dir() / 'controller.yaml'))
 
     def flushed():
         with contextlib.suppress(MulticontactError):  # as long as there is little to read
-            return read_bag(folder, controller).data.ticks >= COUNT
+            return read_bag(folder, CONTROLLER).data.ticks >= COUNT
 
     publish(publishers, 0, COUNT)
     wait_for(flushed, 'what was recorded on disk')
@@ -115,25 +115,23 @@ def test_recorder_that_is_killed_leaves_a_bag_that_is_read(publishers, record, t
     process.kill()
     process.communicate()
     assert not (folder / 'metadata.yaml').exists()
-    content = read_bag(folder, controller)
+    content = read_bag(folder, CONTROLLER)
     assert content.data.effort[:COUNT, 0].tolist() == [*range(COUNT)]
     assert any('cut off' in remark for remark in content.remarks)
 
 
-def test_recorder_whose_disk_is_full_says_so_in_a_line_and_leaves_a_bag_that_is_read(
+def test_recorder_whose_disk_is_full_ends_in_a_line_and_leaves_a_bag_that_is_read(
         publishers, record, tmp_path):
-    process, folder = record(publishers, 'sim_node'), tmp_path / 'bag'
+    process = record(publishers, 'sim_node')
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (200_000, 200_000))
-    sent = 0
-    while process.poll() is None:
-        publish(publishers, sent, 50)
-        sent += 50
-    _, errors = process.communicate()
+    for first in range(0, 1_000_000, 50):
+        if process.poll() is not None:
+            break
+        publish(publishers, first, 50)
     assert process.returncode == errno.EFBIG
+    errors = process.communicate()[1]
     assert 'recorder_node: [Errno 27] File too large\n' in errors and 'Traceback' not in errors
-    controller = validate(ControllerConfig, read_parameters(config_dir() / 'controller.yaml'))
-    recorded = read_bag(folder, controller).data.effort[:, 0]
-    assert 0 < len(recorded) < sent and {*recorded} <= {*range(sent)}
+    assert 0 < read_bag(tmp_path / 'bag', CONTROLLER).data.ticks < first
 
 
 @pytest.mark.parametrize(('parameters', 'field'), [
