@@ -105,8 +105,7 @@ def run_node(make_node: Callable[[], Any]) -> int:
     Run a node in this process until it has ended or is asked to stop; return the exit code.
 
     Of the node, `run(spinner)` returns when the work is done or the process should stop; `close()`
-    is called however it ended. The code is 2 for a bad configuration, one of `FULL` for a disk
-    that is full, 1 for other errors.
+    is called however it ended. Errors give 2 for a bad configuration, one of `FULL`, or 1.
     """
     program, stop = os.path.basename(sys.argv[0]), StopFlag()
     stop.install()
