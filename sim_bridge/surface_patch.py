@@ -39,8 +39,9 @@ def surface_patch(normal_world: Vector, radius: float = 0.0, *, ball: bool = Fal
     track = track_direction(normal_world)
     across = np.cross(normal_world, track)
     cells = CELLS if radius else (1, 1)
-    u, v = (np.linspace(-half, half, count + 1) for half, count in zip(
-        half_size(radius, ball=ball), cells))
+    reach = LARGEST_ANGLE * abs(radius) * (np.sqrt(0.5) if ball else 1.0) if radius else np.inf
+    halves = (min(0.5 * SIZE[0], reach), min(0.5 * SIZE[1], reach if ball else np.inf))
+    u, v = (np.linspace(-half, half, count + 1) for half, count in zip(halves, cells))
     along, aside = (grid.ravel()[:, None] for grid in np.meshgrid(u, v, indexing='ij'))
     away = along ** 2 + (aside ** 2 if ball else 0.0)
     depth = radius - np.sign(radius) * np.sqrt(np.maximum(radius ** 2 - away, 0.0))
@@ -52,17 +53,6 @@ def patch_of(surface: SurfaceConfig) -> Patch:
     """Return what a surface of the plant looks like."""
     return surface_patch(
         np.array(surface.normal_world), surface.radius, ball=surface.shape == 'sphere')
-
-
-def half_size(radius: float, *, ball: bool) -> tuple[float, float]:
-    """Return how far a slab reaches along the track and across it [m]."""
-    along, across = (0.5 * size for size in SIZE)
-    if radius == 0.0:
-        return along, across
-    reach = LARGEST_ANGLE * abs(radius)
-    if not ball:
-        return min(along, reach), across
-    return min(along, np.sqrt(0.5) * reach), min(across, np.sqrt(0.5) * reach)
 
 
 def _slab(rows: int, columns: int) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
