@@ -89,9 +89,13 @@ def read_arm(path: Path, file: RobotFile) -> Arm:
 def read_urdf(path: Path) -> str:
     """Return the text of a URDF without comments; ConfigError if it is not readable."""
     try:
-        return ElementTree.tostring(parse_urdf(path.read_bytes()), encoding='unicode')
+        root = parse_urdf(path.read_bytes())
     except OSError as error:
         raise ConfigError('urdf', 'a readable URDF file', f'{path} ({error.strerror})') from None
+    if any('xacro' in element.tag for element in root.iter()):
+        raise ConfigError('urdf', 'a URDF', f'{path}, which is xacro',
+                          hint=f'write one with `xacro {path.name} > arm.urdf`')
+    return ElementTree.tostring(root, encoding='unicode')
 
 
 def parse_urdf(text: str | bytes) -> ElementTree.Element:

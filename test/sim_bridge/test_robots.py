@@ -213,10 +213,13 @@ def test_new_robot_writes_files_that_work_and_says_what_is_missing(
     ('sensor', 'tip', ['left=0.1'], "--lock: expected one of .*, got 'left'"),
     ('sensor', 'link6', ['lift=0.1'], "--tip: expected 'sensor' or a link beyond it, got 'link6'"),
     ('link4', 'tip', ['lift=0'], "6 or more joints that turn, .*, got 'link4', carried by 5 "),
-    ('floor', 'tip', [], r"got 'floor', carried by 0 \(none\)")])
+    ('floor', 'tip', [], r"got 'floor', carried by 0 \(none\)"),
+    ('floor', 'tip', None, 'urdf: expected a URDF, got .*, which is xacro; write one with')])
 def test_new_robot_refuses_what_is_no_arm_in_one_line(
         tmp_path, monkeypatch, welded, sensor, tip, lock, message):
     monkeypatch.chdir(tmp_path)
+    if lock is None:
+        welded.write_text('<robot xmlns:x="http://ros.org/xacro"><x:include file="a"/></robot>')
     with pytest.raises(ConfigError, match=message) as caught:
         command(welded, tip, sensor, lock=lock)
     assert '\n' not in str(caught.value) and not list(tmp_path.glob('*.yaml'))
