@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 import time
 from typing import Any
 
@@ -242,7 +242,9 @@ class GraphSource:
             force, where = message.vector, message.header.frame_id
             push = Push((force.x, force.y, force.z), self._pushed.get(where, self._pushed['']))
             self._last_push = self._time + PUSH_TIME, push
-            self._events.append((self._time, _push_text(push.force_world, where)))
+            forces = (f'{x:+g} N along {axis}' for axis, x in zip('xyz', push.force_world) if x)
+            self._events.append((
+                self._time, f'push{where and " on the "}{where}: {", ".join(forces)}'))
 
     def _snapshot(self, now: float, pose: Any, desired: Any) -> Snapshot:
         config, status = self._config, self._link.last_status
@@ -362,11 +364,6 @@ class GraphSource:
         if len(found) != len(names) or None in found:
             raise RunError(f'{node}: expected the parameters {", ".join(names)}, got not all')
         return found
-
-
-def _push_text(force: Sequence[float], where: str) -> str:
-    forces = ', '.join(f'{x:+g} N along {axis}' for axis, x in zip('xyz', force) if x)
-    return f'push{where and " on the "}{where}: {forces}'
 
 
 def _states(status: ControllerStatus | None) -> tuple[str, ...]:
