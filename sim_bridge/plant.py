@@ -225,7 +225,7 @@ def make_engine(config: PlantConfig, arm: Arm) -> EngineArm:
         from sim_bridge.mujoco_arm import MujocoArm
     except ImportError as error:
         raise ConfigError(
-            'engine', 'pybullet, or what pip install "multicontact_control[mujoco]" brings',
+            'engine', 'pybullet, or mujoco, by pip install mujoco',
             f'mujoco ({error})') from None
     return MujocoArm(arm, config)
 

@@ -32,7 +32,7 @@ from sim_bridge.urdf_arm import read_arm
 FOLDER = 'robots'
 DEFAULT = 'puma'
 SCHEME = 'package://'
-EXTRAS = {'example-robot-data': '[robots]', 'pybullet_data': ''}  # by package with URDFs
+WHEELS = {'example-robot-data': 'example-robot-data', 'pybullet_data': 'pybullet'}  # with URDFs
 SHARED = Path('share') / 'example-robot-data' / 'robots'
 # Of the controller's file, what belongs to another arm.
 OF_THE_ARM = ('robot', 'tool', 'contacts', 'contact_names', 'torque_limit', 'friction')
@@ -239,20 +239,20 @@ def _robot(name: str, path: Path, _changed: int) -> Robot:
 
 def urdf_path(name: str, folder: Path) -> Path:
     """
-    Return the file of a URDF; ConfigError if it is not there, with the extra that brings it.
+    Return the file of a URDF; ConfigError if it is not there, with the wheel that brings it.
 
     Its name is ``package://NAME/...`` for one of a Python package, or a path relative to a folder.
     """
     path = folder / name
     if name.startswith(SCHEME):
         package, _, inside = name.removeprefix(SCHEME).partition('/')
-        if package not in EXTRAS:
-            raise ConfigError('urdf', f'a package among {", ".join(sorted(EXTRAS))}',
+        if package not in WHEELS:
+            raise ConfigError('urdf', f'a package among {", ".join(sorted(WHEELS))}',
                               f"'{package}'")
         path = (_package_folder(package) or Path()) / inside
         if not path.is_file():
-            what = f'multicontact_control{EXTRAS[package]}'
-            raise ConfigError('urdf', f'the package {package}: pip install "{what}"', name)
+            raise ConfigError(
+                'urdf', f'the package {package}: pip install {WHEELS[package]}', name)
     if not path.is_file():
         raise ConfigError('urdf', 'a readable URDF file', path)
     return path

@@ -49,8 +49,8 @@ def push_test(
     """
     Prove sign, frame and scale of the wrist sensor by pushes.
 
-    Starts the push test of the running controller, and shows where to push the tool with a spring
-    balance, or a simulated one by the page of `view --graph` or the topic sim_node/push.
+    Starts the push test of the running controller and prints where to push the tool: with a spring
+    balance, or, if it is simulated, on the page of `view --graph` or by the topic sim_node/push.
     """
     from multicontact_control.experiment.push_test import push_running
 

@@ -28,10 +28,10 @@ def new_robot(
     """
     Write the files of a new robot from its URDF.
 
-    The command lists what they lack. Joints, limits and masses are those of the URDF; home is a
-    posture with the tool straight down, by inverse kinematics. `multicontact simulate --robot FILE
-    --scenario one_contact` then simulates it, and `multicontact run --external --controller FILE`
-    runs the real arm.
+    Prints what is yet to be added to them. Joints, limits and masses are those of the URDF; home
+    is a posture with the tool straight down, by inverse kinematics. `multicontact simulate --robot
+    FILE --scenario one_contact` then simulates it, and `multicontact run --external --controller
+    FILE` runs the real arm.
     """
     target = out or Path(f'{urdf.stem}.yaml')
     for name, path in (('out', target), ('controller', controller)):

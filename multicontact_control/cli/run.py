@@ -52,12 +52,12 @@ def run(
     """
     Run a scenario on the ROS 2 graph, and record it.
 
-    Starts simulator, controller, noise estimator and recorder, each in a process of its own, and
-    draws the figures from the recorded bag. The simulator waits for the controller: on a busy
-    machine simulated time is slow, and the forces are the same. Exit code 0: stable, poor, or not
-    judged because no contact was under load, a free run missed more than 1 % of its deadlines, or
-    an external run has no ground truth; 1: not stable, held by the supervisor, a node died, or
-    the external robot is gone.
+    Starts simulator, controller, noise estimator and recorder, each in a process of its own. At
+    its end, or at Ctrl-C, the recording is judged and drawn; a second Ctrl-C skips that. The
+    simulator waits for the controller: a busy machine makes simulated time slow, and the forces
+    stay the same. Exit code 0: stable, poor, or not judged because no contact was under load, a
+    free run missed more than 1 % of its deadlines, or an external run has no ground truth; 1: not
+    stable, held by the supervisor, a node died, or the external robot is gone.
     """
     from multicontact_control.experiment.graph.domain import check_namespace
 
@@ -93,8 +93,8 @@ def simulate(options: RunOptions) -> None:
     """
     Run a scenario in one process, without ROS, as fast as it goes.
 
-    The same seed gives the same run, bit for bit. Exit code 0: stable, poor, or not judged because
-    no contact was under load; 1: not stable, or held by the supervisor.
+    The same seed gives the same run, bit for bit; Ctrl-C discards it. Exit code 0: stable, poor,
+    or not judged because no contact was under load; 1: not stable, or held by the supervisor.
     """
     end_at_signals('interrupted; nothing of this run is kept')
     setup = options.setup()

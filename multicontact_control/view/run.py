@@ -34,7 +34,7 @@ def run_view(
     try:
         from multicontact_control.view.page import Page
     except ImportError as error:
-        raise ConfigError('view', "viser, by pip install 'multicontact_control[view]'",
+        raise ConfigError('view', 'viser, by pip install viser',
                           f'none that can be loaded ({error})') from None
     from multicontact_control.experiment.graph.run import collected_signals, InterruptedRunError
 

@@ -237,7 +237,7 @@ def dask_client(address: str) -> Iterator[Any]:
         from distributed.comm import get_address_host_port
     except ImportError:
         raise RunError('a Dask cluster needs `distributed`, which is not installed here: '
-                       "pip install 'multicontact_control[dask]'") from None
+                       'pip install distributed') from None
     try:
         # A client that is refused leaves threads that complain at the end of the program.
         socket.create_connection(get_address_host_port(address), CONNECT_TIMEOUT).close()
