@@ -142,11 +142,13 @@ def judge(
 
 def _judged(run: RunMetrics, overshoots: Collection[float], error: float | None) -> str:
     """Return what a verdict is about: forces and their time under load, overshoot, motion."""
-    without, names = run.without_truth(), run.data.contact_names
+    without = run.without_truth()
+    pressed = [name for name, forces in zip(run.data.contact_names, run.pressing.T)
+               if (forces > 0.0).any()]
     parts = [f'{run.windows.loaded.sum() / run.data.rate:.3g} s under load', *(
         f'{kind} force of {" and ".join(chosen)}' for kind, chosen in (
-            (TRUE, [name for name in names if name not in without]), (MEASURED, without))
-        if chosen)]
+            (TRUE, [name for name in pressed if name not in without]),
+            (MEASURED, [name for name in pressed if name in without])) if chosen)]
     if overshoots:
         parts.append(f'overshoot at most {max(overshoots):.0f} %')
     return ', '.join(parts + ([] if error is None else [f'motion error {1e3 * error:.2g} mm rms']))
