@@ -93,7 +93,7 @@ def test_list_and_echo_show_a_running_graph(start):
         'data: an arm\n---\n', '')
     for arguments, code, message in (
             (('/nothing', '--timeout', '0.5'), 1, '/nothing: expected a publisher within 0.5 s'),
-            (('joint states',), 2, 'topic: expected a name of a topic')):
+            (('joint states',), 2, 'TOPIC: expected a name of a topic')):
         process = start('echo', *arguments)
         _, errors = end_of(process)
         assert process.returncode == code and message in errors and errors.count('\n') == 1
