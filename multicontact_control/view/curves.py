@@ -18,11 +18,13 @@ LISTED = 8  # curves below a chart, at most
 COLOURS = ('#e07a28', '#2e74be', '#34965c', '#8a5fb0', '#b04a5a', '#7a7f87')
 JOINTS = ('#4c6a92', '#7a9cc6', '#5aa08c', '#c29b4b', '#c46f5a', '#8d6b94', '#6b7280')
 GRID = {'stroke': '#eceef0', 'width': 1}
+UNSEEN = {'label': '\u00a0', 'stroke': 'transparent', 'points': {'show': False}}
 AXIS = {'font': '11px sans-serif', 'stroke': '#6b7280', 'grid': GRID, 'ticks': {'show': False}}
 SPACE = 15  # px, between the lines of a grid at least: there are three or more
 LOGARITHMIC = {'distr': 3}
 FLOOR = 1e-4  # N^2, where a logarithm of R ends
-SHOWN = (0.1, 10.0)  # N^2, of its axis at least, by a curve that is not seen
+# Of axes, by a curve that is not seen: N^2 of R at least, and room above the others.
+SHOWN, HEADROOM = (0.1, 10.0), 1.1
 
 
 class History:
@@ -95,7 +97,7 @@ class Curves:
                 data, ({'label': 's'}, *({
                     'label': label, 'stroke': chart.colours[i % len(chart.colours)],
                     'width': 1.5, 'points': {'show': False}}
-                    for i, label in enumerate(chart.labels))),
+                    for i, label in enumerate(chart.labels)), UNSEEN),
                 title=chart.title, height=HEIGHT, scales={'x': x, 'y': chart.y},
                 axes=({'size': 24, **AXIS}, {'size': 44, 'space': SPACE, **AXIS}),
                 legend={'show': len(chart.labels) <= LISTED, 'live': False}, padding=(6, 12, 0, 0))
@@ -117,9 +119,10 @@ class Curves:
         for chart in self._charts:
             # uPlot loses its axis over a single number that is none.
             values = chart.scale * np.nan_to_num(points[:, chart.columns])
+            shown = (0.0, HEADROOM * values.max())
             if chart.y == LOGARITHMIC:
-                values = np.column_stack([
-                    np.maximum(values, FLOOR), np.resize(SHOWN, len(values))])
+                values, shown = np.maximum(values, FLOOR), SHOWN
+            values = np.column_stack([values, np.resize(shown, len(values))])
             found.append((time, *(np.ascontiguousarray(column) for column in values.T)))
         return found
 
@@ -134,8 +137,7 @@ def charts_of(names: Sequence[str], joints: Sequence[str], true_forces: bool) ->
         *(Chart(f'force on {name} [N]', ('true', 'measured', 'estimated', 'desired')[first:],
                 [true, *each][first:], (COLOURS[3], *COLOURS[:3])[first:], from_zero(5.0))
           for name, *each, true in zip(names, *forces)),
-        Chart('R [N^2], logarithmic', (*names, '\u00a0'), variance.tolist(),
-              (*np.resize(COLOURS, len(names)).tolist(), 'transparent'), LOGARITHMIC),
+        Chart('R [N^2], logarithmic', names, variance.tolist(), COLOURS, LOGARITHMIC),
         Chart('innovation [N]', names, innovation.tolist(), COLOURS, from_zero(0.2)),
         Chart('torque of each joint, % of its limit', [str(k + 1) for k in range(len(joints))],
               torques.tolist(), JOINTS, from_zero(100.0), 100.0)]
@@ -143,5 +145,5 @@ def charts_of(names: Sequence[str], joints: Sequence[str], true_forces: bool) ->
 
 def from_zero(least: float) -> dict[str, Any]:
     """Return an axis that holds 0 and a least value, so that noise is not all there is to see."""
-    return {'range': {'min': {'pad': 0.2, 'soft': 0.0, 'mode': 1},
-                      'max': {'pad': 0.2, 'soft': least, 'mode': 1}}}
+    return {'range': {'min': {'pad': 0.1, 'soft': 0.0, 'mode': 1},
+                      'max': {'pad': 0.1, 'soft': least, 'mode': 1}}}
