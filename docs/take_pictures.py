@@ -18,7 +18,7 @@ from playwright.sync_api import expect, Page, sync_playwright
 PICTURE = Path(__file__).resolve().parent / 'view.png'
 SIZE = {'width': 1500, 'height': 880}  # px
 PATIENCE = 120e3  # ms
-LOADED_FOR, SEEN_FOR = 15e3, 4e3  # ms, before the step, and of the step in the curves
+LOADED_FOR, SEEN_FOR = 10e3, 4e3  # ms, before the step, and of the step in the curves
 NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
 # Without graphics the processor draws; root is root of a container, without a sandbox.
 SWITCHES = ['--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--no-sandbox',
@@ -46,6 +46,7 @@ def main() -> None:
             page = browser.new_page(viewport=SIZE)
             page.set_default_timeout(PATIENCE)
             page.goto(url)
+            expect(page.locator('td', has_text='free')).to_have_count(2, timeout=PATIENCE)
             page.wait_for_timeout(LOADED_FOR)
             press(page)
             page.wait_for_timeout(SEEN_FOR)
