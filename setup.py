@@ -16,6 +16,7 @@ console_scripts = {
     'controller_node': 'multicontact_control.nodes.controller_node:main',
     'noise_estimator_node': 'multicontact_control.nodes.noise_estimator_node:main',
     'recorder_node': 'multicontact_control.nodes.recorder_node:main',
+    'franka_bridge': 'multicontact_control.nodes.franka_bridge:main',
 }
 
 install_requires = [
@@ -58,6 +59,11 @@ extras_require = {
     # The second engine of the simulated plant.
     'mujoco': [
         'mujoco>=3.2,<5',
+    ],
+    # A Franka arm: its vendor's library, and a simulator that answers it.
+    'franka': [
+        'pylibfranka>=0.21,<0.22',
+        'franky-sim>=1.0.4,<1.1',
     ],
     # To run sweeps on a cluster.
     'dask': [

@@ -27,6 +27,7 @@ from multicontact_control.experiment.study.config import StudyConfig
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.controller_topics import SERVICES
+from multicontact_control.nodes.franka_bridge import FrankaBridgeConfig
 from multicontact_control.nodes.graph import StartupConfig
 from multicontact_control.nodes.lifecycle import ManagedConfig
 from multicontact_control.nodes.recorder_node import RecorderConfig
@@ -47,6 +48,7 @@ NODES: dict[str, tuple[type[Config], ...]] = {
     topics.ESTIMATOR: (NoiseEstimatorConfig,),
     topics.SIM: (PlantConfig, SimNodeConfig),
     topics.RECORDER: (RecorderConfig,),
+    'franka_bridge': (FrankaBridgeConfig,),
     f'{topics.CONTROLLER} and {topics.ESTIMATOR}': (ManagedConfig,),
     topics.EVERY_NODE: (StartupConfig,)}
 # And by the YAML file that holds it.

@@ -32,7 +32,9 @@ from sim_bridge.urdf_arm import read_arm
 FOLDER = 'robots'
 DEFAULT = 'puma'
 SCHEME = 'package://'
-WHEELS = {'example-robot-data': 'example-robot-data', 'pybullet_data': 'pybullet'}  # with URDFs
+# Python wheels with URDFs, by package.
+WHEELS = {'example-robot-data': 'example-robot-data', 'franky_sim': 'franky-sim',
+          'pybullet_data': 'pybullet'}
 SHARED = Path('share') / 'example-robot-data' / 'robots'
 # Of the controller's file, what belongs to another arm.
 OF_THE_ARM = ('robot', 'tool', 'contacts', 'contact_names', 'torque_limit', 'friction')

@@ -14,7 +14,7 @@ def robot_parameters(names):
     """Return robots as parameters of a test; all but the PUMA and the Panda are nightly."""
     return [pytest.param(name, marks=[
         pytest.mark.skipif(not has_urdf(find_robot(name)),
-                           reason=f'the URDF of {name} is not installed: extra [robots]'),
+                           reason=f'no URDF of {name}: extra [robots] or [franka]'),
         *([] if name in ('puma', 'panda') else [pytest.mark.nightly])]) for name in names]
 
 

@@ -29,6 +29,7 @@ from multicontact_control.nodes.recorder_node import Bag
 import pytest
 from rclpy.serialization import serialize_message
 from ros_graph import ROOT
+from sim_bridge.robots import find_robot, has_urdf
 import typer
 
 DOCUMENTS = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
@@ -36,10 +37,10 @@ TUTORIAL, FIRST = ROOT / 'docs/tutorial.md', Path('runs/first')
 NODES = {CONTROLLER, ESTIMATOR, RECORDER, SIM}
 # Files that are the reader's own.
 YOURS = {'my_arm.urdf', 'arm.urdf', 'my_arm.yaml', 'controller.yaml', 'tool.yaml'}
-OTHERS = ('. ', 'cp', 'dask', 'python docs/minimal_simulator.py', 'python3 -m venv', 'ros2 bag',
+OTHERS = ('. ', 'cp', 'dask', 'franka_bridge', 'python docs/', 'python3 -m venv', 'ros2 bag',
           'ros2 launch foxglove_bridge', 'ros2 param set /sim_node surfaces.',
           'ros2 topic pub --once /sim_node/push', 'ros2 run robot_state_publisher',
-          'ros2 run tf2_ros', 'ssh', 'pip install', 'tsid/bin/pip install')
+          'ros2 run tf2_ros', 'ssh', 'pip install', 'strict/bin/', 'tsid/bin/pip install')
 
 
 def blocks(document, language):
@@ -85,7 +86,8 @@ def parse(words):
     values = known_commands()[name].make_context(name, list(words[1 + size:])).params
     if name == 'study' and values['name']:
         select(read_study(values['name']), read_choices(values['settings'] or ()))
-    if 'scenario' in values and not values.get('external') and values['robot'] not in YOURS:
+    if 'scenario' in values and not values.get('external') and values['robot'] not in YOURS and (
+            has_urdf(find_robot(values['robot'] or 'puma'))):
         RunOptions(**{field.name: values[field.name] for field in fields(RunOptions)
                       if field.name in values}).setup()
 

@@ -35,6 +35,16 @@ class Status:
     error: str = ''
 
 
+def status_message(name: str, status: Status) -> DiagnosticStatus:
+    """Return the message of a part of a node."""
+    return DiagnosticStatus(
+        name=f'{name}: {status.part}', message=status.error or status.warning or 'ok',
+        level=ERROR if status.error else WARN if status.warning else OK,
+        values=[KeyValue(key=key, value=(
+            'none' if x is None else f'{x:.6g}' if isinstance(x, float) else str(x)))
+            for key, x in status.values.items()])
+
+
 class Diagnostics:
     """Publishes what `collect` returns of a node, once a second of the wall clock."""
 
@@ -49,13 +59,8 @@ class Diagnostics:
         if now >= self._next:
             self._next = max(self._next + PERIOD, now + PERIOD // 2)  # no burst after a pause
             name = self._node.get_fully_qualified_name().lstrip('/')
-            message = DiagnosticArray(status=[DiagnosticStatus(
-                name=f'{name}: {status.part}', level=ERROR if status.error else
-                WARN if status.warning else OK, message=status.error or status.warning or 'ok',
-                values=[KeyValue(key=key, value=(
-                    'none' if x is None else f'{x:.6g}' if isinstance(x, float) else str(x)))
-                    for key, x in status.values.items()])
-                for status in self._collect()])
+            message = DiagnosticArray(status=[status_message(name, status)
+                                              for status in self._collect()])
             message.header.stamp = self._node.get_clock().now().to_msg()
             self._publisher.publish(message)
 

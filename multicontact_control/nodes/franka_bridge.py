@@ -1,0 +1,398 @@
+"""
+A Franka arm behind the topics: libfranka's torque interface, through its own Python wheel.
+
+The robot sends a state each millisecond and wants a torque before the next one. A thread answers
+it: it takes in the newest command and wrench, sends a torque, and publishes every `divider`th
+state. It waits for nothing but the robot: a command that is late is replaced as `LateRule` says.
+The stamps of samples are the robot's own time, and the age of a command is counted in it.
+
+Torque control starts with the first command in time, anew after it has ended for want of
+commands. After an error, a reflex, a user stop or a lost connection it starts after `~/recover`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+import contextlib
+import sys
+from threading import Event, Thread
+import time
+from typing import Any, Literal
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
+from multicontact_control.arrays import Vector
+from multicontact_control.config import Config, cross_check, parameter, Real
+from multicontact_control.config import Vector as Numbers
+from multicontact_control.errors import ConfigError, MulticontactError, RunError
+from multicontact_control.nodes import diagnostics, graph, messages, qos, streams, topics
+from multicontact_control.nodes.parameters import load_parameters
+from multicontact_control.nodes.runtime import one_line, run_node, Spinner
+from multicontact_control.sampling import NANOSECONDS
+import numpy as np
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+NAME, JOINTS = 'franka_bridge', 7
+CYCLE, MILLISECOND = 0.001, NANOSECONDS // 1000  # s, ns: that of the robot
+SWITCH_INTERVAL = 5e-5  # s, for which other threads may keep the control thread from Python
+STATUS_PERIOD, LOG_PERIOD, CONNECT_PERIOD = 1.0, 5.0, 0.5  # s
+RECOVERY_TIMEOUT, JOIN_TIMEOUT = 10.0, 2.0  # s
+COMMANDED, HELD, DAMPED, STOPPED = 'commanded', 'held', 'damped', 'stopped'  # a torque
+FIGURES = ('cycles', 'starts', 'aborts', 'recoveries', 'lost_cycles', COMMANDED, HELD, DAMPED,
+           STOPPED, 'rate_limited', 'wrench_late', 'highest_torque_rate', 'success_rate')
+
+
+class LateConfig(Config):
+    """What the bridge sends while the newest command is late; its age counts from its sample."""
+
+    command_age: Real = parameter(
+        0.006, 'Age up to which a command is in time.', unit='s', gt=0.0)
+    hold_time: Real = parameter(
+        0.02, 'Age up to which its torque is held, as the robot does by itself.', unit='s')
+    stop_time: Real = parameter(
+        0.5, 'Age up to which the joints are damped; then torque control ends.', unit='s')
+    damping: Numbers = parameter(
+        (20.0,) * 4 + (5.0,) * 3, 'Torque per speed of damped joints.', unit='N m s/rad')
+    torque_rate: Real = parameter(
+        999.9, 'Largest change of any torque that is sent, of commands as well; the robot stops '
+        'at 1000.', unit='N m/s', gt=0.0, lt=1000.0)
+
+    @cross_check
+    def _check(self) -> Iterator[ConfigError]:
+        if not self.command_age < self.hold_time < self.stop_time:
+            yield ConfigError('hold_time', 'a value between command_age and stop_time',
+                              self.hold_time)
+        if len(self.damping) != JOINTS:
+            yield ConfigError('damping', f'{JOINTS} values', len(self.damping))
+
+
+class FrankaBridgeConfig(graph.StartupConfig):
+    """Parameters of the bridge."""
+
+    address: str = parameter('', 'IP address or name of the robot.')
+    enforce_realtime: bool = parameter(
+        True, 'Whether libfranka asks for a real-time kernel; false for a simulated robot.')
+    divider: int = parameter(
+        2, 'States of the robot, at 1 kHz, for each sample: 2 for 500 Hz.', ge=1, le=10)
+    joint_names: tuple[str, ...] = parameter(
+        tuple(f'joint{i + 1}' for i in range(JOINTS)), 'Joints, base to wrist.')
+    effort: Literal['measured', 'commanded', 'none'] = parameter(
+        'measured', 'Effort of the samples, without gravity: the torque sensors less the gravity '
+        "of libfranka's model, or the torque that was sent last. `measured` is left out where "
+        'the robot reports no direction of gravity.')
+    wrench_topic: str = parameter(
+        '~/wrench', 'Topic of the wrist sensor (geometry_msgs/WrenchStamped); empty for the '
+        "robot's own estimate, K_F_ext_hat_K, in its stiffness frame.")
+    wrench_age: Real = parameter(
+        0.005, 'Age from which a wrench is published no more.', unit='s', gt=0.0)
+    collision_torque: Numbers = parameter(
+        (40.0,) * JOINTS, 'External joint torques at which the robot stops.', unit='N m')
+    collision_force: Numbers = parameter(
+        (50.0,) * 3 + (25.0,) * 3, 'External wrench at which it does.', unit='N, N m')
+    late: LateConfig = LateConfig()
+
+    @cross_check
+    def _check(self) -> Iterator[ConfigError]:
+        if not self.address:
+            yield ConfigError('address', 'the IP address of the robot', "''")
+        for name, count in {'joint_names': 7, 'collision_torque': 7, 'collision_force': 6}.items():
+            if len(getattr(self, name)) != count:
+                yield ConfigError(name, f'{count} values', len(getattr(self, name)))
+
+
+class LateRule:
+    """
+    Chooses and limits the torque of each cycle, without gravity.
+
+    While the newest command is in time, its torque; then that torque for a while, then damping,
+    then none: the end. Each cycle is counted by what its torque is.
+    """
+
+    def __init__(self, config: LateConfig) -> None:
+        self._config, self.kind = config, COMMANDED
+        self._damping, self._step = np.array(config.damping), config.torque_rate * CYCLE
+        self.figures: dict[str, float] = dict.fromkeys(FIGURES, 0)
+
+    def answer(self, age: float, commanded: Vector, speed: Vector, before: Vector) -> Any:
+        """
+        Return the next torque, shape (7,) [N m]; None to end torque control.
+
+        The newest command has an `age` [s] and a torque, the joints have a speed [rad/s], and the
+        robot got the torque `before` last.
+        """
+        config = self._config
+        self.kind = (COMMANDED if age <= config.command_age else HELD if age <= config.hold_time
+                     else DAMPED if age <= config.stop_time else STOPPED)
+        self.figures[self.kind] += 1
+        if self.kind == STOPPED:
+            return None
+        change = (-self._damping * speed if self.kind == DAMPED else commanded) - before
+        limited = np.clip(change, -self._step, self._step)
+        self.figures['rate_limited'] += bool(np.any(limited != change))
+        self.figures['highest_torque_rate'] = max(
+            self.figures['highest_torque_rate'], float(np.abs(limited).max()) / CYCLE)
+        return np.asarray(before + limited)
+
+
+class FrankaBridge(Node):
+    """Connects a Franka arm with the controller."""
+
+    def __init__(self, library: Any = None, **options: Any) -> None:
+        super().__init__(NAME, **options)
+        self._config: FrankaBridgeConfig = load_parameters(self, FrankaBridgeConfig)[0]
+        self._library = _library() if library is None else library
+        self._robot: Any = None
+        self._model: Any = None
+        self._active: Any = None  # torque control, while it runs
+        self._lost: list[Any] = []  # of lost connections; deleted, they would wait for the robot
+        self._problem = 'connecting'  # for which `~/recover` is needed
+        self._mode, self._errors = 'Idle', ''  # of the robot, in its own words
+        self._rule = LateRule(self._config.late)
+        self._figures = self._rule.figures
+        self._torques = self._library.Torques([0.0] * JOINTS)  # the last
+        self._time = self._origin = self._sample = 0  # of the robot [ms], its stamp at 0 [ns]
+        self._command = streams.NamedReading(0, np.zeros(JOINTS))
+        self._wrench, self._wrench_stamp = np.zeros(6), 0  # and when it came
+        names, zeros = self._config.joint_names, np.zeros(JOINTS)
+        self._refusals = graph.Refusals(self.get_logger())
+        self._refused: deque[tuple[str, Exception]] = deque(maxlen=100)
+        self._publish_sample = graph.create_publisher(self, topics.JOINT_STATES).publish
+        self._samples = {count: streams.MessageTemplate(messages.joint_state_message(
+            0, names, **dict.fromkeys(streams.JOINT_FIELDS[:count], zeros))).write
+            for count in (2, 3)}  # without and with efforts
+        self._wrenches = streams.StreamPublisher(self, topics.WRENCH, WrenchStamped())
+        # Taken in by the control thread: an executor would empty the subscriptions of its node.
+        self._ends = Node(f'{NAME}_inputs', context=self.context, start_parameter_services=False)
+        inputs = {topics.EFFORT_COMMAND.name: (topics.EFFORT_COMMAND, streams.named_reader(
+            names, ('effort',), streams.NamedReading))}
+        if self._config.wrench_topic:
+            name = graph.full_topic_name('wrench_topic', self._config.wrench_topic, self)
+            inputs[name] = topics.WRENCH, streams.wrench_reader()
+        self._readers = {name: (self._ends.create_subscription(
+            topic.message, name, graph.ignore, qos.SENSOR, raw=True), reader)
+            for name, (topic, reader) in inputs.items()}
+        self._watch = diagnostics.LoopStatistics(1.0 / CYCLE)
+        self._inputs = diagnostics.Inputs(
+            self, 1.0 / (CYCLE * self._config.divider), topics.EFFORT_COMMAND)
+        self._diagnostics = diagnostics.Diagnostics(self, self._statuses)
+        self._status_publisher = self.create_publisher(DiagnosticStatus, '~/status', qos.EVENT)
+        self._reported: tuple[float, tuple[str, ...]] = (0.0, ())
+        self._ending, self._recovery, self._recovered = False, Event(), Event()
+        self.create_service(Trigger, '~/recover', self._on_recover)
+        graph.StartupGate(self, self._config)  # the control thread inherits its scheduling
+
+    def run(self, spinner: Spinner) -> None:
+        """Run the control thread until asked to stop; report meanwhile."""
+        thread = Thread(target=self._control, name='control', daemon=True)
+        sys.setswitchinterval(SWITCH_INTERVAL)
+        thread.start()
+        while not spinner.stop and thread.is_alive():
+            spinner.spin_once(0.02)
+            self._diagnostics.poll()
+            self._report()
+        self._ending = True
+        thread.join(JOIN_TIMEOUT)
+        if not spinner.stop:
+            raise RunError('the control thread has ended, as above')
+
+    def close(self) -> None:
+        """Write the counts of this run, if asked to."""
+        self._ends.destroy_node()
+        self._config.write_counts({
+            **self._figures, 'answer_us': self._watch.latencies.percentiles(),
+            'refused': dict(self._refusals.counts)})
+
+    # What the control thread does. It writes no log: the first line of one takes 40 ms.
+
+    def _control(self) -> None:
+        """Answer the robot until the node ends."""
+        library = self._library
+        while not self._ending or self._active is not None:
+            asked = self._recovery.is_set() or self._robot is None and not self._lost
+            try:
+                if asked:
+                    self._recover()
+                if self._robot is None:
+                    time.sleep(0.05)
+                elif not self._ending:
+                    self._turn()
+                elif self._active is not None:
+                    self._finish()
+            except (library.FrankaException, library.NetworkException, RuntimeError,
+                    MulticontactError) as error:  # in Python, libfranka's have no common base
+                self._fail(error)
+            if asked:
+                self._recovery.clear()
+                self._recovered.set()
+
+    def _turn(self) -> None:
+        """Take one state of the robot: answer it, then publish it."""
+        state = self._robot.read_once() if self._active is None else self._active.readOnce()[0]
+        received = time.monotonic_ns()
+        now = round(state.time.to_sec() / CYCLE)
+        self._mode, self._errors = str(state.robot_mode).split('.')[-1], str(state.current_errors)
+        if not self._origin:
+            self._origin = time.time_ns() // MILLISECOND * MILLISECOND - now * MILLISECOND
+        if self._active is not None and self._time:
+            self._figures['lost_cycles'] += now - self._time - 1
+        self._time, stamp = now, self._origin + now * MILLISECOND
+        self._take_inputs(stamp)
+        speed, age = np.array(state.dq), abs(1e-9 * (stamp - self._command.stamp))
+        if self._active is not None:
+            self._answer(state, age, speed)
+            self._watch.latencies.add(time.monotonic_ns() - received)
+        elif not self._problem and self._mode == 'Idle' and (
+                age <= self._config.late.command_age):
+            self._active = self._robot.start_torque_control()
+            self._time = 0  # in which some cycles pass
+            self._figures['starts'] += 1
+        self._watch.add_period(received)
+        if now // self._config.divider != self._sample:
+            self._sample = now // self._config.divider
+            self._publish(stamp, state, speed)
+        time.sleep(0.0)  # libfranka keeps other threads from Python while it waits for the robot
+
+    def _take_inputs(self, stamp: int) -> None:
+        """Take in the newest command and wrench."""
+        for name, (subscription, reader) in self._readers.items():
+            newest = None
+            while (taken := graph.take(subscription)) is not None:
+                newest = taken[0]
+            if newest is None:
+                continue
+            try:
+                reading = reader.read(newest)
+            except MulticontactError as error:
+                self._refused.append((name, error))
+                continue
+            if isinstance(reading, streams.NamedReading):
+                self._command = reading
+                self._inputs.last[topics.EFFORT_COMMAND] = time.monotonic_ns()
+            else:
+                self._wrench, self._wrench_stamp = reading.wrench, stamp
+
+    def _answer(self, state: Any, age: float, speed: Vector) -> None:
+        """Send a torque, or end torque control."""
+        before = np.array(state.tau_J_d)
+        torque = self._rule.answer(age, self._command.values, speed, before)
+        self._torques = self._library.Torques((before if torque is None else torque).tolist())
+        if torque is None:
+            self._finish()
+        else:
+            self._active.writeOnce(self._torques)
+            self._figures['cycles'] += 1
+            self._figures['success_rate'] = state.control_command_success_rate
+
+    def _finish(self) -> None:
+        """End torque control: the robot holds its position."""
+        active, self._active = self._active, None
+        self._torques.motion_finished = True
+        active.writeOnce(self._torques)
+
+    def _publish(self, stamp: int, state: Any, speed: Vector) -> None:
+        """Publish a sample."""
+        wrench, age = self._wrench, 1e-9 * (stamp - self._wrench_stamp)
+        if not self._config.wrench_topic:
+            wrench, age = np.array(state.K_F_ext_hat_K), 0.0
+        if age <= self._config.wrench_age:
+            self._wrenches.send(stamp, wrench)
+        else:
+            self._figures['wrench_late'] += 1
+        runs = [np.array(state.q), speed]
+        if self._config.effort == 'commanded':
+            runs.append(np.array(state.tau_J_d))
+        elif self._model is not None and any(state.O_ddP_O):
+            runs.append(np.array(state.tau_J) - np.array(self._model.gravity(state)))
+        self._publish_sample(self._samples[len(runs)](stamp, *runs))
+
+    def _fail(self, error: Exception) -> None:
+        """Take note of what ended torque control or the connection."""
+        self._figures['aborts'] += self._active is not None
+        if isinstance(error, self._library.NetworkException):
+            self._lost += [self._active, self._robot] if self._robot is not None else []
+            self._active = self._robot = self._model = None
+        elif self._active is not None:
+            with contextlib.suppress(RuntimeError, self._library.FrankaException):
+                self._finish()  # libfranka then knows that it has ended
+        self._problem = one_line(error).removeprefix('libfranka: ')
+        if self._robot is None:
+            time.sleep(CONNECT_PERIOD)
+
+    def _recover(self) -> None:
+        """Connect, or clear the robot's errors; torque control may then start."""
+        if self._robot is None:
+            config, kinds = self._config, self._library.RealtimeConfig
+            robot = self._library.Robot(
+                config.address, kinds.kEnforce if config.enforce_realtime else kinds.kIgnore)
+            robot.set_collision_behavior(*[list(config.collision_torque)] * 2,
+                                         *[list(config.collision_force)] * 2)
+            self._model = robot.load_model() if config.effort == 'measured' else None
+            self._robot, self._origin = robot, 0
+        elif self._mode == 'UserStopped':
+            raise RunError('the user stop is pressed; release it first')
+        elif self._active is None:
+            self._robot.automatic_error_recovery()
+            self._figures['recoveries'] += 1
+        self._problem = ''
+
+    # What the main thread does.
+
+    def _on_recover(self, _request: Any, response: Any) -> Any:
+        self._recovered.clear()
+        self._recovery.set()
+        done = self._recovered.wait(RECOVERY_TIMEOUT)
+        response.success = done and not self._problem
+        response.message = self._problem if done else 'no answer of the robot'
+        return response
+
+    def _robot_status(self) -> diagnostics.Status:
+        """Return what the robot and the bridge do."""
+        mode, control = self._mode, self._rule.kind if self._active is not None else (
+            'off' if self._problem or self._mode != 'Idle' else 'starts with the next command')
+        return diagnostics.Status(
+            'robot', {'torque_control': control, 'robot_mode': mode, 'errors': self._errors,
+                      **self._figures},
+            error=self._problem + '; call ~/recover' * bool(self._lost or self._robot) if (
+                self._problem) else '',
+            warning=f'the robot is in mode {mode}' if control == 'off' and mode != 'Idle' else
+            f'no command in time: torques are {control}' if control in (HELD, DAMPED) else '')
+
+    def _report(self) -> None:
+        """Publish on ``~/status`` what changes, and once a second; log it."""
+        while self._refused:
+            self._refusals.refuse(*self._refused.popleft())
+        status, now = self._robot_status(), time.monotonic()
+        texts = (status.error, status.warning, status.values['torque_control'])
+        if texts != self._reported[1] or now > self._reported[0] + STATUS_PERIOD:
+            if status.error and status.error not in self._reported[1]:
+                self.get_logger().error(status.error)
+            elif status.warning:
+                self.get_logger().warning(status.warning, throttle_duration_sec=LOG_PERIOD)
+            self._reported = (now, texts)
+            self._status_publisher.publish(diagnostics.status_message(NAME, status))
+
+    def _statuses(self) -> Sequence[diagnostics.Status]:
+        return [self._robot_status(), diagnostics.Status('loop', self._watch.report()),
+                self._inputs.status(needed=self._active is not None),
+                diagnostics.message_status(self._refusals)]
+
+
+def _library() -> Any:
+    """Return the module of libfranka; ConfigError if it is not installed."""
+    try:
+        import pylibfranka
+    except ImportError as error:
+        raise ConfigError('pylibfranka', "the extra [franka]: pip install '.[franka]'",
+                          error) from None
+    return pylibfranka
+
+
+def main() -> int:
+    """Run the bridge."""
+    return run_node(FrankaBridge)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,215 @@
+"""
+The bridge to a Franka arm, with a stand-in for libfranka whose time goes on when a test says so.
+
+Nightly the way of docs/franka.md is gone, with libfranka itself and a simulated arm.
+"""
+
+from contextlib import suppress
+import os
+from queue import Empty, SimpleQueue
+import re
+import subprocess
+import sys
+from threading import Thread
+from types import SimpleNamespace
+from unittest.mock import MagicMock
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from fake_arm import wrench_message
+from geometry_msgs.msg import WrenchStamped
+from multicontact_control.nodes.franka_bridge import FrankaBridge, LateConfig, LateRule
+from multicontact_control.nodes.runtime import Spinner
+import numpy as np
+import pytest
+from rclpy.parameter import Parameter
+from ros_graph import PATIENCE, ROOT, wait_for
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+JOINTS = [f'joint{i}' for i in range(1, 8)]
+GRAVITY = np.arange(7.0)  # N m, that of the stand-in
+LATE = LateConfig()
+# What a busy machine may be late by.
+LATE_MACHINE = ' '.join(f'--set controller.watchdog.{name}=100' for name in (
+    'joint_max_age', 'wrench_max_age', 'variance_max_age', 'rate_band'))
+
+
+@pytest.mark.parametrize(('age', 'kind', 'wanted'), [
+    (0.006, 'commanded', 1.0), (0.007, 'held', 1.0), (0.02, 'held', 1.0), (0.021, 'damped', -4.0),
+    (0.5, 'damped', -4.0), (0.501, 'stopped', None)])
+def test_late_rule_holds_damps_and_ends_within_the_rate_and_counts(age, kind, wanted):
+    rule, before = LateRule(LATE), np.zeros(7)
+    for _ in range(10):
+        torque = rule.answer(age, np.full(7, 1.0), np.full(7, 0.2), before)
+        assert torque is None or np.abs(torque - before).max() < 1.0
+        before = before if torque is None else torque
+    assert (rule.kind, rule.figures[kind]) == (kind, 10)
+    assert torque is None if wanted is None else torque[0] == pytest.approx(wanted)
+
+
+class Bench:
+    """
+    A bridge with a stand-in for libfranka, and a controller and a sensor in the test's hand.
+
+    The robot's time goes on by `cycles` that are put; `failure` is raised by its next state.
+    """
+
+    def __init__(self, middleware):
+        self.cycles, self.time, self.failure, self.mode = SimpleQueue(), 0, None, 'Idle'
+        self.torque, self.sent, self.said = [0.0] * 7, [], {}
+        self.robot = MagicMock(read_once=self.state)
+        self.robot.load_model.return_value.gravity.return_value = GRAVITY
+        self.robot.start_torque_control = lambda: SimpleNamespace(
+            readOnce=lambda: (self.state('Move'), None), writeOnce=self.write)
+        self.robot.automatic_error_recovery.side_effect = lambda: setattr(self, 'mode', 'Idle')
+        self.library = SimpleNamespace(
+            FrankaException=RuntimeError, ControlException=RuntimeError, NetworkException=OSError,
+            RealtimeConfig=SimpleNamespace(kEnforce=0, kIgnore=1), Robot=MagicMock(
+                return_value=self.robot), Torques=lambda tau: SimpleNamespace(
+                    tau_J=tau, motion_finished=False))
+        self.middleware, node, self._stop = middleware, middleware.node, []
+        self._bridge = FrankaBridge(self.library, context=node.context, parameter_overrides=[
+            Parameter('address', value='stand-in')])
+        self._spinner = Spinner(self._bridge, self._stop)
+        self._thread = Thread(target=self._bridge.run, args=(self._spinner,))
+        self._thread.start()
+        self.samples, self.wrenches, self._statuses = (
+            node.create_subscription(message, name, lambda _: None, 10) for message, name in (
+                (JointState, 'joint_states'), (WrenchStamped, 'ft_sensor/wrench'),
+                (DiagnosticStatus, 'franka_bridge/status')))
+        self._commands = node.create_publisher(JointState, 'joint_effort_command', 10)
+        self._sensor = node.create_publisher(WrenchStamped, 'franka_bridge/wrench', 10)
+
+    def close(self):
+        self._stop.append('now')
+        self._thread.join()
+        self._spinner.close()
+        self._bridge.close()
+        self._bridge.destroy_node()
+
+    def state(self, mode=None):
+        with suppress(Empty):
+            self.cycles.get(timeout=0.02)  # a robot never stands still
+        self.time, failure, self.failure = self.time + 1, self.failure, None
+        if failure is not None:
+            raise failure
+        return SimpleNamespace(
+            time=SimpleNamespace(to_sec=lambda now=1e-3 * self.time: now), q=[0.1] * 7,
+            dq=[0.2] * 7, tau_J=GRAVITY + self.torque, tau_J_d=self.torque, O_ddP_O=[0, 0, -9.81],
+            robot_mode=f'RobotMode.{mode or self.mode}', current_errors='[]',
+            control_command_success_rate=1.0)
+
+    def write(self, torques):
+        self.sent.append(torques)
+        self.torque = torques.tau_J
+
+    def newest(self, subscription, message):
+        """Let two cycles pass; return the newest message."""
+        self.cycles.put(None)
+        self.cycles.put(None)
+        self.middleware.pause(0.01)
+        return self.middleware.take(subscription, message)
+
+    def command(self, effort):
+        """Answer the newest sample, with a wrench of the sensor beside it."""
+        if (sample := self.newest(self.samples, JointState)) is not None:
+            self._sensor.publish(wrench_message(0, [0.0, 0.0, effort, 0.0, 0.0, 0.0], ''))
+            self._commands.publish(JointState(
+                header=sample.header, name=JOINTS[::-1], effort=[effort] * 7))
+        return sample
+
+    def press(self, effort):
+        """Command until the robot has got a torque."""
+        wait_for(lambda: self.command(effort) and self.torque[0] == effort, 'a torque')
+
+    def wait_for_status(self, condition):
+        """Wait until a status has message and values as a condition wants."""
+        def found():
+            if (status := self.newest(self._statuses, DiagnosticStatus)) is not None:
+                self.said = {'message': status.message, **{x.key: x.value for x in status.values}}
+            return self.said and condition(self.said)
+        wait_for(found, 'a status', lambda: self.said)
+
+
+@pytest.fixture
+def bench(middleware):
+    interval, handle = sys.getswitchinterval(), Bench(middleware)
+    yield handle
+    handle.close()
+    sys.setswitchinterval(interval)
+
+
+@pytest.mark.ros
+def test_bridge_publishes_pairs_without_gravity_and_obeys_until_commands_stay_away(bench):
+    bench.press(2.5)
+    sample = wait_for(lambda: bench.command(2.5), 'a sample')
+    wrench = wait_for(lambda: bench.newest(bench.wrenches, WrenchStamped), 'a wrench')
+    assert (list(sample.name), wrench.wrench.force.z) == (JOINTS, 2.5)
+    assert [list(sample.velocity), list(sample.effort)] == [[0.2] * 7, [2.5] * 7]
+    for message in (sample, wrench):  # the robot's time
+        assert message.header.stamp.nanosec % 1_000_000 == 0
+    before = len(bench.sent)
+    for _ in range(600):
+        bench.cycles.put(None)
+    wait_for(lambda: bench.sent[-1].motion_finished, 'the end of torque control')
+    torques = np.array([each.tau_J for each in bench.sent[before:]])
+    assert np.abs(np.diff(torques[:, 0])).max() < 1.0
+    assert 15 <= np.count_nonzero(torques[:, 0] == 2.5) <= 25  # 20 ms
+    np.testing.assert_allclose(torques[-1], -0.2 * np.array(LATE.damping), rtol=1e-6)
+    bench.wait_for_status(lambda said: int(said['damped']) > 400 and said['stopped'] == '1')
+    starts = int(bench.said['starts'])
+    bench.press(1.0)  # the next command starts anew
+    bench.wait_for_status(lambda said: int(said['starts']) == starts + 1)
+
+
+@pytest.mark.ros
+def test_bridge_waits_for_recovery_after_reflex_user_stop_and_lost_connection(bench, driver):
+    def recover():
+        return driver.call('franka_bridge', Trigger, 'recover', Trigger.Request())
+
+    for effort, failure, mode in (
+            (1.5, RuntimeError('aborted by reflex'), 'Reflex'),
+            (2.0, RuntimeError('aborted by user stop'), 'UserStopped'),
+            (2.5, OSError('libfranka: UDP receive: Timeout'), 'Idle')):
+        bench.press(effort)
+        bench.failure, bench.mode = failure, mode
+        bench.wait_for_status(lambda said: said['message'].endswith('; call ~/recover'))
+        assert bench.said['message'].split(';')[0] in str(failure)
+        sent = len(bench.sent)
+        for _ in range(5):
+            bench.command(9.0)
+        assert all(each.motion_finished for each in bench.sent[sent:])
+        if mode == 'UserStopped':
+            bench.wait_for_status(lambda said: said['robot_mode'] == 'UserStopped')
+            refused = recover()
+            assert not refused.success and 'release it first' in refused.message
+            bench.mode = 'Idle'
+            bench.wait_for_status(lambda said: said['robot_mode'] == 'Idle')
+        assert (answer := recover()).success, answer.message
+    bench.press(0.5)
+    bench.wait_for_status(lambda said: said['aborts'] == '3' and said['message'] == 'ok')
+    assert bench.robot.automatic_error_recovery.call_count == bench.library.Robot.call_count == 2
+
+
+@pytest.mark.ros
+@pytest.mark.nightly
+def test_documented_way_presses_ten_newtons_with_a_simulated_fr3(domain_id, tmp_path):
+    for name in ('pylibfranka', 'franky_sim'):
+        pytest.importorskip(name, reason=f'{name} is not installed: extra [franka]')
+    text = (ROOT / 'docs/franka.md').read_text(encoding='utf-8')
+    simulate, simulator, bridge, run = re.findall(
+        r'^(?:multicontact|python docs|franka_bridge)[^#\n]*', text, re.MULTILINE)[:4]
+    for name in ('docs', 'config'):
+        (tmp_path / name).symlink_to(ROOT / name)
+    (tmp_path / 'press.py').write_text(re.search(r'```python\n(.*?)```', text, re.DOTALL)[1])
+    printed = subprocess.run(['timeout', str(PATIENCE), 'bash', '-ec', f"""
+        trap 'kill $(jobs -p)' EXIT
+        {simulate} > log; {simulator} > log &
+        {bridge} -p late.hold_time:=5.0 -p late.stop_time:=9.0 &
+        {run} {LATE_MACHINE} > run.log &
+        until grep 'found /joint_states from franka_bridge' run.log >&2; do sleep 0.5; done
+        python press.py"""], cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=True, env={
+            **os.environ, 'PYTHONPATH': str(ROOT), 'ROS_DOMAIN_ID': str(domain_id), 'PATH':
+            f'{os.path.dirname(sys.executable)}:{os.environ["PATH"]}'}).stdout
+    forces = [float(force) for force in re.findall(r"': ([\d.]+)", printed)]
+    assert forces == pytest.approx([10.0, 10.0], abs=0.5)
