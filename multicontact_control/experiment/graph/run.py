@@ -255,7 +255,8 @@ def _first_steps(graph: RunningGraph, progress: GraphProgress) -> str:
     """Return two commands to try on a graph that answers samples."""
     domain, namespace = graph.domain_id, graph.spec.namespace
     topic = '/'.join(filter(None, (namespace, topics.MEASURED_FORCES.name)))
-    second = f'multicontact view --graph --domain-id {domain} --namespace "{namespace}"'
+    second = f'multicontact view --graph --domain-id {domain}'
+    second += f' --namespace {namespace}' * bool(namespace)
     if graph.spec.reference_file is None:
         second = ('python -c "from multicontact_control.client import MultiContactClient as Arm; '
                   f"Arm('{namespace}', domain_id={domain}).set_forces("
