@@ -331,7 +331,7 @@ class FrankaBridge(Node):
             self._model = robot.load_model() if config.effort == 'measured' else None
             self._robot, self._origin = robot, 0
         elif self._mode == 'UserStopped':
-            raise RunError('the user stop is pressed; release it first')
+            raise RunError('release the user stop first')
         elif self._active is None:
             self._robot.automatic_error_recovery()
             self._figures['recoveries'] += 1

@@ -182,7 +182,7 @@ def test_bridge_waits_for_recovery_after_reflex_user_stop_and_lost_connection(be
         if mode == 'UserStopped':
             bench.wait_for_status(lambda said: said['robot_mode'] == 'UserStopped')
             refused = recover()
-            assert not refused.success and 'release it first' in refused.message
+            assert not refused.success and 'release the user stop' in refused.message
             bench.mode = 'Idle'
             bench.wait_for_status(lambda said: said['robot_mode'] == 'Idle')
         assert (answer := recover()).success, answer.message
