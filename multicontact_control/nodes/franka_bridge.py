@@ -368,7 +368,7 @@ class FrankaBridge(Node):
         if texts != self._reported[1] or now > self._reported[0] + STATUS_PERIOD:
             if status.error and status.error not in self._reported[1]:
                 self.get_logger().error(status.error)
-            elif status.warning:
+            elif status.warning and not status.error:
                 self.get_logger().warning(status.warning, throttle_duration_sec=LOG_PERIOD)
             self._reported = (now, texts)
             self._status_publisher.publish(diagnostics.status_message(NAME, status))
