@@ -5,16 +5,17 @@ import pinocchio as pin
 
 
 class Arm:
-    """An arm whose wrist meets a springy wall."""
+    """An arm whose wrist, or another link, meets a springy wall."""
 
-    def __init__(self, urdf, armature, normal, distance, stiffness):
+    def __init__(self, urdf, armature, normal, distance, stiffness,
+                 home=(0.3, 0.7, -0.4, 0.9, 0.5, -0.8, 0.6), tip='wrist'):
         self._model = pin.buildModelFromUrdf(str(urdf))
         self._model.armature = np.array(armature)
         self._data = self._model.createData()
-        self._wrist = self._model.getFrameId('wrist')
+        self._wrist = self._model.getFrameId(tip)
         self._random = np.random.default_rng(0)
         self._normal, self._stiffness = np.array(normal), stiffness
-        self.q = np.array([0.3, 0.7, -0.4, 0.9, 0.5, -0.8, 0.6])
+        self.q = np.array(home)
         self.v = np.zeros(7)
         self._wall = self._normal @ self.wrist.translation + distance
 
@@ -22,6 +23,10 @@ class Arm:
     def wrist(self):
         pin.framesForwardKinematics(self._model, self._data, self.q)
         return self._data.oMf[self._wrist]
+
+    @property
+    def weight(self):
+        return pin.computeGeneralizedGravity(self._model, self._data, self.q).copy()
 
     @property
     def force(self):
@@ -34,15 +39,14 @@ class Arm:
         noise = self._random.normal(size=6) * ([0.05] * 3 + [0.005] * 3)
         return np.concatenate([pressing, np.zeros(3)]) + noise
 
-    def jacobian(self, frame):
+    def jacobian(self):
         return pin.computeFrameJacobian(
-            self._model, self._data, self.q, self._model.getFrameId(frame),
-            pin.LOCAL_WORLD_ALIGNED)[:3]
+            self._model, self._data, self.q, self._wrist, pin.LOCAL_WORLD_ALIGNED)[:3]
 
     def step(self, torque, period, substeps=8):
         """Advance by a period."""
         for _ in range(substeps):
-            load = self.jacobian('wrist').T @ (-self.force * self._normal)
+            load = self.jacobian().T @ (-self.force * self._normal)
             a = pin.aba(self._model, self._data, self.q, self.v, torque + load)
             self.v = self.v + a * period / substeps
             self.q = self.q + self.v * period / substeps

@@ -22,11 +22,11 @@ TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
     TOP: 1000, 'dynamics': 600, 'contact': 650, 'force': 1950, 'control': 1100, LOOP: 450,
     'supervision': 2150, 'sensor': 550, 'config': 850, 'nodes': 3000, 'experiment': 6900,
-    'view': 2100, 'cli': 800, 'sim_bridge': 3600, 'test': 12_100, 'test/campaign': 900,
+    'view': 2100, 'cli': 800, 'sim_bridge': 3600, 'test': 12_150, 'test/campaign': 900,
     'benchmarks': 350}
 OUTSIDE = ('test', 'test/campaign', 'benchmarks')  # of the product
 # Of them 400 for the bridge to a vendor's driver, 100 for a tool that changes.
-MOST_LINES, MOST_TEST_LINES = 27_400, 13_310
+MOST_LINES, MOST_TEST_LINES = 27_400, 13_360
 MOST_COMPILED = 80  # functions
 
 

@@ -33,6 +33,9 @@ class RobotConfig(Config):
         'and measured efforts are then without it.')
     adds_tool_gravity: bool = parameter(
         True, "Whether that torque carries `tool`, too, as the arm's own controller knows of it.")
+    measures_torque: bool = parameter(
+        True, 'Whether the effort in joint_states is a torque; false to ignore it, as of motor '
+        'currents.')
 
     @cross_check
     def _check_locked(self) -> Iterator[ConfigError]:

@@ -60,8 +60,8 @@ class ControllerNode(ManagedNode):
             topics.NOISE_VARIANCE: (streams.variance_reader(config.column_names),
                                     lambda found: timing.add_variance(*found)),
             topics.JOINT_STATES: (streams.named_reader(  # robots need not measure all of them
-                config.robot.joint_names, streams.JOINT_FIELDS, JointInput,
-                ('velocity', 'effort')), timing.add)}
+                config.robot.joint_names, streams.JOINT_FIELDS[:2 + config.robot.measures_torque],
+                JointInput, ('velocity', 'effort')), timing.add)}
         if wrench is not None:
             self._inputs[wrench] = streams.wrench_reader(config.robot.sensor_frame), timing.add
         self._outputs = ControllerOutputs(self, config, node_config)

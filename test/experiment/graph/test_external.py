@@ -176,9 +176,14 @@ def nodes_of(folder):
     return [line for line in listed.splitlines() if line.endswith(f'_node {folder}')]
 
 
-def test_robot_is_left_with_the_safe_behaviour_when_the_command_is_killed(shell, tmp_path):
-    write_robot(tmp_path, safe_behaviour='zero_torque')
-    shell.start(*ARM, log='arm')
+def test_ur_presses_as_documented_and_is_left_with_the_safe_behaviour_by_a_kill(shell, tmp_path):
+    """Its driver takes bare efforts without gravity, tells currents and the opposite wrench."""
+    block, = re.findall(r'```yaml\n(.*?)```', (ROOT / 'docs/ur.md').read_text('utf-8'), re.S)
+    write_robot(tmp_path, **yaml.safe_load(block)['/**']['ros__parameters'],
+                safe_behaviour='zero_torque')
+    shell.start(str(ROOT / 'test/ur_driver.py'), *ARM[1:], log='arm')
+    shell.start(str(ROOT / 'docs/ur_wrench.py'), '/force_torque_sensor_broadcaster/wrench',
+                'ft_face', log='wrench')
     running = shell.multicontact(
         'run', '--external', '--controller', 'controller.yaml', '--out', 'run', log='log')
     with MultiContactClient(domain_id=shell.domain_id, timeout=PATIENCE) as arm:
