@@ -4,7 +4,7 @@ The paper's equations as they stand, in full matrices.
 This file imports nothing of what it is held against.
 """
 
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -78,14 +78,6 @@ def contact_wrench(reading, sensor_pose, position, tool, gravity):
                            + np.cross(sensor_pose.position_world - position, force)])
 
 
-@dataclass
-class OperationalSpace:
-    Lambda: np.ndarray
-    J_bar: np.ndarray
-    mu: np.ndarray
-    p: np.ndarray
-
-
 def operational_space(state, singular_mobility=0.0):
     """
     Lambda = (J M^-1 J^T)^-1, J_bar = M^-1 J^T Lambda, mu and p (P04 eq. 23).
@@ -99,8 +91,9 @@ def operational_space(state, singular_mobility=0.0):
         mobility += 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2 * np.eye(6)
     Lambda = np.linalg.inv(mobility)
     J_bar = np.linalg.solve(M, J.T @ Lambda)
-    return OperationalSpace(Lambda, J_bar, J_bar.T @ state.coriolis - Lambda @ (
-        state.jacobian_drift), J_bar.T @ state.gravity)
+    return SimpleNamespace(
+        Lambda=Lambda, J_bar=J_bar, p=J_bar.T @ state.gravity,
+        mu=J_bar.T @ state.coriolis - Lambda @ state.jacobian_drift)
 
 
 def joint_torque(wrench, state, space, nullspace_damping=0.0, pull=0.0):

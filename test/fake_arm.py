@@ -122,18 +122,13 @@ class FakeArm:
         def satisfied():
             (send or self.send)()
             self._middleware.pause(0.01)
-            report = self._newest_report()
-            seen.extend([] if report is None else [report])
-            return report is not None and condition(report)
+            report = self._middleware.take(self._diagnostics, DiagnosticArray)
+            if report is None or not report.status[0].name.startswith('controller_node'):
+                return False
+            seen.append({x.name.split(': ')[1]: (
+                x.level[0], x.message, {value.key: value.value for value in x.values})
+                for x in report.status})
+            return condition(seen[-1])
 
         wait_for(satisfied, 'such diagnostics', lambda: seen[-1:])
         return seen[-1]
-
-    def _newest_report(self):
-        report = self._middleware.take(self._diagnostics, DiagnosticArray)
-        if report is None or not report.status[0].name.startswith('controller_node'):
-            return None
-        return {
-            x.name.split(': ')[1]: (
-                x.level[0], x.message, {value.key: value.value for value in x.values})
-            for x in report.status}

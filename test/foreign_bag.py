@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from types import SimpleNamespace
 
 from arms import seven_joint_urdf
@@ -49,9 +47,9 @@ def wrench(ns, values):
         force=xyz(values[:3]), torque=xyz(values[3:])))
 
 
-def rows(seconds, seed=0):
+def rows(seconds):
     """Yield topic, time [s] and message of a contact that is made and pressed with 10 N."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     for k in range(round(seconds * RATE)):
         t = k / RATE
         ns = START + round(t * 1e9)
@@ -80,35 +78,21 @@ def rows(seconds, seed=0):
         yield 'operational_point/pose_desired', t, pose
 
 
-@contextmanager
-def bag_file(folder) -> Iterator:
-    """Yield what writes topic, message and time [ns] to the only MCAP file of a new folder."""
+def write_bag(folder, *, without=(TRUTH,), seconds=4.0, space='', change=lambda x: x):
+    """Write a recording to the only MCAP file of a new folder, and return it."""
     folder.mkdir(parents=True)
-    store, schemas = get_typestore(Stores.ROS2_JAZZY), {}
-    with (folder / 'bag_0.mcap').open('wb') as stream:
+    store, schemas, path = get_typestore(Stores.ROS2_JAZZY), {}, folder / 'bag_0.mcap'
+    with path.open('wb') as stream:
         writer = Writer(stream, chunk_size=4096)
-
-        def write(topic, message, ns):
-            kind = next(kind for name, kind in TYPES.items() if topic.endswith(name))
+        for topic, time, message in rows(seconds):
+            kind, ns = TYPES[topic], START + round(time * 1e9)
             if kind not in schemas:
                 schemas[kind] = writer.register_msgdef(
                     kind, store.generate_msgdef(kind, ros_version=2)[0])
-            writer.write_message(topic, schemas[kind], message, ns, ns)
-
-        yield write
+            if topic not in without:
+                writer.write_message(f'{space}/{topic}', schemas[kind], change(message), ns, ns)
         writer.finish()
-
-
-def write_bag(
-    folder, *, without=(TRUTH,), seconds=4.0, space='', change=lambda x: x, unanswered=0.0,
-):
-    """Write a recording, whose first seconds are not answered; return its MCAP file."""
-    with bag_file(folder) as write:
-        for topic, time, message in rows(seconds):
-            answer = topic in ('joint_effort_command', MEASURED)
-            if topic not in without and not (answer and time < unanswered):
-                write(f'{space}/{topic}', change(message), START + round(time * 1e9))
-    return folder / 'bag_0.mcap'
+    return path
 
 
 def controller_file(folder, **changes):

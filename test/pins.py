@@ -13,7 +13,6 @@ from pathlib import Path
 import subprocess
 import sys
 import tempfile
-import time
 
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
@@ -89,25 +88,9 @@ def differences(pinned: dict, now: dict, tolerance: float = 1e-9) -> list[str]:
 
 def everything() -> dict:
     """Compute all pins."""
-    parts: dict = {'trajectories': {}, 'summaries': {}, 'studies': {}}
-    for kind, names, compute in (('trajectories', SETUPS, trajectory),
-                                 ('summaries', SUMMARIES, summary), ('studies', STUDIES, study)):
-        for name in names:
-            print(f'{kind}: {name}', flush=True)
-            parts[kind][name] = compute(name)
-    return parts
-
-
-def timing() -> dict:
-    """Return the supervised tick's p50 and the time of a whole `simulate`, on this machine."""
-    with tempfile.TemporaryDirectory() as folder:
-        start = time.perf_counter()
-        subprocess.run(
-            [sys.executable, '-m', 'multicontact_control.cli', 'simulate', '--scenario', 'quick',
-             '--out', f'{folder}/run'], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
-        wall = time.perf_counter() - start
-        ticks = json.loads(Path(folder, 'run', 'summary.json').read_text())['timing']['tick_us']
-    return {'supervised_tick_p50_us': ticks['p50'], 'simulate_quick_s': round(wall, 2)}
+    return {kind: {name: compute(name) for name in names} for kind, names, compute in (
+        ('trajectories', SETUPS, trajectory), ('summaries', SUMMARIES, summary),
+        ('studies', STUDIES, study))}
 
 
 def main() -> None:
@@ -118,7 +101,7 @@ def main() -> None:
     pinned = json.loads(FILE.read_text()) if FILE.exists() else {'reasons': []}
     now = everything()
     if reason:
-        content = {'reasons': [*pinned['reasons'], reason], 'timing': timing(), **now}
+        content = {'reasons': [*pinned['reasons'], reason], **now}
         FILE.write_text(json.dumps(content, indent=1) + '\n')
         return
     found = [f'{kind}: {name}: sha256' for kind in ('trajectories',) for name in SETUPS
@@ -127,7 +110,6 @@ def main() -> None:
         for name, content in now[kind].items():
             found += [f'{kind}: {name}{line}' for line in differences(
                 pinned[kind][name], content)]
-    print(f'timing: pinned {pinned["timing"]}, now {timing()}')
     print('\n'.join(found) or 'all pins hold')
     sys.exit(bool(found))
 

@@ -16,9 +16,12 @@ from typing import Any, TypeVar
 
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.node_process import start_node
+from multicontact_control.experiment.graph.spec import START_ORDER
 from multicontact_control.nodes.link import GuestNode
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_typestore, Stores
 
 T = TypeVar('T')
 
@@ -68,6 +71,22 @@ def start_graph(
                        'ticks': ticks, **spec})
     return subprocess.Popen(
         [sys.executable, '-c', GRAPH, told], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+
+
+def node_processes(folder: Path) -> dict[str, int]:
+    """Return the processes of a run in a folder, by node name, as `ps` lists them."""
+    listed = subprocess.run(['ps', '-ewwo', 'pid=,args='], capture_output=True, text=True).stdout
+    return {command: int(pid) for pid, command, *rest in map(str.split, listed.splitlines())
+            if rest == [str(folder)] and command in START_ORDER}
+
+
+def recorded(bag: Path, topic: str) -> list[Any]:
+    """Return the messages of one topic of a bag."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Reader(bag) as reader:
+        connections = [x for x in reader.connections if x.topic == f'/{topic.lstrip("/")}']
+        return [store.deserialize_cdr(data, connection.msgtype)
+                for connection, _, data in reader.messages(connections)]
 
 
 @contextmanager

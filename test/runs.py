@@ -15,7 +15,7 @@ import pickle
 
 from multicontact_control.experiment.closed_loop import LoopResult, run_in_process
 from multicontact_control.experiment.results import summarise
-from multicontact_control.experiment.scenario import resolve, Setup
+from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.jobs import content_key, setup_content
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,11 +37,6 @@ def run_of(setup: Setup, *, supervised: bool = True) -> LoopResult:
                 partial.replace(path)
         _memory[key] = pickle.loads(path.read_bytes())
     return _memory[key]
-
-
-def canonical(scenario: str, *, supervised: bool = True, **resolved) -> LoopResult:
-    """Return the run of a scenario; the other arguments are those of `resolve`."""
-    return run_of(resolve(scenario, **resolved), supervised=supervised)
 
 
 def summary_of(setup: Setup, *, supervised: bool = True) -> dict:

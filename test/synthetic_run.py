@@ -5,12 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from multicontact_control.experiment.recording import empty_run_data, RunData
-from multicontact_control.experiment.scenario import resolve, Setup
+from multicontact_control.experiment.scenario import Setup
 import numpy as np
-
-
-def disturbance_setup(plant: str = 'rigid', **changes) -> Setup:
-    return resolve('disturbance', plant=plant, **changes)
 
 
 def perfect_run(setup: Setup) -> RunData:
@@ -33,10 +29,10 @@ def perfect_run(setup: Setup) -> RunData:
         quaternion_des=turn)
 
 
-def paper_run(setup: Setup, seed: int = 0) -> RunData:
+def paper_run(setup: Setup) -> RunData:
     """Return a run in which all that one run can tell of the claims holds."""
     data = perfect_run(setup)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     error = 0.01 * rng.standard_normal(data.alpha_true.shape)
     moving = data.time >= setup.scenario.reference.motion.start_time
     error[moving] = 0.5 * rng.standard_normal((int(moving.sum()), error.shape[1]))

@@ -34,19 +34,10 @@ def test_bad_options_are_all_named_and_leave_nothing(multicontact, tmp_path, arg
     assert list(tmp_path.iterdir()) == []
 
 
-def test_studies_are_listed(multicontact):
-    listed = multicontact('study', '--help').stdout
-    for name in ('compare', 'laws', 'map', 'robots', 'tune', 'faults', 'stiffness', 'delay'):
-        assert f'{name} ' in listed
-
-
-def interrupt(process):
-    os.killpg(process.pid, signal.SIGINT)  # Ctrl-C reaches the workers, too
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(('end', 'code'), [
-    (interrupt, 130), pytest.param(subprocess.Popen.terminate, 143, marks=pytest.mark.nightly)])
+    (lambda process: os.killpg(process.pid, signal.SIGINT), 130),  # Ctrl-C reaches the workers
+    pytest.param(subprocess.Popen.terminate, 143, marks=pytest.mark.nightly)])
 def test_ended_study_goes_on_where_it_was(multicontact, tmp_path, end, code):
     study, out = tmp_path / 'small.yaml', tmp_path / 'out'
     study.write_text(STUDY)

@@ -45,13 +45,6 @@ def sample(law, time=0.0, qd=REST, **forces):
                        weight + pressed_wrench(config, state, **forces))
 
 
-def test_controller_at_rest_compensates_gravity():
-    law, _ = make_law()
-    output = law.step(sample(law), np.full(2, 0.6))
-    np.testing.assert_allclose(output.torque, law.robot.update(HOME, REST).gravity, atol=1e-9)
-    np.testing.assert_allclose(output.alpha_meas, 0.0, atol=1e-9)
-
-
 @pytest.mark.parametrize('projection', ['euclidean', 'inertia'])
 @pytest.mark.parametrize('allocation', ['decoupled', 'paper'])
 def test_motion_error_accelerates_no_contact(projection, allocation):

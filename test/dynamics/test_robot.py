@@ -235,14 +235,6 @@ JOINT_FAULTS = [(('axis', 'xyz'), 0.0), (('axis', 'xyz'), 2.0), (STOPS, 0.0), (S
                 (('limit', 'upper'), None), (('limit',), None)]
 
 
-def complaints(config, folder):
-    """Return what the check of the model says, a line each, refused or not."""
-    try:
-        return list(RobotModel(config.robot, folder).warnings())
-    except ConfigError as error:
-        return [str(each) for each in error.errors]
-
-
 def make_seven(folder):
     """Return an arm of seven joints: its URDF and the configuration of its loop."""
     urdf = seven_joint_urdf(folder)
@@ -277,7 +269,10 @@ def test_model_check_names_each_damage_or_it_does_no_harm(tmp_path, make):
         link, = (x for x in root.findall('link') if x.get('name') == child)
         spoil(link if kind == 'link' else joint, *path, factor=factor)
         urdf.write_text(ElementTree.tostring(root, encoding='unicode'))
-        lines = complaints(config, tmp_path)
+        try:
+            lines = RobotModel(config.robot, tmp_path).warnings()
+        except ConfigError as error:
+            lines = tuple(str(each) for each in error.errors)
         if any(name in line for line in lines for name in (child, joint.get('name'))):
             continue
         harmless += 1

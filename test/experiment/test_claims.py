@@ -11,9 +11,10 @@ from multicontact_control.experiment.claims import (
 )
 from multicontact_control.experiment.judge import INTERRUPTED
 from multicontact_control.experiment.results import summarise
+from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
-from synthetic_run import delayed, disturbance_setup, paper_run, perfect_run
+from synthetic_run import delayed, paper_run, perfect_run
 
 MOTION = 9.0  # s, its start in the scenario
 FIXED = {'noise_estimator': {'estimator': 'fixed'}}
@@ -39,12 +40,12 @@ def changed(data, name, window, values):
 
 @pytest.fixture(scope='module')
 def setup():
-    return disturbance_setup()
+    return resolve('disturbance', plant='rigid')
 
 
 @pytest.fixture(scope='module')
 def fixed():
-    return disturbance_setup(**FIXED)
+    return resolve('disturbance', plant='rigid', **FIXED)
 
 
 @pytest.fixture(scope='module')
@@ -108,7 +109,7 @@ def test_fixed_claim_follows_the_runs_with_a_fixed_variance(data, setup, fixed):
     at_rest = row('fixed', changed(data, 'alpha_true', (data.time >= 4.0, 1), 0.0), fixed)
     for rows, holds in (([bad, bad], True), ([bad, good], False), ([at_rest], False)):
         assert claim_of(data, setup, 'Without on-line R', rows).holds is holds
-    other = row('fixed', unstable(data), disturbance_setup('puma', **FIXED))
+    other = row('fixed', unstable(data), resolve('disturbance', plant='puma', **FIXED))
     assert claim_of(data, setup, 'Without on-line R', [other]).holds is None
 
 
@@ -137,7 +138,7 @@ def test_maybeck_claim_compares_the_reactions_of_the_estimates(data, setup, peak
 
 
 def test_stiffness_claims_need_a_wrong_stiffness():
-    stiff = disturbance_setup(plant_overrides={'surfaces': {
+    stiff = resolve('disturbance', plant='rigid', plant_overrides={'surfaces': {
         name: {'stiffness': 12000.0} for name in ('table', 'board')}})
     data = paper_run(stiff)
     offset = replace(data, alpha_true=data.alpha_true + 0.5)

@@ -6,6 +6,7 @@ import click
 from foreign_bag import controller_file, JOINTS
 from multicontact_control.cli.options import RunOptions
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.experiment.results import contact_types, load_setup
 from multicontact_control.experiment.scenario import dotted, resolve_external
 from multicontact_control.files import write_json
@@ -31,12 +32,6 @@ def context_with(*options):
     return context
 
 
-def laid_over(folder, values, name='controller_node'):
-    path = folder / 'over.yaml'
-    path.write_text(yaml.safe_dump({name: {'ros__parameters': values}}))
-    return path
-
-
 def test_controller_file_is_all_that_is_needed(file):
     setup, node, duration = resolve_external([file])
     assert setup.controller.robot.joint_names == JOINTS
@@ -49,9 +44,9 @@ def test_controller_file_is_all_that_is_needed(file):
 
 
 def test_later_files_preset_scenario_law_and_settings_are_laid_over(file, tmp_path):
-    tool = laid_over(tmp_path, {'tool': {'mass': 0.8}, 'patience': 9.0, 'autostart': True,
-                                'command': {'force_ceiling': 25.0}}, '/**')
-    scenario = tmp_path / 'mine.yaml'
+    tool, scenario = tmp_path / 'tool.yaml', tmp_path / 'mine.yaml'
+    write_parameters(tool, {'/**': {'tool': {'mass': 0.8}, 'patience': 9.0, 'autostart': True,
+                                    'command': {'force_ceiling': 25.0}}})
     scenario.write_text(yaml.safe_dump(SCENARIO))
     options = RunOptions(
         scenario=str(scenario), noise_estimator='fixed', preset='adaptive',

@@ -55,13 +55,6 @@ def saturate(data, start, lasting):
     data.torque[round(start * RATE):round((start + lasting) * RATE), 4] = -20.1
 
 
-def verdict_of_run(scenario, *, supervised, **changes):
-    setup = resolve(scenario, **{'preset': 'paper', **changes})
-    result = run_of(setup, supervised=supervised)
-    return judge(result.data, setup, ended_early=result.ended_early,
-                 events=result.events)
-
-
 @pytest.mark.parametrize('seconds', [0.08, 0.12])
 @pytest.mark.parametrize(('fault', 'reason'), [
     (lose, 'board: contact lost'), (saturate, 'torque saturated')])
@@ -167,7 +160,9 @@ def test_bounces_before_load_and_slow_references_are_no_interventions(setup, dat
         name: {'stiffness': 90000.0} for name in ('table', 'board')}}}, 'board: oscillates')])
 def test_limit_cycle_is_named_with_and_without_supervisor(scenario, changes, reason, supervised):
     """R fixed at 0.6 on flexible drives, and surfaces fifteen times as stiff as modelled."""
-    verdict = verdict_of_run(scenario, supervised=supervised, **changes)
+    setup = resolve(scenario, preset='paper', **changes)
+    result = run_of(setup, supervised=supervised)
+    verdict = judge(result.data, setup, ended_early=result.ended_early, events=result.events)
     assert verdict.name == NOT_STABLE and verdict.unstable_at is not None
     assert any(line.startswith(reason) for line in verdict.reasons)
     assert any('stepped in' in line for line in verdict.reasons) == supervised

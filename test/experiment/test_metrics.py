@@ -6,7 +6,7 @@ from multicontact_control.experiment.metrics import RunMetrics
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
-from synthetic_run import disturbance_setup, perfect_run
+from synthetic_run import perfect_run
 
 PUSH, LASTING = 5.0, 6.5  # s, the pushes of the scenario `disturbance`
 
@@ -104,7 +104,7 @@ def test_motion_error_counts_in_free_directions_and_in_its_window(setup, data):
 
 @pytest.fixture(scope='module')
 def pushed():
-    return disturbance_setup()
+    return resolve('disturbance', plant='rigid')
 
 
 def with_error(data, start, end, error, contact=0):

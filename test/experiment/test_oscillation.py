@@ -3,11 +3,11 @@
 from multicontact_control.experiment.oscillation import oscillations
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 RATE = 500.0
 TIME = np.arange(3000) / RATE
 COMMAND = np.full(TIME.shape, 10.0)
-EVERYTHING = np.ones(TIME.shape, dtype=bool)
 
 
 def tone(frequency, rms):
@@ -17,13 +17,11 @@ def tone(frequency, rms):
 def noise(rms, seed=0, colour=0.0):
     """Return noise, of which each sample keeps a share `colour` of the one before."""
     white = np.random.default_rng(seed).standard_normal(TIME.shape)
-    values = np.zeros(TIME.shape)
-    for k in range(1, len(values)):
-        values[k] = colour * values[k - 1] + white[k]
+    values = lfilter([1.0], [1.0, -colour], white)
     return rms * values / values.std()
 
 
-def found_in(error, judged=EVERYTHING, command=COMMAND):
+def found_in(error, judged=TIME >= 0.0, command=COMMAND):
     return oscillations(error, command, judged, RATE)
 
 

@@ -9,10 +9,11 @@ from multicontact_control.experiment import report
 from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.page import envelope, figure, Panel, Trace, write_page
 from multicontact_control.experiment.results import load_run, summarise
+from multicontact_control.experiment.scenario import resolve
 from multicontact_control.files import write_json
 import numpy as np
 import pytest
-from synthetic_run import disturbance_setup, paper_run
+from synthetic_run import paper_run
 from typer.testing import CliRunner
 
 RANGES = ('() => [...document.querySelectorAll(".figure")].flatMap(place => place.plots.map('
@@ -23,7 +24,7 @@ RANGES = ('() => [...document.querySelectorAll(".figure")].flatMap(place => plac
 def folder(tmp_path_factory):
     """Make a run folder with a recording made to the paper."""
     folder = tmp_path_factory.mktemp('run')
-    setup = disturbance_setup('puma')
+    setup = resolve('disturbance', plant='puma')
     data = paper_run(setup)
     setup.write(folder / 'config')
     data.save(folder)
@@ -33,7 +34,7 @@ def folder(tmp_path_factory):
 
 
 def test_load_run_rebuilds_what_the_run_was_made_with(folder):
-    run, made = load_run(folder), disturbance_setup('puma')
+    run, made = load_run(folder), resolve('disturbance', plant='puma')
     for part in ('plant', 'noise_estimator', 'scenario', 'controller', 'plant_name', 'seed'):
         assert getattr(run.setup, part) == getattr(made, part)
     assert (run.setup.urdf_dir / run.setup.controller.robot.urdf).is_file()

@@ -1,5 +1,7 @@
 """Weighing the tool from a recording; tests of graphs weigh that of a running robot."""
 
+from contextlib import closing
+
 from fake_arm import wrench_message
 from foreign_bag import controller_file, JOINTS, RATE, START
 from multicontact_control.config import (
@@ -10,17 +12,15 @@ from multicontact_control.config import (
     validate,
 )
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.errors import CalibrationError
 from multicontact_control.experiment.scenario import read_controller_files
 from multicontact_control.experiment.weighing import weigh_recording, write_tool
 from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.recorder_node import Bag
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import get_typestore, Stores
 
 TOOL = ToolConfig(mass=1.3, com_sensor=(0.01, -0.03, 0.07),
                   bias_sensor=(2.0, -1.0, 3.0, 0.1, -0.05, 0.02))
@@ -30,36 +30,27 @@ POSES[:, 3:6] = [[0.9, 0.5, -0.8], [1.4, 0.5, -0.8], [0.4, 0.5, -0.8], [0.9, 1.2
 REST, MOVE = 2.0, 0.8  # s
 
 
-def robot_of(file):
-    read = read_controller_files([file])
-    return RobotModel(read.config().robot, read.urdf_dir)
-
-
-def reading_at(robot, q):
-    return TOOL.bias_sensor + weight_reading(
-        robot.update(q, np.zeros(7)).sensor_pose.rotation_world, TOOL,
-        np.array([0.0, 0.0, -9.81]))
-
-
 def recorded(folder, file, poses=POSES, *, offset=700_000, touched=()):
     """Record an arm that is led from pose to pose; its sensor has stamps of its own."""
-    robot, random = robot_of(file), np.random.default_rng(0)
-    store = get_typestore(Stores.ROS2_JAZZY)
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        joint_states, wrenches = (writer.add_connection(
-            f'/{topic.name}', topic.type_name, typestore=store)
+    read, random = read_controller_files([file]), np.random.default_rng(0)
+    robot = RobotModel(read.config().robot, read.urdf_dir)
+    with closing(Bag(folder)) as bag:
+        joint_states, wrenches = (
+            bag.add_topic(f'/{topic.name}', topic.type_name, topic.profile)
             for topic in (topics.JOINT_STATES, topics.WRENCH))
         for k in range(round(len(poses) * (REST + MOVE) * RATE)):
             number, at = divmod(k / RATE, REST + MOVE)
             here, there = poses[int(number)], poses[min(int(number) + 1, len(poses) - 1)]
             q = here + max(at - REST, 0.0) / MOVE * (there - here)
-            wrench = reading_at(robot, q) + random.normal(size=6) * ([0.1] * 3 + [0.01] * 3)
+            wrench = random.normal(size=6) * ([0.1] * 3 + [0.01] * 3) + TOOL.bias_sensor
+            wrench += weight_reading(robot.update(q, np.zeros(7)).sensor_pose.rotation_world,
+                                     TOOL, np.array([0.0, 0.0, -9.81]))
             if int(number) in touched:
                 wrench[0] += 5.0 * np.sin(7.0 * at)
             stamp = START + round(k / RATE * 1e9)
-            writer.write(joint_states, stamp, serialize_message(messages.joint_state_message(
+            bag.write(joint_states, stamp, serialize_message(messages.joint_state_message(
                 stamp, JOINTS, position=q, velocity=np.zeros(7))))
-            writer.write(wrenches, stamp + offset % 10 ** 9, serialize_message(
+            bag.write(wrenches, stamp + offset % 10 ** 9, serialize_message(
                 wrench_message(stamp + offset, wrench, 'wrist')))
     return folder
 
@@ -79,10 +70,3 @@ def test_tool_is_found_from_rests_whatever_the_clocks(tmp_path, offset, touched)
         read_parameters(config_dir() / 'controller.yaml'),
         read_parameters(write_tool(tmp_path, found))))
     assert controller.tool == found.tool()
-
-
-@pytest.mark.ros
-def test_too_few_rests_are_refused(tmp_path):
-    file = controller_file(tmp_path)
-    with pytest.raises(CalibrationError):
-        weigh_recording(recorded(tmp_path / 'few', file, POSES[:2]), [file])

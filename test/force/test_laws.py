@@ -1,15 +1,20 @@
 """Every force law against its own equations, on the contact of eq. 32, and when it takes over."""
 
 from functools import cache
+import re
+import shlex
 from typing import get_args
 
+from multicontact_control.cli.options import SetupOptions
 from multicontact_control.config import ForceConfig, LawName, read_yaml
 from multicontact_control.experiment.law_report import (
     contact_loop,
     design_for_range,
     FASTER,
     margins_of,
+    show_design,
     stable_ratios,
+    write_design,
 )
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.force.force_law import (
@@ -193,7 +198,8 @@ def test_margins_are_where_the_loop_becomes_unstable(name):
 
 
 @pytest.mark.parametrize('name', LAWS)
-def test_design_for_a_range_has_its_margins_on_every_surface(name):
+def test_design_for_a_range_has_its_margins_on_every_surface_and_its_file_is_read(tmp_path, name):
+    """A law knows no contacts: their stiffness is in a setting beside its file."""
     found = design_for_range(
         name, input_delay=DELAY, softest=2000.0, stiffest=8000.0, noise_variance=2.0)
     force = ForceConfig(**found.values)
@@ -206,6 +212,14 @@ def test_design_for_a_range_has_its_margins_on_every_surface(name):
     late = loop_model(config.model_copy(update={'force': force.model_copy(
         update={'input_delay': DELAY + 0.99 * H})}), 8000.0)
     assert spectral_radius(contact_loop(law, late)) < 1.0 + 1e-9
+    path = tmp_path / 'law.yaml'
+    write_design(found, path)
+    for text in (show_design(found), path.read_text()):
+        _, setting = shlex.split(re.search(r"--set '[^']+'", text)[0])
+        read = SetupOptions(scenario='quick', preset=str(path), settings=[setting]).setup()
+        assert read.controller.force == force
+        assert [x.stiffness for x in read.controller.contacts.values()] == pytest.approx(
+            [found.stiffness] * 2, abs=0.5)
 
 
 def test_registry_has_every_law_in_every_place():

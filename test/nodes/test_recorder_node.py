@@ -21,16 +21,13 @@ import pytest
 import rclpy
 from rclpy.duration import Duration
 from rclpy.signals import SignalHandlerOptions
-from ros_graph import end_of, PATIENCE, wait_for
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import get_typestore, Stores
+from ros_graph import end_of, PATIENCE, recorded, wait_for
 from std_msgs.msg import String
 
 pytestmark = pytest.mark.ros
 
 RECORDED = (topics.JOINT_STATES, topics.TRUE_FORCES, topics.WRENCH)
 COUNT, PERIOD = 600, 2_000_000
-STORE = get_typestore(Stores.ROS2_JAZZY)
 CONTROLLER = validate(ControllerConfig, read_parameters(config_dir() / 'controller.yaml'))
 JOINTS = [f'joint{i}' for i in range(1, 7)]
 
@@ -78,12 +75,6 @@ def counts_after(process, folder, number=signal.SIGINT):
     return json.loads((folder / 'counts.json').read_text(encoding='utf-8'))
 
 
-def messages_of(folder, topic):
-    with Reader(folder / 'bag') as reader:
-        return [STORE.deserialize_cdr(data, x.msgtype)
-                for x, _, data in reader.messages() if x.topic == topic]
-
-
 def test_recorder_keeps_every_message_and_what_was_latched_before_it_came(
         middleware, publishers, record, tmp_path):
     description = middleware.node.create_publisher(
@@ -97,9 +88,9 @@ def test_recorder_keeps_every_message_and_what_was_latched_before_it_came(
         assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
     counts = counts_after(process, tmp_path, signal.SIGTERM)
     for topic in RECORDED[:2]:
-        assert [x.effort[0] for x in messages_of(tmp_path, f'/{topic.name}')] == [*range(COUNT)]
+        assert [x.effort[0] for x in recorded(tmp_path / 'bag', topic.name)] == [*range(COUNT)]
     assert (counts['messages'], counts['lost']) == (COUNT * len(RECORDED) + 1, 0)
-    assert [x.data for x in messages_of(tmp_path, '/robot_description')] == ['before it came']
+    assert [x.data for x in recorded(tmp_path / 'bag', 'robot_description')] == ['before it came']
 
 
 def test_recorder_that_is_killed_leaves_a_bag_that_is_read(publishers, record, tmp_path):

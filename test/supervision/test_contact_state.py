@@ -209,9 +209,8 @@ class Asked:
     def move(self, *motion):
         self.source.set_motion(MotionReading(*motion), self.task.sought_normals())
 
-    def ask(self, time, alpha_meas=(0.0, 0.0)):
-        """Return what is asked for, beside measured forces."""
-        self.contacts['alpha_meas'] = alpha_meas
+    def ask(self, time):
+        """Return what is asked for where nothing is felt."""
         self.task.ask(time)
         task = self.controls['task'][0].copy()
         return SimpleNamespace(
@@ -220,10 +219,10 @@ class Asked:
             alpha_des=self.contacts['answer']['alpha_des'].copy())
 
 
-def moving(names=('table', 'board')):
+def moving():
     config = ReferenceConfig(approach=ApproachConfig(start_time=100.0),
                              motion=SineConfig(start_time=0.0, amplitude=0.02))
-    return ScenarioTask(config, rate=1.0 / H, names=names)
+    return ScenarioTask(config, rate=1.0 / H, names=('table', 'board'))
 
 
 def gap(pose):

@@ -53,10 +53,6 @@ def move(loop, start, offset, velocity=(0.0, 0.0, 0.0)):
             [velocity, np.zeros(3)]), np.zeros(6)))
 
 
-def no_wrench(inputs):
-    return inputs._replace(wrench=None)
-
-
 @pytest.mark.parametrize(('cause', 'soon'), [
     ('wrench_stale', 1.0), ('joints_invalid', 1.0), ('clock_rate', 1.0), ('collision_joint2', 5.0),
     ('motion_joint_speed', 5.0), ('law_not_finite', 5.0), ('wrench_sideways', 5.0)])
@@ -89,7 +85,8 @@ def test_gaps_of_the_wrench_are_bridged_and_long_ones_held_with_the_force(plant)
     with pressing(plant) as loop:
         for gap in (1, 2, 5, 10, 20, 50):
             before, _ = advance(loop, 0.2)
-            during, statuses = advance(loop, gap * H, no_wrench)
+            during, statuses = advance(
+                loop, gap * H, lambda inputs: inputs._replace(wrench=None))
             after, later = advance(loop, 0.5)
             error = np.abs(np.concatenate([during, after]) - before.mean(axis=0))
             bridged = gap <= 10
@@ -252,17 +249,9 @@ def elbow_forces(loop, ticks, corrupt=None):
                    felt=lambda: loop.plant.contacts.pressed[ELBOW_WALL])
 
 
-def without_effort(inputs):
-    return inputs._replace(joints=inputs.joints._replace(effort=None))
-
-
 def with_effort(change):
     return lambda inputs: inputs._replace(
         joints=inputs.joints._replace(effort=change(inputs.joints.effort)))
-
-
-def half_the_wrench(inputs):
-    return inputs._replace(wrench=inputs.wrench._replace(wrench=0.5 * inputs.wrench.wrench))
 
 
 def rubbing(folder, **controller):
@@ -276,7 +265,8 @@ def rubbing(folder, **controller):
 
 
 @pytest.mark.parametrize(('plant', 'corrupt', 'joints'), [
-    ('rigid', None, ('joint1', 'joint2')), ('rigid', without_effort, ('joint1', 'joint2')),
+    ('rigid', None, ('joint1', 'joint2')),
+    ('rigid', with_effort(lambda effort: None), ('joint1', 'joint2')),
     ('panda/rigid', None, ('panda_joint2',)), ('iiwa/rigid', None, ('lbr_iiwa_joint_2',))])
 def test_collision_of_15_newtons_is_seen_within_20_ms_and_held_against(
         plant, corrupt, joints):
@@ -342,7 +332,9 @@ def test_undeclared_friction_is_learnt_and_named(tmp_path):
 @pytest.mark.parametrize(('corrupt', 'controller', 'ticks', 'what'), [
     (with_effort(lambda effort: 1000.0 * effort), {}, 20, 'unit and sign'),
     (with_effort(lambda effort: effort * [1, 1, 1, -1, 1, 1, 1]), {}, 20, 'joint alone'),
-    (None, {'tool': {'mass': 1.5}}, 20, 'mass'), (half_the_wrench, {}, 1300, 'robot.sensor_frame'),
+    (None, {'tool': {'mass': 1.5}}, 20, 'mass'),
+    (lambda inputs: inputs._replace(wrench=inputs.wrench._replace(
+        wrench=0.5 * inputs.wrench.wrench)), {}, 1300, 'robot.sensor_frame'),
     (None, {'collision': {'threshold': [4.5, 4.5, 4.5, 1.0, 1.0, 1.0]}}, 220, 'friction.coulomb'),
     (None, {}, 400, 'touches')])
 def test_cause_of_a_collision_is_named(tmp_path, corrupt, controller, ticks, what):

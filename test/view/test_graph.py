@@ -106,18 +106,6 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
     assert rest.moving == '' and np.abs(rest.position_des - later.position_des).max() < 0.002
 
 
-@pytest.mark.parametrize(('name', 'values', 'words'), [
-    (source.FORCES, {'table': 40.0}, '0 or 3 to 30 N'),
-    (source.FORCES, {'floor': 4.0}, r"among \['table', 'board'\]"),
-    (source.TARE, {}, 'let go of them first'),
-    (source.GO_TO, {'position': [0.0, 0.5, 9.0]}, 'position z'),
-    (source.GAINS, dict(zip(source.GAIN_NAMES, (-1.0, 0.02, 60.0))), 'natural_frequency'),
-    (source.SURFACE, {'name': 'table', 'stiffness': -1.0, 'friction': 0.1}, 'stiffness')])
-def test_graph_source_raises_what_a_graph_refuses(shown, name, values, words):
-    with pytest.raises(MulticontactError, match=words):
-        shown.command(name, **values)
-
-
 @pytest.mark.parametrize('robot', robot_parameters(['panda']))
 def test_graph_of_another_arm_is_refused_and_the_right_one_named(shown, domain, robot):
     with pytest.raises(RunError, match='robot.joint_names: expected panda_joint1, .* got joint1'

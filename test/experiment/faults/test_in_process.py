@@ -1,6 +1,5 @@
 """Faults in process: how they are answered and judged, and that the judge can say no."""
 
-
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.fault import REST
 from multicontact_control.experiment.faults.in_process import (
@@ -45,17 +44,11 @@ def test_fault_that_kills_its_process_is_not_safe(world, monkeypatch):
     assert not row.safe and row.problems == 'died'
 
 
-def observed(setup, torque=0.0, **changes):
-    """Return what is seen of a fault to which nothing reacts; the torque steps to a value."""
-    time = np.arange(1.0, RUN_TICKS + 1.0) * setup.controller.period
-    torques = np.zeros((RUN_TICKS, len(setup.controller.robot.joint_names)))
-    torques[5:] = torque
-    return Observation(torques, time, np.zeros(RUN_TICKS), 'none', **changes)
-
-
 @pytest.mark.parametrize('kind', [('nan', 'wrench'), ('nan_q', 'joints')])
 def test_declared_reaction_that_does_not_come_is_not_safe(world, kind):
-    seen = observed(world.setup, reactions=['none'] * RUN_TICKS, lasted=100)
+    seen = Observation(
+        np.zeros((RUN_TICKS, 6)), 0.002 * np.arange(1.0, RUN_TICKS + 1.0), np.zeros(RUN_TICKS),
+        'none', reactions=['none'] * RUN_TICKS, lasted=100)
     assert not judge(FAULTS[kind], 1, world.setup, seen, phase=REST).safe
     seen.reactions = [*['none'] * 2, *['float'] * 598]
     assert judge(FAULTS[kind], 1, world.setup, seen, phase=REST).safe

@@ -26,7 +26,7 @@ from multicontact_control.nodes.graph import ignore, take
 from multicontact_control.nodes.link import GuestNode
 import numpy as np
 import pytest
-from ros_graph import PATIENCE, ROOT, wait_for
+from ros_graph import node_processes, PATIENCE, ROOT, wait_for
 from sim_bridge.new_robot import new_robot
 import yaml
 
@@ -129,7 +129,7 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     assert text.splitlines()[-1].startswith('push test failed'), text
     weighed = (tmp_path / 'runs/latest').resolve()
     running.send_signal(signal.SIGINT)
-    wait_for(lambda: not nodes_of(weighed), 'the end of the first nodes')
+    wait_for(lambda: not node_processes(weighed), 'the end of the first nodes')
     judged = running  # of which there is no need to wait for the figures
     running = shell.multicontact(*second, log='second')
     shell.wait_for_line(running, 'second', 'found /joint_states from ')
@@ -170,12 +170,6 @@ class Listener(GuestNode):
         return True
 
 
-def nodes_of(folder):
-    """Return the nodes of a run, as they are listed."""
-    listed = subprocess.run(['ps', '-ewwo', 'args='], capture_output=True, text=True).stdout
-    return [line for line in listed.splitlines() if line.endswith(f'_node {folder}')]
-
-
 def test_ur_presses_as_documented_and_is_left_with_the_safe_behaviour_by_a_kill(shell, tmp_path):
     """Its driver takes bare efforts without gravity, tells currents and the opposite wrench."""
     block, = re.findall(r'```yaml\n(.*?)```', (ROOT / 'docs/ur.md').read_text('utf-8'), re.S)
@@ -191,10 +185,10 @@ def test_ur_presses_as_documented_and_is_left_with_the_safe_behaviour_by_a_kill(
         arm.wait_until_reached(force_tolerance=1.0, timeout=PATIENCE)
     with Listener(shell.domain_id) as listener:
         wait_for(lambda: listener.poll() and listener.stamps[1], 'measured forces')
-        assert len(nodes_of(tmp_path / 'run')) == 3
+        assert len(node_processes(tmp_path / 'run')) == 3
         running.kill()
         running.wait(PATIENCE)
-        wait_for(lambda: listener.poll() and not nodes_of(tmp_path / 'run'), 'their end')
+        wait_for(lambda: listener.poll() and not node_processes(tmp_path / 'run'), 'their end')
         answered, controlled = listener.stamps
         assert answered - controlled > 30_000_000
 

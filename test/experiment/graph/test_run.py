@@ -15,16 +15,15 @@ from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.graph import domain
 from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.experiment.graph.run import run_graph
-from multicontact_control.experiment.graph.spec import GraphSpec, START_ORDER
+from multicontact_control.experiment.graph.spec import GraphSpec
 from multicontact_control.experiment.results import load_run
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM, TOPICS
 import numpy as np
 import pytest
-from ros_graph import end_of, PATIENCE, ROOT, start_graph, wait_for
+from ros_graph import end_of, node_processes, PATIENCE, recorded, ROOT, start_graph
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import get_typestore, Stores
 from runs import run_of
 
 pytestmark = pytest.mark.ros
@@ -32,7 +31,6 @@ pytestmark = pytest.mark.ros
 TICKS, ENDLESS = 1000, 50_000
 CONTROL_TOPICS = [f'/{topic.name}' for topic in TOPICS if topic.rate == 'control']
 ADAPTIVE_TOPICS = [f'/{topic.name}' for topic in (topics.STIFFNESS, topics.STABILITY_MARGIN)]
-STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
 def make_spec(folder, *, plant='rigid', ticks=TICKS, seed=0, estimator='lead_window', preset='',
@@ -45,35 +43,9 @@ def make_spec(folder, *, plant='rigid', ticks=TICKS, seed=0, estimator='lead_win
         reference_file=config / 'reference.yaml', **options)
 
 
-def read(bag, name):
-    """Return the messages of one topic of a bag."""
-    with Reader(bag) as reader:
-        connections = [x for x in reader.connections if x.topic == f'/{name.lstrip("/")}']
-        return [STORE.deserialize_cdr(data, connection.msgtype)
-                for connection, _, data in reader.messages(connections)]
-
-
 def counts(bag):
     with Reader(bag) as reader:
         return {x.topic: x.msgcount for x in reader.connections if x.topic in CONTROL_TOPICS}
-
-
-def node_processes(folder):
-    """Return the processes of a run in a folder, by node name, as `ps` lists them."""
-    listed = subprocess.run(['ps', '-ewwo', 'pid=,args='], capture_output=True, text=True).stdout
-    return {command: int(pid) for pid, command, *rest in map(str.split, listed.splitlines())
-            if rest == [str(folder)] and command in START_ORDER}
-
-
-def once(work):
-    """Return what does some work the first time it is called."""
-    done = []
-
-    def call(progress):
-        if not done:
-            done.append(progress)
-            work()
-    return call
 
 
 @pytest.mark.slow
@@ -92,16 +64,16 @@ def test_graph_is_the_run_in_process_bit_for_bit(
     run = run_of(setup, supervised=supervised)
     events = [(pytest.approx(time), what) for time, what in run.events]
     assert [tuple(event) for event in result.timing[CONTROLLER]['events']] == events
-    commands = read(result.bag, topics.EFFORT_COMMAND.name)
+    commands = recorded(result.bag, topics.EFFORT_COMMAND.name)
     torque = np.array([message.effort for message in commands])
-    variance = np.array([x.effort for x in read(result.bag, topics.NOISE_VARIANCE.name)])
+    variance = np.array([x.effort for x in recorded(result.bag, topics.NOISE_VARIANCE.name)])
     assert torque.tobytes() == run.data.torque.tobytes()
     assert variance.tobytes() == run.data.noise_variance.tobytes()
     for series, field in (('stiffness_est', 'position'), ('stiffness', 'effort')):
-        found = np.array([getattr(x, field) for x in read(result.bag, topics.STIFFNESS.name)])
+        found = np.array([getattr(x, field) for x in recorded(result.bag, topics.STIFFNESS.name)])
         if found.size:
             assert found.tobytes() == getattr(run.data, series).tobytes()
-    assert [message.clock for message in read(result.bag, topics.CLOCK.name)] == [
+    assert [message.clock for message in recorded(result.bag, topics.CLOCK.name)] == [
         message.header.stamp for message in commands]
     sim = result.timing[SIM]
     assert sim['ticks'] == TICKS and result.timing[RECORDER]['lost'] == 0
@@ -116,15 +88,15 @@ def test_free_run_records_every_sample_at_its_rate_and_counts_misses(tmp_path):
     seen = []
     result = run_graph(spec, seen.append)
     assert result.timing[SIM]['ticks'] == TICKS
-    stamps = [message.header.stamp for message in read(result.bag, TOPICS[0].name)]
+    stamps = [message.header.stamp for message in recorded(result.bag, TOPICS[0].name)]
     steps = np.diff([stamp.sec * 10**9 + stamp.nanosec for stamp in stamps])
     np.testing.assert_array_equal(steps[steps > 0], 2_000_000)
     assert 0 <= result.timing[SIM]['deadline_misses'] <= TICKS
-    efforts = [tuple(message.data) for message in read(result.bag, 'bare/efforts')]
-    commands = [tuple(message.effort) for message in read(result.bag, topics.EFFORT_COMMAND.name)]
+    efforts = [tuple(message.data) for message in recorded(result.bag, 'bare/efforts')]
+    commands = [tuple(x.effort) for x in recorded(result.bag, topics.EFFORT_COMMAND.name)]
     assert efforts and set(efforts) <= set(commands)
-    reporters = {status.name.split(':')[0] for message in read(result.bag, topics.DIAGNOSTICS.name)
-                 for status in message.status}
+    reporters = {status.name.split(':')[0] for status in sum(
+        (x.status for x in recorded(result.bag, topics.DIAGNOSTICS.name)), [])}
     assert reporters == {CONTROLLER, ESTIMATOR, RECORDER, SIM}
     assert seen and set(seen[-1].forces) == {'table', 'board'}
     assert [x.time for x in seen] == sorted(x.time for x in seen)
@@ -133,9 +105,9 @@ def test_free_run_records_every_sample_at_its_rate_and_counts_misses(tmp_path):
 @pytest.mark.parametrize('name', [CONTROLLER, ESTIMATOR, RECORDER, SIM])
 def test_node_that_is_killed_ends_the_run_and_is_named(tmp_path, name):
     _, spec = make_spec(tmp_path, ticks=ENDLESS)
-    kill = once(lambda: os.kill(node_processes(tmp_path)[name], signal.SIGKILL))
+    kills = (os.kill(node_processes(tmp_path)[name], signal.SIGKILL) for _ in range(1))
     with pytest.raises(RunError, match=f'^{name} was killed by SIGKILL; the end of .*{name}.log'):
-        run_graph(spec, kill)
+        run_graph(spec, lambda progress: next(kills, None))
     assert node_processes(tmp_path) == {}
     if name != RECORDER:
         assert counts(spec.bag)[CONTROL_TOPICS[0]] > 0
@@ -148,16 +120,6 @@ def test_node_that_cannot_start_ends_the_run_with_its_log(tmp_path):
     with pytest.raises(RunError, match='controller_node cannot configure(.|\n)*joint7'):
         run_graph(spec)
     assert node_processes(tmp_path) == {}
-
-
-def test_nodes_end_when_the_process_that_started_them_is_killed(tmp_path):
-    parent = subprocess.Popen(
-        [sys.executable, '-m', 'multicontact_control.cli', 'run', '--plant', 'rigid', '--out',
-         str(tmp_path / 'run')], env={**os.environ, 'PYTHONPATH': str(ROOT)})
-    wait_for(lambda: len(node_processes(tmp_path / 'run')) == 4, 'nodes started')
-    parent.kill()
-    parent.wait()
-    assert wait_for(lambda: not node_processes(tmp_path / 'run'), 'nodes ended')
 
 
 @pytest.mark.slow
@@ -236,7 +198,7 @@ def test_two_graphs_in_one_domain_record_their_own_topics_only(tmp_path):
             found = {x.topic: x.msgcount for x in reader.connections}
         assert {x for x in found if not x.startswith(f'/{side}/')} == {'/clock'}
         assert found[f'/{side}/joint_states'] == found[f'/{side}/joint_effort_command'] == TICKS
-    wrenches = [read(folder / 'bag', f'/{side}/ft_sensor/wrench')[-1].wrench.force.z
+    wrenches = [recorded(folder / 'bag', f'/{side}/ft_sensor/wrench')[-1].wrench.force.z
                 for folder, side in zip(folders, sides)]
     assert wrenches[0] != wrenches[1]  # the seeds differ, and so do the graphs
 

@@ -23,36 +23,28 @@ def study(name, law='', **choices):
     return study_of(select(config, choices))
 
 
-def setup_of(ratio, damping_rate=60.0, controller=None, **plant):
-    """Return a run on surfaces of another stiffness, without noise, friction and roughness."""
-    surface = {'stiffness': 6000.0 * ratio, 'roughness_std': 0.0, 'friction': 0.0}
-    return resolve(
-        'step', plant='rigid', duration=3.5,
-        noise_estimator={'estimator': 'fixed', 'fixed_variance': 0.6},
-        controller={**(controller or {}), 'friction': {'coulomb': [], 'viscous': []}, 'force': {
-            'damping_rate': damping_rate, 'input_delay': 0.002}},
-        plant_overrides={
-            **plant, 'actuator_delay_ticks': 1, 'joint_friction_scale': 0.0,
-            'sensor': {'noise': False, 'quantise': False},
-            'surfaces': {'table': surface, 'board': surface}})
-
-
-def settles(setup):
-    return metrics_row(measure_run(setup, supervised=False))['settled']
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize('damping_rate', [20.0, 60.0, 100.0])
 def test_linear_boundary_is_the_simulated_one_within_a_tenth(damping_rate):
     """With R fixed, the model's T_d that of the actuator, no friction, roughness or noise."""
     def setup(ratio):
-        return setup_of(ratio, damping_rate, substep=2.5e-4)
+        surface = {'stiffness': 6000.0 * ratio, 'roughness_std': 0.0, 'friction': 0.0}
+        return resolve(
+            'step', plant='rigid', duration=3.5,
+            noise_estimator={'estimator': 'fixed', 'fixed_variance': 0.6},
+            controller={'friction': {'coulomb': [], 'viscous': []}, 'force': {
+                'damping_rate': damping_rate, 'input_delay': 0.002}},
+            plant_overrides={
+                'substep': 2.5e-4, 'actuator_delay_ticks': 1, 'joint_friction_scale': 0.0,
+                'sensor': {'noise': False, 'quantise': False},
+                'surfaces': {'table': surface, 'board': surface}})
 
     loop = ArmLoop(setup(1.0))
     linear = loop.boundary(0.6)
     assert loop.radius(0.6)(linear) == pytest.approx(1.0, abs=1e-5)
-    assert settles(setup(0.9 * linear))
-    assert not settles(setup(1.1 * linear))
+    for share, settles in ((0.9, True), (1.1, False)):
+        run = measure_run(setup(share * linear), supervised=False)
+        assert metrics_row(run)['settled'] == settles
     # What eq. 32 leaves out makes it more robust.
     assert loop.boundary(0.6, paper=True) < 0.9 * linear
 

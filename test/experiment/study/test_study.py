@@ -12,7 +12,6 @@ from multicontact_control.experiment.study.table import (
     good_values,
     listing_of,
     sentences,
-    worst,
 )
 import numpy as np
 import pandas as pd
@@ -49,11 +48,6 @@ def cells_of(frame, **study):
     config = StudyConfig(name='s', scenario='step', **study)
     shown, = listing_of(frame, config).values()
     return list(shown), shown.to_numpy().tolist()
-
-
-def test_star_is_the_worst_contact(frame):
-    np.testing.assert_array_equal(worst(frame, RISE), [0.0, 9.0, 2.0, 3.0, 4.0, 5.0])
-    assert worst(frame, 'contacts.*.none').isna().all() and worst(frame, 'error').isna().all()
 
 
 def test_lines_are_statistics_over_the_seeds(frame):
