@@ -248,7 +248,7 @@ class MultiContactClient(ControllerLink):
         status = self.status()
         if status is None or not self._commanded:
             return ''
-        if status.reaction != 'none':
+        if status.reaction not in ('none', 'inflate'):  # control goes on with a larger R
             return status.text
         states = dict(each.split(' ', 1) for each in status.contacts.split(', ') if each)
         return ', '.join(f'{name} is {states[name]}' for name, force in self._commanded.items()
