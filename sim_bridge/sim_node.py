@@ -57,8 +57,8 @@ from std_msgs.msg import Header, String
 MAX_LATE_PERIODS = 2
 CATCH_UP = NANOSECONDS // 10  # lag behind the wall clock that lockstep makes up for [ns]
 RESEND_PERIOD, RESEND_PERIOD_GATED = 1.0, 10.0
-ANSWER_TIMEOUT = 3.0  # s, longest wait for a command in lockstep
-RESENDS = 5  # times that a sample is sent in lockstep within that
+ANSWER_TIMEOUT = 10.0  # s, longest wait for a command in lockstep
+RESENDS = 16  # times that a sample is sent in lockstep within that
 WAIT_FRACTION = 0.5  # of a period: time for the command of a sample before the plant moves on
 COMMAND_TIMEOUT = 0.05  # s without a command, free-running; then the drives hold their position
 TOOL = 'tool'

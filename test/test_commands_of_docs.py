@@ -38,7 +38,7 @@ NODES = {CONTROLLER, ESTIMATOR, RECORDER, SIM}
 # Files that are the reader's own.
 YOURS = {'my_arm.urdf', 'arm.urdf', 'my_arm.yaml', 'controller.yaml', 'tool.yaml'}
 OTHERS = ('. ', 'cp', 'dask', 'franka_bridge', 'python docs/', 'python3 -m venv', 'ros2 bag',
-          'ros2 launch foxglove_bridge', 'ros2 param set /sim_node surfaces.',
+          'ros2 launch foxglove_bridge', 'ros2 param set /sim_node ',
           'ros2 topic pub --once /sim_node/push', 'ros2 run robot_state_publisher',
           'ros2 run tf2_ros', 'ssh', 'pip install', 'strict/bin/', 'tsid/bin/pip install')
 

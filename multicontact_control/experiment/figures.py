@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 import re
 from textwrap import shorten
@@ -194,3 +194,18 @@ def _draw_panel(
     if len(panel.traces) > 1:  # above, where it covers nothing
         axes.legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=len(panel.traces),
                     borderaxespad=0.1, frameon=False, fontsize=8)
+
+
+def draw_latency(summary: Mapping[str, Any], folder: Path) -> None:
+    """Draw how long the answers to samples took, from ``summary.json``, as latency.png."""
+    timing, sheet = summary['timing'], Figure(figsize=(9.0, 4.0), layout='constrained')
+    axes, histogram = sheet.subplots(), timing['latency_histogram']
+    axes.stairs(histogram['counts'], histogram['edges_us'], fill=True, color=COLOURS[0])
+    marks = {**{name: timing['latency_us'][name] for name in ('p50', 'p99', 'max')},
+             'period': 1e6 / summary['rate_hz']}
+    for (name, value), colour in zip(marks.items(), COLOURS[1:]):
+        axes.axvline(value, color=colour, linestyle='--', label=f'{name} {value:.0f} us')
+    axes.legend()
+    axes.set(xscale='log', xlabel='from a sample to its command [us]', ylabel='samples')
+    axes.set_title(f'Latency: {timing["deadline_misses"]} of {summary["ticks"]} deadlines missed')
+    sheet.savefig(folder / 'latency.png', dpi=130)

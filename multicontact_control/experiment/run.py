@@ -16,7 +16,7 @@ from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import print_summary, progress_bar
-from multicontact_control.experiment.figures import draw_figures
+from multicontact_control.experiment.figures import draw_figures, draw_latency
 from multicontact_control.experiment.judge import (
     EXTERNAL_RUN,
     INTERRUPTED,
@@ -201,6 +201,8 @@ def _finish(data: RunData, setup: Setup, folder: Path, summary: dict[str, Any]) 
     """Judge the claims, write figures and summary, show the table."""
     summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
     draw_figures(data, setup, folder / FIGURE_FOLDER, verdict=verdict_text(summary))
+    if summary['timing'].get('latency_histogram'):
+        draw_latency(summary, folder / FIGURE_FOLDER)
     write_json(folder / SUMMARY_FILE, finite(summary))
     print_summary(CONSOLE, summary, folder)
     return summary
