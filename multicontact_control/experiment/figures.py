@@ -199,10 +199,9 @@ def _draw_panel(
 def draw_latency(summary: Mapping[str, Any], folder: Path) -> None:
     """Draw how long the answers to samples took, from ``summary.json``, as latency.png."""
     timing, sheet = summary['timing'], Figure(figsize=(9.0, 4.0), layout='constrained')
-    axes, histogram = sheet.subplots(), timing['latency_histogram']
-    axes.stairs(histogram['counts'], histogram['edges_us'], fill=True, color=COLOURS[0])
-    marks = {**{name: timing['latency_us'][name] for name in ('p50', 'p99', 'max')},
-             'period': 1e6 / summary['rate_hz']}
+    axes, (edges, counts) = sheet.subplots(), timing['latency_histogram'].values()
+    axes.stairs(counts, edges, fill=True, color=COLOURS[0])
+    marks = timing['latency_us'] | {'period': 1e6 / summary['rate_hz']}
     for (name, value), colour in zip(marks.items(), COLOURS[1:]):
         axes.axvline(value, color=colour, linestyle='--', label=f'{name} {value:.0f} us')
     axes.legend()
