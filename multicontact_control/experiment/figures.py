@@ -204,7 +204,6 @@ def draw_latency(summary: Mapping[str, Any], folder: Path) -> None:
     marks = timing['latency_us'] | {'period': 1e6 / summary['rate_hz']}
     for (name, value), colour in zip(marks.items(), COLOURS[1:]):
         axes.axvline(value, color=colour, linestyle='--', label=f'{name} {value:.0f} us')
-    axes.legend()
+    axes.legend(title=f'{timing["deadline_misses"]} of {summary["ticks"]} deadlines missed')
     axes.set(xscale='log', xlabel='from a sample to its command [us]', ylabel='samples')
-    axes.set_title(f'Latency: {timing["deadline_misses"]} of {summary["ticks"]} deadlines missed')
     sheet.savefig(folder / 'latency.png', dpi=130)
