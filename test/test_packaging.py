@@ -52,7 +52,7 @@ def test_both_packages_are_installed_with_all_files(keywords):
 def test_every_import_is_declared(keywords):
     extras = keywords['extras_require']
     declared = {Requirement(line).name.lower() for line in sum(
-        (extras.get(name, []) for name in ('dask', 'mujoco', 'view')),
+        (extras.get(name, []) for name in ('dask', 'franka', 'mujoco', 'view')),
         keywords['install_requires'])}
     outside = {target.split('.')[0] for targets in imports().values()
                for target in targets} - set(PACKAGES) - sys.stdlib_module_names
@@ -64,7 +64,7 @@ def test_every_import_is_declared(keywords):
 
 def test_console_scripts_exist(keywords):
     scripts = dict(line.split(' = ') for line in keywords['entry_points']['console_scripts'])
-    assert set(scripts) == NODES | {'multicontact'}
+    assert set(scripts) == {*NODES, 'franka_bridge', 'multicontact'}
     for target in scripts.values():
         module, function = target.split(':')
         assert function in Path(find_spec(module).origin).read_text(encoding='utf-8')
@@ -141,7 +141,7 @@ def test_colcon_installs_what_ros2_looks_for(tmp_path):
             check=False)
 
     assert {path.name for path in folder.iterdir() if os.access(path, os.X_OK)} == {
-        *NODES, 'multicontact'}
+        *NODES, 'franka_bridge', 'multicontact'}
     assert (share / NAME / 'package.xml').is_file()
     assert (share / 'ament_index/resource_index/packages' / NAME).is_file()
     done = run(sys.executable, '-c',
