@@ -33,12 +33,7 @@ from multicontact_control.nodes.diagnostics import (
     message_status,
     Status,
 )
-from multicontact_control.nodes.graph import (
-    create_publisher,
-    Refusals,
-    StartupConfig,
-    StartupGate,
-)
+from multicontact_control.nodes.graph import create_publisher, Refusals, StartupConfig, StartupGate
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import named_reader, NamedReading, StreamPublisher

@@ -19,11 +19,7 @@ from multicontact_control.cli.options import RunOptions
 from multicontact_control.client import ArmState, MultiContactClient
 from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, RECORDER, SIM
 from multicontact_control.experiment.results import load_run
-from multicontact_control.experiment.study.config import (
-    read_choices,
-    read_study,
-    select,
-)
+from multicontact_control.experiment.study.config import read_choices, read_study, select
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.recorder_node import Bag
 import pytest

@@ -23,9 +23,7 @@ from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ToolConfig
 from multicontact_control.contact.geometry import fill_normal_space
-from multicontact_control.contact.projections import (
-    factorise_contacts,
-)
+from multicontact_control.contact.projections import factorise_contacts
 from multicontact_control.records import CONTROL, Records, TOOL
 import numpy as np
 

@@ -7,11 +7,7 @@ from typing import Any, NoReturn
 
 from multicontact_control.arrays import Mask, require_shape, Vector
 from multicontact_control.config import ControllerConfig, ToolConfig
-from multicontact_control.contact.geometry import (
-    check_columns,
-    loop_stiffnesses,
-    place_columns,
-)
+from multicontact_control.contact.geometry import check_columns, loop_stiffnesses, place_columns
 from multicontact_control.contact.wrench import tool_between, tool_record
 from multicontact_control.control.arm import AMBIGUOUS, ArmState
 from multicontact_control.control.law import control_law, DEPENDENT, LIMITED
@@ -20,11 +16,7 @@ from multicontact_control.control.tick import ControlOutput
 from multicontact_control.dynamics.operational_space import STOP_MARGIN, task_inertia
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
-from multicontact_control.errors import (
-    ConfigError,
-    ContactGeometryError,
-    SingularTaskError,
-)
+from multicontact_control.errors import ConfigError, ContactGeometryError, SingularTaskError
 from multicontact_control.force.force_law import act_beyond, continue_laws, make_force_laws
 from multicontact_control.force.observer import rescale
 from multicontact_control.records import CONTACT, CONTROL, LAW, Records

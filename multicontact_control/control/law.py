@@ -4,18 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import (
-    multiply,
-    multiply_transposed,
-    solve_cholesky,
-    solve_lower,
-)
+from multicontact_control.algebra import multiply, multiply_transposed, solve_cholesky, solve_lower
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.contact.projections import (
-    compose_acceleration,
-    factorise_contacts,
-)
+from multicontact_control.contact.projections import compose_acceleration, factorise_contacts
 from multicontact_control.contact.surfaces import follow_surfaces
 from multicontact_control.dynamics.operational_space import (
     add_nullspace_torque,

@@ -13,11 +13,7 @@ import time
 
 from multicontact_control.arrays import Vector
 from multicontact_control.control.controller import ControlOutput
-from multicontact_control.errors import (
-    ContactGeometryError,
-    RunError,
-    SingularTaskError,
-)
+from multicontact_control.errors import ContactGeometryError, RunError, SingularTaskError
 from multicontact_control.experiment.recording import empty_run_data, OF_STIFFNESS, RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.force.noise import Innovation, make_noise_estimator, NoiseEstimator

@@ -16,11 +16,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, ToolConfig
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, ConfigError, RunError
-from multicontact_control.experiment.bag import (
-    JOINT_STATE,
-    read_messages,
-    WRENCH,
-)
+from multicontact_control.experiment.bag import JOINT_STATE, read_messages, WRENCH
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.experiment.scenario import read_controller_files

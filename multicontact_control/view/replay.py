@@ -15,18 +15,8 @@ from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.bag import MARKERS, mcap_files, read_messages
 from multicontact_control.experiment.judge import Event, read_event
-from multicontact_control.experiment.recording import (
-    CUT_OFF,
-    read_bag,
-    RunData,
-    SERIES_FILE,
-)
-from multicontact_control.experiment.results import (
-    BAG_FOLDER,
-    load_setup,
-    run_of,
-    SUMMARY_FILE,
-)
+from multicontact_control.experiment.recording import CUT_OFF, read_bag, RunData, SERIES_FILE
+from multicontact_control.experiment.results import BAG_FOLDER, load_setup, run_of, SUMMARY_FILE
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.files import read_json
 from multicontact_control.supervision.reactions import NONE

@@ -9,12 +9,7 @@ from fake_arm import EFFORT, FakeArm
 from fake_arm import PARAMETERS as STILL
 from multicontact_control.nodes.controller_node import ControllerNode
 from multicontact_control.nodes.lifecycle import FAILURE, FINALIZED, SUCCESS, UNCONFIGURED
-from multicontact_control.nodes.link import (
-    ACTIVATE,
-    CONFIGURE,
-    DEACTIVATE,
-    TransitionError,
-)
+from multicontact_control.nodes.link import ACTIVATE, CONFIGURE, DEACTIVATE, TransitionError
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest

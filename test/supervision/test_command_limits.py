@@ -4,10 +4,7 @@ from arms import controller_config
 from multicontact_control.config import LimitsConfig
 from multicontact_control.contact.geometry import offset_shares
 from multicontact_control.errors import CommandError
-from multicontact_control.supervision.command_limits import (
-    check_position,
-    CommandLimits,
-)
+from multicontact_control.supervision.command_limits import check_position, CommandLimits
 import numpy as np
 import pytest
 

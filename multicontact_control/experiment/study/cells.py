@@ -17,10 +17,7 @@ from multicontact_control.experiment.overrides import (
     value_of,
 )
 from multicontact_control.experiment.scenario import plant_source, resolve, Setup
-from multicontact_control.experiment.study.config import (
-    PartConfig,
-    StudyConfig,
-)
+from multicontact_control.experiment.study.config import PartConfig, StudyConfig
 from multicontact_control.experiment.study.jobs import Job, job_of, RunJob
 
 CHOSEN = ('robot', 'scenario', 'preset')  # factors that choose files

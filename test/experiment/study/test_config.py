@@ -4,11 +4,7 @@ from multicontact_control.cli.options import described
 from multicontact_control.config import NoiseEstimatorConfig, read_yaml
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.study.cells import run_cells
-from multicontact_control.experiment.study.config import (
-    read_choices,
-    read_study,
-    select,
-)
+from multicontact_control.experiment.study.config import read_choices, read_study, select
 from multicontact_control.experiment.study.study import study_of
 from multicontact_control.force.laws import LAWS
 from multicontact_control.force.noise import lead_filter
