@@ -47,7 +47,7 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
     """
     momentum, law, frame, tool = control.momentum, control.law, control.frame, control.tool
     n = joints.shape[0]
-    lever, velocity, inertia, moment = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    lever, velocity, moment = np.empty(3), np.empty(3), np.empty(3)
     for i in range(3):  # to the tool's centre of mass
         lever[i] = frame.sensor_position[i] - frame.position[i]
         for j in range(3):
@@ -58,13 +58,10 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
         if not momentum.is_input:
             # Of what the sensor feels, the arm's model has the tool's inertia already.
             operational_wrench(control, wrench)
-            for k in range(3):
-                inertia[k] = tool.mass * (
-                    velocity[k] - momentum.com_velocity[k]) / momentum.elapsed
+            inertia = tool.mass * (velocity - momentum.com_velocity) / momentum.elapsed
             cross(lever, inertia, moment)
-            for k in range(3):
-                wrench[k] -= inertia[k]
-                wrench[3 + k] -= moment[k]
+            wrench[:3] -= inertia
+            wrench[3:] -= moment
         finite = True
         for i in range(n):
             joint = joints[i]
@@ -125,8 +122,7 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
             limit = joint.threshold + joint.slack
             touched = touched or abs(joint.residual) > factor * limit
         momentum.collided = touched
-    for k in range(3):
-        momentum.com_velocity[k] = velocity[k]
+    momentum.com_velocity[:] = velocity
     return bool(momentum.collided)
 
 
@@ -198,16 +194,9 @@ def see_arm(
         joint.inertia, joint.bias_torque = mass_matrix[j, j], bias_torque[j]
         if abs(joint.velocity) > joint.speed_limit:
             flags = JOINT_SPEED
-    for i in range(3):
-        frame.position[i], frame.sensor_position[i] = position[i], sensor_position[i]
-        for j in range(3):
-            frame.rotation[i, j] = rotation[i, j]
-            frame.sensor_rotation[i, j] = sensor_rotation[i, j]
-    for i in range(6):
-        total = 0.0
-        for j in range(joints.shape[0]):
-            total += jacobian[i, j] * motion[1, j]
-        frame.twist[i] = total
+    frame.position[:], frame.sensor_position[:] = position, sensor_position
+    frame.rotation[:], frame.sensor_rotation[:] = rotation, sensor_rotation
+    multiply(jacobian, motion[1], frame.twist)
     for k in range(3):
         speed += frame.twist[k] ** 2
         turn += frame.twist[3 + k] ** 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from multicontact_control.algebra import dot
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 import numpy as np
@@ -18,8 +19,7 @@ def quaternion_of(rotation: Matrix, quaternion: Vector) -> None:
     Shepperd's method: of the four ways to take the roots, the one without cancellation.
     """
     trace = rotation[0, 0] + rotation[1, 1] + rotation[2, 2]
-    largest = 3
-    greatest = trace
+    largest, greatest = 3, trace
     for i in range(3):
         if rotation[i, i] > greatest:
             largest, greatest = i, rotation[i, i]
@@ -36,12 +36,7 @@ def quaternion_of(rotation: Matrix, quaternion: Vector) -> None:
         quaternion[j] = rotation[j, i] + rotation[i, j]
         quaternion[k] = rotation[k, i] + rotation[i, k]
         quaternion[3] = rotation[k, j] - rotation[j, k]
-    length = 0.0
-    for i in range(4):
-        length += quaternion[i] * quaternion[i]
-    length = np.sqrt(length)
-    for i in range(4):
-        quaternion[i] /= length
+    quaternion /= np.sqrt(dot(quaternion, quaternion))
 
 
 @compiled
@@ -68,12 +63,9 @@ def rotation_vector(rotation_des: Matrix, rotation: Matrix, vector: Vector) -> N
         sine = np.sqrt(quaternion[0] ** 2 + quaternion[1] ** 2 + quaternion[2] ** 2)
         angle = 2.0 * np.arctan2(sine, abs(quaternion[3]))
         sign = 1.0 if quaternion[3] >= 0.0 else -1.0
-        for i in range(3):
-            vector[i] = sign * angle * quaternion[i] / sine
+        vector[:] = sign * angle * quaternion[:3] / sine
     elif sine >= 1e-9:
-        factor = np.arctan2(sine, cosine) / sine
-        for i in range(3):
-            vector[i] *= factor
+        vector *= np.arctan2(sine, cosine) / sine
 
 
 class Pose(NamedTuple):

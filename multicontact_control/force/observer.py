@@ -194,10 +194,9 @@ def correct(observer: Any, innovation: float, noise_variance: float) -> None:
     `observer` is a record of `OBSERVER` after `predict`; innovation y - C x_1 [N], R_k [N^2].
     """
     n, tau = observer.states, observer.damping_time
-    x_est, P, x_1, covariance = observer.x_est, observer.P, observer.x_1, np.empty(n)
+    x_est, P, x_1 = observer.x_est, observer.P, observer.x_1
     if tau != 0.0:
-        for i in range(n):
-            covariance[i] = P[0, i] + tau * P[1, i]
+        covariance = P[0, :n] + tau * P[1, :n]
         total_variance = covariance[0] + tau * covariance[1] + noise_variance
         for i in range(n):
             x_est[i] = x_1[i] + covariance[i] / total_variance * innovation
@@ -205,9 +204,7 @@ def correct(observer: Any, innovation: float, noise_variance: float) -> None:
                 P[i, j] -= covariance[i] * covariance[j] / total_variance
                 P[j, i] = P[i, j]
         return
-    total_variance = P[0, 0] + noise_variance
-    for i in range(n):
-        covariance[i] = P[0, i]
+    covariance, total_variance = P[0, :n].copy(), P[0, 0] + noise_variance
     remainder = noise_variance / total_variance
     for i in range(n):
         gain = covariance[i] / total_variance
@@ -286,10 +283,8 @@ def observe(observer: Any, contact: Any, measured: bool, rate: float) -> None:
     n, tau, P = observer.states, observer.damping_time, observer.P
     x_est, x_1, answer = observer.x_est, observer.x_1, contact.answer
     if not observer.running:
-        for i in range(n):
-            x_est[i] = 0.0
-            for j in range(n):
-                P[i, j] = observer.P_0 if i == j else 0.0
+        x_est[:] = 0.0
+        P[:n, :n] = observer.P_0 * np.eye(n)
         x_est[0], x_est[1] = contact.alpha_meas, rate
         P[1, 1] += rate * rate
         observer.running = True
@@ -301,7 +296,6 @@ def observe(observer: Any, contact: Any, measured: bool, rate: float) -> None:
             answer.variance_used = contact.noise_variance
             correct(observer, answer.innovation, contact.noise_variance)
         else:
-            for i in range(n):
-                x_est[i] = x_1[i]
+            x_est[:] = x_1
     answer.alpha_est = x_est[0] + tau * x_est[1]
     answer.alpha_rate_est = x_est[1]

@@ -218,16 +218,12 @@ def use_stiffness(observer: Any, stiffness: Any, k: float, c: float) -> None:
     factor = k / stiffness.k
     n, plain = observer.states, observer.states - observer.order
     if factor != 1.0:
-        for i in range(2):
-            for j in range(2, n):
-                observer.Phi_n[i, j] *= factor
-                observer.Phi_c[i, j] *= factor
-            observer.Gamma[i] *= factor
+        observer.Phi_n[:2, 2:n] *= factor
+        observer.Phi_c[:2, 2:n] *= factor
+        observer.Gamma[:2] *= factor
         observer.x_est[1] *= factor
-        for j in range(n):
-            observer.P[1, j] *= factor
-        for j in range(n):
-            observer.P[j, 1] *= factor
+        observer.P[1, :n] *= factor
+        observer.P[:n, 1] *= factor
     stiffness.k = k
     stiffness.c = c
     observer.damping_time = c / k
@@ -295,9 +291,7 @@ def find_stiffness(
     if not stiffness.felt:
         if alpha <= BEGIN:
             return
-        for i in range(4):
-            for j in range(4):
-                stiffness.slow.stages[i, j] = stiffness.fast.stages[i, j] = 0.0
+        stiffness.slow.stages[:] = stiffness.fast.stages[:] = 0.0
         stiffness.slow.stages[3, 0] = stiffness.fast.stages[3, 0] = alpha
         stiffness.slow.speed = stiffness.fast.speed = 0.0
         stiffness.since = 0.0

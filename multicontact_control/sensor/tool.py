@@ -22,6 +22,7 @@ MAX_JOINT_SPEED = 0.02  # rad/s, mean during a tare, so that no inertia counts a
 MIN_POSES = 4
 MAX_CONDITION = 30.0  # of the equations; a tilt of some 6 degrees
 NOTHING_HANGS = 3.0  # standard errors below which a mass is none
+MAX_FORCE_RESIDUAL, MAX_TORQUE_RESIDUAL = 0.5, 0.05  # N, N m: rms of what a fit leaves of an axis
 
 
 class TareConfig(Config):
@@ -31,15 +32,6 @@ class TareConfig(Config):
         0.5, 'Largest standard deviation of a force axis.', unit='N', gt=0.0)
     max_torque_std: Real = parameter(
         0.05, 'Largest standard deviation of a torque axis.', unit='N m', gt=0.0)
-
-
-class IdentificationConfig(Config):
-    """Limits within which an identification is accepted."""
-
-    max_force_residual: Real = parameter(
-        0.5, 'Largest rms of what the fit leaves of a force axis.', unit='N', gt=0.0)
-    max_torque_residual: Real = parameter(
-        0.05, 'Largest rms of what the fit leaves of a torque axis.', unit='N m', gt=0.0)
 
 
 class PoseReading(NamedTuple):
@@ -149,10 +141,7 @@ def tare_bias(
     return mean - weight_reading(rotation_world, tool, gravity_world)
 
 
-def identify_tool(
-    readings: Sequence[PoseReading], gravity_world: Vector,
-    config: IdentificationConfig | None = None,
-) -> Identification:
+def identify_tool(readings: Sequence[PoseReading], gravity_world: Vector) -> Identification:
     """
     Identify mass, centre of mass and bias by linear least squares.
 
@@ -162,8 +151,6 @@ def identify_tool(
         One mean reading per pose, at rest, nothing touching the tool.
     gravity_world
         g, shape (3,) [m/s^2].
-    config
-        When to accept the result.
 
     Raises
     ------
@@ -171,7 +158,7 @@ def identify_tool(
         If there are too few poses or they are too similar, or if no tool makes such readings.
 
     """
-    config, poses = config or IdentificationConfig(), len(readings)
+    poses = len(readings)
     if poses < MIN_POSES:
         raise CalibrationError(f'poses: expected at least {MIN_POSES}, got {poses}')
     scale = float(np.sqrt(gravity_world @ gravity_world))
@@ -193,8 +180,8 @@ def identify_tool(
             'flipped?')
     residual = np.sqrt(np.mean(left ** 2, axis=(0, 2))).tolist()
     for what, found, limit, unit in zip(
-            ('force', 'torque'), residual,
-            (config.max_force_residual, config.max_torque_residual), ('N', 'N m')):
+            ('force', 'torque'), residual, (MAX_FORCE_RESIDUAL, MAX_TORQUE_RESIDUAL),
+            ('N', 'N m')):
         if found > limit:
             raise CalibrationError(
                 f'residual {what}: expected at most {limit:g} {unit}, got {found:.3g} {unit}; '

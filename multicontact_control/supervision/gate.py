@@ -1,8 +1,4 @@
-"""
-The last step of a tick: what leaves it goes over smoothly from the torque before.
-
-It is finite, within every limit, and brakes joints before their stops.
-"""
+"""The last step of a tick: a torque goes over smoothly from the one before, within limits."""
 
 from __future__ import annotations
 
@@ -41,10 +37,7 @@ def gate_torque(
     were ever known, and are known now, `begun` whether there was a torque before.
     """
     enforced, n = 0, torque.shape[0]
-    finite = True
-    for j in range(n):
-        finite = finite and np.isfinite(torque[j])
-    if not finite:
+    if not np.isfinite(torque).all():
         enforced = NOT_FINITE
         for j in range(n):
             carried = joints[j].bias_torque

@@ -112,8 +112,7 @@ def _check_clock(time: float, state: Any, settings: Any) -> int:
         return INVALID
     state.time = time
     if time < before:
-        for i in range(3):
-            state.seen[i] = state.valid[i] = np.nan
+        state.seen[:] = state.valid[:] = np.nan
         state.odd_periods = 0
         return BACKWARDS
     skipped = time - before - settings.period
@@ -177,8 +176,7 @@ def _check_joints(
     known, jumped = state.known[JOINTS], jumped and state.known[JOINTS]
     contradicted = velocities.check_velocities(
         joints, history, span, known and not jumped, state, settings.period)
-    for j in range(motion.shape[1]):
-        joints[2, j], joints[3, j] = joints[0, j], joints[1, j]
+    joints[2:4] = joints[:2]
     if distrusted or jumped:
         state.distrust = settings.recovery_ticks if jumped else state.distrust - 1
         return JUMP
@@ -194,8 +192,7 @@ def _check_joints(
     state.begins = moves and state.states <= velocities.PROOF
     estimated = state.silent or state.doubted or contradicted or state.begins
     source = velocities.V_TRACKED if estimated else 1
-    for j in range(motion.shape[1]):
-        motion[0, j], motion[1, j] = joints[0, j], joints[source, j]
+    motion[0], motion[1] = joints[0], joints[source]
     return VELOCITY if contradicted else FINE
 
 
@@ -214,8 +211,7 @@ def _take_wrench(state: Any, settings: Any) -> int:
     state.fault = SATURATED if saturated else FINE
     if not possible:
         state.faults += int(saturated)
-        for i in range(6):
-            state.filtered[i] = state.raw[i]  # without guards the law finds it
+        state.filtered[:] = state.raw  # without guards the law finds it
         return SATURATED if saturated else INVALID
     a, b, memory = settings.a, settings.b, state.memory
     begins = np.isnan(memory[0, 0])
@@ -291,8 +287,7 @@ def check_inputs(
     valid, problem, h = state.valid, verdict.problem, settings.period
     joint_stamp = valid[JOINTS]
     if commanded:
-        for j in range(last.shape[0]):
-            commands[state.commands % commands.shape[0], j] = last[j]
+        commands[state.commands % commands.shape[0]] = last
         state.commands += 1
     problem[CLOCK] = _check_clock(stamps[CLOCK], state, settings)
     for i in range(3):
@@ -314,8 +309,7 @@ def check_inputs(
         if fault != FINE:
             problem[WRENCH] = fault
         if problem[WRENCH] == FINE:
-            for i in range(6):
-                wrench[i] = state.filtered[i]
+            wrench[:] = state.filtered
             valid[WRENCH], state.known[WRENCH] = stamps[WRENCH], True
         elif problem[WRENCH] == FROZEN:
             valid[WRENCH] = stamps[WRENCH] - h * (state.equal_wrenches - 1)
@@ -325,8 +319,7 @@ def check_inputs(
                 problem[VARIANCE] = INVALID
     if problem[VARIANCE] == FINE:
         valid[VARIANCE] = stamps[VARIANCE]
-        for i in range(new_variance.shape[0]):
-            noise_variance[i] = min(max(new_variance[i], VARIANCE_FLOOR), VARIANCE_CEILING)
+        noise_variance[:] = np.minimum(np.maximum(new_variance, VARIANCE_FLOOR), VARIANCE_CEILING)
     for i in range(3):
         age = state.time - valid[i]
         verdict.stale[i] = age > settings.max_age[i] or (np.isnan(age) and i != VARIANCE)
@@ -335,8 +328,7 @@ def check_inputs(
     verdict.stale[WRENCH] = verdict.stale[WRENCH] or state.faults >= FAULTS
     verdict.stale[CLOCK] = problem[CLOCK] != FINE
     if verdict.stale[VARIANCE]:
-        for i in range(new_variance.shape[0]):
-            noise_variance[i] = min(noise_variance[i] * VARIANCE_GROWTH, VARIANCE_CEILING)
+        noise_variance[:] = np.minimum(noise_variance * VARIANCE_GROWTH, VARIANCE_CEILING)
     moved, total = False, 0.0  # a driver that measures no torque may say 0, or NaN
     for j in range(joints.shape[0]):
         moved = moved or joints[j].effort != 0.0

@@ -4,9 +4,11 @@ from collections import namedtuple
 from dataclasses import dataclass
 import math
 
-from multicontact_control.experiment.faults.fault import ClockShift, Edit, Fault
 from multicontact_control.experiment.faults.vocabulary import (
     CLOCK,
+    ClockShift,
+    Edit,
+    Fault,
     FAULTS,
     FLOAT,
     INFLATE,

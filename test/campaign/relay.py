@@ -10,8 +10,7 @@ import sys
 
 from campaign.graph_faults import GRAPH_FAULTS, Resending
 from fake_arm import wrench_message
-from multicontact_control.experiment.faults.fault import Edit
-from multicontact_control.experiment.faults.vocabulary import CLOCK, PERIOD
+from multicontact_control.experiment.faults.vocabulary import CLOCK, Edit, PERIOD
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.runtime import EventsExecutor, start_ros
 import numpy as np

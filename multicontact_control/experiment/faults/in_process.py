@@ -8,19 +8,19 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.fault import (
+from multicontact_control.experiment.faults.judge import FaultRow, judge, Observation
+from multicontact_control.experiment.faults.vocabulary import (
     Breakdown,
     ClockShift,
     Delivery,
     Edit,
+    FAR,
     Fault,
     PlantEdit,
     Random,
     START,
     TWO,
 )
-from multicontact_control.experiment.faults.judge import FaultRow, judge, Observation
-from multicontact_control.experiment.faults.vocabulary import FAR
 from multicontact_control.experiment.scenario import plant_source, resolve, Setup
 from multicontact_control.supervision.inputs import TickInputs
 from multicontact_control.supervision.reactions import SEVERITY

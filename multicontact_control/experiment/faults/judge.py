@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.experiment.faults.fault import Fault, REST, SLIDING
+from multicontact_control.experiment.faults.vocabulary import Fault, REST, SLIDING
 from multicontact_control.experiment.metrics import torque_limit
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.scenario import Setup

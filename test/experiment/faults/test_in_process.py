@@ -1,10 +1,9 @@
 """Faults in process: how they are answered and judged, and that the judge can say no."""
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.fault import REST
 from multicontact_control.experiment.faults.in_process import RUN_TICKS, together, with_obstacles
 from multicontact_control.experiment.faults.judge import judge, Observation
-from multicontact_control.experiment.faults.vocabulary import FAULTS
+from multicontact_control.experiment.faults.vocabulary import FAULTS, REST
 from multicontact_control.experiment.study.presets.faults import in_fork
 import numpy as np
 import pytest

@@ -12,18 +12,19 @@ import traceback
 from typing import Any
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.fault import (
+from multicontact_control.experiment.faults.in_process import run_fault, together, with_obstacles
+from multicontact_control.experiment.faults.judge import FaultRow
+from multicontact_control.experiment.faults.vocabulary import (
     APPROACH,
     Fault,
+    FAULTS,
+    pairs_of_faults,
     PHASES,
     REST,
     SLIDING,
     START,
     TWO,
 )
-from multicontact_control.experiment.faults.in_process import run_fault, together, with_obstacles
-from multicontact_control.experiment.faults.judge import FaultRow
-from multicontact_control.experiment.faults.vocabulary import FAULTS, pairs_of_faults
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.cells import Cell
 from multicontact_control.experiment.study.jobs import content_key, setup_content
