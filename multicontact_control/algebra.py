@@ -119,8 +119,7 @@ def cross(a: Vector, b: Vector, c: Vector) -> None:
 def velocity_at(twist: Vector, lever: Vector, velocity: Vector) -> None:
     """Fill in v + omega x l, shape (3,), of a twist [v, omega] at its end of a lever."""
     cross(twist[3:], lever, velocity)
-    for k in range(3):
-        velocity[k] += twist[k]
+    velocity += twist[:3]
 
 
 @compiled

@@ -10,7 +10,7 @@ from multicontact_control.algebra import cross, dot, multiply
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
-from multicontact_control.config.contact import ALONG, FORCE
+from multicontact_control.config.contact import ACROSS, FORCE
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.records import Records
 import numpy as np
@@ -39,20 +39,13 @@ def fill_normal_space(contacts: Any, rotation: Matrix) -> None:
         contact, config = contacts[i], contacts[i].config
         normal = contacts[i if config.kind == FORCE else config.leader].normal
         multiply(rotation, config.point if config.kind == FORCE else config.direction, lever)
-        if config.kind == FORCE:
-            for k in range(3):
-                lever[k] = -lever[k]
-            cross(normal, lever, moment)
-        elif config.kind == ALONG:
+        if config.kind == ACROSS:
+            moment[:] = lever - dot(lever, normal) * normal
+        else:  # n x l = R p x n
             cross(lever, normal, moment)
-        else:
-            along = dot(lever, normal)
-            for k in range(3):
-                moment[k] = lever[k] - along * normal[k]
-        for k in range(3):
-            contact.N[k] = normal[k] if config.kind == FORCE else 0.0
-            contact.N[3 + k] = moment[k] if config.kind == FORCE else (
-                config.half_length * moment[k])
+        contact.N[:3], contact.N[3:] = 0.0, config.half_length * moment
+        if config.kind == FORCE:
+            contact.N[:3], contact.N[3:] = normal, moment
 
 
 def normal_space(contacts: Records, rotation_world: Matrix) -> Matrix:

@@ -56,8 +56,7 @@ def compose_acceleration(
     shape (r, 6), `weighted_factor` is that of N^T D.
     """
     count = rows.shape[0]
-    for k in range(6):
-        acceleration[k] = f_t[k] - f_c[k]
+    acceleration[:] = f_t - f_c
     beta = rows[:, 0].copy()
     multiply(rows, acceleration, beta)
     solve_cholesky(weighted_factor, beta)

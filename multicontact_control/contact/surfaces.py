@@ -56,42 +56,28 @@ def follow_normal(frame: Any, contact: Any) -> None:
     config = contact.config
     if contact.alpha_meas < PRESSED:
         return
-    point, velocity, seen = np.empty(3), np.empty(3), np.empty(3)
+    point, velocity = np.empty(3), np.empty(3)
     multiply(frame.rotation, config.point, point)
     velocity_at(frame.twist, point, velocity)
-    speed = 0.0
-    for k in range(3):
-        speed += velocity[k] * velocity[k]
-        seen[k] = contact.alpha_meas * contact.normal[k] + contact.friction[k]
+    seen, speed = contact.alpha_meas * contact.normal + contact.friction, dot(velocity, velocity)
     if speed < SLIDING_SPEED * SLIDING_SPEED:
         return
     steep = dot(velocity, config.normal)
     if steep * steep > max(STEEP, 1.0 - config.smallest_cosine ** 2) * speed:
         return
-    along = dot(seen, velocity) / speed
-    length = 0.0
-    for k in range(3):
-        seen[k] -= along * velocity[k]
-        length += seen[k] * seen[k]
-    length = np.sqrt(length)
+    seen -= dot(seen, velocity) / speed * velocity
+    length = np.sqrt(dot(seen, seen))
     if length < PRESSED:
         return
-    for k in range(3):
-        seen[k] = config.normal_gain * (seen[k] / length - contact.normal[k])
-    way = np.sqrt(dot(seen, seen))
-    share = min(1.0, config.turn_limit / way) if way > 0.0 else 0.0
-    for k in range(3):
-        seen[k] = contact.normal[k] + share * seen[k]
+    turn = config.normal_gain * (seen / length - contact.normal)
+    way = np.sqrt(dot(turn, turn))
+    seen = contact.normal + (min(1.0, config.turn_limit / way) if way > 0.0 else 0.0) * turn
     length = np.sqrt(dot(seen, seen))
     cosine = dot(seen, config.normal) / length
     if cosine >= config.smallest_cosine:
-        for k in range(3):
-            contact.normal[k] = seen[k] / length
+        contact.normal[:] = seen / length
         return
-    side, across = np.empty(3), 0.0
-    for k in range(3):
-        side[k] = seen[k] / length - cosine * config.normal[k]
-        across += side[k] * side[k]
-    scale = np.sqrt(1.0 - config.smallest_cosine * config.smallest_cosine) / np.sqrt(across)
-    for k in range(3):
-        contact.normal[k] = config.smallest_cosine * config.normal[k] + scale * side[k]
+    side = seen / length - cosine * config.normal
+    scale = np.sqrt(1.0 - config.smallest_cosine * config.smallest_cosine) / np.sqrt(
+        dot(side, side))
+    contact.normal[:] = config.smallest_cosine * config.normal + scale * side

@@ -42,24 +42,17 @@ def operational_wrench(control: Any, wrench: Vector) -> None:
     """
     frame, tool, reading = control.frame, control.tool, control.wrench
     rotation, weight, bias = frame.sensor_rotation, tool.weight, tool.bias
-    com = np.empty(3)
-    lever = np.empty(3)
-    moment = np.empty(3)
+    com, moment, lever = np.zeros(3), np.empty(3), frame.sensor_position - frame.position
+    wrench[:3], wrench[3:] = weight, 0.0
     for i in range(3):
-        com[i] = 0.0
-        wrench[i] = weight[i]
-        wrench[3 + i] = 0.0
-        lever[i] = frame.sensor_position[i] - frame.position[i]
         for j in range(3):
             com[i] += rotation[i, j] * tool.com_sensor[j]
             wrench[i] += rotation[i, j] * (reading[j] - bias[j])
             wrench[3 + i] += rotation[i, j] * (reading[3 + j] - bias[3 + j])
     cross(com, weight, moment)
-    for i in range(3):
-        wrench[3 + i] += moment[i]
+    wrench[3:] += moment
     cross(lever, wrench, moment)
-    for i in range(3):
-        wrench[3 + i] += moment[i]
+    wrench[3:] += moment
 
 
 @compiled
@@ -82,7 +75,7 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
     for i in range(count):
         for k in range(6):
             rows[i, k] = contacts[i].N[k]
-    W, lever, column = np.empty((6, 6)), np.empty(3), np.empty(6)
+    W, column = np.empty((6, 6)), np.empty(6)
     if law.separated:
         expect_friction(frame, contacts, rows)
         allow_for_friction(control, contacts, rows, wrench, W)
@@ -97,8 +90,7 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
     for i in range(count):
         for k in range(6):
             wrench[k] -= rows[i, k] * contacts[i].alpha_meas
-    for k in range(3):
-        lever[k] = frame.sensor_position[k] - frame.position[k]
+    lever = frame.sensor_position - frame.position
     for i in range(count):
         contact = contacts[i]
         for axis in range(3):
@@ -121,23 +113,19 @@ def expect_friction(frame: Any, contacts: Any, rows: Matrix) -> None:
     point, velocity, moment = np.empty(3), np.empty(3), np.empty(3)
     for i in range(contacts.shape[0]):
         contact = contacts[i]
-        for k in range(3):
-            contact.friction[k] = 0.0
+        contact.friction[:] = 0.0
         if contact.config.friction_coefficient <= 0.0:
             continue
         multiply(frame.rotation, contact.config.point, point)
         velocity_at(frame.twist, point, velocity)
         into = dot(velocity, contact.normal)
-        for k in range(3):
-            velocity[k] -= into * contact.normal[k]
+        velocity -= into * contact.normal
         share = contact.config.friction_coefficient / np.sqrt(
             dot(velocity, velocity) + SLIP_SPEED ** 2)
-        for k in range(3):
-            contact.friction[k] = share * velocity[k]
+        contact.friction[:] = share * velocity
         cross(point, contact.friction, moment)
-        for k in range(3):
-            rows[i, k] += contact.friction[k]
-            rows[i, 3 + k] += moment[k]
+        rows[i, :3] += contact.friction
+        rows[i, 3:] += moment
 
 
 @compiled
@@ -156,9 +144,7 @@ def allow_for_friction(
     """
     law, frame = control.law, control.frame
     W = np.eye(6)
-    lever, friction = np.empty(3), np.empty(6)
-    for k in range(3):
-        lever[k] = frame.sensor_position[k] - frame.position[k]
+    lever, friction = frame.sensor_position - frame.position, np.empty(6)
     for i in range(contacts.shape[0]):
         contact = contacts[i]
         if contact.config.friction_std <= 0.0:
@@ -186,16 +172,14 @@ def fill_friction(
 
     Axis 3 stands for 1 N m about the normal.
     """
-    point, across, moment = np.empty(3), np.empty(3), np.empty(3)
+    point, normal = np.empty(3), contact.normal
     multiply(frame.rotation, contact.config.point, point)
-    for k in range(3):
-        across[k] = -contact.normal[k] * contact.normal[axis] if axis < 3 else 0.0
     if axis < 3:
-        across[axis] += 1.0
-    cross(point, across, moment)
-    for k in range(3):
-        column[k] = across[k]
-        column[3 + k] = moment[k] if axis < 3 else contact.normal[k]
+        column[:3] = -normal * normal[axis]
+        column[axis] += 1.0
+        cross(point, column, column[3:])
+    else:
+        column[:3], column[3:] = 0.0, normal
     weigh_at_sensor(law, lever, column)
 
 
@@ -204,10 +188,8 @@ def weigh_at_sensor(law: Any, lever: Vector, wrench: Vector) -> None:
     """Move a wrench by the lever from operational point to sensor, in units of its noise."""
     moment = np.empty(3)
     cross(lever, wrench, moment)
-    for k in range(3):
-        wrench[3 + k] = (wrench[3 + k] - moment[k]) / law.torque_noise
-    for k in range(3):
-        wrench[k] /= law.force_noise
+    wrench[3:] = (wrench[3:] - moment) / law.torque_noise
+    wrench[:3] /= law.force_noise
 
 
 def tool_record(tool: ToolConfig, gravity_world: Vector) -> Records:

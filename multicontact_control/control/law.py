@@ -32,11 +32,8 @@ def motion_law(law: Any, task: Any, frame: Any, f_t: Vector) -> None:
     """
     turn = np.empty(3)
     rotation_vector(task.rotation, frame.rotation, turn)
-    for i in range(3):
-        f_t[i] = law.k_p * (task.position[i] - frame.position[i])
-        f_t[3 + i] = law.k_p * turn[i]
-    for i in range(6):
-        f_t[i] += task.acceleration[i] + law.k_v * (task.twist[i] - frame.twist[i])
+    f_t[:3], f_t[3:] = law.k_p * (task.position - frame.position), law.k_p * turn
+    f_t += task.acceleration + law.k_v * (task.twist - frame.twist)
 
 
 @compiled
@@ -158,11 +155,10 @@ def control_law(
         mass_matrix, jacobian, law.singular_mobility, L, Y, mobility, Lambda)
     if damping < 0.0:
         return SINGULAR
-    rows = np.empty((count, 6))
-    factor = np.empty((count, count))
+    rows, factor = np.zeros((count, 6)), np.empty((count, count))
     for i in range(count):
-        for k in range(6):
-            rows[i, k] = contacts[i].N[k] if contacts[i].answer.active else 0.0
+        if contacts[i].answer.active:
+            rows[i] = contacts[i].N
     if not factorise_contacts(contacts, False, rows, rows, factor):
         return DEPENDENT
     weighted_rows, weighted_factor = rows, factor
@@ -173,12 +169,8 @@ def control_law(
             multiply(mobility, rows[i], weighted_rows[i])
         if not factorise_contacts(contacts, False, rows, weighted_rows, weighted_factor):
             return DEPENDENT
-    f_t = np.empty(6)
-    f_c = np.empty(6)
-    acceleration = np.empty(6)
-    bias, reduced = np.empty(6), np.empty(n)
-    force = np.empty(6)
-    inputs = np.empty(count)
+    f_t, f_c, acceleration = np.empty(6), np.empty(6), np.empty(6)
+    bias, reduced, force, inputs = np.empty(6), np.empty(n), np.empty(6), np.empty(count)
     motion_law(law, task, frame, f_t)
     answer_forces(laws, contacts, controls[0], mobility, inputs)
     force_law(law, rows, factor, frame.twist, contacts, inputs, f_c)
@@ -196,9 +188,8 @@ def control_law(
     held = np.zeros(6)
     for i in range(count):
         contact = contacts[i]
-        for k in range(6):
-            force[k] += rows[i, k] * contact.answer.alpha_fed
-            held[k] += rows[i, k] * contact.answer.alpha_fed
+        force += rows[i] * contact.answer.alpha_fed
+        held += rows[i] * contact.answer.alpha_fed
     for j in range(n):
         joints[j].torque, joints[j].priority = 0.0, joints[j].bias_torque
     for i in range(6):

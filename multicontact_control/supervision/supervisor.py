@@ -14,25 +14,13 @@ from multicontact_control.control.tick import ControlOutput
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, ConfigError, SingularTaskError
 from multicontact_control.force.force_law import continue_laws_at
-from multicontact_control.supervision import checks
+from multicontact_control.supervision import checks, reactions
 from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.contact_task import ContactTask
 from multicontact_control.supervision.findings import explain_collision, explain_velocities
 from multicontact_control.supervision.gate import TorqueGate
 from multicontact_control.supervision.inputs import Inputs, Seen, TickInputs
-from multicontact_control.supervision.reactions import (
-    DAMP,
-    FLOAT,
-    HOLD,
-    INFLATE,
-    LATCHED,
-    NONE,
-    Reactions,
-    RECOVERING,
-    Recovery,
-    SAFE,
-    SEVERITY,
-)
+from multicontact_control.supervision.reactions import DAMP, FLOAT, HOLD, INFLATE, NONE, SAFE
 from multicontact_control.supervision.report import no_answer, SupervisorStatus
 import numpy as np
 
@@ -95,8 +83,8 @@ class Supervisor:
             config, controller.measured, self._joints, self._controls['momentum'],
             robot.turning)
         self.gate = TorqueGate(config, self._joints, guarded=guarded)
-        self.reactions = Reactions(config, controller)
-        self._recovery = Recovery(config.watchdog.recovery_time, config.period)
+        self.reactions = reactions.Reactions(config, controller)
+        self._recovery = reactions.Recovery(config.watchdog.recovery_time, config.period)
         self._adopt(config)
         checks.check_plausibility(*self._answered)  # compiled here: no sample waits for it
         self.reset()
@@ -260,9 +248,9 @@ class Supervisor:
         return reaction, causes
 
     def _reaction_to(self, causes: tuple[str, ...]) -> str:
-        reactions = checks.reactions_of(self.config)
-        called_for = [reactions.get(cause, reactions[cause.split('_')[0]]) for cause in causes]
-        return max(called_for, key=SEVERITY.index, default=NONE)
+        to = checks.reactions_of(self.config)
+        called_for = [to.get(cause, to[cause.split('_')[0]]) for cause in causes]
+        return max(called_for, key=reactions.SEVERITY.index, default=NONE)
 
     def _resume(self) -> None:
         """Start the control law, or go on with it after a reaction."""
@@ -330,7 +318,7 @@ class Supervisor:
         arm, blind = self._arm, self._seen.blind
         if blind and arm is not None and reaction in (HOLD, DAMP):
             reaction = FLOAT  # what is not seen can be neither held nor slowed down
-        if causes not in ((RECOVERING,), (LATCHED,)):
+        if causes not in ((reactions.RECOVERING,), (reactions.LATCHED,)):
             self._good_ticks = 0
             # An arm that was not seen for a moment is held again, or waits as it did.
             if not self._unseen(causes, reaction):
