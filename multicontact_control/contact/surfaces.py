@@ -1,9 +1,4 @@
-"""
-Surfaces that move or are tilted: their speeds and normals, estimated.
-
-Both are learnt from what is measured anyway, slowly and within declared bounds, while a contact is
-force controlled.
-"""
+"""Surfaces that move or are tilted: their speeds and normals, estimated while they are pressed."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""
-Plant, control loop and noise estimator in one process, without ROS.
-
-`ClosedLoop` is advanced tick by tick; `run_in_process` takes it through a whole scenario.
-"""
+"""Plant, control loop and noise estimator in one process, without ROS."""
 
 from __future__ import annotations
 

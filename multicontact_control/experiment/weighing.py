@@ -1,8 +1,4 @@
-"""
-Weighing the tool of a robot, whose rests in several poses tell weight and bias apart.
-
-The samples come from a recording, or from the running controller, which tilts the tool.
-"""
+"""Weighing the tool of a robot at rest in several poses, from a recording or by tilting it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""
-The designs of the force laws, behind one registry: an active observer, and linear laws.
-
-Each takes the `LoopModel` that it is designed for, and the gains in `ForceConfig`.
-"""
+"""The designs of the force laws, behind one registry: an active observer, and linear laws."""
 
 from __future__ import annotations
 

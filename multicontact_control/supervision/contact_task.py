@@ -187,11 +187,7 @@ class ContactTask:
 
 @compiled
 def _limit_task(limits: Any, controls: Any, columns: Any, states: Any) -> bool:
-    """
-    Bring a task that is wanted to one that may be followed; return whether a limit was enforced.
-
-    `active` and `alpha_des` of the columns say what is wanted, and then what the force law does.
-    """
+    """Bring a task that is wanted to one that may be followed; return whether it was limited."""
     limit, frame, task = limits[0], controls[0].frame, controls[0].task
     for gap, largest in ((limit.offset, limit.reach), (limit.turned, limit.turn)):
         fastest = RETURN_SHARE * largest / limit.lead / np.sqrt(dot(gap, gap))
@@ -246,12 +242,8 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
 
 @compiled
 def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
-    """
-    Bring a task within the box and within reach of the arm; return whether it was changed.
-
-    The motion law makes the arm go at v_des + (k_p / k_v) (x_des - x), which is the limit's speed
-    for an error of one reach. What lies along the normals of active contacts is left to these.
-    """
+    """Bring a task within the box and, off active normals, within reach; return if it changed."""
+    # The arm goes at v_des + (k_p / k_v) (x_des - x): the limit's speed at an error of one reach.
     position, twist, acceleration = task.position, task.twist, task.acceleration
     limited = False
     for k in range(3):

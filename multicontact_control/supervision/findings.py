@@ -6,15 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from multicontact_control.arrays import Matrix
-from multicontact_control.control.arm import (
-    ACCELERATION,
-    DIRECTION,
-    LEARNING_TIME,
-    RELEASE,
-    REST_TIME,
-    SPEED,
-    WRENCH,
-)
+from multicontact_control.control import arm
+from multicontact_control.control.arm import ACCELERATION, DIRECTION, SPEED, WRENCH
 from multicontact_control.supervision.velocities import OFFSET
 import numpy as np
 
@@ -83,8 +76,8 @@ def explain_collision(joints: Any, momentum: Any, names: Sequence[str]) -> str:
     shares = np.abs(residual) / (joints['threshold'] + joints['slack'])
     worst = int(np.argmax(shares))
     name, evidence = names[worst], joints['evidence'][worst]
-    loaded = [joint for joint, share in zip(names, shares) if share > RELEASE] or [name]
-    if evidence['rested'] < 0.5 * REST_TIME or evidence['at_rest'] / residual[worst] > 0.5:
+    loaded = [joint for joint, share in zip(names, shares) if share > arm.RELEASE] or [name]
+    if evidence['rested'] < 0.5 * arm.REST_TIME or evidence['at_rest'] / residual[worst] > 0.5:
         settled = 1.0 - np.exp(-momentum['bandwidth'] * evidence['rested'])
         return (f'{name}: the residual is there from the first sample on'
                 + _explain_rest(residual / settled, joints['bias_torque'], len(loaded)))
@@ -123,6 +116,6 @@ def undeclared_friction(joints: Any, names: Sequence[str]) -> Iterator[str]:
     """Yield a sentence for each joint that has shown friction which is not declared."""
     for joint, name in zip(joints, names):
         friction = joint['evidence']['friction']
-        if joint['evidence']['moved'] > 0.5 * LEARNING_TIME and (
-                friction > RELEASE * joint['least_threshold']):
+        if joint['evidence']['moved'] > 0.5 * arm.LEARNING_TIME and (
+                friction > arm.RELEASE * joint['least_threshold']):
             yield f'{name}: the residual {FOLLOWED[DIRECTION].format(f"{friction:.2g}")}'

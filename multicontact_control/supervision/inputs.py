@@ -146,13 +146,8 @@ def _check_stamp(part: int, stamp: float, content: int, state: Any, settings: An
 def _check_joints(
     joints: Matrix, motion: Matrix, history: Matrix, elapsed: float, state: Any, settings: Any,
 ) -> int:
-    """
-    Check a joint state, `elapsed` after the newest valid one [s]; keep it if it is fine.
-
-    A joint that turns goes on where its angle wraps by 2 pi. After a jump each state
-    is compared with the reading before, and refused for the recovery time. Where a velocity is
-    not believed, that of the positions is kept.
-    """
+    """Check a joint state, `elapsed` after the newest valid one [s]; keep it if it is fine."""
+    # After a jump states are compared with the reading before, and refused for the recovery time.
     distrusted = state.distrust > 0
     span = settings.period if distrusted else elapsed
     limit = POSITION_JUMP * max(1.0, span / settings.period / 5.0)
@@ -160,7 +155,7 @@ def _check_joints(
     for j in range(motion.shape[1]):
         if not abs(joints[0, j]) <= FARTHEST:
             return INVALID
-        if joints[5, j] > 0.0 and state.known[JOINTS]:
+        if joints[5, j] > 0.0 and state.known[JOINTS]:  # an angle that wraps goes on
             joints[0, j] += joints[5, j] * np.round((joints[2, j] - joints[0, j]) / joints[5, j])
         q, qd = joints[0, j], joints[1, j]
         still, same = still and abs(qd) <= STILL, same and q == joints[2, j]
@@ -198,11 +193,7 @@ def _check_joints(
 
 @compiled
 def _take_wrench(state: Any, settings: Any) -> int:
-    """
-    Check a wrench, and low-pass it.
-
-    The low-pass (transposed direct form II, gain 1 at rest) begins settled on its first wrench.
-    """
+    """Check a wrench, and low-pass it: transposed direct form II, settled on its first wrench."""
     equal, saturated, possible = True, False, True
     for i in range(6):
         equal = equal and state.raw[i] == state.last[i]
@@ -238,11 +229,7 @@ def _supply_torques(
     joints: Any, momentum: Any, commands: Matrix, acts: bool, elapsed: float, measured: bool,
     state: Any, settings: Any,
 ) -> None:
-    """
-    Give the momentum observer the torques, measured or commanded, that acted since a sample ago.
-
-    A command may act one period sooner or later, so its change is added to the thresholds.
-    """
+    """Give the momentum observer the torques, measured or commanded, that acted in a period."""
     by_command, needed = settings.by_command, commands.shape[0]
     known = acts or (by_command and state.commands >= needed)
     for j in range(joints.shape[0]):
@@ -256,7 +243,7 @@ def _supply_torques(
             before = commands[state.commands % needed, j]
             last = commands[(state.commands + 1) % needed, j]
             after = commands[(state.commands + min(2, needed - 1)) % needed, j]
-            joint.doubt = max(abs(last - before), abs(after - last))
+            joint.doubt = max(abs(last - before), abs(after - last))  # a period early or late
             joint.effort = last
     late = state.doubted or state.begins or (state.silent and not momentum.is_input)
     known = known and measured and not late and (
