@@ -6,6 +6,7 @@ from typing import Any
 
 from multicontact_control.algebra import (
     cross,
+    dot,
     multiply,
     multiply_transposed,
     solve_lower,
@@ -142,17 +143,12 @@ def wrench_of_residual(
     if mobility_and_inertia(
             mass_matrix, jacobian, law.singular_mobility, L, Y, mobility, Lambda) < 0.0:
         return
-    reduced, acceleration, wrench = np.empty(n), np.empty(6), np.empty(6)
-    for j in range(n):
-        reduced[j] = joints[j].residual
+    reduced, acceleration, wrench = joints['residual'].copy(), np.empty(6), np.empty(6)
     solve_lower(L, reduced)
     multiply_transposed(Y, reduced, acceleration)
     multiply(Lambda, acceleration, wrench)
-    for i in range(3):
-        control.wrench[i], control.wrench[3 + i] = 0.0, 0.0
-        for j in range(3):
-            control.wrench[i] += rotation[j, i] * wrench[j]
-            control.wrench[3 + i] += rotation[j, i] * wrench[3 + j]
+    multiply_transposed(rotation, wrench[:3], control.wrench[:3])
+    multiply_transposed(rotation, wrench[3:], control.wrench[3:])
 
 
 @compiled
@@ -182,11 +178,10 @@ def see_arm(
 
     """
     control, frame = controls[0], controls[0].frame
-    for j in range(joints.shape[0]):
-        if not np.isfinite(bias_torque[j]):
-            return NO_NUMBERS
+    if not np.isfinite(bias_torque).all():
+        return NO_NUMBERS
     position, rotation, sensor_position, sensor_rotation = placements
-    flags, speed, turn = 0, 0.0, 0.0
+    flags = 0
     for j in range(joints.shape[0]):
         joint = joints[j]
         joint.last_velocity, joint.last_bias = joint.velocity, joint.bias_torque
@@ -197,10 +192,9 @@ def see_arm(
     frame.position[:], frame.sensor_position[:] = position, sensor_position
     frame.rotation[:], frame.sensor_rotation[:] = rotation, sensor_rotation
     multiply(jacobian, motion[1], frame.twist)
-    for k in range(3):
-        speed += frame.twist[k] ** 2
-        turn += frame.twist[3 + k] ** 2
-    if speed > frame.speed_limit ** 2 or turn > frame.turn_limit ** 2:
+    velocity, turn = frame.twist[:3], frame.twist[3:]
+    if dot(velocity, velocity) > frame.speed_limit ** 2 or (
+            dot(turn, turn) > frame.turn_limit ** 2):
         flags += OPERATIONAL_SPEED
     if control.momentum.bandwidth > 0.0:
         if observe_momentum(control, joints, mass_matrix, jacobian):

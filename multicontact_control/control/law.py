@@ -170,14 +170,13 @@ def control_law(
         if not factorise_contacts(contacts, False, rows, weighted_rows, weighted_factor):
             return DEPENDENT
     f_t, f_c, acceleration = np.empty(6), np.empty(6), np.empty(6)
-    bias, reduced, force, inputs = np.empty(6), np.empty(n), np.empty(6), np.empty(count)
+    bias, force, inputs = np.empty(6), np.empty(6), np.empty(count)
     motion_law(law, task, frame, f_t)
     answer_forces(laws, contacts, controls[0], mobility, inputs)
     force_law(law, rows, factor, frame.twist, contacts, inputs, f_c)
     follow_surfaces(frame, contacts)
     compose_acceleration(rows, weighted_rows, weighted_factor, f_t, f_c, acceleration)
-    for j in range(n):  # mu + p = Lambda (J M^-1 (C v + g) - dJ/dt v)
-        reduced[j] = joints[j].bias_torque
+    reduced = joints['bias_torque'].copy()  # mu + p = Lambda (J M^-1 (C v + g) - dJ/dt v)
     solve_lower(L, reduced)
     multiply_transposed(Y, reduced, bias)
     for i in range(6):

@@ -6,6 +6,7 @@ from typing import Any
 
 from multicontact_control.algebra import (
     cholesky,
+    dot,
     gram,
     multiply,
     multiply_transposed,
@@ -51,12 +52,9 @@ def mobility_and_inertia(
         d, -1 if the arm cannot accelerate the operational point in every direction.
 
     """
-    n = mass_matrix.shape[0]
     if not cholesky(mass_matrix, L, 0.0):
         return -1.0
-    for i in range(n):
-        for j in range(6):
-            Y[i, j] = jacobian[j, i]
+    Y[:] = jacobian.T
     solve_lower_columns(L, Y)
     gram(Y, mobility)
     damping, squared = 0.0, _invert(mobility, Lambda)
@@ -71,11 +69,7 @@ def mobility_and_inertia(
             squared = _invert(mobility, Lambda)
     if squared < 0.0:
         return -1.0
-    of_mobility = 0.0
-    for i in range(6):
-        for j in range(6):
-            of_mobility += mobility[i, j] * mobility[i, j]
-    if np.sqrt(of_mobility * squared) < MAX_CONDITION:
+    if np.sqrt(dot(mobility.ravel(), mobility.ravel()) * squared) < MAX_CONDITION:
         return damping
     eigenvalues = np.linalg.eigvalsh(mobility)
     return damping if eigenvalues[0] * MAX_CONDITION > eigenvalues[-1] else -1.0
@@ -90,11 +84,7 @@ def _invert(A: Matrix, inverse: Matrix) -> float:
     root = np.eye(6)
     solve_lower_columns(factor, root)
     gram(root, inverse)
-    total = 0.0
-    for i in range(6):
-        for j in range(6):
-            total += inverse[i, j] * inverse[i, j]
-    return total
+    return dot(inverse.ravel(), inverse.ravel())
 
 
 @compiled

@@ -57,9 +57,8 @@ def check_plausibility(
     """
     bounds, control = limits[0], controls[0]
     frame, tool, found = control.frame, control.tool, 0
-    for j in range(joints.shape[0]):
-        if not np.isfinite(joints[j].torque):
-            found = NOT_FINITE
+    if not np.isfinite(joints['torque']).all():
+        found = NOT_FINITE
     pressed = 0.0
     for i in range(contacts.shape[0]):
         contact, answer = contacts[i], contacts[i].answer
