@@ -55,13 +55,10 @@ def compose_acceleration(
     D = Lambda^-1 N the dynamically consistent ones. `rows` and `weighted_rows` are N^T and D^T,
     shape (r, 6), `weighted_factor` is that of N^T D.
     """
-    count = rows.shape[0]
     acceleration[:] = f_t - f_c
     beta = rows[:, 0].copy()
     multiply(rows, acceleration, beta)
     solve_cholesky(weighted_factor, beta)
-    for k in range(6):
-        total = f_t[k]
-        for i in range(count):
-            total -= weighted_rows[i, k] * beta[i]
-        acceleration[k] = total
+    acceleration[:] = f_t
+    for i in range(rows.shape[0]):
+        acceleration -= weighted_rows[i] * beta[i]

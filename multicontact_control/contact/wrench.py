@@ -66,15 +66,12 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
     `CONTACT`, shape (r,), are filled in.
     """
     count, law, frame = contacts.shape[0], control.law, control.frame
-    wrench = np.empty(6)
-    rows = np.empty((count, 6))
-    factor = np.empty((count, count))
-    alpha = np.empty(count)
+    wrench, alpha = np.empty(6), np.empty(count)
+    rows, factor = np.empty((count, 6)), np.empty((count, count))
     operational_wrench(control, wrench)
     fill_normal_space(contacts, frame.rotation)
     for i in range(count):
-        for k in range(6):
-            rows[i, k] = contacts[i].N[k]
+        rows[i] = contacts[i].N
     W, column = np.empty((6, 6)), np.empty(6)
     if law.separated:
         expect_friction(frame, contacts, rows)
@@ -83,13 +80,11 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
         return False
     multiply(rows, wrench, alpha)
     solve_cholesky(factor, alpha)
-    for i in range(count):
-        contacts[i].alpha_meas = alpha[i]
+    contacts['alpha_meas'][:] = alpha
     if not law.separated:
         return True
     for i in range(count):
-        for k in range(6):
-            wrench[k] -= rows[i, k] * contacts[i].alpha_meas
+        wrench -= rows[i] * alpha[i]
     lever = frame.sensor_position - frame.position
     for i in range(count):
         contact = contacts[i]

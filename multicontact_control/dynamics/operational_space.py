@@ -121,8 +121,7 @@ def add_nullspace_torque(
                 free[i] += mass_matrix[min(i, j), max(i, j)] * pull[j]
         joints[i].torque += free[i]
     solve_lower(L, free)
-    acceleration = np.empty(6)
-    force = np.empty(6)
+    acceleration, force = np.empty(6), np.empty(6)
     multiply_transposed(Y, free, acceleration)
     multiply(Lambda, acceleration, force)
     for j in range(n):

@@ -266,8 +266,7 @@ def friction_of_others(frame: Any, contacts: Any, which: int) -> float:
         velocity[1] = twist[1] + twist[5] * lever[0] - twist[3] * lever[2]
         velocity[2] = twist[2] + twist[3] * lever[1] - twist[4] * lever[0]
         into = dot(velocity, other.normal)
-        for k in range(3):
-            velocity[k] -= into * other.normal[k]
+        velocity -= into * other.normal
         total += other.alpha_meas * dot(velocity, normal) / np.sqrt(
             dot(velocity, velocity) + SLIP_SPEED * SLIP_SPEED)
     return total

@@ -230,8 +230,7 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
             answer.alpha_des = min(state.asked, state.force_limit)
             column.guarded = state.state == contacts.HOLDING and state.in_state > GUARD_TIME and (
                 column.alpha_meas < GUARD_SHARE * min(state.level, state.asked))
-        for k in range(3):
-            shift[k] += state.displacement * normal[k]
+        shift += state.displacement * normal
         answer.active = contacts.is_active(state)
         if not answer.active:
             answer.alpha_des = 0.0
@@ -264,9 +263,8 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
             axis /= length
             count += 1
             along, ahead = dot(gap, axis), dot(way, axis)
-            for k in range(3):
-                gap[k] -= along * axis[k]
-                way[k] -= ahead * axis[k]
+            gap -= along * axis
+            way -= ahead * axis
     share = _share_within(gap, way, limit.reach, twist, acceleration)
     if share < 1.0:
         position -= gap * (1.0 - share)

@@ -60,9 +60,8 @@ def take_into_window(
     """
     window = windows[0]
     length, contacts = samples.shape
-    for i in range(contacts):
-        if not abs(alpha[i]) < MAX_MAGNITUDE:  # nor is NaN
-            return False
+    if not (np.abs(alpha) < MAX_MAGNITUDE).all():  # nor is NaN
+        return False
     if window.count == 0:
         for i in range(contacts):
             states[i].alpha = alpha[i]
