@@ -26,6 +26,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from ros_graph import ROOT
 from sim_bridge.robots import find_robot, has_urdf
+from test_docs import prose
 import typer
 
 DOCUMENTS = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
@@ -111,9 +112,7 @@ def test_options_in_the_text_are_those_of_commands(document):
              for name, command in known_commands().items()}
     every = set().union(*known.values(), {
         '--version', '--install-completion', '--autostart', '--ros-args', '--params-file'})
-    text = re.sub(r'^```.*?^```$', '', document.read_text(encoding='utf-8'),
-                  flags=re.MULTILINE | re.DOTALL)
-    for span in re.findall(r'(?<!`)`([^`]+)`(?!`)', text):
+    for span in re.findall(r'(?<!`)`([^`]+)`(?!`)', prose(document)):
         words = span.split()
         if words[0] == 'make':
             make(shlex.split(span))

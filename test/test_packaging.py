@@ -70,9 +70,10 @@ def test_console_scripts_exist(keywords):
         assert function in Path(find_spec(module).origin).read_text(encoding='utf-8')
 
 
-@pytest.fixture
-def installed(tmp_path):
-    """Install the wheel, without its clone, into a venv that has the dependencies of this one."""
+@pytest.mark.ros
+@pytest.mark.nightly
+def test_installed_commands_compile_once_and_run_from_any_folder(tmp_path):
+    """From the wheel, without its clone, in a venv that has the dependencies of this one."""
     folder = tmp_path / 'wheel'
     source = shutil.copytree(ROOT, folder / 'source', ignore=shutil.ignore_patterns(
         '.*', 'build', '*.egg-info', '__pycache__', 'runs', 'test'))
@@ -91,18 +92,12 @@ def installed(tmp_path):
         f'import site; site.addsitedir({path!r})\n' for path in site.getsitepackages()))
     # Root may write everywhere: a file where the folder would be has the same effect.
     (packages / 'multicontact_control/__pycache__').write_text('')
-    return venv
-
-
-@pytest.mark.ros
-@pytest.mark.nightly
-def test_installed_commands_compile_once_and_run_from_any_folder(installed, tmp_path):
     environment = {name: value for name, value in os.environ.items() if name not in (
         'PYTHONPATH', 'NUMBA_CACHE_DIR', 'XDG_CACHE_HOME')}
     environment.setdefault('AMENT_PREFIX_PATH', sys.prefix)  # where the messages are
     environment |= {'HOME': str(tmp_path), 'PYTHONDONTWRITEBYTECODE': '1'}
     commands = [subprocess.Popen(
-        [installed / 'bin/multicontact', *command, '--scenario', 'quick', '--duration', '3',
+        [venv / 'bin/multicontact', *command, '--scenario', 'quick', '--duration', '3',
          '--out', command[0]], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         text=True, env=environment) for command in (['simulate'], ['run', '--speed', '0'])]
     outputs = [command.communicate()[0] for command in commands]

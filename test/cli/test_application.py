@@ -1,13 +1,9 @@
 """The command line: exit codes, one line per error, a run and its folder."""
 
 import json
-import os
-import subprocess
-import sys
 
 from multicontact_control import __version__
 import pytest
-from ros_graph import ROOT
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [
@@ -34,14 +30,7 @@ def test_bad_input_exits_with_two_and_one_line(multicontact, tmp_path, arguments
     assert list(tmp_path.iterdir()) == []
 
 
-def test_process_ends_as_the_application_does(multicontact, tmp_path):
-    for arguments in (('--version',), ('simulate', '--plant', 'x'), ('push-test', '--fault', 'x')):
-        here = multicontact(*arguments)
-        there = subprocess.run(
-            [sys.executable, '-m', 'multicontact_control.cli', *arguments], cwd=tmp_path,
-            env={**os.environ, 'PYTHONPATH': str(ROOT)}, capture_output=True, text=True)
-        assert (there.returncode, there.stdout, there.stderr) == (
-            here.returncode, here.stdout, here.stderr)
+def test_version_is_that_of_the_package(multicontact):
     assert multicontact('--version').stdout.strip() == f'multicontact {__version__}'
 
 

@@ -42,11 +42,6 @@ def data(setup):
     return perfect_run(setup)
 
 
-@pytest.fixture(scope='module')
-def edge():
-    return resolve('edge', plant='rigid', duration=12.0)
-
-
 def lose(data, start, lasting, contact=1):
     data.alpha_true[round(start * RATE):round((start + lasting) * RATE), contact] = 0.0
 
@@ -96,8 +91,8 @@ def test_force_beyond_five_times_its_command_and_half_the_ceiling_is_not_stable(
     (0.08, -15.0, ()), (0.12, -14.9, ()),
     (0.12, -15.0, ('edge/along: contact lost at one end for 0.12 s',)),
     (0.01, -31.0, ('edge/along: couple of -31 N at a command of 0 N',))])
-def test_couple_as_large_as_its_force_is_a_lost_end_of_the_edge(
-        edge, seconds, couple, reasons):
+def test_couple_as_large_as_its_force_is_a_lost_end_of_the_edge(seconds, couple, reasons):
+    edge = resolve('edge', plant='rigid', duration=12.0)
     data = perfect_run(edge)
     data.alpha_true[:, 1] = edge.commanded(data.time)[:, 1]
     data.alpha_true[4000:4000 + int(seconds * RATE), 1] = couple

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shlex
 import signal
 import subprocess
 import sys
@@ -28,6 +27,7 @@ import numpy as np
 import pytest
 from ros_graph import node_processes, PATIENCE, ROOT, wait_for
 from sim_bridge.new_robot import new_robot
+from test_commands_of_docs import blocks, commands
 import yaml
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
@@ -40,13 +40,11 @@ NODE = {'patience': 0.0, 'push_test': {'timeout': 1.0}, 'sensor': {'require_push
 
 def documented():
     """Return the commands and the program of the page, as they stand there."""
-    text = (ROOT / 'docs/your_robot.md').read_text(encoding='utf-8')
-    lines = [line.split('#')[0].strip() for block in re.findall(r'```sh\n(.*?)```', text, re.S)
-             for line in block.splitlines()]
-    program, = re.findall(r'```python\n(.*?)```', text, re.S)
+    page = ROOT / 'docs/your_robot.md'
+    (_, program), = blocks(page, 'python')
     program, count = re.subn(r'timeout=[\d.]+', f'timeout={PATIENCE}', program)
     assert count == 1
-    return [shlex.split(line)[1:] for line in lines if line.startswith('multicontact ')], program
+    return [words[1:] for _, words in commands(page) if words[0] == 'multicontact'], program
 
 
 class Shell:
@@ -107,13 +105,13 @@ def write_robot(folder, **changes):
 
 @pytest.mark.nightly
 def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
-    commands, program = documented()
+    listed, program = documented()
     # Of what `new-robot` writes, the tool is another one than the simulated.
     write_robot(tmp_path, tool={'mass': 0.2, 'com_sensor': [0.0, 0.0, 0.0]})
-    commands = [command for command in commands if command[0] not in ('new-robot', 'simulate')]
-    assert [command[0] for command in commands] == [
+    given = [command for command in listed if command[0] not in ('new-robot', 'simulate')]
+    assert [command[0] for command in given] == [
         'run', 'calibrate', 'run', 'push-test', 'report', 'identify']
-    first, calibrate, second, push, report, identify = commands
+    first, calibrate, second, push, report, identify = given
 
     running = shell.multicontact(*first, log='first')
     shell.wait_for_line(running, 'first', 'waiting for /joint_states')

@@ -27,21 +27,18 @@ STUDY = {
 FILES = {'cells', 'study.json', 'study.csv', 'study.parquet', 'study.png', 'study.html'}
 
 
-def frame_of(**columns):
-    frame = pd.DataFrame({'part': '', 'plant': 'rigid', **columns})
-    frame.attrs = {'factors': ['part', 'plant', 'k', 'seed'], 'units': {'k': 'N/m'}}
-    return frame
-
-
 @pytest.fixture(name='frame')
 def fixture_frame():
     """Return two combinations with three seeds, of which the last is not stable."""
-    return frame_of(
-        k=[600.0] * 3 + [6e4] * 3, seed=[0, 1, 2] * 2, stable=[True] * 5 + [False],
-        error=[None] * 6, late=[0.25, np.inf, np.inf, np.nan, 0.125, 0.5],
-        **{'contacts.table.step_rise_63_s': [0.0, 1.0, 2.0, 3.0, 4.0, 5.0],
-           'contacts.board.step_rise_63_s': [np.nan, 9.0, 0.5, 0.5, 0.5, 0.5],
-           'contacts.board.rest.true_error_rms_n': [0.1] * 6})
+    frame = pd.DataFrame({
+        'part': '', 'plant': 'rigid', 'k': [600.0] * 3 + [6e4] * 3, 'seed': [0, 1, 2] * 2,
+        'stable': [True] * 5 + [False], 'error': [None] * 6,
+        'late': [0.25, np.inf, np.inf, np.nan, 0.125, 0.5],
+        'contacts.table.step_rise_63_s': [0.0, 1.0, 2.0, 3.0, 4.0, 5.0],
+        'contacts.board.step_rise_63_s': [np.nan, 9.0, 0.5, 0.5, 0.5, 0.5],
+        'contacts.board.rest.true_error_rms_n': [0.1] * 6})
+    frame.attrs = {'factors': ['part', 'plant', 'k', 'seed'], 'units': {'k': 'N/m'}}
+    return frame
 
 
 def cells_of(frame, **study):
