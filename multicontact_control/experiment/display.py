@@ -126,19 +126,14 @@ def print_summary(console: Console, summary: Mapping[str, Any], folder: object) 
         console.print(line)
 
 
-def achievement(summary: Mapping[str, Any]) -> str:
-    """Return how well the motion was tracked, and the largest torque, in one line."""
-    motion, share = summary['motion'], summary['torque']['max_fraction_of_limit']
-    return (f"motion error {_number(motion['moving_position_rms_m'], 5)} m rms, "
-            f"{_number(motion['orientation_max_rad'], 4)} rad at most; torque at most "
-            f"{'-' if share is None else f'{100.0 * share:.0f} %'} of its limit")
-
-
 def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
-    """Return the lines below the table: verdict, warnings, where the results are."""
+    """Return the lines below the table: motion, torque, verdict, warnings, where results are."""
     timing, text = summary['timing'], verdict_text(summary)
+    motion, share = summary['motion'], summary['torque']['max_fraction_of_limit']
     colour = COLOURS.get(summary['verdict'], 'yellow')
-    lines = [achievement(summary),
+    lines = [f"motion error {_number(motion['moving_position_rms_m'], 5)} m rms, "
+             f"{_number(motion['orientation_max_rad'], 4)} rad at most; torque at most "
+             f"{'-' if share is None else f'{100.0 * share:.0f} %'} of its limit",
              f'[{colour}]{escape(text)}[/{colour}] (judged: {escape(summary["judged"])})']
     if summary['mode'] == REAL_TIME:
         p99 = (timing['latency_us'] or {}).get('p99')

@@ -237,12 +237,7 @@ def _commands(
     data: RunData, status: BagColumns | None, published: NDArray[np.uint64],
     ticks: NDArray[np.int64],
 ) -> Matrix:
-    """
-    Return the forces that were commanded over topics and accepted, shape (m, r) [N].
-
-    The controller says on ~/status which ones it obeys; they count from when the contact was made.
-    Where it does not, and of couples, it is the force that the controller aimed at.
-    """
+    """Return what `~/status` says is obeyed from contact on, else what the controller aims at."""
     command = data.alpha_des.copy()
     if status is None:
         return command

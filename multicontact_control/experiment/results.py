@@ -95,27 +95,25 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
     `overwrite` a run that is already in `out` is replaced. Raises ConfigError if the folder holds
     something else, or cannot be made.
     """
-    default = Path('runs') / f'{now:%Y%m%d-%H%M%S}-{scenario}'
-    # Where a link leads now: `runs/latest` leads elsewhere as soon as another run begins.
-    folder = Path(os.path.realpath(out)) if out is not None and out.is_symlink() else out
+    folder = out or Path('runs') / f'{now:%Y%m%d-%H%M%S}-{scenario}'
     try:
-        if folder is None:
-            folder = _make_numbered(default)
-        else:
-            _empty(folder, overwrite=overwrite)
+        if out is None:
+            return _make_numbered(folder)
+        # Where a link leads now: `runs/latest` leads elsewhere as soon as another run begins.
+        folder = Path(os.path.realpath(out)) if out.is_symlink() else out
+        _empty(folder, overwrite=overwrite)
     except OSError as error:
         raise ConfigError('out', 'a folder that can be made, and emptied of a run',
-                          f'{out or default} ({error.strerror})') from None
+                          f'{out or folder} ({error.strerror})') from None
     return folder
 
 
 def _make_numbered(folder: Path) -> Path:
     """Make and return a new folder, with -2, -3, ... where it exists."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
     for number in count(1):
         numbered = folder if number == 1 else folder.with_name(f'{folder.name}-{number}')
         with suppress(FileExistsError):
-            numbered.mkdir()
+            numbered.mkdir(parents=True)
             break
     return numbered
 
@@ -229,35 +227,8 @@ def load_run(folder: Path) -> LoadedRun:
     return LoadedRun(folder, setup, data, read_json(folder / SUMMARY_FILE))
 
 
-def load_recording(
-    path: Path, files: Sequence[Path] = (), namespace: str | None = None,
-) -> LoadedRun:
-    """
-    Read a recording of a controller: a bag's folder, or an MCAP file.
-
-    `files` are the parameter files of the controller; without any, names and rate are those of the
-    messages. `namespace` is that of the graph; if not given, the only one in the recording. Raises
-    ConfigError if a parameter file is not acceptable, RunError if nothing of a controller can be
-    read.
-    """
-    messages = read_graph(path, namespace)
-    setup = setup_of_recording(path, messages, files)
-    content = content_of(path, messages, setup.controller, answered=True)
-    summary = summarise(content.data, setup, mode=RECORDED, timing={
-        'unanswered_samples': content.unanswered})
-    lacking = [f'not in the recording: {", ".join(content.lacking)}'] if content.lacking else []
-    return LoadedRun(path, setup, content.data, {
-        **summary, 'supervised': None, 'remarks': [*lacking, *content.remarks]})
-
-
-def setup_of_recording(path: Path, found: BagMessages, files: Sequence[Path] = ()) -> Setup:
-    """
-    Return what is known of what a recording was made with.
-
-    Without parameter `files` of the controller, joints, contacts and rate are those of its
-    messages, and nothing else is known. Raises ConfigError if a file is not acceptable, RunError
-    if the messages have no rate.
-    """
+def _setup_of_recording(path: Path, found: BagMessages, files: Sequence[Path]) -> Setup:
+    """Return what files, or else messages, say of what a recording was made with."""
     urdf_dir = Path()
     if files:
         read = read_controller_files(files)
@@ -318,21 +289,28 @@ def is_whole_run(path: Path) -> bool:
 
 def load(path: Path, files: Sequence[Path] = (), namespace: str | None = None) -> LoadedRun:
     """
-    Read the folder of a run, or a recording: the folder of a bag, or an MCAP file.
+    Read the folder of a run, or a recording of a controller: a bag's folder, or an MCAP file.
 
-    The other arguments are those of `load_recording`; a run knows its own. Raises ConfigError or
-    RunError if there is nothing, or it cannot be read.
+    Of a recording `files` are the parameter files of the controller; without any, names and rate
+    are those of the messages. `namespace` is that of the graph; if not given, the only one in the
+    recording. Raises ConfigError or RunError if there is nothing, or it cannot be read.
     """
-    config, bag = path / CONFIG_FOLDER, path / BAG_FOLDER
+    own, bag = path / CONFIG_FOLDER / 'controller.yaml', path / BAG_FOLDER
     if not path.exists():
         raise ConfigError('run', 'a folder of `multicontact run` or `simulate`, or a recording',
                           path)
     if is_whole_run(path):
         return load_run(path)
-    if bag.is_dir() and not mcap_files(path):
-        own = config / 'controller.yaml'  # of a run that did not come to its end
-        return load_recording(bag, files or ([own] if own.is_file() else ()), namespace)
-    return load_recording(path, files, namespace)
+    if bag.is_dir() and not mcap_files(path):  # of a run that did not come to its end
+        path, files = bag, files or ([own] if own.is_file() else ())
+    messages = read_graph(path, namespace)
+    setup = _setup_of_recording(path, messages, files)
+    content = content_of(path, messages, setup.controller, answered=True)
+    summary = summarise(content.data, setup, mode=RECORDED, timing={
+        'unanswered_samples': content.unanswered})
+    lacking = [f'not in the recording: {", ".join(content.lacking)}'] if content.lacking else []
+    return LoadedRun(path, setup, content.data, {
+        **summary, 'supervised': None, 'remarks': [*lacking, *content.remarks]})
 
 
 def report_folder(path: Path) -> Path:

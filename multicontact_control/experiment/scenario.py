@@ -38,6 +38,7 @@ import yaml
 EXTERNAL = 'external'  # in the place of a plant's name
 CONTROLLER, ESTIMATOR = PRESET_NODES = ('controller_node', 'noise_estimator_node')
 COMMANDS = 'commands'  # in the place of a scenario's name
+NO_PLANT: Any = None  # in the place of the plant where the robot is the user's own
 SHORTEST, UNTIL_STOPPED = 1.0, 1e6  # s, of a run, and of one that Ctrl-C ends
 OF_THE_RUN = ('autostart', 'startup_peers', 'timing_file', 'base_dir')
 
@@ -53,19 +54,6 @@ class ScenarioConfig(Config):
     noise_estimator: dict[str, Any] = parameter(
         {}, 'Values laid over config/noise_estimator.yaml.')
     plant: dict[str, Any] = parameter({}, "Values laid over the plant preset's.")
-
-
-class _NoPlant:
-    """In the place of the plant where the robot is the user's own."""
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith('__'):
-            raise AttributeError(name)
-        raise ConfigError('plant', f'a simulated plant, for {name}',
-                          'an external robot or simulator')
-
-
-NO_PLANT: Any = _NoPlant()
 
 
 @dataclass(frozen=True)

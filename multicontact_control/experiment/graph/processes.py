@@ -17,16 +17,14 @@ from typing import Any
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.graph.node_process import MODULES, start_node
 from multicontact_control.experiment.graph.spec import (
-    CONTROLLER,
-    ESTIMATOR,
     GraphSpec,
     node_arguments,
     RECORDER,
     SIM,
+    START_ORDER,
 )
 from multicontact_control.nodes.runtime import FULL
 
-STOP_ORDER = (SIM, CONTROLLER, ESTIMATOR, RECORDER)
 # s, until a node that was asked to end is killed. On a busy machine a recorder takes seconds to
 # write what has come; if it is killed, the bag has no end.
 STOP_TIMEOUT, RECORDER_TIMEOUT = 8.0, 20.0
@@ -108,7 +106,7 @@ class NodeProcesses:
         The recorder is last, so that every message that was sent is in the bag; with `hurry` no
         node waits until its messages have arrived.
         """
-        for name in (x for x in STOP_ORDER if x in self.running):
+        for name in (x for x in reversed(START_ORDER) if x in self.running):
             process = self.running[name]
             if process.exitcode is None and process.pid is not None:
                 end = signal.SIGTERM if hurry or name == RECORDER else signal.SIGINT

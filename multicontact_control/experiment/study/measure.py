@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 import math
 from typing import Any, TYPE_CHECKING
 
@@ -10,11 +10,11 @@ from multicontact_control.errors import RunError
 from multicontact_control.experiment.claims import evidence_of
 from multicontact_control.experiment.metrics import LASTING, RunMetrics
 from multicontact_control.experiment.results import summarise
+from multicontact_control.experiment.scenario import dotted, Setup
 import numpy as np
 
 if TYPE_CHECKING:
     from multicontact_control.experiment.closed_loop import ClosedLoop
-    from multicontact_control.experiment.scenario import Setup
 
 LAST = 0.5  # s, the end of a run that tells whether it has settled
 SETTLED = 0.1  # of the command: with a larger error at its end a run has not settled
@@ -135,17 +135,10 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
         'rise_s': _latest(step['rise_63_s'] for step in steps),
         'overshoot_percent': _largest(step['overshoot_percent'] for step in steps),
         **{name: metrics.get(name) for name in ('activity_nm', 'neighbour_n')},
-        **dict(_flat({name: value for name, value in summary.items() if name not in LEFT_OUT})),
+        **{name: value for name, value in dotted({
+            name: summary[name] for name in summary if name not in LEFT_OUT}).items()
+           if not isinstance(value, (list, tuple))},
         'trajectory_sha256': summary.get('trajectory_sha256')}
-
-
-def _flat(values: Metrics, prefix: str = '') -> Iterator[tuple[str, Any]]:
-    """Yield the scalars of nested mappings by dotted names; lists are left out."""
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f'{prefix}{name}.')
-        elif not isinstance(value, (list, tuple)):
-            yield f'{prefix}{name}', value
 
 
 def _largest(values: Iterable[float | None]) -> float | None:

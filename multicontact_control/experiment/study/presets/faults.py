@@ -109,13 +109,6 @@ def in_fork(world: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
         os.waitpid(child, 0)
 
 
-def situation(
-    number: int, plants: Sequence[str], phases: Sequence[str] = PHASES,
-) -> tuple[str, str]:
-    """Return plant and phase of the number-th seed of a kind: all pairs in turn."""
-    return plants[number % len(plants)], phases[number // len(plants) % len(phases)]
-
-
 class FaultsStudy(Study):
     """Kinds of faults and seeds, in the situations in turn, and pairs of faults."""
 
@@ -129,19 +122,22 @@ class FaultsStudy(Study):
         part, = self.config.parts.values()
         plants, seeds = part.plants, part.seeds
         spread = len(plants) * len(PHASES)
-        places: dict[tuple[str, str], list[tuple[Any, ...]]] = {
-            (plant, phase): [] for phase in sorted(PHASE_TIMES, key=PHASE_TIMES.__getitem__)
-            for plant in plants}
+        numbered: list[tuple[int, Sequence[str], tuple[Any, ...]]] = []
         for index, (name, fault) in enumerate(FAULTS.items()):
             phases = (START, *PHASES) if fault.from_start else PHASES
             numbers = [(index % spread, seeds[0] + index % spread)] if len(seeds) == 1 else (
                 enumerate(seeds))
-            for number, seed in numbers:
-                places[situation(number, plants, phases)].append((*name, seed))
+            numbered += [(number, phases, (*name, seed)) for number, seed in numbers]
         pairs = pairs_of_faults(PAIRS if len(seeds) > 1 else FEW_PAIRS, seeds[0])
-        for number, (one, other) in enumerate(pairs):
-            places[situation(number, plants)].append(
-                (one.kind, one.input, seeds[0] + number, other.kind, other.input))
+        numbered += [
+            (number, PHASES, (one.kind, one.input, seeds[0] + number, other.kind, other.input))
+            for number, (one, other) in enumerate(pairs)]
+        places: dict[tuple[str, str], list[tuple[Any, ...]]] = {
+            (plant, phase): [] for phase in sorted(PHASE_TIMES, key=PHASE_TIMES.__getitem__)
+            for plant in plants}
+        for number, situations, work in numbered:  # all plants, then all phases, in turn
+            places[plants[number % len(plants)],
+                   situations[number // len(plants) % len(situations)]].append(work)
         jobs = [FaultJob(part.scenario, plant, phase, seeds[0],
                          tuple(faults[i:i + FAULTS_PER_JOB]))
                 for (plant, phase), faults in places.items()
