@@ -25,15 +25,7 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, counted, RunError
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.force.stiffness import (
-    adopt_band,
-    CORRELATION,
-    find_stiffness,
-    friction_of_others,
-    LARGEST_FRICTION,
-    SLOW_BAND,
-    STEP,
-)
+from multicontact_control.force import stiffness
 from multicontact_control.records import STIFFNESS
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -46,7 +38,7 @@ LEAST_SAMPLES = 50
 APART = 0.1  # s, between the samples of two steps
 # Of the unknowns: the largest values, with 0 as the least.
 LARGEST = {'stiffness_n_m': math.inf, 'damping_n_s_m': math.inf, 'tool_mass_kg': math.inf,
-           'friction': LARGEST_FRICTION}
+           'friction': stiffness.LARGEST_FRICTION}
 SERIES = 'surface and arm in series'
 # Of the variance found from n changes, relative to its square, times n: 5.44 for the median of
 # independent ones; of white noise neighbouring changes have a value in common.
@@ -122,7 +114,8 @@ def contact_signals(
         twist, levers = frame['twist'], contacts['config']['point'] @ frame['rotation'].T
         signals[0, :, k], signals[2, :, k] = contacts['alpha_meas'], contacts['N'] @ twist
         signals[3, :, k] = np.linalg.norm(twist[:3] + np.cross(twist[3:], levers), axis=1)
-        signals[4, :, k] = [friction_of_others(frame, contacts, i) for i in range(len(names))]
+        signals[4, :, k] = [
+            stiffness.friction_of_others(frame, contacts, i) for i in range(len(names))]
         signals[5:, :, k] = _reactions(controller, data.torque[k], springs)
     return {names[i]: ContactSignals(*signals[:, i]) for i in config.leaders}
 
@@ -154,7 +147,8 @@ def _identify(signal: ContactSignals, config: ControllerConfig) -> dict[str, Any
 def _fit(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
     """Return the unknowns with their errors, and what share they explain; None if too little."""
     z, v, w, y, a = filtered[accepted].T
-    columns = np.column_stack([z, v, a] + ([w] if np.abs(w).max(initial=0.0) > STEP else []))
+    columns = np.column_stack(
+        [z, v, a] + ([w] if np.abs(w).max(initial=0.0) > stiffness.STEP else []))
     count = columns.shape[1]
     scale = np.linalg.norm(columns, axis=0)
     if len(y) < LEAST_SAMPLES or np.linalg.matrix_rank(columns / scale, 1e-6) < count:
@@ -166,7 +160,7 @@ def _fit(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
 
     values = solve(slice(None))
     left = y - columns @ values
-    scatter = CORRELATION * float(left @ left) / max(len(y) - count, 1) * np.diag(
+    scatter = stiffness.CORRELATION * float(left @ left) / max(len(y) - count, 1) * np.diag(
         np.linalg.inv((columns / scale).T @ (columns / scale))) / scale ** 2
     ends = np.flatnonzero(np.diff(np.flatnonzero(accepted)) > APART / h) + 1
     steps = np.split(np.arange(len(y)), ends)
@@ -185,7 +179,7 @@ def _band_passed(signal: ContactSignals, config: ControllerConfig) -> tuple[Matr
     record: Any = np.zeros(1, dtype=STIFFNESS)[0]
     record['period'] = h
     fit = record['slow']
-    adopt_band(fit, SLOW_BAND, h, math.inf)
+    stiffness.adopt_band(fit, stiffness.SLOW_BAND, h, math.inf)
     filtered = np.zeros((len(signal.alpha), 5))
     accepted = np.zeros(len(signal.alpha), dtype=bool)
     rows = zip(signal.alpha, signal.alpha_des, signal.speed, signal.friction)
@@ -194,7 +188,7 @@ def _band_passed(signal: ContactSignals, config: ControllerConfig) -> tuple[Matr
             record['felt'] = False  # a gap: the filters begin anew
             continue
         before, weight = float(fit['stages'][1, 3]), float(fit['weight'])
-        find_stiffness(record, alpha, alpha_des, speed, friction)
+        stiffness.find_stiffness(record, alpha, alpha_des, speed, friction)
         filtered[k, :4] = fit['stages'][:, 3]
         filtered[k, 4] = (filtered[k, 1] - before) / h
         accepted[k] = fit['weight'] > weight
@@ -233,7 +227,7 @@ def _delay(signal: ContactSignals, accepted: Mask, h: float) -> dict[str, float]
         return None
     near = slice(max(best - 5, 0), best + 6)
     curvature = np.polyfit(delays[near] - delays[best], left[near], 2)[0]
-    variance = CORRELATION * left[best] / len(times)
+    variance = stiffness.CORRELATION * left[best] / len(times)
     return {'value': float(delays[best]),
             'std': math.sqrt(variance / curvature) if curvature > 0.0 else math.inf}
 

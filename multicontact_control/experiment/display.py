@@ -7,16 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from multicontact_control.errors import counted
-from multicontact_control.experiment.judge import (
-    EXTERNAL_RUN,
-    LOCKSTEP,
-    NOT_STABLE,
-    REAL_TIME,
-    RECORDED,
-    SILENT,
-    STABLE,
-    verdict_text,
-)
+from multicontact_control.experiment import judge
 from multicontact_control.experiment.metrics import truth_lacking
 from multicontact_control.experiment.scenario import COMMANDS
 from rich.console import Console
@@ -32,7 +23,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
-COLOURS = {STABLE: 'green', NOT_STABLE: 'red', SILENT: 'red'}
+COLOURS = {judge.STABLE: 'green', judge.NOT_STABLE: 'red', judge.SILENT: 'red'}
 # Of a contact: in a window of the run, or of its largest step; label, and digits.
 NUMBERS = (
     ('', 'step_rise_63_s', 'step rise 63 % [s]', 3),
@@ -91,7 +82,7 @@ def count_bar(console: Console | None = None) -> Progress:
 def headline(summary: Mapping[str, Any]) -> str:
     """Return what a run was, and what its forces are, in one line."""
     scenario, estimator = summary['scenario'], summary['noise_estimator']
-    if summary['mode'] in (EXTERNAL_RUN, RECORDED):
+    if summary['mode'] in (judge.EXTERNAL_RUN, judge.RECORDED):
         text = f'{scenario}, {estimator}, {summary["mode"]}'
     else:
         what = COMMANDS if summary['commanded_by_topic'] else scenario
@@ -128,18 +119,18 @@ def print_summary(console: Console, summary: Mapping[str, Any], folder: object) 
 
 def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
     """Return the lines below the table: motion, torque, verdict, warnings, where results are."""
-    timing, text = summary['timing'], verdict_text(summary)
+    timing, text = summary['timing'], judge.verdict_text(summary)
     motion, share = summary['motion'], summary['torque']['max_fraction_of_limit']
     colour = COLOURS.get(summary['verdict'], 'yellow')
     lines = [f"motion error {_number(motion['moving_position_rms_m'], 5)} m rms, "
              f"{_number(motion['orientation_max_rad'], 4)} rad at most; torque at most "
              f"{'-' if share is None else f'{100.0 * share:.0f} %'} of its limit",
              f'[{colour}]{escape(text)}[/{colour}] (judged: {escape(summary["judged"])})']
-    if summary['mode'] == REAL_TIME:
+    if summary['mode'] == judge.REAL_TIME:
         p99 = (timing['latency_us'] or {}).get('p99')
         lines.append(f'free-running: {timing["deadline_misses"]} of {summary["ticks"]} deadlines '
                      f'missed, latency p99 {_number(p99, 0)} us')
-    elif timing.get('realtime_factor') and summary['mode'] == LOCKSTEP:
+    elif timing.get('realtime_factor') and summary['mode'] == judge.LOCKSTEP:
         lines.append(f"{timing['realtime_factor']:.2f} times real time")
     for name, what, event in (('unanswered_samples', 'samples', 'not answered'),
                               ('lost_messages', 'messages', 'lost')):

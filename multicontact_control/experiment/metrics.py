@@ -333,8 +333,8 @@ def truth_lacking(without: Sequence[str], names: Collection[str]) -> str:
 
 def torque_limit(setup: Setup) -> Vector:
     """Return the controller's limits, shape (n,) [N m], infinite where there is none."""
-    limit = setup.controller.torque_limit
-    return np.array(limit) if limit else np.full(len(setup.controller.robot.joint_names), np.inf)
+    config = setup.controller
+    return np.array(config.torque_limit or [math.inf] * len(config.robot.joint_names))
 
 
 def least_torque_limit(setup: Setup) -> Vector:

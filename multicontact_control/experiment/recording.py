@@ -12,15 +12,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import RunError
-from multicontact_control.experiment.bag import (
-    BagColumns,
-    BagMessages,
-    JOINT_STATE,
-    POSE,
-    read_messages,
-    STATUS,
-    WRENCH,
-)
+from multicontact_control.experiment import bag
 from multicontact_control.experiment.oscillation import stretches
 import numpy as np
 from numpy.typing import NDArray
@@ -49,9 +41,9 @@ SERIES: dict[str, dict[str, str]] = {
 OPTIONAL = ('contact_forces/stiffness', 'contact_forces/stability_margin')
 SAMPLES, MEASURED, OBEYED = (
     'joint_states', 'contact_forces/measured', 'controller_node/status')
-TYPES = dict.fromkeys(SERIES, JOINT_STATE) | {
-    OBEYED: STATUS, 'ft_sensor/wrench': WRENCH, 'ft_sensor/wrench_filtered': WRENCH,
-    'operational_point/pose': POSE, 'operational_point/pose_desired': POSE}
+TYPES = dict.fromkeys(SERIES, bag.JOINT_STATE) | {
+    OBEYED: bag.STATUS, 'ft_sensor/wrench': bag.WRENCH, 'ft_sensor/wrench_filtered': bag.WRENCH,
+    'operational_point/pose': bag.POSE, 'operational_point/pose_desired': bag.POSE}
 SPARSE = 20.0  # ticks per sample beyond which the stamps are no clock
 CUT_OFF = 'the recording is cut off'
 REACHED = 0.99  # share of a commanded force at which the contact counts as made
@@ -104,17 +96,13 @@ class RunData:
 
     def part(self, begin: int, end: int) -> RunData:
         """Return the samples from one up to another; time begins with the first of them."""
-        series: dict[str, Any] = {
-            f.name: getattr(self, f.name)[begin:end] for f in fields(self)
-            if isinstance(getattr(self, f.name), np.ndarray)}
+        series: dict[str, Any] = {name: values[begin:end] for name, values in vars(self).items()
+                                  if isinstance(values, np.ndarray)}
         return replace(self, **{**series, 'time': self.time[:end - begin]})
 
     def save(self, folder: Path) -> None:
         """Write the series to ``samples.npz`` in a folder."""
-        values: dict[str, Any] = {
-            f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
-        with (folder / SERIES_FILE).open('wb') as file:
-            np.savez_compressed(file, **values)
+        np.savez_compressed(folder / SERIES_FILE, **vars(self))
 
     @classmethod
     def load(cls, folder: Path) -> RunData:
@@ -178,23 +166,23 @@ def read_bag(
     return content_of(path, read_graph(path, namespace), controller, answered=answered)
 
 
-def read_graph(path: Path, namespace: str | None = None) -> BagMessages:
+def read_graph(path: Path, namespace: str | None = None) -> bag.BagMessages:
     """Read the messages of a graph of this package; RunError if there are none."""
-    messages = read_messages(path, TYPES, namespace)
+    messages = bag.read_messages(path, TYPES, namespace)
     if not any(topic in SERIES for topic in messages.by_topic):
         raise RunError(f'{path}: expected samples on joint_states, or another topic of the '
                        f'controller, got {messages}')
     return messages
 
 
-def sample_topic(messages: BagMessages) -> str:
+def sample_topic(messages: bag.BagMessages) -> str:
     """Return the topic that has a message for every sample."""
     there = [topic for topic in SERIES if topic in messages.by_topic]
     return SAMPLES if SAMPLES in there else max(there, key=lambda x: len(messages.by_topic[x]))
 
 
 def content_of(
-    path: Path, messages: BagMessages, controller: ControllerConfig, *, answered: bool = False,
+    path: Path, messages: bag.BagMessages, controller: ControllerConfig, *, answered: bool = False,
 ) -> BagContent:
     """Return the series of the messages that `read_graph` found; see `read_bag`."""
     topic = sample_topic(messages)
@@ -209,7 +197,7 @@ def content_of(
             f'{(int(stamps[-1]) - int(stamps[0])) * 1e-9:.3g} s')
     data = empty_run_data(count, controller)
     for name, columns in messages.by_topic.items():
-        names = () if TYPES[name] != JOINT_STATE else (
+        names = () if TYPES[name] != bag.JOINT_STATE else (
             data.joint_names if name.startswith('joint') else data.contact_names)
         places = np.searchsorted(stamps, columns.stamps).clip(max=len(stamps) - 1)
         known = stamps[places] == columns.stamps
@@ -234,7 +222,7 @@ def _answered(data: RunData) -> tuple[int, int]:
 
 
 def _commands(
-    data: RunData, status: BagColumns | None, published: NDArray[np.uint64],
+    data: RunData, status: bag.BagColumns | None, published: NDArray[np.uint64],
     ticks: NDArray[np.int64],
 ) -> Matrix:
     """Return what `~/status` says is obeyed from contact on, else what the controller aims at."""
@@ -262,7 +250,7 @@ def _commands(
     return command
 
 
-def _remarks(messages: BagMessages, data: RunData) -> tuple[str, ...]:
+def _remarks(messages: bag.BagMessages, data: RunData) -> tuple[str, ...]:
     remarks = list(messages.unreadable)
     for topic, values, expected in ((SAMPLES, data.q, data.joint_names),
                                     (MEASURED, data.alpha_meas, data.contact_names)):

@@ -22,6 +22,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.config.contact import ACROSS, ALONG, ContactType, SUFFIXES
 from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.experiment import recording
 from multicontact_control.experiment.bag import BagMessages, mcap_files
 from multicontact_control.experiment.judge import (
     judge,
@@ -32,14 +33,6 @@ from multicontact_control.experiment.judge import (
     UNKNOWN,
 )
 from multicontact_control.experiment.metrics import RunMetrics
-from multicontact_control.experiment.recording import (
-    content_of,
-    read_bag,
-    read_graph,
-    RunData,
-    sample_topic,
-    SERIES_FILE,
-)
 from multicontact_control.experiment.scenario import (
     EXTERNAL,
     NO_PLANT,
@@ -58,7 +51,7 @@ CONFIG_FOLDER, BAG_FOLDER, FIGURE_FOLDER, LOG_FOLDER = 'config', 'bag', 'figures
 SCENARIO_FILE = f'{CONFIG_FOLDER}/scenario.yaml'
 # All that a run and its report leave, and all that is ever deleted.
 LEFT_BY_RUNS = frozenset((CONFIG_FOLDER, BAG_FOLDER, FIGURE_FOLDER, LOG_FOLDER, SUMMARY_FILE,
-                          REPORT_FILE, SERIES_FILE))
+                          REPORT_FILE, recording.SERIES_FILE))
 WHOLE = 1e-3  # of a rate, within which it is taken for one of whole Hz
 NAMED_BY = ('contact_forces/measured', 'contact_forces/estimated', 'contact_forces/desired',
             'contact_forces/noise_variance', 'ground_truth/contact_forces')
@@ -140,8 +133,8 @@ def _empty(folder: Path, *, overwrite: bool) -> None:
 
 
 def summarise(
-    data: RunData, setup: Setup, *, mode: str, timing: Mapping[str, Any], ended_early: str = '',
-    events: Sequence[tuple[float, str]] | None = None,
+    data: recording.RunData, setup: Setup, *, mode: str, timing: Mapping[str, Any],
+    ended_early: str = '', events: Sequence[tuple[float, str]] | None = None,
 ) -> dict[str, Any]:
     """
     Return the content of ``summary.json`` (schema 1).
@@ -180,7 +173,7 @@ class LoadedRun(NamedTuple):
 
     folder: Path
     setup: Setup
-    data: RunData
+    data: recording.RunData
     summary: dict[str, Any]
 
 
@@ -218,12 +211,12 @@ def load_run(folder: Path) -> LoadedRun:
     """
     setup = load_setup(folder)
     if (folder / BAG_FOLDER).is_dir():
-        data = read_bag(
+        data = recording.read_bag(
             folder / BAG_FOLDER, setup.controller, answered=not setup.simulated).data
-    elif (folder / SERIES_FILE).is_file():
-        data = RunData.load(folder)
+    elif (folder / recording.SERIES_FILE).is_file():
+        data = recording.RunData.load(folder)
     else:
-        raise RunError(f'{folder}: expected {BAG_FOLDER}/ or {SERIES_FILE}, got neither')
+        raise RunError(f'{folder}: expected {BAG_FOLDER}/ or {recording.SERIES_FILE}, got neither')
     return LoadedRun(folder, setup, data, read_json(folder / SUMMARY_FILE))
 
 
@@ -259,7 +252,7 @@ def _names(found: BagMessages, topics: Sequence[str]) -> tuple[str, ...]:
 
 def _rate(path: Path, found: BagMessages) -> float:
     """Return the rate of the samples' stamps without their gaps [Hz], whole if it nearly is."""
-    topic = sample_topic(found)
+    topic = recording.sample_topic(found)
     apart = np.diff(np.unique(found.by_topic[topic].stamps))
     if not len(apart):
         raise RunError(f'{path}: {topic}: expected at least 2 samples, got 1')
@@ -303,9 +296,9 @@ def load(path: Path, files: Sequence[Path] = (), namespace: str | None = None) -
         return load_run(path)
     if bag.is_dir() and not mcap_files(path):  # of a run that did not come to its end
         path, files = bag, files or ([own] if own.is_file() else ())
-    messages = read_graph(path, namespace)
+    messages = recording.read_graph(path, namespace)
     setup = _setup_of_recording(path, messages, files)
-    content = content_of(path, messages, setup.controller, answered=True)
+    content = recording.content_of(path, messages, setup.controller, answered=True)
     summary = summarise(content.data, setup, mode=RECORDED, timing={
         'unanswered_samples': content.unanswered})
     lacking = [f'not in the recording: {", ".join(content.lacking)}'] if content.lacking else []

@@ -12,26 +12,14 @@ from typing import Any, TYPE_CHECKING
 from multicontact_control.compiled import compiled_here
 from multicontact_control.config import validate
 from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.experiment import judge, results
 from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import print_summary, progress_bar
 from multicontact_control.experiment.figures import draw_figures, draw_latency
-from multicontact_control.experiment.judge import (
-    EXTERNAL_RUN,
-    INTERRUPTED,
-    LOCKSTEP,
-    REAL_TIME,
-    verdict_text,
-)
 from multicontact_control.experiment.metrics import percentiles
 from multicontact_control.experiment.recording import BagContent, read_bag, RunData
-from multicontact_control.experiment.results import (
-    CONFIG_FOLDER,
-    FIGURE_FOLDER,
-    summarise,
-    SUMMARY_FILE,
-)
 from multicontact_control.experiment.scenario import dotted, External, Setup, SHORTEST
 from multicontact_control.files import finite, write_json
 from rich.console import Console
@@ -57,7 +45,7 @@ def run_simulate(setup: Setup, folder: Path, *, supervised: bool = True) -> dict
     """
     refuse_push_test(setup)
     ensure_compiled()
-    setup.write(folder / CONFIG_FOLDER)
+    setup.write(folder / results.CONFIG_FOLDER)
     with progress_bar(
             f'simulate {setup.scenario.name}', setup.scenario.duration, CONSOLE) as show:
         result = run_in_process(setup, lambda time, alpha: show(
@@ -70,9 +58,9 @@ def run_simulate(setup: Setup, folder: Path, *, supervised: bool = True) -> dict
         'deadline_misses': 0, 'lost_messages': 0, 'tick_us': percentiles(result.tick_us),
         'latency_us': None, 'kernels_compiled': compiled_here(),
         'realtime_factor': result.data.ticks / result.data.rate / result.wall_time}
-    summary = summarise(result.data, setup, mode='in_process', timing=timing,
-                        ended_early=result.ended_early,
-                        events=result.events if supervised else None)
+    summary = results.summarise(
+        result.data, setup, mode='in_process', timing=timing, ended_early=result.ended_early,
+        events=result.events if supervised else None)
     return _finish(result.data, setup, folder, summary)
 
 
@@ -96,7 +84,7 @@ def run_on_graph(
     from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
     from multicontact_control.nodes.controller_config import ControllerNodeConfig
 
-    config = folder / CONFIG_FOLDER
+    config = folder / results.CONFIG_FOLDER
     if external is None or not setup.commanded_by_topic:
         refuse_push_test(setup)
     parameters: Mapping[str, Any] = {'patience': SIMULATION_PATIENCE}
@@ -136,11 +124,12 @@ def _report_graph(result: GraphResult, spec: GraphSpec, setup: Setup) -> Ending:
     if not spec.ticks:  # it lasts as long as it has, in the files, too
         setup = replace(setup, scenario=setup.scenario.model_copy(
             update={'duration': max(SHORTEST, data.ticks / data.rate)}))
-        setup.write(spec.out / CONFIG_FOLDER)
-    mode = EXTERNAL_RUN if spec.robot else REAL_TIME if spec.free_running else LOCKSTEP
-    summary = summarise(
+        setup.write(spec.out / results.CONFIG_FOLDER)
+    mode = judge.EXTERNAL_RUN if spec.robot else (
+        judge.REAL_TIME if spec.free_running else judge.LOCKSTEP)
+    summary = results.summarise(
         data, setup, mode=mode, timing=graph_timing(result.timing, content),
-        ended_early=result.ended or (INTERRUPTED if interrupted else ''),
+        ended_early=result.ended or (judge.INTERRUPTED if interrupted else ''),
         events=result.timing[CONTROLLER].get('events', []) if (
             spec.extra_parameters[CONTROLLER]['supervised']) else None)
     summary |= {'ros_domain_id': result.domain_id, 'remarks': list(content.remarks)}
@@ -200,9 +189,9 @@ def graph_timing(
 def _finish(data: RunData, setup: Setup, folder: Path, summary: dict[str, Any]) -> dict[str, Any]:
     """Judge the claims, write figures and summary, show the table."""
     summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
-    draw_figures(data, setup, folder / FIGURE_FOLDER, verdict=verdict_text(summary))
+    draw_figures(data, setup, folder / results.FIGURE_FOLDER, verdict=judge.verdict_text(summary))
     if summary['timing'].get('latency_histogram'):
-        draw_latency(summary, folder / FIGURE_FOLDER)
-    write_json(folder / SUMMARY_FILE, finite(summary))
+        draw_latency(summary, folder / results.FIGURE_FOLDER)
+    write_json(folder / results.SUMMARY_FILE, finite(summary))
     print_summary(CONSOLE, summary, folder)
     return summary

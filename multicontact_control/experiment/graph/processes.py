@@ -72,12 +72,13 @@ class NodeProcesses:
 
     def report(self, name: str, event: str) -> str:
         """Return what happened to a node, with the end of its log."""
-        tail = '\n'.join(f'  {line}' for line in self._lines(name)) or '  (nothing)'
+        lines = self._text(name).splitlines()[-LOG_LINES:] or ['(nothing)']
+        tail = '\n'.join(f'  {line}' for line in lines)
         return f'{name} {event}; the end of {self._log(name)}:\n{tail}'
 
     def last_line(self, name: str) -> str:
         """Return the last line of a node's log, without time and name."""
-        return ''.join(self._lines(name)[-1:]).rpartition(f'[{name}]: ')[2]
+        return ''.join(self._text(name).splitlines()[-1:]).rpartition(f'[{name}]: ')[2]
 
     def new_warnings(self) -> str:
         """Return the last warning or error logged since the last call, and how many there are."""
@@ -88,10 +89,6 @@ class NodeProcesses:
             self._seen[name] = text.rfind('\n') + 1
         more = f' (and {len(found) - 1} more in {self.spec.logs})' if len(found) > 1 else ''
         return shorten(': '.join(found[-1]), LINE_LENGTH) + more if found else ''
-
-    def _lines(self, name: str) -> list[str]:
-        """Return the end of a node's log."""
-        return self._text(name).splitlines()[-LOG_LINES:]
 
     def _text(self, name: str) -> str:
         return self._log(name).read_text(encoding='utf-8', errors='replace')

@@ -26,16 +26,9 @@ from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.experiment.graph.robot import RobotWatch
 from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec, MANAGED, SIM
-from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes import link, messages, qos, topics
 from multicontact_control.nodes.controller_config import SAFE_TIME
 from multicontact_control.nodes.graph import ignore, take
-from multicontact_control.nodes.link import (
-    ACTIVATE,
-    CONFIGURE,
-    DEACTIVATE,
-    GuestNode,
-    TransitionError,
-)
 
 WATCH_PERIOD, PROGRESS_PERIOD = 0.05, 0.2  # s
 TELL_PERIOD, WARN_PERIOD = 5.0, 1.0  # s, between two lines on what is waited for, or is wrong
@@ -70,7 +63,7 @@ class GraphResult:
     ended: str = ''  # what ended it early on the side of the user's own robot
 
 
-class ProgressListener(GuestNode):
+class ProgressListener(link.GuestNode):
     """Reads the newest measured forces when asked, and takes no time in between."""
 
     def __init__(self, domain_id: int, namespace: str = '') -> None:
@@ -117,33 +110,33 @@ class RunningGraph:
         """Start the nodes, wait for the robot, and activate the controller."""
         for name in self.spec.nodes:
             self.processes.start(name)
-        self._lead(CONFIGURE)
+        self._lead(link.CONFIGURE)
         while self.robot is not None and (missing := self.robot.missing()):
             self._wait(missing)
             time.sleep(WATCH_PERIOD)
         self._activated = True  # on the way, at least
-        self._lead(ACTIVATE)
+        self._lead(link.ACTIVATE)
 
     def _wait(self, what: str) -> None:
         self.processes.check_running()
         self._keep_waiting(f'{what}, in ROS domain {self.domain_id}')
 
     def _lead(self, transition: str) -> None:
-        with GuestNode('lifecycle_driver', self.domain_id, self.spec.namespace,
-                       keep_waiting=self._wait) as driver:
+        with link.GuestNode('lifecycle_driver', self.domain_id, self.spec.namespace,
+                            keep_waiting=self._wait) as driver:
             for name in MANAGED:
                 try:
                     driver.change(name, transition)
-                except TransitionError:
+                except link.TransitionError:
                     raise RunError(self.processes.report(name, f'cannot {transition}')) from None
 
     def stop(self, *, hurry: bool) -> None:
         """Stop the nodes, a robot's controller not before its safe behaviour; `hurry` to abort."""
         if self.robot is not None and self._activated and not self.processes.ended(CONTROLLER):
-            with contextlib.suppress(RunError), GuestNode(
+            with contextlib.suppress(RunError), link.GuestNode(
                     'run_end', self.domain_id, self.spec.namespace,
                     patience=DEACTIVATION_TIMEOUT) as driver:
-                driver.change(CONTROLLER, DEACTIVATE)
+                driver.change(CONTROLLER, link.DEACTIVATE)
                 time.sleep(SAFE_TIME)
         self.processes.stop(hurry=hurry)
         self.progress.newest()

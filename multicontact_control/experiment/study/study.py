@@ -13,6 +13,7 @@ from multicontact_control import __version__
 from multicontact_control.errors import counted
 from multicontact_control.experiment.overrides import unit_of
 from multicontact_control.experiment.page import folded, image, write_page
+from multicontact_control.experiment.study import table
 from multicontact_control.experiment.study.cells import Cell, is_parameter, run_cells
 from multicontact_control.experiment.study.config import StudyConfig
 from multicontact_control.experiment.study.jobs import (
@@ -23,16 +24,6 @@ from multicontact_control.experiment.study.jobs import (
     run_jobs,
 )
 from multicontact_control.experiment.study.measure import metrics_row
-from multicontact_control.experiment.study.table import (
-    draw_study,
-    extremes,
-    html_tables,
-    listing_of,
-    sentences,
-    table_columns,
-    terminal_tables,
-    worst,
-)
 from multicontact_control.files import read_json, replacing, write_json
 import pandas as pd
 from rich.console import Console
@@ -84,11 +75,11 @@ class Study:
     def findings(self, results: Results) -> list[str]:
         """Return what the numbers show, in sentences."""
         frame, config = results.frame, self.config
-        return [*sentences(frame, config), *extremes(listing_of(frame, config))]
+        return [*table.sentences(frame, config), *table.extremes(table.listing_of(frame, config))]
 
     def figure(self, results: Results) -> Any:
         """Return the figure, None if there is none."""
-        return draw_study(results.frame, self.config)
+        return table.draw_study(results.frame, self.config)
 
     def sections(self, results: Results) -> Mapping[str, str]:
         """Return what stands below the table on the page: HTML by plain heading."""
@@ -111,7 +102,7 @@ class Study:
         write_page(folder / PAGE_FILE, title, '\n'.join([
             _listed(self.findings(results)), f'<p>{escape(runs[:1].upper() + runs[1:])}</p>',
             '' if figure is None else image(folder / FIGURE_FILE, self.config.name),
-            html_tables(listing_of(frame, self.config)),
+            table.html_tables(table.listing_of(frame, self.config)),
             f'<p class=note>{escape(self.config.notes)} Every run is in {CSV_FILE}.</p>',
             folded(counted(len(warnings), 'remarks'), _listed(warnings)) if warnings else '',
             *(f'<h2>{escape(heading)}</h2>{text}'
@@ -128,8 +119,8 @@ class Study:
             texts.append(f'{len(failed) - MOST_WARNINGS} more are in {CSV_FILE}')
         return texts + [
             f'columns: the table has nothing under {column.value}'
-            for column in table_columns(frame, self.config)
-            if column.value not in frame and worst(frame, column.value).isna().all()]
+            for column in table.table_columns(frame, self.config)
+            if column.value not in frame and table.worst(frame, column.value).isna().all()]
 
     def results(
         self, cells: Sequence[Cell], found: Mapping[str, Metrics], folder: Path,
@@ -179,7 +170,11 @@ def run_study(
         console.print(f'study {name}: {counted(len(keys), "jobs")}, {finished} of them finished '
                       'before', highlight=False)
         if dry_run:
-            _show_factors(cells, console)
+            for factor in cells[0].factors:
+                values = dict.fromkeys(str(cell.factors[factor]) for cell in cells)
+                if any(values):
+                    console.print(f'  {factor}: {", ".join(filter(None, values))}',
+                                  highlight=False, markup=False, soft_wrap=True)
             return None
 
         def run(some: Sequence[Cell]) -> dict[str, dict[str, Any]]:
@@ -191,9 +186,9 @@ def run_study(
             cells += further
             results = study.results(cells, run(cells), folder)
     study.write(results)
-    listing = listing_of(results.frame, study.config)
+    listing = table.listing_of(results.frame, study.config)
     if sum(map(len, listing.values())) <= SHOWN:
-        console.print(*terminal_tables(name, listing, console.width))
+        console.print(*table.terminal_tables(name, listing, console.width))
     for text in study.warnings(results):
         console.print(f'[red]{plain(text)}[/red]', highlight=False)
     for text in study.findings(results):
@@ -201,12 +196,3 @@ def run_study(
     for file in (PAGE_FILE, CSV_FILE, TABLE_FILE):
         console.print(f'results in {folder / file}', highlight=False, soft_wrap=True)
     return results
-
-
-def _show_factors(cells: Sequence[Cell], console: Console) -> None:
-    """Show every factor with its values."""
-    for name in cells[0].factors:
-        values = dict.fromkeys(str(cell.factors[name]) for cell in cells)
-        if any(values):
-            console.print(f'  {name}: {", ".join(filter(None, values))}', highlight=False,
-                          markup=False, soft_wrap=True)

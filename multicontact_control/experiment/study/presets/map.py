@@ -24,14 +24,9 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.study import Results, Study
+from multicontact_control.force import margins
 from multicontact_control.force.force_law import design_law, loop_model
 from multicontact_control.force.laws import steady_law
-from multicontact_control.force.margins import (
-    closed_loop,
-    last_stable,
-    LinearArmPlant,
-    spectral_radius,
-)
 from multicontact_control.force.observer import ObserverDesign, steady_gain
 import numpy as np
 import pandas as pd
@@ -169,12 +164,12 @@ class ArmLoop:
 
         def spectral_radius_at(ratio: float) -> float:
             stiffness = ratio * self.stiffness
-            plant = LinearArmPlant(
+            plant = margins.LinearArmPlant(
                 none, stiffness[:1], none[0], none, self.delay, K_2,
-            ) if paper else LinearArmPlant(  # where the real delay counts in whole periods
+            ) if paper else margins.LinearArmPlant(  # where the real delay counts in whole periods
                 self.mobility, stiffness, self.damping, self.tool_inertia,
                 round(self.delay * self.config.rate) * period)
-            return spectral_radius(closed_loop(
+            return margins.spectral_radius(margins.closed_loop(
                 plant, law, 0.0 if paper else K_2, period, fed_share=self.fed_share))
 
         return spectral_radius_at
@@ -182,4 +177,5 @@ class ArmLoop:
     def boundary(self, noise_variance: float, *, paper: bool = False) -> float:
         """Return the largest stable ratio, 0 for none or infinity, with R held [N^2]."""
         radius = self.radius(noise_variance, paper=paper)
-        return math.sqrt(math.prod(last_stable(lambda ratio: radius(ratio) < 1.0, RATIOS, 1e-7)))
+        return math.sqrt(math.prod(
+            margins.last_stable(lambda ratio: radius(ratio) < 1.0, RATIOS, 1e-7)))
