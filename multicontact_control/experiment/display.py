@@ -10,17 +10,9 @@ from multicontact_control.errors import counted
 from multicontact_control.experiment import judge
 from multicontact_control.experiment.metrics import truth_lacking
 from multicontact_control.experiment.scenario import COMMANDS
+from rich import progress
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 
 COLOURS = {judge.STABLE: 'green', judge.NOT_STABLE: 'red', judge.SILENT: 'red'}
@@ -40,11 +32,13 @@ NUMBERS = (
 ShowProgress = Callable[..., None]
 
 
-def moving_bar(*columns: ProgressColumn, console: Console | None, **options: Any) -> Progress:
+def moving_bar(
+    *columns: progress.ProgressColumn | str, console: Console | None, **options: Any,
+) -> progress.Progress:
     """Return a bar of some columns, shown where text can move: not in a file or a pipe."""
     console = console or Console()
     lively = console.is_terminal and not console.is_dumb_terminal and not console.no_color
-    return Progress(*columns, console=console, disable=not lively, **options)
+    return progress.Progress(*columns, console=console, disable=not lively, **options)
 
 
 @contextmanager
@@ -53,11 +47,11 @@ def progress_bar(
 ) -> Iterator[ShowProgress]:
     """Show a bar with the live forces for the time of a run [s], `waiting` before samples come."""
     end = '' if duration is None else f' / {duration:.1f}'
-    columns = (TextColumn('{task.description}'), BarColumn(),
-               TextColumn(f'{{task.completed:5.1f}}{end} s'), TimeRemainingColumn(),
-               TextColumn('{task.fields[forces]}'))
-    with moving_bar(*columns, console=console, refresh_per_second=5) as progress:
-        task = progress.add_task(title, total=duration, forces=waiting)
+    with moving_bar(
+            '{task.description}', progress.BarColumn(), f'{{task.completed:5.1f}}{end} s',
+            progress.TimeRemainingColumn(), '{task.fields[forces]}', console=console,
+            refresh_per_second=5) as bar:
+        task = bar.add_task(title, total=duration, forces=waiting)
 
         def show(
             time: float, forces: Mapping[str, float], realtime_factor: float = 0.0,
@@ -65,18 +59,18 @@ def progress_bar(
             text = '  '.join(f'{name} {force:5.1f} N' for name, force in forces.items())
             if realtime_factor:
                 text += f'  {realtime_factor:.2f} x real time'
-            progress.update(task, completed=min(time, duration or time), forces=text)
+            bar.update(task, completed=min(time, duration or time), forces=text)
 
         yield show
-        progress.update(task, forces='')
+        bar.update(task, forces='')
 
 
-def count_bar(console: Console | None = None) -> Progress:
+def count_bar(console: Console | None = None) -> progress.Progress:
     """Return the bar of a study: what is done, for how long, and how long it will take."""
     return moving_bar(
-        TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        TextColumn('left'), TimeRemainingColumn(), console=console, refresh_per_second=2,
-        speed_estimate_period=7200.0)
+        '{task.description}', progress.BarColumn(), progress.MofNCompleteColumn(),
+        progress.TimeElapsedColumn(), 'left', progress.TimeRemainingColumn(), console=console,
+        refresh_per_second=2, speed_estimate_period=7200.0)
 
 
 def headline(summary: Mapping[str, Any]) -> str:

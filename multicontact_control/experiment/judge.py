@@ -7,23 +7,11 @@ import math
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask, Vector
-from multicontact_control.experiment.metrics import (
-    least_torque_limit,
-    RunMetrics,
-    torque_limit,
-    truth_lacking,
-)
+from multicontact_control.experiment.metrics import RunMetrics, torque_limit, truth_lacking
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.supervision.contacts import (
-    GIVEN_UP,
-    HOLDING,
-    IMPACT,
-    LOST,
-    NAMES,
-    RETRACTING,
-)
+from multicontact_control.supervision import contacts
 from multicontact_control.supervision.gate import NAMES as TORQUE_LIMITS
 from multicontact_control.supervision.reactions import INFLATE, NONE
 from multicontact_control.supervision.report import CAPACITY
@@ -57,8 +45,9 @@ TRUE, MEASURED, UNKNOWN = 'true', 'measured', 'unknown'  # forces that a run is 
 # Modes of a run: the simulator waits; it does not; a robot of others; a recording.
 LOCKSTEP, REAL_TIME, EXTERNAL_RUN, RECORDED = (
     'lockstep', 'free_running', 'external', 'recorded')
-WHOLE = (NAMES[IMPACT], NAMES[HOLDING])
-GONE = (NAMES[LOST], NAMES[RETRACTING], NAMES[GIVEN_UP])
+WHOLE = tuple(contacts.NAMES[i] for i in (contacts.IMPACT, contacts.HOLDING))
+GONE = tuple(
+    contacts.NAMES[i] for i in (contacts.LOST, contacts.RETRACTING, contacts.GIVEN_UP))
 LIMITS = ('reference', *(name for name, _ in TORQUE_LIMITS))
 
 
@@ -180,9 +169,8 @@ def _findings(run: RunMetrics, mode: str, ended_early: str) -> list[Finding]:
     infinite = np.any([np.isinf(values).any(axis=1) for values in series], axis=0)
     if infinite.any():
         passed.append(Finding('a number is not finite', _first(data, infinite)))
-    least = least_torque_limit(setup)
-    saturated = np.abs(data.torque) >= 0.999999 * least
-    of_drives = saturated & (least < torque_limit(setup))
+    saturated = np.abs(data.torque) >= 0.999999 * run.least_torque_limit
+    of_drives = saturated & (run.least_torque_limit < torque_limit(setup))
     passed += _lasting(data, 'torque saturated' + (
         ' at the limit of the simulated drives' if of_drives.any() else ''),
         *stretches(np.asarray(saturated.any(axis=1))))

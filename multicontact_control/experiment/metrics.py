@@ -8,13 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.experiment.oscillation import (
-    bridged,
-    Oscillation,
-    oscillations,
-    spectrum,
-    stretches,
-)
+from multicontact_control.experiment import oscillation
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.contacts import LOSS_TIME
@@ -138,7 +132,7 @@ class RunMetrics:
     def known_share(self, i: int, forces: Matrix) -> float:
         """Return for what share of the load, or else of the run, a force is known."""
         loaded = self.windows.loaded & (self.pressing[:, i] > 0.0)
-        known = np.isfinite(bridged(forces[:, i], self.data.rate))
+        known = np.isfinite(oscillation.bridged(forces[:, i], self.data.rate))
         return float(known[loaded if loaded.any() else slice(None)].mean())
 
     def without_truth(self) -> list[str]:
@@ -205,14 +199,14 @@ class RunMetrics:
         while it is as large as the normal force of its contact: one end of an edge, or one side
         of a plane, has left the surface.
         """
-        force = bridged(self.force[:, self.leaders[i]], self.data.rate)
+        force = oscillation.bridged(self.force[:, self.leaders[i]], self.data.rate)
         gone = force <= 0.0
         if self.couples[i]:
-            couple = bridged(self.force[:, i], self.data.rate)
+            couple = oscillation.bridged(self.force[:, i], self.data.rate)
             # The loss of the whole contact is that of the normal force.
             gone = ~gone & (np.abs(couple) >= ALL_OF_IT * force)
         least = LOSS_TIME * self.data.rate - 1e-9
-        lost = [(begin, end) for begin, end in zip(*stretches(judged & gone))
+        lost = [(begin, end) for begin, end in zip(*oscillation.stretches(judged & gone))
                 if end - begin >= least]
         return [begin for begin, _ in lost], [end for _, end in lost]
 
@@ -221,10 +215,11 @@ class RunMetrics:
         force = self.force[:, i]
         return None if self.couples[i] else value_in(window & np.isfinite(force), force <= 0.0)
 
-    def oscillations(self, i: int, judged: Mask) -> list[Oscillation]:
+    def oscillations(self, i: int, judged: Mask) -> list[oscillation.Oscillation]:
         """Return where the force of a contact oscillates, among the samples `judged`."""
         # A couple, which may well be 0, is judged while its contact is pressed, and by how hard.
-        return oscillations(self.error[:, i], self.pressing[:, i], judged, self.data.rate)
+        return oscillation.oscillations(
+            self.error[:, i], self.pressing[:, i], judged, self.data.rate)
 
     def contact_summary(self, i: int) -> dict[str, Any]:
         """Return the numbers of one contact; of the steps those of the largest one up."""
@@ -234,7 +229,7 @@ class RunMetrics:
             'step_rise_63_s': largest.rise_63_s if largest else None,
             'step_overshoot_percent': largest.overshoot_percent if largest else None,
             'steps': [response._asdict() for response in self.step_responses(i)],
-            'oscillation_s': max((oscillation.duration for oscillation in self.oscillations(
+            'oscillation_s': max((each.duration for each in self.oscillations(
                 i, judged.loaded & asked)), default=None),
             **{name: self._window_summary(i, window & asked)
                for name, window in (('rest', judged.rest), ('moving', judged.moving))}}
@@ -274,12 +269,16 @@ class RunMetrics:
                 'orientation_max_rad': value_in(
                     judged.loaded, 2.0 * np.arccos(np.minimum(cosine, 1.0)), np.max)}
 
+    @cached_property
+    def least_torque_limit(self) -> Vector:
+        """Return the smaller of controller's and drives' limits, shape (n,) [N m], or inf."""
+        return np.minimum(torque_limit(self.setup), self.setup.drive_limit or math.inf)
+
     def torque_summary(self) -> dict[str, float | None]:
         """Return how much of the torque limits was used, None without any."""
-        limit = least_torque_limit(self.setup)
-        fraction: Matrix = np.abs(self.data.torque) / limit
+        fraction: Matrix = np.abs(self.data.torque) / self.least_torque_limit
         return {'max_fraction_of_limit': value_in(
-            np.isfinite(fraction) & np.isfinite(limit), fraction, np.max)}
+            np.isfinite(fraction) & np.isfinite(self.least_torque_limit), fraction, np.max)}
 
     def recoveries(self, i: int, unstable_at: float | None) -> list[dict[str, Any]]:
         """
@@ -304,7 +303,8 @@ class RunMetrics:
                 continue
             band = max(BAND_OF_COMMAND * float(command[judged][0]),
                        BAND_OF_NOISE * float(np.std(error[before])))
-            settled = [begin for begin, end in zip(*stretches(np.abs(error[judged]) <= band))
+            inside = oscillation.stretches(np.abs(error[judged]) <= band)
+            settled = [begin for begin, end in zip(*inside)
                        if end - begin >= round(BAND_HELD * self.data.rate)]
             # The end of a run that ended before its time takes no recovery back.
             lost = unstable_at is not None and unstable_at < min(until, last)
@@ -319,7 +319,7 @@ class RunMetrics:
         forces = self.data.alpha_true[self.between(unstable_at - GROWTH, unstable_at)]
         if forces.shape[0] < GROWTH * self.data.rate - 1 or not np.isfinite(forces).all():
             return None
-        frequencies, power = spectrum(forces.T, self.data.rate, padding=8)
+        frequencies, power = oscillation.spectrum(forces.T, self.data.rate, padding=8)
         return float(frequencies[int(np.argmax(power.sum(axis=0)))])
 
 
@@ -335,12 +335,6 @@ def torque_limit(setup: Setup) -> Vector:
     """Return the controller's limits, shape (n,) [N m], infinite where there is none."""
     config = setup.controller
     return np.array(config.torque_limit or [math.inf] * len(config.robot.joint_names))
-
-
-def least_torque_limit(setup: Setup) -> Vector:
-    """Return the smaller of controller's and drives' torque limits, shape (n,) [N m], or inf."""
-    own = torque_limit(setup)
-    return np.minimum(own, setup.drive_limit) if setup.drive_limit else own
 
 
 def value_in(

@@ -9,22 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment import figures, page
 from multicontact_control.experiment.claims import Claim, claims_of
 from multicontact_control.experiment.display import COLOURS, headline, summary_rows
-from multicontact_control.experiment.figures import (
-    draw_figures,
-    draw_side_by_side,
-    interactive_figures,
-)
 from multicontact_control.experiment.judge import verdict_text
-from multicontact_control.experiment.page import (
-    claims_table,
-    folded,
-    HELP,
-    image,
-    table,
-    write_page,
-)
 from multicontact_control.experiment.results import FIGURE_FOLDER, LoadedRun, REPORT_FILE
 import yaml
 
@@ -53,7 +41,7 @@ def write_report(runs: Sequence[LoadedRun], out: Path, *, claims: bool = False) 
     common = os.path.commonpath([folder.parent for folder in folders])
     names = [folder.relative_to(common).as_posix() for folder in folders]
     for number, (name, run) in enumerate(zip(names, runs)):
-        paths += draw_figures(
+        paths += figures.draw_figures(
             run.data, run.setup, out / FIGURE_FOLDER / (name if len(runs) > 1 else ''),
             verdict=verdict_text(run.summary), formats=FORMATS)
         if len(runs) > 1:
@@ -61,14 +49,14 @@ def write_report(runs: Sequence[LoadedRun], out: Path, *, claims: bool = False) 
         parts += _run_section(run, number, claims_of(
             run.data, run.setup, run.summary, asked=claims))
     if len(runs) > 1:
-        paths.append(draw_side_by_side(
+        paths.append(figures.draw_side_by_side(
             [(name, run.data, run.setup) for name, run in zip(names, runs)],
             out / FIGURE_FOLDER / 'side_by_side.png'))
-        parts.insert(0, image(paths[-1], 'forces of the runs'))
-    page = out / REPORT_FILE
-    write_page(page, headline(runs[0].summary) if len(runs) == 1 else
-               f'{len(runs)} runs: {", ".join(names)}', '\n'.join(parts))
-    return [page, *paths]
+        parts.insert(0, page.image(paths[-1], 'forces of the runs'))
+    report = out / REPORT_FILE
+    page.write_page(report, headline(runs[0].summary) if len(runs) == 1 else
+                    f'{len(runs)} runs: {", ".join(names)}', '\n'.join(parts))
+    return [report, *paths]
 
 
 def _run_section(run: LoadedRun, number: int, claims: Sequence[Claim]) -> list[str]:
@@ -80,9 +68,9 @@ def _run_section(run: LoadedRun, number: int, claims: Sequence[Claim]) -> list[s
         f'<b>{escape(verdict_text(summary))}</b></p>'
         f'<p class=note>Judged: {escape(summary["judged"])}.</p>',
         *(f'<p class=note>{escape(text)}</p>' for text in summary.get('remarks', ())),
-        _numbers(summary), interactive_figures(run.data, setup, number), HELP,
-        '<h3>Claims of the paper</h3>' + claims_table({'measured': claims}) if claims else '',
-        folded('Timing', table(('', '', 'unit'), [
+        _numbers(summary), figures.interactive_figures(run.data, setup, number), page.HELP,
+        '<h3>Claims of the paper</h3>' + page.claims_table({'measured': claims}) if claims else '',
+        page.folded('Timing', page.table(('', '', 'unit'), [
             (escape(name.removesuffix('_us').replace('_', ' ')), escape(_text(value)),
              'us' if name.endswith('_us') else '') for name, value in summary['timing'].items()
             if name != 'latency_histogram' and value is not None], numbers_from=9)),
@@ -97,7 +85,7 @@ def _numbers(summary: Mapping[str, Any]) -> str:
     numbers = summary['motion'] | summary['torque']
     arm = [(label, unit, _text(scale * numbers[name]))
            for name, (label, unit, scale) in OF_THE_ARM.items() if numbers[name] is not None]
-    tables = [table(('', 'unit', *map(escape, columns)), [
+    tables = [page.table(('', 'unit', *map(escape, columns)), [
         [escape(cell) for cell in row] for row in some], numbers_from=2)
         for columns, some in ((summary['contacts'], rows), (('arm',), arm)) if some]
     return f'<div class=numbers>{"".join(tables)}</div>'
@@ -107,7 +95,7 @@ def _configuration(run: LoadedRun) -> str:
     if not run.setup.controller.contacts:
         return '<p class=note>Not known: <code>--controller</code> takes the parameter file.</p>'
     names = ('scenario', 'controller', 'noise_estimator', 'plant')
-    return folded('Configuration', ''.join(folded(name, '<pre>' + escape(yaml.safe_dump(
+    return page.folded('Configuration', ''.join(page.folded(name, '<pre>' + escape(yaml.safe_dump(
         getattr(run.setup, name).model_dump(mode='json'), sort_keys=False)) + '</pre>')
         for name in (names if run.setup.simulated else names[:2])))
 

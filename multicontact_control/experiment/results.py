@@ -22,16 +22,8 @@ from multicontact_control.config import (
 )
 from multicontact_control.config.contact import ACROSS, ALONG, ContactType, SUFFIXES
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.experiment import recording
+from multicontact_control.experiment import judge, recording
 from multicontact_control.experiment.bag import BagMessages, mcap_files
-from multicontact_control.experiment.judge import (
-    judge,
-    LOOP_IS_STABLE,
-    MEASURED,
-    RECORDED,
-    TRUE,
-    UNKNOWN,
-)
 from multicontact_control.experiment.metrics import RunMetrics
 from multicontact_control.experiment.scenario import (
     EXTERNAL,
@@ -145,11 +137,11 @@ def summarise(
     """
     # What the supervisor did after the run is not part of it.
     during = [(time, what) for time, what in events or () if time < data.ticks / data.rate]
-    verdict = judge(data, setup, mode=mode, ended_early=ended_early, events=during)
+    verdict = judge.judge(data, setup, mode=mode, ended_early=ended_early, events=during)
     run = RunMetrics(data, setup)
     without = run.without_truth()
     truth = bool(data.contact_names) and not without
-    known = MEASURED if np.isfinite(run.force).any() else UNKNOWN
+    known = judge.MEASURED if np.isfinite(run.force).any() else judge.UNKNOWN
     return {
         'schema': 1, 'scenario': setup.scenario.name, 'plant': setup.plant_name,
         'noise_estimator': setup.noise_estimator.estimator, 'mode': mode, 'seed': setup.seed,
@@ -157,11 +149,11 @@ def summarise(
         'trajectory_sha256': data.trajectory_sha256(), 'timing': timing,
         'contacts': {name: run.contact_summary(i) for i, name in enumerate(data.contact_names)},
         'motion': run.motion_summary(), 'torque': run.torque_summary(),
-        'stable': LOOP_IS_STABLE.get(verdict.name), 'verdict': verdict.name,
+        'stable': judge.LOOP_IS_STABLE.get(verdict.name), 'verdict': verdict.name,
         'judged': verdict.judged, 'unjudged': verdict.unjudged or None,
         'instabilities': list(verdict.reasons), 'unstable_at_s': verdict.unstable_at,
         'ended_early': ended_early or None, 'claims': [],
-        'truth': truth, 'without_truth': without, 'forces': TRUE if truth else known,
+        'truth': truth, 'without_truth': without, 'forces': judge.TRUE if truth else known,
         'commanded_by_topic': setup.commanded_by_topic,
         'supervised': events is not None} | (
             {} if events is None else {'events': [
@@ -299,7 +291,7 @@ def load(path: Path, files: Sequence[Path] = (), namespace: str | None = None) -
     messages = recording.read_graph(path, namespace)
     setup = _setup_of_recording(path, messages, files)
     content = recording.content_of(path, messages, setup.controller, answered=True)
-    summary = summarise(content.data, setup, mode=RECORDED, timing={
+    summary = summarise(content.data, setup, mode=judge.RECORDED, timing={
         'unanswered_samples': content.unanswered})
     lacking = [f'not in the recording: {", ".join(content.lacking)}'] if content.lacking else []
     return LoadedRun(path, setup, content.data, {

@@ -16,14 +16,9 @@ from typing import Any
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.graph.node_process import MODULES, start_node
-from multicontact_control.experiment.graph.spec import (
-    GraphSpec,
-    node_arguments,
-    RECORDER,
-    SIM,
-    START_ORDER,
-)
+from multicontact_control.experiment.graph.spec import GraphSpec, node_arguments, START_ORDER
 from multicontact_control.nodes.runtime import FULL
+from multicontact_control.nodes.topics import RECORDER, SIM
 
 # s, until a node that was asked to end is killed. On a busy machine a recorder takes seconds to
 # write what has come; if it is killed, the bag has no end.

@@ -9,13 +9,7 @@ from itertools import product
 from typing import Any, NamedTuple
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.overrides import (
-    ARGUMENTS,
-    EVERY,
-    overrides_of,
-    paths_of,
-    value_of,
-)
+from multicontact_control.experiment import overrides
 from multicontact_control.experiment.scenario import plant_source, resolve, Setup
 from multicontact_control.experiment.study.config import PartConfig, StudyConfig
 from multicontact_control.experiment.study.jobs import Job, job_of, RunJob
@@ -57,7 +51,7 @@ def run_cells(study: StudyConfig) -> list[Cell]:
                     raise error.moved(field) from None
                 factors = {'part': title, 'plant': setup.plant_name, **absent,
                            **{name: value for name, value, _ in chosen},
-                           **{name: value_of(name, setup) for name in absent
+                           **{name: overrides.value_of(name, setup) for name in absent
                               if is_parameter(name)}}
                 for seed in part.seeds:
                     seeded = replace(job, seed=seed)
@@ -69,7 +63,7 @@ def run_cells(study: StudyConfig) -> list[Cell]:
 
 def is_parameter(name: str) -> bool:
     """Return whether the name of a factor is that of a parameter."""
-    return '.' in name and name.partition('.')[0] in ARGUMENTS
+    return '.' in name and name.partition('.')[0] in overrides.ARGUMENTS
 
 
 def _job(
@@ -93,11 +87,11 @@ def _job(
         if factor.multiples_of:
             settings |= _multiples(factor.sets, settings.pop(factor.sets),
                                    factor.multiples_of, base)
-    overrides = overrides_of({**values, **settings}, base, 'factors')
+    laid_over = overrides.overrides_of({**values, **settings}, base, 'factors')
     return job_of(
         scenario, base.plant_name, part.seeds[0], supervised=part.supervised,
         surface_gone=part.surface_gone, duration=part.duration, **files,
-        **{ARGUMENTS[section]: nested for section, nested in overrides.items()})
+        **{overrides.ARGUMENTS[section]: nested for section, nested in laid_over.items()})
 
 
 @lru_cache(maxsize=64)
@@ -106,12 +100,12 @@ def _base(scenario: str, plant: str, duration: float | None, preset: str) -> Set
 
 
 def _fulfilled(where: Mapping[str, Any], setup: Setup) -> bool:
-    return all(value_of(name, setup) == value for name, value in where.items())
+    return all(overrides.value_of(name, setup) == value for name, value in where.items())
 
 
 def _multiples(name: str, factor: float, of: str, setup: Setup) -> dict[str, float]:
     """Return a multiple of another parameter's value, for each contact where there is a ``*``."""
-    star = name.split('.').index(EVERY) if EVERY in name else None
-    return {'.'.join(place): factor * value_of(
-        of if star is None else of.replace(EVERY, place[star]), setup)
-        for place in paths_of(name, setup, 'factors')}
+    star = name.split('.').index(overrides.EVERY) if overrides.EVERY in name else None
+    return {'.'.join(place): factor * overrides.value_of(
+        of if star is None else of.replace(overrides.EVERY, place[star]), setup)
+        for place in overrides.paths_of(name, setup, 'factors')}
