@@ -40,7 +40,6 @@ from sim_bridge.config import PlantConfig
 SUMMARY_FILE = 'summary.json'
 REPORT_FILE = 'report.html'
 CONFIG_FOLDER, BAG_FOLDER, FIGURE_FOLDER, LOG_FOLDER = 'config', 'bag', 'figures', 'logs'
-SCENARIO_FILE = f'{CONFIG_FOLDER}/scenario.yaml'
 # All that a run and its report leave, and all that is ever deleted.
 LEFT_BY_RUNS = frozenset((CONFIG_FOLDER, BAG_FOLDER, FIGURE_FOLDER, LOG_FOLDER, SUMMARY_FILE,
                           REPORT_FILE, recording.SERIES_FILE))
@@ -111,7 +110,7 @@ def _empty(folder: Path, *, overwrite: bool) -> None:
     names = {entry.name for entry in folder.iterdir()}
     if not names:
         return
-    if names - LEFT_BY_RUNS or not (folder / SCENARIO_FILE).is_file():
+    if names - LEFT_BY_RUNS or not (folder / CONFIG_FOLDER / 'scenario.yaml').is_file():
         raise ConfigError('out', 'a new or empty folder, or that of a run',
                           f'{folder}, which holds {min(names - LEFT_BY_RUNS or names)}')
     if not overwrite:

@@ -11,8 +11,8 @@ from typing import Any
 
 from multicontact_control import __version__
 from multicontact_control.errors import counted
+from multicontact_control.experiment import page
 from multicontact_control.experiment.overrides import unit_of
-from multicontact_control.experiment.page import folded, image, write_page
 from multicontact_control.experiment.study import table
 from multicontact_control.experiment.study.cells import Cell, is_parameter, run_cells
 from multicontact_control.experiment.study.config import StudyConfig
@@ -99,12 +99,15 @@ class Study:
         about, _, runs = self.config.description.partition(': ')
         warnings = self.warnings(results)
         title = ': '.join(filter(None, (f'Study {self.config.name}', about)))
-        write_page(folder / PAGE_FILE, title, '\n'.join([
+        page.write_page(folder / PAGE_FILE, title, '\n'.join([
             _listed(self.findings(results)), f'<p>{escape(runs[:1].upper() + runs[1:])}</p>',
-            '' if figure is None else image(folder / FIGURE_FILE, self.config.name),
-            table.html_tables(table.listing_of(frame, self.config)),
+            '' if figure is None else page.image(folder / FIGURE_FILE, self.config.name),
+            *(f'<h2>{escape(section)}</h2>' + page.table(
+                list(map(escape, lines)), [list(map(escape, line)) for line in lines.to_numpy()],
+                numbers_from=lines.attrs['labels'])
+              for section, lines in table.listing_of(frame, self.config).items()),
             f'<p class=note>{escape(self.config.notes)} Every run is in {CSV_FILE}.</p>',
-            folded(counted(len(warnings), 'remarks'), _listed(warnings)) if warnings else '',
+            page.folded(counted(len(warnings), 'remarks'), _listed(warnings)) if warnings else '',
             *(f'<h2>{escape(heading)}</h2>{text}'
               for heading, text in self.sections(results).items())]))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from html import escape
 from itertools import product
 import math
 import re
@@ -11,12 +10,12 @@ from typing import Any
 
 from matplotlib.figure import Figure
 from multicontact_control.experiment.overrides import EVERY
-from multicontact_control.experiment.page import COLOURS, table
+from multicontact_control.experiment.page import COLOURS
 from multicontact_control.experiment.study.config import ColumnConfig, StudyConfig
 import numpy as np
 import pandas as pd
 from rich.box import SIMPLE_HEAD
-from rich.markup import escape as plain
+from rich.markup import escape
 from rich.table import Table
 
 WIDE_RANGE = 20.0  # largest over smallest, from which an axis is logarithmic
@@ -184,24 +183,15 @@ def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
         room = np.cumsum([2 + max(*map(len, head.split('\n')), *frame[name].map(len))
                           for head, name in zip(heads, frame)])
         shown = frame.loc[:, (room < width) | frame.columns.isin(labels)]
-        text = Table(title=plain(section or title), title_justify='left', box=SIMPLE_HEAD,
+        text = Table(title=escape(section or title), title_justify='left', box=SIMPLE_HEAD,
                      padding=(0, 1, 0, 0), pad_edge=False)
         for head, name in zip(heads, shown):
-            text.add_column(plain(head), overflow='fold',
+            text.add_column(escape(head), overflow='fold',
                             justify='left' if name in labels else 'right')
         for line in shown.itertuples(index=False):
-            text.add_row(*map(plain, line))
+            text.add_row(*map(escape, line))
         tables.append(text)
     return tables
-
-
-def html_tables(listing: Listing) -> str:
-    """Return a listing as HTML."""
-    return ''.join(
-        f'<h2>{escape(section)}</h2>' + table(
-            list(map(escape, frame)), [list(map(escape, line)) for line in frame.to_numpy()],
-            numbers_from=frame.attrs['labels'])
-        for section, frame in listing.items())
 
 
 def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
