@@ -54,9 +54,6 @@ def paths_of(name: str, setup: Setup, field: str) -> list[tuple[str, ...]]:
                           f"'{name}'")
     if section == 'scenario' and inner[0] in ARGUMENTS:
         raise ConfigError(field, f"the parameter's own name, {'.'.join(inner)}", f"'{name}'")
-    if section == 'plant' and not setup.simulated:
-        raise ConfigError('plant', f'a simulated plant, for {inner[0]}',
-                          'an external robot or simulator')
     places: list[tuple[str, ...]] = [(section,)]
     for part in inner:
         places = [(*place, key) for place in places for key in _keys(setup, place, part, field)]

@@ -6,7 +6,6 @@ import click
 from foreign_bag import controller_file, JOINTS
 from multicontact_control.cli.options import RunOptions
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.overrides import value_of
 from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.experiment.results import contact_types, load_setup
 from multicontact_control.experiment.scenario import dotted, resolve_external
@@ -40,8 +39,6 @@ def test_controller_file_is_all_that_is_needed(file):
     assert setup.noise_estimator.rate == setup.controller.rate
     assert (setup.simulated, setup.commanded_by_topic, node, duration) == (False, True, {}, None)
     assert setup.urdf_dir == file.parent
-    with pytest.raises(ConfigError, match='plant: expected a simulated plant, for surfaces'):
-        value_of('plant.surfaces', setup)
 
 
 def test_later_files_preset_scenario_law_and_settings_are_laid_over(file, tmp_path):
