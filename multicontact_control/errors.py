@@ -25,6 +25,7 @@ class FieldError(MulticontactError):
     ) -> None:
         self.field, self.expected, self.got, self.source = field, expected, got, source
         self.hint = hint
+        self.errors: tuple[Any, ...] = (self,)  # one per value
         where = f'{source}: {field}' if source else field
         values = [*([f'expected {expected}'] if expected else []),
                   *([] if got is None else [f'got {got}'])]
@@ -47,12 +48,10 @@ class MessageError(FieldError):
 class ConfigError(FieldError):
     """One or several values in a configuration are not acceptable: a line for each."""
 
-    errors: tuple[ConfigError, ...] = ()  # one per value, where there are several
-
     @classmethod
     def of(cls, errors: Iterable[ConfigError], source: str = '') -> ConfigError:
         """Return one error of one or more, each once, with the first field, of a file `source`."""
-        each = [x.moved(source=source) for error in errors for x in error.errors or (error,)]
+        each = [x.moved(source=source) for error in errors for x in error.errors]
         lines = {str(error): error for error in each}
         whole = each[0].moved()
         whole.errors, whole.args = (*lines.values(),), ('\n'.join(lines),)
