@@ -1,15 +1,13 @@
 """
 The plant as a ROS 2 node: it waits for the controller, or runs free as a robot does.
 
-In lockstep, the default, the plant advances while the controller computes; the next sample is
-published when the command for the last one has come, and not before its time by the wall clock (at
-`speed` times real time). On a busy machine simulated time is slow; the physics stays the same.
+In lockstep, the default, the next sample is published when the command for the last one has come,
+and not before its time by the wall clock (at `speed` times real time).
 
 Free-running, sample k is published at the absolute deadline k h of the monotonic clock, and the
 plant advances by one period with the torque that is due then. A command that is not there one
 period after its sample is a deadline miss: the last torque is held, for `COMMAND_TIMEOUT` at most;
-then the drives hold their position until the next command. A node that is late itself by more than
-`MAX_LATE_PERIODS` moves the deadlines back, and counts this slip.
+then the drives hold their position. A node that is late itself moves the deadlines back.
 """
 
 from __future__ import annotations

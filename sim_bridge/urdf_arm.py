@@ -174,11 +174,7 @@ def _visuals(
     path: Path, text: str, bare: pin.Model, whole: pin.Model,
     frames: Sequence[tuple[str, pin.SE3]],
 ) -> dict[str, str]:
-    """
-    Return the `<visual>` elements of a URDF by our links, meshes by their files.
-
-    `frames` has the link of every joint, and its frame in the joint's; last the tool.
-    """
+    """Return the `<visual>` elements of a URDF by our links; `frames` are those of the joints."""
     root, visuals = parse_urdf(text), dict[str, str]()
     colours = {material.get('name'): material.findall('color')
                for material in root.iter('material') if len(material)}

@@ -25,8 +25,8 @@ BUDGETS = {
     'view': 2100, 'cli': 800, 'sim_bridge': 3600, 'test': 12_150, 'test/campaign': 900,
     'benchmarks': 350}
 OUTSIDE = ('test', 'test/campaign', 'benchmarks')  # of the product
-# Of them 400 for the bridge to a vendor's driver, 100 for a tool that changes.
-MOST_LINES, MOST_TEST_LINES = 27_400, 13_360
+# 400 of the product for the bridge to a vendor's driver.
+MOST_LINES, MOST_TEST_LINES = 26_900, 13_100
 MOST_COMPILED = 80  # functions
 
 

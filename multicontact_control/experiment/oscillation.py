@@ -5,10 +5,10 @@ The error of a force is cut into windows of 0.5 s, each half covered by the next
 stretches of seven of them: 2 s. The *line* of a stretch is the frequency from 10 Hz up that is
 strongest in its mean spectrum, with what is within 4 Hz of it. A stretch oscillates if
 
-- the mean spectrum is at least 4 times as strong at the line as 6 Hz below it: that of a force
-  that wanders slowly only falls from lower frequencies;
-- in six of the seven windows the line holds at least half of the power from 10 Hz up: noise and a
-  rough surface leave 0.1 to 0.2 of it in a line;
+- the mean spectrum is at least 4 times as strong at the line as 6 Hz below it (of a slow drift it
+  falls from lower frequencies on);
+- in six of the seven windows the line holds at least half of the power from 10 Hz up (of noise and
+  roughness 0.1 to 0.2);
 - and in the same ones the rms of the line is at least 2.5 % of the command, and 0.1 N.
 """
 

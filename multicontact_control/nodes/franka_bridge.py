@@ -5,9 +5,6 @@ The robot sends a state each millisecond and wants a torque before the next one.
 it: it takes in the newest command and wrench, sends a torque, and publishes every `divider`th
 state. It waits for nothing but the robot: a command that is late is replaced as `LateRule` says.
 The stamps of samples are the robot's own time, and the age of a command is counted in it.
-
-Torque control starts with the first command in time, anew after it has ended for want of
-commands. After an error, a reflex, a user stop or a lost connection it starts after `~/recover`.
 """
 
 from __future__ import annotations

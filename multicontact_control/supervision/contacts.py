@@ -6,8 +6,7 @@ law before and after: there the tip advances by a displacement that is ramped, b
 
 free -> approaching -> impact -> holding -> lost -> approaching ..., given up once the tip has
 gone too far without a surface, until it is time for another search. Beyond the force ceiling, and
-where it leads out of the workspace: retracting, then given up until it is commanded again; free
-as long as it never was. Touch and loss have thresholds apart and least times.
+where it leads out of the workspace: retracting, then given up until it is commanded again.
 
 A `contact` is a record of `CONTACT_STATE`, changed, `settings` are one of `CONTACT_SETTINGS`;
 `alpha` is the measured force [N], `place` and `speed` are those of the tip along the normal,

@@ -7,11 +7,11 @@ valid one stands in for it, and calls for a reaction (`checks.reactions_of`) onc
 
 A fault is called ``<part>_<problem>``; the parts are `joints`, `wrench`, `variance` and `clock`:
 `invalid` (no number, or one that no arm, sensor or estimator gives), `jump` (a joint is not where
-its speeds have taken it), `velocity` (positions contradict it, see `velocities`: they make up for
-it), `frozen` (identical readings in a row), `saturated` (at full scale),
-`stamp` (none, or in the future), `order` (before an earlier one), `late` (a wrench more than a
-period old when it comes), `stale` (too old, and nothing newer has come), and of the clock
-`backwards` and `rate` (a wrong period twice in a row, also of a clock that stands).
+its speeds have taken it), `velocity` (positions contradict it, and make up for it, see
+`velocities`), `frozen` (identical readings in a row), `saturated` (at full scale), `stamp` (none,
+or in the future), `order` (before an earlier one), `late` (a wrench more than a period old when it
+comes), `stale` (too old, and nothing newer has come), and of the clock `backwards` and `rate` (a
+wrong period twice).
 """
 
 from __future__ import annotations

@@ -224,11 +224,7 @@ def _length(force: float) -> float:
 
 
 def _sideways(point: Vector, normal: Vector) -> Vector:
-    """
-    Return a direction in a surface, along which the arrows of a contact are set out.
-
-    It is up, or on a table towards the arm: where the camera, from the side, sees them apart.
-    """
+    """Return a direction in a surface, up or towards the arm, to set out arrows along."""
     axis = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < LEVEL else point * (-1.0, -1.0, 0.0)
     along = axis - normal * (normal @ axis)
     return np.asarray(along / max(float(np.linalg.norm(along)), 1e-9))
