@@ -33,11 +33,14 @@ DOCUMENTS = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs
 TUTORIAL, FIRST = ROOT / 'docs/tutorial.md', Path('runs/first')
 NODES = {CONTROLLER, ESTIMATOR, RECORDER, SIM}
 # Files that are the reader's own.
-YOURS = {'my_arm.urdf', 'arm.urdf', 'ur5e.urdf', 'my_arm.yaml', 'controller.yaml', 'tool.yaml'}
-OTHERS = ('. ', 'cp', 'dask', 'franka_bridge', 'python docs/', 'python3 -m venv', 'ros2 bag',
-          'ros2 launch foxglove_bridge', 'ros2 param set /sim_node ',
-          'ros2 topic pub --once /sim_node/push', 'ros2 run robot_state_publisher',
-          'ros2 run tf2_ros', 'ssh', 'pip install', 'strict/bin/', 'tsid/bin/pip install')
+YOURS = {'my_arm.urdf', 'arm.urdf', 'ur5e.urdf', 'my_arm.yaml', 'controller.yaml', 'tool.yaml',
+         'ur.yaml'}
+OTHERS = (
+    '. ', 'cp', 'dask', 'franka_bridge', 'pip install', 'python docs/', 'python ur_wrench.py',
+    'python3 -m venv', 'ros2 bag', 'ros2 launch', 'ros2 control', 'ros2 service call',
+    'ros2 param set /sim_node ', 'ros2 topic pub --once /sim_node/push',
+    'ros2 run robot_state_publisher', 'ros2 run tf2_ros', 'ssh', 'strict/bin/',
+    'tsid/bin/pip install')
 
 
 def blocks(document, language):

@@ -44,4 +44,4 @@ def test_processor_is_claimed_for_every_thread_or_refused():
     assert output_of(THREADS) == 'True'
     assert claim_processor() == []
     (problem,) = claim_processor(cpus=(4095,))
-    assert 'CPU affinity [4095]' in problem and '\n' not in problem
+    assert 'processors [4095]' in problem and '\n' not in problem
