@@ -105,11 +105,11 @@ def overrides_of(values: Mapping[str, Any], setup: Setup, field: str) -> dict[st
     """
     Return the values of parameters as nested overrides, by section.
 
-    Of two that fit the same place the later one holds; `field` is what they belong to.
+    Of two that fit the same place the later one holds; `field` stands before their names.
     """
     nested: dict[str, Any] = {}
     for name, value in values.items():
-        for place in paths_of(name, setup, f'{field}.{name}'):
+        for place in paths_of(name, setup, field + name):
             branch: Any = value
             for part in reversed(place):
                 branch = {part: branch}
@@ -128,7 +128,7 @@ def resolve_with(
     resolved: Any = resolver(**arguments)
     if settings:
         nested = overrides_of(
-            read_settings(settings), getattr(resolved, 'setup', resolved), '--set')
+            read_settings(settings), getattr(resolved, 'setup', resolved), '--set ')
         resolved = resolver(**{**arguments, **{
             ARGUMENTS[section]: merge(arguments.get(ARGUMENTS[section]) or {}, values)
             for section, values in nested.items()}})

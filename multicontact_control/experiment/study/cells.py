@@ -87,7 +87,7 @@ def _job(
         if factor.multiples_of:
             settings |= _multiples(factor.sets, settings.pop(factor.sets),
                                    factor.multiples_of, base)
-    laid_over = overrides.overrides_of({**values, **settings}, base, 'factors')
+    laid_over = overrides.overrides_of({**values, **settings}, base, 'factors.')
     return job_of(
         scenario, base.plant_name, part.seeds[0], supervised=part.supervised,
         surface_gone=part.surface_gone, duration=part.duration, **files,

@@ -79,7 +79,7 @@ class TuneStudy(Study):
         if best:
             plants = ', '.join(results.frame['plant'].unique())
             write_preset(
-                merge(preset_values(self.preset), overrides_of(best, first.job.setup(), 'gains')),
+                merge(preset_values(self.preset), overrides_of(best, first.job.setup(), 'gains.')),
                 results.folder / f'{law}.yaml',
                 f'{law}, tuned on seed {first.factors["seed"]} of {plants}')
 
