@@ -213,7 +213,7 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
     plants = list(frame['plant'].unique())
     figure = Figure(figsize=(4.6 * len(plants) + 2.5, 2.2 * len(columns) + 1.0),
                     layout='constrained')
-    grid = figure.subplots(len(columns), len(plants), sharex=True, sharey='row', squeeze=False)
+    grid = figure.subplots(len(columns), len(plants), sharex='col', sharey='row', squeeze=False)
     for axes, (column, plant) in zip(grid.flat, product(columns, plants)):
         _draw(axes, frame[frame['plant'] == plant], names[0], lines, column, study.truth)
         name = column.name.replace('*', 'worst').replace('.', '\n')
