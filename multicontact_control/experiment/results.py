@@ -55,7 +55,8 @@ def run_folder(
     """
     Yield the folder of a run, as `prepare_folder` makes it; remove it if the run leaves nothing.
 
-    Without `out`, ``latest`` leads to a folder with a summary or a recording.
+    The run that it replaces is then there again. Without `out`, ``latest`` leads to a folder with
+    a summary or a recording.
     """
     folder = prepare_folder(out, scenario, overwrite=overwrite, now=now)
     try:
@@ -63,12 +64,20 @@ def run_folder(
     finally:
         if not any((folder / name).exists() for name in (SUMMARY_FILE, LOG_FOLDER)):
             shutil.rmtree(folder, ignore_errors=True)
+            with suppress(FileNotFoundError):
+                _aside(folder).rename(folder)
         elif out is None and (
                 (folder / SUMMARY_FILE).is_file() or mcap_files(folder / BAG_FOLDER)):
             fresh = folder.parent / f'.latest-{os.getpid()}'
             fresh.unlink(missing_ok=True)
             fresh.symlink_to(folder.name)
             fresh.replace(folder.parent / 'latest')
+        shutil.rmtree(_aside(folder), ignore_errors=True)
+
+
+def _aside(folder: Path) -> Path:
+    """Return where a run lies while another one is to take its place."""
+    return folder.with_name(f'.{folder.name}-replaced')
 
 
 def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: datetime) -> Path:
@@ -76,7 +85,7 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
     Make and return the folder of a run, empty of any earlier run.
 
     Without `out` it is ``runs/<date>-<time>-<scenario>``, numbered if that is taken. With
-    `overwrite` a run that is already in `out` is replaced. Raises ConfigError if the folder holds
+    `overwrite` a run that is already in `out` is put aside. Raises ConfigError if the folder holds
     something else, or cannot be made.
     """
     folder = out or Path('runs') / f'{now:%Y%m%d-%H%M%S}-{scenario}'
@@ -84,10 +93,10 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
         if out is None:
             return _make_numbered(folder)
         # Where a link leads now: `runs/latest` leads elsewhere as soon as another run begins.
-        folder = Path(os.path.realpath(out)) if out.is_symlink() else out
+        folder = Path(os.path.realpath(out)) if out.is_symlink() or not out.name else out
         _empty(folder, overwrite=overwrite)
     except OSError as error:
-        raise ConfigError('out', 'a folder that can be made, and emptied of a run',
+        raise ConfigError('out', 'a folder that can be made, or whose run can be replaced',
                           f'{out or folder} ({error.strerror})') from None
     return folder
 
@@ -116,11 +125,9 @@ def _empty(folder: Path, *, overwrite: bool) -> None:
     if not overwrite:
         raise ConfigError('out', 'a folder without a run, or --overwrite',
                           f'{folder}, which holds a run')
-    for entry in folder.iterdir():
-        if entry.is_dir() and not entry.is_symlink():
-            shutil.rmtree(entry)
-        else:
-            entry.unlink()
+    shutil.rmtree(_aside(folder), ignore_errors=True)
+    folder.rename(_aside(folder))
+    folder.mkdir()
 
 
 def summarise(
