@@ -13,6 +13,8 @@ from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.link import CommandRefusedError, ControllerLink, DEACTIVATE
 from multicontact_control.nodes.status import ControllerStatus, new_identifier
+from multicontact_control.supervision.contacts import HOLDING, NAMES
+from multicontact_control.supervision.reactions import INFLATE, NONE
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -248,11 +250,11 @@ class MultiContactClient(ControllerLink):
         status = self.status()
         if status is None or not self._commanded:
             return ''
-        if status.reaction not in ('none', 'inflate'):  # control goes on with a larger R
+        if status.reaction not in (NONE, INFLATE):  # control goes on with a larger R
             return status.text
-        states = dict(each.split(' ', 1) for each in status.contacts.split(', ') if each)
-        return ', '.join(f'{name} is {states[name]}' for name, force in self._commanded.items()
-                         if force > 0.0 and states.get(name, 'holding') != 'holding')
+        pressed = [name for name, force in self._commanded.items() if force > 0.0]
+        return ', '.join(f'{name} is {state}' for name, state in status.contact_states.items()
+                         if name in pressed and state != NAMES[HOLDING])
 
 
 def _by_name(message: JointState) -> dict[str, float]:

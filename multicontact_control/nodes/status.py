@@ -31,6 +31,11 @@ class ControllerStatus:
     push_test: str  # what it asks for; empty for nothing
     forces: Mapping[str, float]  # obeyed by contact and couple [N]; empty in a scenario
 
+    @property
+    def contact_states(self) -> dict[str, str]:
+        """Return the state of each contact by its name."""
+        return dict(each.split(' ', 1) for each in self.contacts.split(', ') if each)
+
     @classmethod
     def of(cls, message: DiagnosticStatus) -> ControllerStatus:
         """Return what a message on ``~/status`` says."""

@@ -19,19 +19,6 @@ from multicontact_control.nodes.link import CommandRefusedError, ControllerLink
 from multicontact_control.nodes.status import ControllerStatus, new_identifier, REFUSED
 from multicontact_control.view import source
 from multicontact_control.view.motion import Motion
-from multicontact_control.view.source import (
-    ChangeReader,
-    felt_surfaces,
-    point_width,
-    POINTS,
-    Push,
-    RATE,
-    Scene,
-    Snapshot,
-    Surface,
-    SurfaceState,
-    Timing,
-)
 import numpy as np
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.parameter import parameter_value_to_python
@@ -90,13 +77,13 @@ class GraphSource:
             LISTENED, namespace=namespace, domain_id=domain_id, timeout=PATIENCE,
             on_status=self._note)
         self._push_publisher = create_publisher(self._link.node, topics.PUSH)
-        self._last_push: tuple[float, Push | None] = (0.0, None)  # and until when it lasts
+        self._last_push: tuple[float, source.Push | None] = (0.0, None)  # and until when it lasts
         self._pushed = {'': config.robot.operational_frame, **(
             {'tool': setup.plant.tool_push_link} if setup.simulated else {})}
         self._motion, self._motion_identifier = Motion(config.limits), ''
         self._delay = 0.0  # of a motion, that is still to be made up for [s]
-        self._changes = ChangeReader(config.contact_names)
-        self._timing = Timing()
+        self._changes = source.ChangeReader(config.contact_names)
+        self._timing = source.Timing()
         self._events: list[tuple[float, str]] = []
         self._points: list[Any] = []
         self._parts: dict[str, list[str]] = {}  # surfaces that make up one that is drawn
@@ -105,7 +92,7 @@ class GraphSource:
         self._start = self._stamp = -1  # of the first sample and the last [ns]
         self._held, self._heard = False, time.monotonic()
         self._next_point = self._next_snapshot = 0.0
-        self._stamps: deque[tuple[float, int]] = deque(maxlen=round(PACE_TIME * RATE))
+        self._stamps: deque[tuple[float, int]] = deque(maxlen=round(PACE_TIME * source.RATE))
         try:
             gains, ceiling = self._meet()
             surfaces, self._surfaces = self._find_surfaces()
@@ -113,9 +100,10 @@ class GraphSource:
             self._link.close()
             raise
         self._gains = gains
-        self.scene = Scene(title, config, setup.urdf_dir, surfaces or felt_surfaces(config),
-                           simulated=dict(self._surfaces), largest_force=ceiling,
-                           true_forces=self._link.newest(topics.TRUE_FORCES) is not None)
+        self.scene = source.Scene(
+            title, config, setup.urdf_dir, surfaces or source.felt_surfaces(config),
+            simulated=dict(self._surfaces), largest_force=ceiling,
+            true_forces=self._link.newest(topics.TRUE_FORCES) is not None)
 
     def _meet(self) -> tuple[dict[str, float], float]:
         """Check that the controller is the expected one; return its gains and force ceiling."""
@@ -129,7 +117,7 @@ class GraphSource:
                 f'{", ".join(message.name)}; name its --scenario and --plant')
         return dict(zip(source.GAIN_NAMES, gains)), ceiling
 
-    def _find_surfaces(self) -> tuple[tuple[Surface, ...], dict[str, SurfaceState]]:
+    def _find_surfaces(self) -> tuple[tuple[source.Surface, ...], dict[str, source.SurfaceState]]:
         """Return what a simulator has to be touched, and can change; nothing without one."""
         give_up = time.monotonic() + SIMULATOR_WAIT
         while (message := self._link.newest(topics.SURFACE_MARKERS)) is None:
@@ -145,10 +133,10 @@ class GraphSource:
                 f'surfaces.{name}.{x}' for x in ('stiffness', 'friction', 'contact')))
             if (whole := contact or name) in {surface.name for surface in drawn}:
                 self._parts.setdefault(whole, []).append(name)
-                states[whole] = SurfaceState(stiffness, friction)
+                states[whole] = source.SurfaceState(stiffness, friction)
         return drawn, states
 
-    def poll(self) -> list[Snapshot]:
+    def poll(self) -> list[source.Snapshot]:
         """Return a snapshot if it is time for one; RunError if the graph has ended."""
         self._check()
         now, before = time.monotonic(), self._stamp
@@ -161,12 +149,12 @@ class GraphSource:
             self._heard = now
             self._move_on(1e-9 * (self._stamp - before))
             if now >= self._next_point:
-                self._next_point = now + 1.0 / (POINTS * RATE)
+                self._next_point = now + 1.0 / (source.POINTS * source.RATE)
                 self._points.append(self._point())
         self._link.look()
         if now < self._next_snapshot:
             return []
-        self._next_snapshot = now + 1.0 / RATE
+        self._next_snapshot = now + 1.0 / source.RATE
         pose, desired = (self._link.newest(x) for x in (topics.POSE, topics.POSE_DESIRED))
         return [] if pose is None or desired is None else [self._snapshot(now, pose, desired)]
 
@@ -204,7 +192,8 @@ class GraphSource:
             texts.append('pose and forces held' if status.held else 'hold released')
         if status.contacts:
             texts.append(self._changes.read(Event(
-                now, status.reaction, tuple(status.causes.split()), (), _states(status))))
+                now, status.reaction, tuple(status.causes.split()), (),
+                tuple(status.contact_states.values()))))
         if self._motion.what:
             why = (status.text if refused and status.command == self._motion_identifier
                    else 'held' if status.held
@@ -225,7 +214,8 @@ class GraphSource:
                     values = {each.key: float(each.value.replace('none', 'nan'))
                               for each in part.values if each.key in SHOWN}
                     typical, worst, misses = (values[key] for key in SHOWN)
-                    self._timing = Timing(typical, worst, self._timing.misses + int(misses), pace)
+                    self._timing = source.Timing(
+                        typical, worst, self._timing.misses + int(misses), pace)
 
     def _look_at_normals(self) -> None:
         """Take the normals, which a controller may find on-line, from the arrows of the forces."""
@@ -240,13 +230,14 @@ class GraphSource:
         """Take the pushes that are asked for, from here or elsewhere, for as long as they last."""
         for message in self._link.queue(topics.PUSH):
             force, where = message.vector, message.header.frame_id
-            push = Push((force.x, force.y, force.z), self._pushed.get(where, self._pushed['']))
+            push = source.Push(
+                (force.x, force.y, force.z), self._pushed.get(where, self._pushed['']))
             self._last_push = self._time + PUSH_TIME, push
             forces = (f'{x:+g} N along {axis}' for axis, x in zip('xyz', push.force_world) if x)
             self._events.append((
                 self._time, f'push{where and " on the "}{where}: {", ".join(forces)}'))
 
-    def _snapshot(self, now: float, pose: Any, desired: Any) -> Snapshot:
+    def _snapshot(self, now: float, pose: Any, desired: Any) -> source.Snapshot:
         config, status = self._config, self._link.last_status
         self._look_at_timing(now)
         self._look_at_normals()
@@ -256,7 +247,7 @@ class GraphSource:
         points, self._points = self._points, []
         events, self._events = self._events, []
         position, turn, place = pose.pose.position, pose.pose.orientation, desired.pose.position
-        return Snapshot(
+        return source.Snapshot(
             time=self._time,
             q=self._values(topics.JOINT_STATES, config.robot.joint_names, 'position'),
             position=np.array([position.x, position.y, position.z]),
@@ -266,11 +257,12 @@ class GraphSource:
             estimated=self._values(topics.ESTIMATED_FORCES, config.column_names),
             desired=wanted, true=self._values(topics.TRUE_FORCES, config.column_names),
             normals_world=np.array(list(self._normals.values())),
-            states=_states(status) or ('free',) * len(config.contact_names),
+            states=tuple(status.contact_states.values() if status else ()) or (
+                'free',) * len(config.contact_names),
             reaction='no samples' if now - self._heard > SILENCE else
             'none' if status is None else status.reaction,
             reasons=() if status is None else tuple(status.causes.split()),
-            points=np.array(points).reshape(-1, point_width(config)),
+            points=np.array(points).reshape(-1, source.point_width(config)),
             # Forces that are obeyed: commanded ones, or those of a scenario.
             commanded=(status and dict(status.forces)) or {
                 name: force for name, force in zip(config.column_names, wanted.tolist())
@@ -343,7 +335,7 @@ class GraphSource:
         return 'gains are set'
 
     def _set_surface(self, name: str, stiffness: float, friction: float) -> str:
-        state = SurfaceState(stiffness, friction)
+        state = source.SurfaceState(stiffness, friction)
         self._link.set_parameters(topics.SIM, {
             f'surfaces.{part}.{key}': value for part in self._parts[name]
             for key, value in state._asdict().items()})
@@ -366,12 +358,6 @@ class GraphSource:
         return found
 
 
-def _states(status: ControllerStatus | None) -> tuple[str, ...]:
-    """Return the states of the contacts, none if they are not known."""
-    parts = () if status is None else status.contacts.split(', ')
-    return tuple(part.partition(' ')[2] for part in parts if part)
-
-
 def _name_of(marker: Marker) -> str:
     return str(marker.ns.rpartition('/')[2])
 
@@ -381,11 +367,11 @@ def _place_of(marker: Marker) -> Vector3:
     return place.x, place.y, place.z
 
 
-def _surface_of(marker: Marker) -> Surface:
+def _surface_of(marker: Marker) -> source.Surface:
     """Return a surface as a simulator has it drawn: corners of triangles."""
     corners = np.array([(point.x, point.y, point.z) for point in marker.points])
-    return Surface(_name_of(marker), (0.0, 0.0, -1.0), _place_of(marker),
-                   Patch(corners, np.arange(len(corners)).reshape(-1, 3)))
+    return source.Surface(_name_of(marker), (0.0, 0.0, -1.0), _place_of(marker),
+                          Patch(corners, np.arange(len(corners)).reshape(-1, 3)))
 
 
 def _require_joints(expected: tuple[str, ...], found: tuple[str, ...]) -> None:
