@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 import time
 
-from geometry_msgs.msg import PoseStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.control.tasks import quintic
 from multicontact_control.errors import RunError
@@ -197,7 +196,7 @@ class MultiContactClient(ControllerLink):
             messages.stamp_to_ns(forces.header.stamp) * 1e-9, _by_name(forces),
             _by_name(estimated), _by_name(desired),
             _by_name(self.newest(topics.NOISE_VARIANCE) or JointState()),
-            *_pose_of(pose), *_pose_of(pose_desired))
+            *messages.pose_arrays(pose.pose), *messages.pose_arrays(pose_desired.pose))
 
     def wait_until_reached(
         self, force_tolerance: float = 0.5, timeout: float = 20.0, *, settle_time: float = 0.2,
@@ -259,8 +258,3 @@ class MultiContactClient(ControllerLink):
 
 def _by_name(message: JointState) -> dict[str, float]:
     return dict(zip(message.name, message.effort))
-
-
-def _pose_of(message: PoseStamped) -> tuple[Vector, Vector]:
-    p, q = message.pose.position, message.pose.orientation
-    return np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])

@@ -13,7 +13,7 @@ import math
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Transform, Twist
+from geometry_msgs.msg import Pose, Transform, Twist
 from multicontact_control.arrays import Vector
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import counted, MessageError
@@ -95,6 +95,12 @@ def _read_twist(twists: Sequence[Twist], field: str) -> Vector:
 def _numbers(axes: str, *parts: Any) -> list[float]:
     """Return the numbers of vectors or quaternions, one after the other."""
     return [getattr(part, axis) for part in parts for axis in axes]
+
+
+def pose_arrays(pose: Pose) -> tuple[Vector, Vector]:
+    """Return the position [m] of a pose and its quaternion x, y, z, w."""
+    return (np.array(_numbers('xyz', pose.position)),
+            np.array(_numbers('xyzw', pose.orientation)))
 
 
 def _fill(values: ArrayLike, field: str, axes: str, *parts: Any) -> None:

@@ -90,6 +90,7 @@ class GraphSource:
         self._normals = {name: np.array(config.contacts[name].normal_world)
                          for name in config.contact_names}
         self._start = self._stamp = -1  # of the first sample and the last [ns]
+        self._answered = '', ''  # event and command of the last answer
         self._held, self._heard = False, time.monotonic()
         self._next_point = self._next_snapshot = 0.0
         self._stamps: deque[tuple[float, int]] = deque(maxlen=round(PACE_TIME * source.RATE))
@@ -185,8 +186,10 @@ class GraphSource:
 
     def _note(self, status: ControllerStatus) -> None:
         """Tell what has changed and what is refused, and make no motion that is not obeyed."""
-        now, refused = self._time, status.event == REFUSED
-        texts = [f'refused: {status.text}'] if refused else []
+        now, refused, answer = self._time, status.event == REFUSED, (status.event, status.command)
+        texts = [f'refused: {status.text}'] if refused and answer != self._answered else []
+        if status.command:  # which is resent until it is answered
+            self._answered = answer
         if status.held != self._held:
             self._held = status.held
             texts.append('pose and forces held' if status.held else 'hold released')
@@ -246,13 +249,12 @@ class GraphSource:
         wanted = self._values(topics.DESIRED_FORCES, config.column_names)
         points, self._points = self._points, []
         events, self._events = self._events, []
-        position, turn, place = pose.pose.position, pose.pose.orientation, desired.pose.position
+        position, quaternion = messages.pose_arrays(pose.pose)
         return source.Snapshot(
             time=self._time,
             q=self._values(topics.JOINT_STATES, config.robot.joint_names, 'position'),
-            position=np.array([position.x, position.y, position.z]),
-            quaternion=np.array([turn.x, turn.y, turn.z, turn.w]),
-            position_des=np.array([place.x, place.y, place.z]),
+            position=position, quaternion=quaternion,
+            position_des=messages.pose_arrays(desired.pose)[0],
             measured=self._values(topics.MEASURED_FORCES, config.column_names),
             estimated=self._values(topics.ESTIMATED_FORCES, config.column_names),
             desired=wanted, true=self._values(topics.TRUE_FORCES, config.column_names),
@@ -319,9 +321,7 @@ class GraphSource:
             raise CommandError('~/hold', hint='the arm is held; release the hold first')
         if not self._motion.what:
             self._motion_identifier, self._delay = new_identifier(), 0.0
-            pose = self._link.fresh(topics.POSE_DESIRED)[0].pose
-            p, q = pose.position, pose.orientation
-            self._motion.start(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
+            self._motion.start(*messages.pose_arrays(self._link.fresh(topics.POSE_DESIRED)[0].pose))
 
     def _hold(self, on: bool) -> str:
         if on and self._motion.what:

@@ -7,6 +7,8 @@ from contextlib import closing, suppress
 from multicontact_control.client import CommandRefusedError, MultiContactClient
 from multicontact_control.errors import MulticontactError, RunError
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.nodes import topics
+from multicontact_control.nodes.messages import joint_state_message
 from multicontact_control.view import source
 from multicontact_control.view.graph import GraphSource
 import numpy as np
@@ -92,13 +94,17 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
             shown.command(source.FORCES, table=9.0)
         with pytest.raises(MulticontactError, match='hold: the arm is held'):
             shown.command(source.JOG, offset=[0.01, 0.0, 0.0])
+        refused = joint_state_message(0, ['table'], effort=[9.0])
+        for _ in range(2):  # as a command whose answer is late is resent
+            wait_for(lambda: other.send(topics.FORCE_COMMAND, refused, '7') or any(
+                status.command == '7' for status in other.look()), 'the refusal')
         other.hold(False)
     released = until(shown, lambda found: events.extend(found.events) or not found.held,
                      'the release')
     texts = [text for _, text in events]
-    for text in ('pose and forces held', 'refused: contact_forces/command', 'refused: ~/hold',
-                 'hold released'):
-        assert sum(each.startswith(text) for each in texts) == 1, texts
+    for text, count in {'pose and forces held': 1, 'refused: contact_forces/command': 2,
+                        'refused: ~/hold': 1, 'hold released': 1}.items():
+        assert sum(each.startswith(text) for each in texts) == count, texts
     with closing(GraphSource(resolve('paper'), namespace='arm', domain_id=domain)) as late:
         assert until(late, bool, 'a sample').time < until(shown, bool, 'a snapshot').time
     later = until(shown, lambda found: found.time > released.time + 3.0, 'the last pose accepted')
