@@ -29,7 +29,6 @@ from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.controller_topics import SERVICES
 from multicontact_control.nodes.franka_bridge import FrankaBridgeConfig
 from multicontact_control.nodes.graph import StartupConfig
-from multicontact_control.nodes.lifecycle import ManagedConfig
 from multicontact_control.nodes.recorder_node import RecorderConfig
 from pydantic.fields import FieldInfo
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -49,7 +48,6 @@ NODES: dict[str, tuple[type[Config], ...]] = {
     topics.SIM: (PlantConfig, SimNodeConfig),
     topics.RECORDER: (RecorderConfig,),
     'franka_bridge': (FrankaBridgeConfig,),
-    f'{topics.CONTROLLER} and {topics.ESTIMATOR}': (ManagedConfig,),
     topics.EVERY_NODE: (StartupConfig,)}
 # And by the YAML file that holds it.
 FILES: dict[str, tuple[str, type[Config]]] = {

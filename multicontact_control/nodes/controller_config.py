@@ -17,7 +17,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.errors import ConfigError
-from multicontact_control.nodes.lifecycle import ManagedConfig
+from multicontact_control.nodes.graph import StartupConfig
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.push_test import PushTestConfig
 from multicontact_control.sensor.tool import TareConfig
@@ -26,7 +26,7 @@ from multicontact_control.supervision.command_limits import CommandLimits
 SAFE_TIME = 0.5  # s, in which a robot gets the safe behaviour before it gets nothing
 
 
-class ControllerNodeConfig(ManagedConfig):
+class ControllerNodeConfig(StartupConfig):
     """Parameters of the node."""
 
     supervised: bool = parameter(

@@ -11,7 +11,7 @@ import time
 import traceback
 from typing import Any
 
-from multicontact_control.config import Config, parameter
+from multicontact_control.config import Config
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph import Refusals, StartupConfig, StartupGate
@@ -27,13 +27,6 @@ DRAIN_TIME = 0.1  # s, at the end, for callbacks of what has arrived or is on it
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
-class ManagedConfig(StartupConfig):
-    """What every managed node has in common."""
-
-    autostart: bool = parameter(
-        False, f'Whether to configure and activate at once, as with {AUTOSTART}.')
-
-
 class ManagedNode(LifecycleNode):
     """
     What the managed nodes of the graph share: transitions, parameters, gate, diagnostics.
@@ -41,7 +34,7 @@ class ManagedNode(LifecycleNode):
     A transition that fails says why in one line and leaves the node where it was. rclpy calls
     callbacks in every state: they look at `state`. A node is `working` once it is active and its
     peers are there. `look` is called at `due` at the latest, monotonic time [ns]; 0 for now and
-    then. The last of the `models` is a `ManagedConfig`.
+    then.
     """
 
     def __init__(self, name: str, *models: type[Config], **options: Any) -> None:
@@ -88,7 +81,7 @@ class ManagedNode(LifecycleNode):
 
     def run(self, spinner: Spinner) -> None:
         """Run callbacks until asked to stop or shut down; raise if an autostart fails."""
-        if self.parameter_set.value('autostart') is True or AUTOSTART in sys.argv:
+        if AUTOSTART in sys.argv:
             for trigger in (self.trigger_configure, self.trigger_activate):
                 if trigger() != SUCCESS:
                     raise self._failure

@@ -13,7 +13,8 @@ from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.force.noise import Innovation, make_noise_estimator
 from multicontact_control.nodes import messages, qos, streams, topics
 from multicontact_control.nodes.diagnostics import Inputs, LoopStatistics, message_status, Status
-from multicontact_control.nodes.lifecycle import ACTIVE, ManagedConfig, ManagedNode
+from multicontact_control.nodes.graph import StartupConfig
+from multicontact_control.nodes.lifecycle import ACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
 import numpy as np
 
@@ -29,7 +30,7 @@ class NoiseEstimatorNode(ManagedNode):
     """
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(topics.ESTIMATOR, NoiseEstimatorConfig, ManagedConfig, **options)
+        super().__init__(topics.ESTIMATOR, NoiseEstimatorConfig, StartupConfig, **options)
         self._samples = 0
 
     def configure(self, configurations: Sequence[Any]) -> None:
@@ -52,7 +53,7 @@ class NoiseEstimatorNode(ManagedNode):
                 topic.message, topic.name, partial(self._on_message, topic), qos.INPUT, raw=True)
         self._inputs = Inputs(self, self._config.rate, *self._readers)
 
-    def activate(self) -> ManagedConfig:
+    def activate(self) -> StartupConfig:
         """Start with an empty window."""
         self._estimator.reset()
         self._waiting: deque[streams.NamedReading] = deque()

@@ -22,9 +22,9 @@ NO_FORCE = {'table': 0.0, 'board': 0.0}
 def arm(module_middleware):
     """Start one controller for all tests; each leaves it as it was."""
     module_middleware.start(
-        'multicontact_control.nodes.controller_node', 'autostart:=true', *PARAMETERS,
+        'multicontact_control.nodes.controller_node', *PARAMETERS,
         'transition.torque_rate:=100.0', 'transition.blend_time:=0.02',
-        files=(config_dir() / 'controller.yaml',))
+        files=(config_dir() / 'controller.yaml',), flags=('--autostart',))
     arm = FakeArm(module_middleware)
     arm.connect()
     for publisher in (arm.force_command, arm.motion_command):

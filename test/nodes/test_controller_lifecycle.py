@@ -91,7 +91,7 @@ def test_configure_refuses_what_is_wrong_until_it_is_repaired(host, tmp_path):
 def test_autostart_begins_alone_or_ends_with_the_reason(middleware):
     bad = middleware.start(
         MODULE, 'force.time_constant:=-1.0', files=(FILE,), flags=('--autostart',))
-    process = middleware.start(MODULE, 'autostart:=true', *PARAMETERS, files=(FILE,))
+    process = middleware.start(MODULE, *PARAMETERS, files=(FILE,), flags=('--autostart',))
     FakeArm(middleware).connect()
     assert process.poll() is None
     _, errors = end_of(bad)

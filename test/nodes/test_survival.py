@@ -24,8 +24,9 @@ def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be
         topic.message, topic.name, ignore, qos.INPUT) for topic in (
             topics.EFFORT_COMMAND, topics.DIAGNOSTICS))
 
-    def start(module, parameter='autostart:=true'):
-        return middleware.start(module, parameter, files=(config_dir() / FILES[module],))
+    def start(module, *parameters, flags=('--autostart',)):
+        return middleware.start(
+            module, *parameters, files=(config_dir() / FILES[module],), flags=flags)
 
     def report(part, condition):
         """Wait for such a message of a node's part; return the variances in its values."""
@@ -55,7 +56,7 @@ def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be
         wait_for(enough, 'commands')
 
     inputs, contacts = 'controller_node: inputs', 'controller_node: contacts'
-    start(SIM, 'lockstep:=false')
+    start(SIM, 'lockstep:=false', flags=())
     controller, estimator = start(CONTROLLER), start(ESTIMATOR)
     # Only what the controller has taken on can be held.
     report(contacts, lambda x: variances(x) not in ([], [0.6, 0.6]))
