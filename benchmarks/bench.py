@@ -129,15 +129,15 @@ def bench_plant(count):
         plant.reset()
         bare.reset(np.array(config.home))
 
-    found = race(lambda _: plant.step(plant.initial_torque), floor, count, FALL, reset)
+    times = race(lambda _: plant.step(plant.initial_torque), floor, count, FALL, reset)
     plant.close()
     bare.close()
-    return found
+    return times
 
 
 def bench_contacts(count):
     """Return the median time of a tick of the bare law [us] by the number of contacts."""
-    setup, random, found = setup_of(), np.random.default_rng(0), {}
+    setup, random, medians = setup_of(), np.random.default_rng(0), {}
     home = np.array(setup.plant.home)
     pose = RobotModel(setup.controller.robot, setup.urdf_dir).update(home, 0.0 * home).pose
     table, points = setup.controller.contacts['table'], POINTS @ pose.rotation_world
@@ -160,8 +160,8 @@ def bench_contacts(count):
             controller.answer()
             controller.output(controller.torque.copy())
             times[k] = perf_counter_ns() - start
-        found[contacts] = 1e-3 * float(np.median(times))
-    return found
+        medians[contacts] = 1e-3 * float(np.median(times))
+    return medians
 
 
 def bench_graph(duration):
@@ -169,7 +169,7 @@ def bench_graph(duration):
     from multicontact_control.experiment.graph.run import run_graph  # needs ROS
     from multicontact_control.experiment.graph.spec import GraphSpec, START_ORDER
 
-    setup, found = setup_of(duration), {}
+    setup, results = setup_of(duration), {}
     for mode in ('lockstep', 'real_time'):
         spent = []  # times of the wall and the nodes [s], a few times a second
 
@@ -188,12 +188,12 @@ def bench_graph(duration):
                 reference_file=out / 'config/reference.yaml',
                 parameter_files=setup.write(out / 'config')), look).timing['sim_node']
         first, last = spent[0], spent[-1]
-        found[mode] = {
+        results[mode] = {
             'realtime_factor': duration / sim['wall_s'],
             **{name: sim[name] for name in ('latency_us', 'deadline_misses', 'ticks')},
             'cores': {name: (last[name] - first[name]) / (last['wall'] - first['wall'])
                       for name in START_ORDER if name in first and name in last}}
-    return found
+    return results
 
 
 def bench_tsid(python, law):
@@ -212,9 +212,9 @@ def bench_tsid(python, law):
         done = subprocess.run([python, '-I', script, path], capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError(done.stderr.rpartition('\n')[0].rpartition('\n')[2])
-    found = json.loads(done.stdout.splitlines()[-1])
-    times = percentiles(found.pop('tick_us'))
-    return {**law, **found, 'floor_us': times, 'ratio': law['us']['p50'] / times['p50']}
+    answer = json.loads(done.stdout.splitlines()[-1])
+    times = percentiles(answer.pop('tick_us'))
+    return {**law, **answer, 'floor_us': times, 'ratio': law['us']['p50'] / times['p50']}
 
 
 def main(arguments=None):

@@ -90,11 +90,11 @@ class Entry(NamedTuple):
         """Return the range or the choices."""
         if self.choices:
             return ', '.join(f'`{choice}`' if choice else '`""`' for choice in self.choices)
-        found = [f'{sign}{getattr(bound, name):g}' for bound in self.field.metadata
-                 for name, sign in BOUNDS.items() if getattr(bound, name, None) is not None]
+        bounds = [f'{sign}{getattr(bound, name):g}' for bound in self.field.metadata
+                  for name, sign in BOUNDS.items() if getattr(bound, name, None) is not None]
         least = [bound.min_length for bound in self.field.metadata
                  if getattr(bound, 'min_length', None)]
-        return ', '.join(found + [f'at least {count}' for count in least])
+        return ', '.join(bounds + [f'at least {count}' for count in least])
 
 
 class Group(NamedTuple):
@@ -184,18 +184,18 @@ def parameters() -> str:
         'every NAME. NAME is one of `contact_names`. All units are SI. *Live* values change while '
         'the node runs, all others while it is unconfigured.']
     for node, models in NODES.items():
-        found = [group for model in models for group in groups(model)]
-        parts += [f'## {node}', *_group_tables(node, found, live=True)]
+        sections = [group for model in models for group in groups(model)]
+        parts += [f'## {node}', *_group_tables(node, sections, live=True)]
     for name, (where, model) in FILES.items():
         parts += [f'## {name} file', f'In {where}.',
                   *_group_tables(f'{name} file', list(groups(model)))]
     return _page(parts)
 
 
-def _group_tables(title: str, found: Sequence[Group], *, live: bool = False) -> Iterator[str]:
+def _group_tables(title: str, sections: Sequence[Group], *, live: bool = False) -> Iterator[str]:
     header = ['parameter', 'type', 'default', 'unit', 'range', *(['live'] if live else ()),
               'what it is']
-    for group in found:
+    for group in sections:
         if not group.entries:
             continue
         if group.prefix:

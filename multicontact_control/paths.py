@@ -25,8 +25,8 @@ def config_dir(package_dir: Path = PACKAGE_DIR) -> Path:
     prefixes += filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep))
     candidates += [
         Path(prefix) / 'share' / 'multicontact_control' / 'config' for prefix in prefixes]
-    if found := next(filter(Path.is_dir, candidates), None):
-        return found
+    if folder := next(filter(Path.is_dir, candidates), None):
+        return folder
     raise ConfigError('config', 'the configuration folder of the package',
                       f'none of {", ".join(dict.fromkeys(map(str, candidates)))}')
 

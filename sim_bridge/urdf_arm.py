@@ -262,10 +262,10 @@ def arm_of_urdf(text: str) -> Arm:
 
 
 def _value(element: ElementTree.Element, path: str, name: str) -> str:
-    found = element.find(path)
-    if found is None or name not in found.attrib:
+    child = element.find(path)
+    if child is None or name not in child.attrib:
         raise ConfigError('urdf', f"{path} with {name} in '{element.get('name')}'", 'none')
-    return found.attrib[name]
+    return child.attrib[name]
 
 
 def _numbers(element: ElementTree.Element, path: str, name: str) -> tuple[float, ...]:

@@ -33,14 +33,14 @@ def calibrate(
 
     files = controller or []
     if from_bag is None:
-        found = weighing.weigh_running(
+        result = weighing.weigh_running(
             files, namespace=namespace or '', domain_id=domain_id, tilt=math.radians(tilt),
             move_time=move_time, tell=typer.echo)
     else:
         options.refuse_options(context, ('tilt', 'move_time', 'domain_id'), 'with --from-bag')
-        found = weighing.weigh_recording(from_bag, files, namespace, typer.echo)
-    path = weighing.write_tool(out, found)
-    typer.echo('\n'.join([*weighing.describe(found), f'written to {path}']))
+        result = weighing.weigh_recording(from_bag, files, namespace, typer.echo)
+    path = weighing.write_tool(out, result)
+    typer.echo('\n'.join([*weighing.describe(result), f'written to {path}']))
 
 
 def push_test(

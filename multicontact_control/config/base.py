@@ -151,8 +151,8 @@ def _sections(data: Mapping[str, Any], place: str = '') -> Iterator[tuple[str, A
         if isinstance(entry, dict) and entry and 'ros__parameters' not in entry:
             yield from _sections(entry, f'{place}{key}/')
         else:
-            found = entry['ros__parameters'] if isinstance(entry, dict) and entry else None
-            yield f'{place}{key}', found if isinstance(found, dict) else None
+            parameters = entry['ros__parameters'] if isinstance(entry, dict) and entry else None
+            yield f'{place}{key}', parameters if isinstance(parameters, dict) else None
 
 
 def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -162,17 +162,17 @@ def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str
     Sections name a node with or without a namespace; `EVERY_NODE` stands for all nodes. Returns
     the parameters by node; ConfigError for any other section, or two of one node.
     """
-    found: dict[str, dict[str, Any]] = {}
+    by_node: dict[str, dict[str, Any]] = {}
     for key, parameters in _sections(read_yaml(path)):
         name = key.rpartition('/')[2]
         if name not in nodes or parameters is None:
             names = ', '.join(x.replace(EVERY_NODE, f'/{EVERY_NODE}') for x in nodes)
             raise ConfigError(f'{path}: {key}', f"a section of {names} holding 'ros__parameters'",
                               'none' if parameters is None else f"'{name}'")
-        if name in found:
+        if name in by_node:
             raise ConfigError(f'{path}: {key}', f'one section of {name}', 'another')
-        found[name] = parameters
-    return found
+        by_node[name] = parameters
+    return by_node
 
 
 def merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:

@@ -42,10 +42,10 @@ class RobotConfig(Config):
         both = sorted(set(self.locked_joints) & set(self.joint_names))
         if both:
             yield ConfigError('robot.locked_joints', 'none of robot.joint_names', both)
-        count, found = len(self.locked_joints), len(self.locked_positions)
-        if found not in (0, count):
+        count, positions = len(self.locked_joints), len(self.locked_positions)
+        if positions not in (0, count):
             yield ConfigError('robot.locked_positions', counted(count, 'values')
-                              + ', one per locked joint, or none', found)
+                              + ', one per locked joint, or none', positions)
 
     @property
     def locked(self) -> dict[str, float]:

@@ -89,12 +89,12 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
     springs = np.array(setup.plant.drive_stiffness) if flexible else np.array(math.inf)
     signals = contact_signals(data, config, setup.urdf_dir, springs)
     of = SERIES if flexible or not setup.simulated else 'surface'
-    found = {name: _identify(signal, config) | {'of': of} for name, signal in signals.items()}
-    if all(contact['stiffness_n_m'] is None for contact in found.values()):
+    contacts = {name: _identify(signal, config) | {'of': of} for name, signal in signals.items()}
+    if all(contact['stiffness_n_m'] is None for contact in contacts.values()):
         raise RunError(
             'identify: expected joint states, wrenches and commanded torques of one stamp during '
             'force steps on contacts that are felt, got none')
-    return found
+    return contacts
 
 
 def contact_signals(
@@ -135,13 +135,13 @@ def _reactions(controller: Controller, torque: Vector, springs: Vector) -> Matri
 def _identify(signal: ContactSignals, config: ControllerConfig) -> dict[str, Any]:
     h = config.period
     filtered, accepted = _band_passed(signal, config)
-    found = {'samples': int(accepted.sum()), **_fit(filtered, accepted, h), 'surface_n_m': None,
-             'noise_variance_n2': noise_at_rest(signal), 'delay_s': _delay(signal, accepted, h)}
+    contact = {'samples': int(accepted.sum()), **_fit(filtered, accepted, h), 'surface_n_m': None,
+               'noise_variance_n2': noise_at_rest(signal), 'delay_s': _delay(signal, accepted, h)}
     if np.nan_to_num(signal.given).any():
         rate = np.nan_to_num(np.gradient(signal.given, h))  # none beside a gap
         alone = signal._replace(speed=signal.speed - rate)
-        found['surface_n_m'] = _fit(*_band_passed(alone, config), h)['stiffness_n_m']
-    return found
+        contact['surface_n_m'] = _fit(*_band_passed(alone, config), h)['stiffness_n_m']
+    return contact
 
 
 def _fit(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
@@ -166,10 +166,10 @@ def _fit(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
     steps = np.split(np.arange(len(y)), ends)
     without = [solve(np.delete(np.arange(len(y)), step)) for step in steps if len(steps) > 1]
     of_model = (len(steps) - 1) * np.var(without, axis=0) if without else math.inf
-    found: dict[str, Any] = {
+    estimates: dict[str, Any] = {
         name: {'value': float(value), 'std': float(error)}
         for name, value, error in zip(LARGEST, values, np.sqrt(scatter + of_model))}
-    return dict.fromkeys(LARGEST) | found | {
+    return dict.fromkeys(LARGEST) | estimates | {
         'explained': 1.0 - float(left @ left) / float(y @ y)}
 
 
@@ -232,10 +232,10 @@ def _delay(signal: ContactSignals, accepted: Mask, h: float) -> dict[str, float]
             'std': math.sqrt(variance / curvature) if curvature > 0.0 else math.inf}
 
 
-def show(found: Mapping[str, Mapping[str, Any]]) -> str:
+def show(contacts: Mapping[str, Mapping[str, Any]]) -> str:
     """Return what was identified as lines of text, and of what it is."""
     lines = []
-    for name, contact in found.items():
+    for name, contact in contacts.items():
         share = '' if contact['explained'] is None else (
             f', {100.0 * contact["explained"]:.1f} % explained')
         lines.append(f'{name}: {counted(contact["samples"], "samples")}{share}')
@@ -247,6 +247,6 @@ def show(found: Mapping[str, Mapping[str, Any]]) -> str:
                 f'  {text}: {scale * value["value"]:.{digits}f} +- '
                 f'{scale * value["std"]:.{digits}f} {unit}').rstrip().replace(
                     '+- inf', '+- unknown (one step only)'))
-    if any(contact['of'] == SERIES for contact in found.values()):
+    if any(contact['of'] == SERIES for contact in contacts.values()):
         lines.append(f'stiffness and damping are those of {SERIES}, as the force loop feels them')
     return '\n'.join(lines)

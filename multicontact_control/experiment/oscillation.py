@@ -65,14 +65,14 @@ def oscillations(
     oscillates, frequency, rms = np.array([
         _line(frequencies, power[begin:begin + STRETCH], limit[begin:begin + STRETCH])
         for begin in range(len(starts) - STRETCH + 1)]).T
-    found = []
+    episodes = []
     for begin, end in zip(*stretches(np.convolve(oscillates, np.ones(STRETCH)) > 0.0)):
         inside = begin + np.flatnonzero(oscillates[begin:end])
-        found.append(Oscillation(
+        episodes.append(Oscillation(
             (starts[begin + STRETCH - 1] + length - 1) / rate,
             (starts[end - 1] + length - starts[begin]) / rate,
             float(np.median(frequency[inside])), float(np.median(rms[inside]))))
-    return found
+    return episodes
 
 
 def _line(frequencies: Vector, power: Matrix, limit: Vector) -> tuple[bool, float, float]:

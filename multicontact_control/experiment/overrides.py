@@ -28,18 +28,18 @@ EVERY = '*'
 
 def read_settings(settings: Sequence[str]) -> dict[str, Any]:
     """Read ``KEY=VALUE`` texts, values as in a YAML file; ConfigError for what is none."""
-    found = {}
+    values = {}
     for text in settings:
         key, sign, value = text.partition('=')
         if not sign or not key.strip():
             raise ConfigError('--set', 'KEY=VALUE, e.g. plant.surfaces.*.stiffness=60000',
                               f"'{text}'")
         try:
-            found[key.strip()] = yaml.safe_load(value)
+            values[key.strip()] = yaml.safe_load(value)
         except yaml.YAMLError:
             raise ConfigError(f'--set {key.strip()}', 'a value as in a YAML file',
                               f"'{value}'") from None
-    return found
+    return values
 
 
 def paths_of(name: str, setup: Setup, field: str) -> list[tuple[str, ...]]:

@@ -218,7 +218,7 @@ def load_run(folder: Path) -> LoadedRun:
     return LoadedRun(folder, setup, data, read_json(folder / SUMMARY_FILE))
 
 
-def _setup_of_recording(path: Path, found: BagMessages, files: Sequence[Path]) -> Setup:
+def _setup_of_recording(path: Path, messages: BagMessages, files: Sequence[Path]) -> Setup:
     """Return what files, or else messages, say of what a recording was made with."""
     urdf_dir = Path()
     if files:
@@ -226,11 +226,11 @@ def _setup_of_recording(path: Path, found: BagMessages, files: Sequence[Path]) -
         controller, urdf_dir = read.config(), read.urdf_dir
     else:
         robot = RobotConfig.model_construct(
-            urdf='', joint_names=_names(found, ('joint_states', 'joint_effort_command')),
+            urdf='', joint_names=_names(messages, ('joint_states', 'joint_effort_command')),
             operational_frame='', sensor_frame='')
-        types = contact_types(_names(found, NAMED_BY))
+        types = contact_types(_names(messages, NAMED_BY))
         controller = ControllerConfig.model_construct(
-            rate=_rate(path, found), robot=robot, contact_names=tuple(types),
+            rate=_rate(path, messages), robot=robot, contact_names=tuple(types),
             contacts={name: ContactConfig.model_construct(type=kind)
                       for name, kind in types.items()})
     unknown: Any = 'noise estimator not known'
@@ -242,16 +242,16 @@ def _setup_of_recording(path: Path, found: BagMessages, files: Sequence[Path]) -
         seed=0, urdf_dir=urdf_dir, commanded_by_topic=True)
 
 
-def _names(found: BagMessages, topics: Sequence[str]) -> tuple[str, ...]:
+def _names(messages: BagMessages, topics: Sequence[str]) -> tuple[str, ...]:
     """Return the names in the first message of the first topic that has any."""
-    named = (found.by_topic[topic].names for topic in topics if topic in found.by_topic)
+    named = (messages.by_topic[topic].names for topic in topics if topic in messages.by_topic)
     return next(filter(None, named), ())
 
 
-def _rate(path: Path, found: BagMessages) -> float:
+def _rate(path: Path, messages: BagMessages) -> float:
     """Return the rate of the samples' stamps without their gaps [Hz], whole if it nearly is."""
-    topic = recording.sample_topic(found)
-    apart = np.diff(np.unique(found.by_topic[topic].stamps))
+    topic = recording.sample_topic(messages)
+    apart = np.diff(np.unique(messages.by_topic[topic].stamps))
     if not len(apart):
         raise RunError(f'{path}: {topic}: expected at least 2 samples, got 1')
     usual = np.median(apart)

@@ -170,7 +170,7 @@ def graph_timing(
     recorder, data = timing.get('recorder_node', {}), content.data
     # What the simulator took along when it ended is in no gap that the recorder could count.
     never_came = max(0, sim.get('ticks', 0) - data.ticks)
-    found = {
+    result = {
         'lost_messages': recorder['lost'] + never_came if 'lost' in recorder else None,
         'unanswered_samples': content.unanswered,
         'kernels_compiled': sum(node.get('kernels_compiled', 0) for node in timing.values()),
@@ -178,12 +178,12 @@ def graph_timing(
         'scheduling': {name: node['scheduling'] for name, node in timing.items()
                        if 'scheduling' in node}}
     if sim:
-        found |= {name: sim[name] for name in (
+        result |= {name: sim[name] for name in (
             'deadline_misses', 'pace_slips', 'command_timeouts', 'latency_us',
             'latency_histogram', 'plant_us')}
-        found['realtime_factor'] = data.ticks / data.rate / sim['wall_s'] if (
+        result['realtime_factor'] = data.ticks / data.rate / sim['wall_s'] if (
             sim['wall_s']) else None
-    return found
+    return result
 
 
 def _finish(data: RunData, setup: Setup, folder: Path, summary: dict[str, Any]) -> dict[str, Any]:

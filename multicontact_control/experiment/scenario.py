@@ -155,9 +155,9 @@ def plant_source(name: str = '', robot: str = '') -> PlantSource:
     default plant. The robot is a name or path; empty for that in the name, or the default robot.
     """
     chosen = find_robot(robot or DEFAULT)
-    if found := chosen.plant_name(name):
-        title = found if chosen.name == DEFAULT else f'{chosen.name}/{found}'
-        return PlantSource(chosen, title, found)
+    if plant := chosen.plant_name(name):
+        title = plant if chosen.name == DEFAULT else f'{chosen.name}/{plant}'
+        return PlantSource(chosen, title, plant)
     if Path(name).is_file():
         named = read_parameters(Path(name)).get('robot', '')
         return PlantSource(find_robot(robot or named or DEFAULT), name, '', Path(name))
@@ -169,9 +169,9 @@ def plant_source(name: str = '', robot: str = '') -> PlantSource:
 
 def preset_values(name: str) -> dict[str, dict[str, Any]]:
     """Return what a preset of config/presets, or a file, lays over controller and estimator."""
-    found = read_node_parameters(
+    by_node = read_node_parameters(
         named_file('preset', 'presets', name), PRESET_NODES) if name else {}
-    return {node.removesuffix('_node'): found.get(node, {}) for node in PRESET_NODES}
+    return {node.removesuffix('_node'): by_node.get(node, {}) for node in PRESET_NODES}
 
 
 def resolve(
@@ -229,10 +229,10 @@ def check_together(setup: Setup, path: Path) -> None:
     contacts = [('noise_estimator.contact_names', setup.noise_estimator.contact_names)]
     if setup.simulated:
         contacts.append(('plant.contact_names', setup.plant.column_names))
-    for what, found in contacts:
-        if found != names:
+    for what, columns in contacts:
+        if columns != names:
             raise ConfigError(
-                what, f"the controller's forces and couples {list(names)}", list(found))
+                what, f"the controller's forces and couples {list(names)}", list(columns))
     if setup.noise_estimator.rate != setup.controller.rate:
         raise ConfigError('noise_estimator.rate', f"the controller's {setup.controller.rate:g} Hz",
                           f'{setup.noise_estimator.rate:g} Hz')
@@ -352,8 +352,8 @@ def resolve_external(
 
 def dotted(values: Mapping[str, Any], start: str = '') -> dict[str, Any]:
     """Return nested parameters by their dotted names."""
-    found: dict[str, Any] = {}
+    leaves: dict[str, Any] = {}
     for name, value in values.items():
-        found |= dotted(value, f'{start}{name}.') if isinstance(value, Mapping) else {
+        leaves |= dotted(value, f'{start}{name}.') if isinstance(value, Mapping) else {
             start + name: value}
-    return found
+    return leaves

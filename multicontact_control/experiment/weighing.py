@@ -112,11 +112,11 @@ def weigh_recording(
     """
     controller, robot = _arm(files)
     wrench, names = f'ft_sensor/{controller.wrench_series}', controller.robot.joint_names
-    found = read_messages(path, {JOINTS: JOINT_STATE, wrench: WRENCH}, namespace)
+    messages = read_messages(path, {JOINTS: JOINT_STATE, wrench: WRENCH}, namespace)
     for topic in (JOINTS, wrench):
-        if topic not in found.by_topic:
-            raise RunError(f'{path}: expected messages on {topic}, got {found}')
-    joints, felt = found.by_topic[JOINTS], found.by_topic[wrench]
+        if topic not in messages.by_topic:
+            raise RunError(f'{path}: expected messages on {topic}, got {messages}')
+    joints, felt = messages.by_topic[JOINTS], messages.by_topic[wrench]
     q = joints.values('position', names)
     if not np.isfinite(q).all():
         raise RunError(f'{path}: joint_states: expected positions of the joints '
@@ -219,23 +219,23 @@ def _sample(messages: Sequence[Any], names: Sequence[str]) -> Vector:
                      w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z])
 
 
-def describe(found: Identification) -> list[str]:
+def describe(result: Identification) -> list[str]:
     """Return what was identified, with the standard errors, in lines of text."""
     centre = ', '.join(f'{1e3 * value:.2f} +- {1e3 * error:.2f}'
-                       for value, error in zip(found.com_sensor, found.com_std))
+                       for value, error in zip(result.com_sensor, result.com_std))
     force, torque = (', '.join(f'{value:.4f}' for value in part)
-                     for part in np.split(found.bias_sensor, 2))
-    return [f'mass: {found.mass:.4f} +- {found.mass_std:.4f} kg',
+                     for part in np.split(result.bias_sensor, 2))
+    return [f'mass: {result.mass:.4f} +- {result.mass_std:.4f} kg',
             f'centre of mass: {centre} mm', f'bias: {force} N, {torque} N m',
-            f'{found.poses} poses, condition {found.condition:.3g}, residual '
-            f'{found.force_residual:.3g} N and {found.torque_residual:.3g} N m rms']
+            f'{result.poses} poses, condition {result.condition:.3g}, residual '
+            f'{result.force_residual:.3g} N and {result.torque_residual:.3g} N m rms']
 
 
-def write_tool(folder: Path, found: Identification) -> Path:
+def write_tool(folder: Path, result: Identification) -> Path:
     """Write a tool as a parameter file to lay over the controller's, and return it."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / TOOL_FILE
-    head = [*describe(found), 'Give it to the controller after its own parameter file.']
-    write_parameters(path, {'/**': {'tool': found.tool().model_dump(mode='json')}},
+    head = [*describe(result), 'Give it to the controller after its own parameter file.']
+    write_parameters(path, {'/**': {'tool': result.tool().model_dump(mode='json')}},
                      ''.join(f'# {line}\n' for line in head))
     return path

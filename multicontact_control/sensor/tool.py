@@ -179,12 +179,12 @@ def identify_tool(readings: Sequence[PoseReading], gravity_world: Vector) -> Ide
             f'mass: expected at least 0 kg, got {mass:.3g} kg; is the sign of the sensor '
             'flipped?')
     residual = np.sqrt(np.mean(left ** 2, axis=(0, 2))).tolist()
-    for what, found, limit, unit in zip(
+    for what, rms, limit, unit in zip(
             ('force', 'torque'), residual, (MAX_FORCE_RESIDUAL, MAX_TORQUE_RESIDUAL),
             ('N', 'N m')):
-        if found > limit:
+        if rms > limit:
             raise CalibrationError(
-                f'residual {what}: expected at most {limit:g} {unit}, got {found:.3g} {unit}; '
+                f'residual {what}: expected at most {limit:g} {unit}, got {rms:.3g} {unit}; '
                 'is the frame of the sensor right, and was the arm at rest?')
     com, com_std = np.zeros(3), np.zeros(3)
     if mass > NOTHING_HANGS * mass_std:

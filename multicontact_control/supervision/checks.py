@@ -56,24 +56,24 @@ def check_plausibility(
     point is out of its box).
     """
     bounds, control = limits[0], controls[0]
-    frame, tool, found = control.frame, control.tool, 0
+    frame, tool, flags = control.frame, control.tool, 0
     if not np.isfinite(joints['torque']).all():
-        found = NOT_FINITE
+        flags = NOT_FINITE
     pressed = 0.0
     for i in range(contacts.shape[0]):
         contact, answer = contacts[i], contacts[i].answer
         if not np.isfinite(
                 contact.alpha_meas + answer.alpha_des + answer.alpha_est + answer.alpha_rate_est
                 + answer.innovation + answer.prior_variance + answer.variance_used):
-            found |= NOT_FINITE
+            flags |= NOT_FINITE
         if contact.config.leader != i:
             continue
         pressed += abs(contact.alpha_meas)
         allowance = bounds.inertia if states[i].state == LOST else 0.0
         if contact.alpha_meas < -(PULL_LIMIT + allowance):
-            found |= PULL
+            flags |= PULL
         if contact.alpha_meas > bounds.force_ceiling and not states[i].commanded:
-            found |= STRAY
+            flags |= STRAY
     sideways = 0.0
     for k in range(3):
         force = tool.weight[k]
@@ -83,11 +83,11 @@ def check_plausibility(
             force -= contacts[i].alpha_meas * contacts[i].normal[k]
         sideways += force * force
         if frame.position[k] < bounds.box[0, k] or frame.position[k] > bounds.box[1, k]:
-            found |= OUTSIDE
+            flags |= OUTSIDE
     bound = SIDEWAYS_LIMIT + bounds.friction_bound * pressed
     if sideways > bound * bound:
-        found |= SIDEWAYS
-    return found
+        flags |= SIDEWAYS
+    return flags
 
 
 def plausibility_limits(config: ControllerConfig) -> Records:

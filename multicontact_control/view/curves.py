@@ -55,9 +55,9 @@ def extremes(points: Matrix, size: int) -> Matrix:
     if size <= 2:
         return points
     whole = points[:len(points) // size * size].reshape(-1, size, points.shape[1])
-    found = np.stack([np.fmin.reduce(whole, axis=1), np.fmax.reduce(whole, axis=1)], axis=1)
-    found[:, :, 0] = whole[:, [0, size // 2], 0]
-    return np.concatenate([found.reshape(-1, points.shape[1]), points[len(whole) * size:]])
+    pairs = np.stack([np.fmin.reduce(whole, axis=1), np.fmax.reduce(whole, axis=1)], axis=1)
+    pairs[:, :, 0] = whole[:, [0, size // 2], 0]
+    return np.concatenate([pairs.reshape(-1, points.shape[1]), points[len(whole) * size:]])
 
 
 class Chart(NamedTuple):
@@ -115,7 +115,7 @@ class Curves:
         if not len(points):
             points = np.zeros((1, self._width))
         time: Vector = points[:, 0] - points[-1, 0]
-        found = []
+        series = []
         for chart in self._charts:
             # uPlot loses its axis over a single number that is none.
             values = chart.scale * np.nan_to_num(points[:, chart.columns])
@@ -123,8 +123,8 @@ class Curves:
             if chart.y == LOGARITHMIC:
                 values, shown = np.maximum(values, FLOOR), SHOWN
             values = np.column_stack([values, np.resize(shown, len(values))])
-            found.append((time, *(np.ascontiguousarray(column) for column in values.T)))
-        return found
+            series.append((time, *(np.ascontiguousarray(column) for column in values.T)))
+        return series
 
 
 def charts_of(names: Sequence[str], joints: Sequence[str], true_forces: bool) -> list[Chart]:

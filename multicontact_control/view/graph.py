@@ -321,7 +321,8 @@ class GraphSource:
             raise CommandError('~/hold', hint='the arm is held; release the hold first')
         if not self._motion.what:
             self._motion_identifier, self._delay = new_identifier(), 0.0
-            self._motion.start(*messages.pose_arrays(self._link.fresh(topics.POSE_DESIRED)[0].pose))
+            desired = self._link.fresh(topics.POSE_DESIRED)[0]
+            self._motion.start(*messages.pose_arrays(desired.pose))
 
     def _hold(self, on: bool) -> str:
         if on and self._motion.what:
@@ -352,10 +353,10 @@ class GraphSource:
         """Return parameters of a node; RunError if it lacks one."""
         values = self._link.call(node, GetParameters, 'get_parameters',
                                  GetParameters.Request(names=list(names))).values
-        found = [parameter_value_to_python(value) for value in values]
-        if len(found) != len(names) or None in found:
+        parameters = [parameter_value_to_python(value) for value in values]
+        if len(parameters) != len(names) or None in parameters:
             raise RunError(f'{node}: expected the parameters {", ".join(names)}, got not all')
-        return found
+        return parameters
 
 
 def _name_of(marker: Marker) -> str:
@@ -374,12 +375,12 @@ def _surface_of(marker: Marker) -> source.Surface:
                           Patch(corners, np.arange(len(corners)).reshape(-1, 3)))
 
 
-def _require_joints(expected: tuple[str, ...], found: tuple[str, ...]) -> None:
+def _require_joints(expected: tuple[str, ...], joints: tuple[str, ...]) -> None:
     """Check that a controller is of this arm; RunError naming the right one if it is known."""
-    if found == expected:
+    if joints == expected:
         return
     robots = map(find_robot, robot_names())
     fitting = [f'--robot {robot.name}' for robot in robots
-               if found == (robot.file.joint_names or robot.arm.joint_names)]
-    raise RunError(f'{JOINTS}: expected {", ".join(expected)}, got {", ".join(found)}; name '
+               if joints == (robot.file.joint_names or robot.arm.joint_names)]
+    raise RunError(f'{JOINTS}: expected {", ".join(expected)}, got {", ".join(joints)}; name '
                    f'{" or ".join(fitting) or "its --robot"}, and its --scenario')

@@ -81,7 +81,7 @@ class Page:
         self.newest: Snapshot | None = None
         self._events: deque[tuple[float, str]] = deque(maxlen=LISTED)
         self._listed: list[tuple[float, str]] = []
-        self._told, self._push_test, self._undrawn = ('', 0.0), '', True
+        self._toast, self._push_test, self._undrawn = ('', 0.0), '', True
         self._next_texts = self._next_curves = 0.0
         self._build(server.gui, source.scene)
 
@@ -125,20 +125,20 @@ class Page:
         if (asked := self.requests.take()) is not None:
             self._give(*asked)
         try:
-            found = self.source.poll()
+            snapshots = self.source.poll()
         except RunError as error:
             self.ended = str(error)
             self.status.content = _line(f'<b style="color:{RED}">{html.escape(self.ended)}</b>')
             self._notify('ended', self.ended.splitlines()[0])
             return
-        for snapshot in found:
+        for snapshot in snapshots:
             if self.newest is not None and snapshot.time < self.newest.time:
                 self._events.clear()  # time has gone back
             self.newest = snapshot
             self.curves.history.add(snapshot.points)
             self._events.extend(snapshot.events)
         if self.newest is not None and self.server.get_clients():
-            self._show(self.newest, bool(found))
+            self._show(self.newest, bool(snapshots))
 
     def _give(self, name: str, values: dict[str, Any]) -> None:
         try:
@@ -175,10 +175,10 @@ class Page:
     def _notify(self, title: str, text: str) -> None:
         """Notify all browsers, but not of the same again and again."""
         now = time.monotonic()
-        before, when = self._told
+        before, when = self._toast
         if text == before and now - when < AGAIN:
             return
-        self._told = text, now
+        self._toast = text, now
         for client in self.server.get_clients().values():
             client.add_notification(title, text, color='red', auto_close_seconds=TOAST_TIME)
 

@@ -205,13 +205,13 @@ def recorded_places(
     bag: Path, start: int, namespace: str | None,
 ) -> list[tuple[float, Mapping[str, Vector3]]]:
     """Return points of a simulator's surfaces by name [m], and from when after `start` [ns]."""
-    found = read_messages(bag, {SURFACES: MARKERS}, namespace).by_topic.get(SURFACES)
-    if found is None:
+    markers = read_messages(bag, {SURFACES: MARKERS}, namespace).by_topic.get(SURFACES)
+    if markers is None:
         return []
-    names = found.names
-    axes = np.stack([found.values(axis, names) for axis in 'xyz'], axis=-1)
+    names = markers.names
+    axes = np.stack([markers.values(axis, names) for axis in 'xyz'], axis=-1)
     return [((stamp - start) * 1e-9, {name: (x, y, z) for name, (x, y, z) in zip(names, row)})
-            for stamp, row in zip(found.stamps.tolist(), axes.tolist())]
+            for stamp, row in zip(markers.stamps.tolist(), axes.tolist())]
 
 
 def scenario_marks(setup: Setup) -> list[tuple[float, str]]:

@@ -77,13 +77,13 @@ class NodeProcesses:
 
     def new_warnings(self) -> str:
         """Return the last warning or error logged since the last call, and how many there are."""
-        found = []
+        warnings = []
         for name in self.running:
             text = self._text(name)
-            found += WARNING.findall(text, self._seen[name])
+            warnings += WARNING.findall(text, self._seen[name])
             self._seen[name] = text.rfind('\n') + 1
-        more = f' (and {len(found) - 1} more in {self.spec.logs})' if len(found) > 1 else ''
-        return shorten(': '.join(found[-1]), LINE_LENGTH) + more if found else ''
+        more = f' (and {len(warnings) - 1} more in {self.spec.logs})' if len(warnings) > 1 else ''
+        return shorten(': '.join(warnings[-1]), LINE_LENGTH) + more if warnings else ''
 
     def _text(self, name: str) -> str:
         return self._log(name).read_text(encoding='utf-8', errors='replace')

@@ -77,8 +77,8 @@ class RobotWatch(GuestNode):
 
     def _publishers(self, topic: topics.Topic) -> str:
         """Return the names of the nodes that publish a topic, as far as they are known yet."""
-        found = self.node.get_publishers_info_by_topic(self._full(topic.name))
-        return ', '.join(sorted({info.node_name for info in found} - {UNNAMED}))
+        endpoints = self.node.get_publishers_info_by_topic(self._full(topic.name))
+        return ', '.join(sorted({info.node_name for info in endpoints} - {UNNAMED}))
 
     def missing(self) -> str:
         """Return what is missing of the robot and from whom, in one line; empty if nothing is."""
@@ -116,7 +116,7 @@ class RobotWatch(GuestNode):
         return ''
 
     @property
-    def found(self) -> str:
+    def sources(self) -> str:
         """Say which nodes publish the robot's topics."""
         return ', '.join(f'{self._full(topic.name)} from {stream.publisher}'
                          for topic, stream in self._streams.items())

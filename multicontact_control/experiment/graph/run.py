@@ -198,7 +198,7 @@ def run_graph(
         try:
             with running_graph(spec, keep_waiting) as graph:
                 if graph.robot is not None:
-                    tell(f'found {graph.robot.found}')
+                    tell(f'found {graph.robot.sources}')
                 ended = _watch(graph, signals, on_progress, keep_waiting, tell)
                 if signals:
                     tell(STOPPING)

@@ -229,15 +229,15 @@ def _with_choice(
     for value in values:
         if labels and str(value) not in labels:
             raise ConfigError(name, f'some of {", ".join(labels)}', f"'{value}'")
-    found = {title: part for title, part in parts.items() if known}
+    selection = {title: part for title, part in parts.items() if known}
     for title in known or parts:
         factors = dict(parts[title].factors)
         before = factors.get(name, FactorConfig(values=('',)))
         factors[name] = before.choose(values)
-        found[title] = parts[title].model_copy(update={'factors': factors})
+        selection[title] = parts[title].model_copy(update={'factors': factors})
         if before.levels and not factors[name].levels:
-            del found[title]
-    return found
+            del selection[title]
+    return selection
 
 
 def _plants(robot: str, names: Sequence[str], *, chosen: bool) -> tuple[str, ...]:

@@ -126,12 +126,12 @@ class Study:
             if column.value not in frame and table.worst(frame, column.value).isna().all()]
 
     def results(
-        self, cells: Sequence[Cell], found: Mapping[str, Metrics], folder: Path,
+        self, cells: Sequence[Cell], metrics: Mapping[str, Metrics], folder: Path,
     ) -> Results:
         """Return cells with what was measured in them, by key, as a table."""
         frame = self.complete(pd.DataFrame([
             {**cell.factors, **row, 'key': cell.key}
-            for cell in cells for row in self.rows(found[cell.key])]))
+            for cell in cells for row in self.rows(metrics[cell.key])]))
         units = {name: unit_of(name, cells[0].job.setup()) for name in cells[0].factors
                  if is_parameter(name)}
         frame.attrs = {'factors': list(cells[0].factors), 'units': units,

@@ -65,7 +65,7 @@ def test_watch_names_what_is_missing_until_nothing_is_and_what_falls_silent(doma
             for _ in range(20):  # joints of others are not the robot's; velocities may lack
                 gripper.publish(names=('finger',))
                 wait_until(watch, robot, lambda it: not it.missing())
-            wait_until(watch, robot, lambda it: it.found.startswith(
+            wait_until(watch, robot, lambda it: it.sources.startswith(
                 '/joint_states from their_robot'))
             wait_for(lambda: gripper.publish(names=('finger',)) or watch.silent(), 'silence')
             assert 'has not published /joint_states' in watch.silent()

@@ -14,17 +14,17 @@ class CompareStudy(Study):
 
     def findings(self, results: Results) -> list[str]:
         """Return how many claims agree with each K_2, and with which those that depend on it."""
-        found = super().findings(results)
+        sentences = super().findings(results)
         for plant, claims in comparison_claims(results).items():
             rates = [f'{rate:g}' for rate in claims]
             judged = [[claim.holds for claim in each] for each in claims.values()]
-            found.append(f'Of the claims of the paper, on {plant}, ' + ', '.join(
+            sentences.append(f'Of the claims of the paper, on {plant}, ' + ', '.join(
                 f'{each.count(True)} of {len(each) - each.count(None)} agree with K_2 = {rate}'
                 for rate, each in zip(rates, judged)) + ' 1/s.')
-            found += [f'On {plant}, with K_2 = {", ".join(agree)} 1/s: {each[0].claim}.'
-                      for each in zip(*claims.values()) if len(each) > len(agree := [
-                          rate for rate, claim in zip(rates, each) if claim.holds]) > 0]
-        return found
+            sentences += [f'On {plant}, with K_2 = {", ".join(agree)} 1/s: {each[0].claim}.'
+                          for each in zip(*claims.values()) if len(each) > len(agree := [
+                              rate for rate, claim in zip(rates, each) if claim.holds]) > 0]
+        return sentences
 
     def sections(self, results: Results) -> dict[str, str]:
         """Return the claims with each value of K_2."""

@@ -47,17 +47,17 @@ class MapStudy(Study):
     @cached_property
     def boundaries(self) -> Mapping[str, Boundaries]:
         """Return the boundaries of the linear loops by plant: with R held, and of eq. 32 alone."""
-        found: dict[str, dict[str, dict[int, float]]] = {}
+        by_plant: dict[str, dict[str, dict[int, float]]] = {}
         for cell in self.cells():
             plant, delay = cell.factors['plant'], cell.factors[DELAY]
-            lines = found.setdefault(plant, {})
+            lines = by_plant.setdefault(plant, {})
             if any(delay in line for line in lines.values()):
                 continue
             loop = ArmLoop(cell.job.setup())
             for name, variance, paper in LINEAR_LOOPS:
                 lines.setdefault(f'{name} (R = {variance:g} N²)', {})[delay] = (
                     loop.boundary(variance, paper=paper))
-        return found
+        return by_plant
 
     def findings(self, results: Results) -> list[str]:
         """Return where runs settle, and the boundaries of the linear loops."""

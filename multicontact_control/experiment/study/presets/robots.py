@@ -24,12 +24,12 @@ class RobotsStudy(Study):
         here = {value: (name != 'robot' or has_urdf(find_robot(value)))
                 and bool(find_spec(sets.get('plant.engine', 'pybullet')))
                 for value, sets in factor.settings(name)}
-        self.left_out |= {str(value): None for value, found in here.items() if not found}
-        return factor.choose([value for value, found in here.items() if found])
+        self.left_out |= {str(value): None for value, installed in here.items() if not installed}
+        return factor.choose([value for value, installed in here.items() if installed])
 
     def findings(self, results: Results) -> list[str]:
         """Return how many are stable, and what is left out."""
-        found = super().findings(results)
+        sentences = super().findings(results)
         if self.left_out:
-            found.append(f'Left out, as they are not installed: {", ".join(self.left_out)}.')
-        return found
+            sentences.append(f'Left out, as they are not installed: {", ".join(self.left_out)}.')
+        return sentences
