@@ -104,14 +104,14 @@ def main() -> None:
         content = {'reasons': [*pinned['reasons'], reason], **now}
         FILE.write_text(json.dumps(content, indent=1) + '\n')
         return
-    found = [f'{kind}: {name}: sha256' for kind in ('trajectories',) for name in SETUPS
-             if pinned[kind][name]['sha256'] != now[kind][name]['sha256']]
+    changes = [f'{kind}: {name}: sha256' for kind in ('trajectories',) for name in SETUPS
+               if pinned[kind][name]['sha256'] != now[kind][name]['sha256']]
     for kind in ('summaries', 'studies'):
         for name, content in now[kind].items():
-            found += [f'{kind}: {name}{line}' for line in differences(
+            changes += [f'{kind}: {name}{line}' for line in differences(
                 pinned[kind][name], content)]
-    print('\n'.join(found) or 'all pins hold')
-    sys.exit(bool(found))
+    print('\n'.join(changes) or 'all pins hold')
+    sys.exit(bool(changes))
 
 
 if __name__ == '__main__':

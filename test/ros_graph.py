@@ -67,10 +67,10 @@ def start_graph(
     With `ticks` it follows the scenario quick for so long; otherwise it obeys commands until it
     is interrupted. `spec` is of `GraphSpec`, as far as json has it.
     """
-    told = json.dumps({'out': str(folder), 'domain_id': domain_id, 'namespace': namespace,
-                       'ticks': ticks, **spec})
+    arguments = json.dumps({'out': str(folder), 'domain_id': domain_id, 'namespace': namespace,
+                            'ticks': ticks, **spec})
     return subprocess.Popen(
-        [sys.executable, '-c', GRAPH, told], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+        [sys.executable, '-c', GRAPH, arguments], cwd=ROOT, stderr=subprocess.PIPE, text=True)
 
 
 def node_processes(folder: Path) -> dict[str, int]:
@@ -176,12 +176,12 @@ class Middleware:
             process.terminate()  # nothing to one that has ended
         for process in self._processes:
             try:
-                said = process.communicate(timeout=END_TIMEOUT)
+                output = process.communicate(timeout=END_TIMEOUT)
             except subprocess.TimeoutExpired:
                 process.kill()
-                said = process.communicate()
+                output = process.communicate()
             # pytest shows it where the test has failed.
-            print(*process.args, f'-> {process.returncode}', *said, sep='\n')
+            print(*process.args, f'-> {process.returncode}', *output, sep='\n')
         self._guest.close()
 
     def start(

@@ -176,7 +176,7 @@ def test_each_of_two_clients_learns_what_becomes_of_its_own_commands(arm, domain
     assert abs(arm.read().position_desired[0] - start[0] - 0.03) < 1e-12
 
 
-def test_pressing_arm_that_is_told_of_a_payload_presses_as_before(arm):
+def test_pressing_arm_with_an_announced_payload_presses_as_before(arm):
     arm.set_forces({'table': 10.0, 'board': 5.0})
     reached(arm)
     truth = arm.node.create_subscription(JointState, topics.TRUE_FORCES.name, ignore, qos.GLANCE)

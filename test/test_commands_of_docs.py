@@ -46,7 +46,7 @@ OTHERS = (
 def blocks(document, language):
     """Return the blocks of a language in a document: line, text."""
     text = document.read_text(encoding='utf-8')
-    return [(text[:found.start()].count('\n') + 1, found[1]) for found in re.finditer(
+    return [(text[:match.start()].count('\n') + 1, match[1]) for match in re.finditer(
         rf'^```{language}\n(.*?)^```$', text, re.MULTILINE | re.DOTALL)]
 
 

@@ -84,9 +84,9 @@ def test_time_is_counted_on_and_does_not_go_back_when_late_samples_come():
     timing = timing_of(patience=1.5)
     assert timing.due == 0
     assert sample(timing, 0).inputs.time == 0.0
-    found = [timing.late(round(x * PERIOD)) for x in (1.4, 1.5, 2.5, 3.5)]
-    assert [x.action for x in found] == [WAIT, WAIT, WITHOUT, WITHOUT]
-    assert [x.inputs.time for x in found[2:]] == pytest.approx([2 * H, 3 * H])
+    decisions = [timing.late(round(x * PERIOD)) for x in (1.4, 1.5, 2.5, 3.5)]
+    assert [x.action for x in decisions] == [WAIT, WAIT, WITHOUT, WITHOUT]
+    assert [x.inputs.time for x in decisions[2:]] == pytest.approx([2 * H, 3 * H])
     assert timing.expected_stamp == 3 * PERIOD
     times = [sample(timing, k * PERIOD, (3 + k) * PERIOD).inputs.time for k in (1, 2, 3)]
     assert times == pytest.approx([4 * H, 5 * H, 6 * H])

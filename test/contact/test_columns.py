@@ -133,5 +133,5 @@ def follow(velocity, ticks=1):
         0.02 * DOWNHILL, 0.2 * TRUE_NORMAL, -0.2 * TRUE_NORMAL, [0.0, 0.0, 0.1],
         [0.05, 0.0, 0.1]))])
 def test_normal_follows_the_surface_that_is_slid_along(velocity, slides):
-    found = follow(np.array(velocity), ticks=300 if slides else 1)
-    np.testing.assert_allclose(found, TRUE_NORMAL if slides else [0.0, 0.0, -1.0], atol=1e-9)
+    normal = follow(np.array(velocity), ticks=300 if slides else 1)
+    np.testing.assert_allclose(normal, TRUE_NORMAL if slides else [0.0, 0.0, -1.0], atol=1e-9)

@@ -118,9 +118,9 @@ def test_euclidean_projections_of_the_planar_example():
 
 def test_projections_are_those_of_the_equations_in_full_matrices():
     N, Lambda = overlapping(), task_inertia('inertia')
-    for found, wanted in ((projections(N), equations.euclidean_projections(N)),
-                          (projections(N, Lambda), equations.inertia_projections(N, Lambda))):
-        np.testing.assert_allclose(found, wanted, atol=1e-11)
+    for result, expected in ((projections(N), equations.euclidean_projections(N)),
+                             (projections(N, Lambda), equations.inertia_projections(N, Lambda))):
+        np.testing.assert_allclose(result, expected, atol=1e-11)
 
 
 def test_contact_coordinates_are_the_forces_for_any_free_part():
@@ -141,18 +141,18 @@ def test_decoupled_allocation_gives_every_force_its_own_acceleration_in_any_unit
     That of the paper is N^T N a: it depends on the unit of length, and couples by tens of percent
     what eq. 31 has as k_s,i alpha*_i.
     """
-    found = {}
+    accelerations = {}
     for scale in (1.0, 1000.0):
         N = overlapping(scale)
         Omega_c = projections(N, task_inertia(metric, scale))[0].T
         for allocation in ('decoupled', 'paper'):
             f_c = allocate_force(N, scale * INPUTS, allocation)
-            found[allocation, scale] = N.T @ Omega_c @ f_c / scale  # back in m/s^2
-        np.testing.assert_allclose(found['decoupled', scale], INPUTS, rtol=1e-9)
-    paper, N = found['paper', 1.0], overlapping()
+            accelerations[allocation, scale] = N.T @ Omega_c @ f_c / scale  # back in m/s^2
+        np.testing.assert_allclose(accelerations['decoupled', scale], INPUTS, rtol=1e-9)
+    paper, N = accelerations['paper', 1.0], overlapping()
     np.testing.assert_allclose(paper, N.T @ N @ INPUTS, rtol=1e-9)
     assert (np.abs(paper / (np.diag(N.T @ N) * INPUTS) - 1.0) > 0.1).all()
-    assert np.abs(found['paper', 1000.0] / paper - 1.0).min() > 1.0
+    assert np.abs(accelerations['paper', 1000.0] / paper - 1.0).min() > 1.0
 
 
 def test_paper_allocation_decouples_orthogonal_contacts():

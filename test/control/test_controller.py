@@ -100,9 +100,9 @@ class RandomTask:
 def assert_close(output, expected, tolerance):
     """Check to a tolerance of the largest of each kind."""
     for name in SERIES:
-        found, wanted = getattr(output, name), getattr(expected, name)
+        values, wanted = getattr(output, name), getattr(expected, name)
         np.testing.assert_allclose(
-            found, wanted, rtol=0.0, atol=tolerance * max(1.0, np.abs(wanted).max()),
+            values, wanted, rtol=0.0, atol=tolerance * max(1.0, np.abs(wanted).max()),
             err_msg=name)
 
 
@@ -237,16 +237,16 @@ def test_torque_beyond_its_limits_keeps_its_direction(seed, size):
     limit = random.uniform(5.0, 20.0, 6)
     priority = random.uniform(-0.9, 0.9, 6) * limit
     torque = priority + size * random.normal(size=6)
-    found, was_limited = limited(torque, priority, limit)
+    command, was_limited = limited(torque, priority, limit)
     assert was_limited == bool((np.abs(torque) > limit).any())
     if not was_limited:
-        np.testing.assert_array_equal(found, torque)
+        np.testing.assert_array_equal(command, torque)
         return
-    assert (np.abs(found) <= limit).all()
-    share = (found - priority) / (torque - priority)
+    assert (np.abs(command) <= limit).all()
+    share = (command - priority) / (torque - priority)
     np.testing.assert_allclose(share, share[0], atol=1e-9)
     assert 0.0 <= share[0] < 1.0
-    assert (np.abs(found) / limit).max() == pytest.approx(1.0)
+    assert (np.abs(command) / limit).max() == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(('torque', 'priority', 'limit', 'options', 'expected'), [

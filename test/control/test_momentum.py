@@ -25,13 +25,13 @@ def classic_observer(model, q, v, torque):
         C = pin.computeCoriolisMatrix(model, data, each_q, each_v)
         momenta.append(M @ each_v)
         rates.append(C.T @ each_v - pin.computeGeneralizedGravity(model, data, each_q))
-    found, integral = [np.zeros(n)], np.zeros(n)
+    residuals, integral = [np.zeros(n)], np.zeros(n)
     for k in range(1, len(q)):
         integral = integral + H * (torque[k] + 0.5 * (rates[k] + rates[k - 1]))
         # r enters its own integral: backward Euler.
-        found.append((K * (momenta[0] - momenta[k] + integral)) / (1.0 + K * H))
-        integral = integral - H * found[-1]
-    return np.array(found)
+        residuals.append((K * (momenta[0] - momenta[k] + integral)) / (1.0 + K * H))
+        integral = integral - H * residuals[-1]
+    return np.array(residuals)
 
 
 def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
@@ -65,7 +65,7 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
             wanted = HOME + 0.15 * np.sin(6.0 * k * H)
             sample = plant.step(state.gravity + state.coriolis + state.mass_matrix @ (
                 400.0 * (wanted - sample.q) - 40.0 * sample.qd))
-        residuals, found, expected, q, v, torque = np.swapaxes(rows, 0, 1)
+        residuals, touched, expected, q, v, torque = np.swapaxes(rows, 0, 1)
         reference = classic_observer(plant.model, q, v, torque)
     finally:
         plant.close()
@@ -74,5 +74,5 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
     np.testing.assert_allclose(residuals[20:250], expected[20:250], atol=0.2)
     np.testing.assert_allclose(residuals[290:], expected[290:], atol=0.2)
     np.testing.assert_allclose(residuals[20:], reference[20:], atol=0.4)
-    assert not found[:250].any()
-    assert found[253:].all()
+    assert not touched[:250].any()
+    assert touched[253:].all()

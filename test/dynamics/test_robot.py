@@ -144,11 +144,11 @@ def test_model_of_a_vendors_urdf_locks_fingers_and_takes_endless_joints(tmp_path
     locked = config.model_copy(update={
         'locked_joints': ('left_joint', 'right_joint'), 'locked_positions': (0.03, 0.01)})
     q, v = np.linspace(-4.0, 4.0, 7), np.linspace(0.3, -0.5, 7)
-    found, expected = (RobotModel(each, tmp_path).update(q, v)
+    state, expected = (RobotModel(each, tmp_path).update(q, v)
                        for each in (locked, seven_joint_config(welded)))
     for name in ('mass_matrix', 'gravity', 'coriolis', 'jacobian'):
         np.testing.assert_allclose(
-            getattr(found, name), getattr(expected, name), rtol=0.0, atol=1e-12)
+            getattr(state, name), getattr(expected, name), rtol=0.0, atol=1e-12)
     assert (load_model(vendor, locked.locked).upperPositionLimit == np.inf).all()
     with pytest.raises(ConfigError, match="robot.locked_joints: .*got \\['thumb'\\]"):
         load_model(vendor.read_text(), {'thumb': 0.0})

@@ -33,46 +33,46 @@ def recording():
 
 
 @pytest.mark.parametrize('contact', ['table', 'board'])
-def test_surface_is_found_within_its_errors(recording, contact):
-    found, true = recording[2][contact], SURFACES[contact]
-    assert found['explained'] > 0.95
+def test_surface_is_identified_within_its_errors(recording, contact):
+    estimate, true = recording[2][contact], SURFACES[contact]
+    assert estimate['explained'] > 0.95
     for name, value in (('stiffness_n_m', true['stiffness']), ('damping_n_s_m', true['damping']),
                         ('tool_mass_kg', 0.491)):
-        assert abs(found[name]['value'] - value) < 2.0 * found[name]['std'], name
-    assert found['stiffness_n_m']['std'] < 0.1 * true['stiffness']
-    assert (found['of'], found['surface_n_m']) == ('surface', None)
+        assert abs(estimate[name]['value'] - value) < 2.0 * estimate[name]['std'], name
+    assert estimate['stiffness_n_m']['std'] < 0.1 * true['stiffness']
+    assert (estimate['of'], estimate['surface_n_m']) == ('surface', None)
     # A force alone has the noise of its axis; lever arms add to it.
-    assert NOISE ** 2 < 1.2 * found['noise_variance_n2']['value'] < 4.0 * NOISE ** 2
+    assert NOISE ** 2 < 1.2 * estimate['noise_variance_n2']['value'] < 4.0 * NOISE ** 2
 
 
 @pytest.mark.parametrize('stiffness', [6000.0, 60000.0])
 def test_flexible_drives_are_taken_out_of_a_surface_in_series(stiffness):
     setup = resolve('step', plant_overrides={'surfaces': {
         name: {'stiffness': stiffness} for name in ('table', 'board')}})
-    found = identify_contacts(run_of(setup).data, setup)['table']
-    surface, felt = found['surface_n_m'], found['stiffness_n_m']
+    estimate = identify_contacts(run_of(setup).data, setup)['table']
+    surface, felt = estimate['surface_n_m'], estimate['stiffness_n_m']
     assert abs(surface['value'] - stiffness) < 2.0 * surface['std'] < 0.3 * stiffness
-    assert found['of'] == 'surface and arm in series'
+    assert estimate['of'] == 'surface and arm in series'
     assert stiffness == 6000.0 or felt['value'] < 0.8 * surface['value']
     for name, largest in LARGEST.items():
-        assert 0.0 <= found[name]['value'] <= largest, name
+        assert 0.0 <= estimate[name]['value'] <= largest, name
 
 
-def test_more_delay_of_the_actuator_is_found(recording):
+def test_more_delay_of_the_actuator_is_identified(recording):
     """Three periods more."""
     later = recorded(actuator_delay_ticks=4)[2]
-    for name, found in recording[2].items():
-        change = later[name]['delay_s']['value'] - found['delay_s']['value']
+    for name, estimate in recording[2].items():
+        change = later[name]['delay_s']['value'] - estimate['delay_s']['value']
         assert change == pytest.approx(0.006, abs=0.002)
 
 
 def test_error_of_the_noise_is_that_of_many_recordings():
     """White noise in 2000 recordings of one contact at rest: the scatter of what is found."""
     random, rest = np.random.default_rng(4), np.zeros(200)
-    found = [noise_at_rest(ContactSignals(
+    estimates = [noise_at_rest(ContactSignals(
         NOISE * random.normal(size=200), rest + 10.0, *[rest] * 6))
         for _ in range(2000)]
-    values, errors = (np.array([each[name] for each in found]) for name in ('value', 'std'))
+    values, errors = (np.array([each[name] for each in estimates]) for name in ('value', 'std'))
     assert values.mean() == pytest.approx(NOISE ** 2, rel=0.05)
     assert errors.mean() == pytest.approx(values.std(), rel=0.07)
 
@@ -81,7 +81,7 @@ def test_gaps_are_left_out_and_a_recording_without_steps_is_refused(recording):
     setup, data, whole = recording
     q = data.q.copy()
     q[::50] = np.nan
-    found = identify_contacts(replace(data, q=q), setup)
-    assert found['table']['samples'] < whole['table']['samples']
+    contacts = identify_contacts(replace(data, q=q), setup)
+    assert contacts['table']['samples'] < whole['table']['samples']
     with pytest.raises(RunError):
         identify_contacts(data.part(0, 300), setup)

@@ -62,9 +62,9 @@ def test_names_rate_and_commands_are_those_of_the_messages(bag):
     assert contact['rest']['true_error_rms_n'] is contact['rest']['estimate_error_rms_n'] is None
 
 
-@pytest.mark.parametrize(('rate', 'jitter', 'found'), [
+@pytest.mark.parametrize(('rate', 'jitter', 'expected'), [
     (250.0 / 3.0, 0.0, 250.0 / 3.0), (125.0, 0.1, 125.0), (125.01, 0.0, 125.0)])
-def test_rate_is_that_of_the_stamps(tmp_path, monkeypatch, rate, jitter, found):
+def test_rate_is_that_of_the_stamps(tmp_path, monkeypatch, rate, jitter, expected):
     def late(message):
         stamp = message.header.stamp
         ns = stamp.sec * 10 ** 9 + stamp.nanosec
@@ -74,7 +74,7 @@ def test_rate_is_that_of_the_stamps(tmp_path, monkeypatch, rate, jitter, found):
 
     monkeypatch.setattr(foreign_bag, 'RATE', rate)
     data = load(write_bag(tmp_path / 'bag', change=late, seconds=2.4)).data
-    assert data.rate == pytest.approx(found, rel=1e-9)
+    assert data.rate == pytest.approx(expected, rel=1e-9)
     assert data.ticks == round(2.4 * rate)
     assert np.isfinite(data.alpha_meas).all()
 
@@ -146,9 +146,9 @@ def test_recording_that_rosbag2_split_or_compressed_is_read(bag, tmp_path, mode,
         file.unlink()
         assert 'the recording is cut off' in load(tmp_path).summary['remarks']
         cut.write_bytes(packed)
-    whole, found = load(bag).data, load(tmp_path).data
+    whole, data = load(bag).data, load(tmp_path).data
     for field in ('q', 'alpha_meas', 'torque', 'position_des'):
-        np.testing.assert_array_equal(getattr(found, field), getattr(whole, field))
+        np.testing.assert_array_equal(getattr(data, field), getattr(whole, field))
 
 
 def test_parameter_file_that_does_not_fit_is_refused_or_remarked(bag, tmp_path):
@@ -164,7 +164,7 @@ def test_parameter_file_that_does_not_fit_is_refused_or_remarked(bag, tmp_path):
         load(bag, [file])
 
 
-def test_graphs_in_one_recording_are_told_apart(tmp_path):
+def test_graphs_in_one_recording_are_kept_apart(tmp_path):
     left = write_bag(tmp_path / 'left', space='/left', seconds=1.0)
     right = write_bag(tmp_path / 'right', space='/arms/right', seconds=2.0)
     assert load(left).data.ticks == RATE

@@ -21,13 +21,13 @@ def noise(rms, seed=0, colour=0.0):
     return rms * values / values.std()
 
 
-def found_in(error, judged=TIME >= 0.0, command=COMMAND):
+def detect(error, judged=TIME >= 0.0, command=COMMAND):
     return oscillations(error, command, judged, RATE)
 
 
 @pytest.mark.parametrize('frequency', [11.0, 14.0, 42.0, 180.0])
-def test_limit_cycle_in_noise_is_found_with_its_frequency_and_size(frequency):
-    (one,) = found_in(tone(frequency, 0.8) + noise(0.5))
+def test_limit_cycle_in_noise_is_detected_with_its_frequency_and_size(frequency):
+    (one,) = detect(tone(frequency, 0.8) + noise(0.5))
     assert one.frequency == pytest.approx(frequency, abs=1.0)
     assert one.rms == pytest.approx(0.8, rel=0.15)
     assert one.known == pytest.approx(2.0, abs=0.01)
@@ -37,21 +37,21 @@ def test_limit_cycle_in_noise_is_found_with_its_frequency_and_size(frequency):
 @pytest.mark.parametrize('colour', [0.0, 0.8, 0.95, 0.98])
 @pytest.mark.parametrize('seed', range(3))
 def test_noise_of_any_colour_is_no_oscillation(seed, colour):
-    assert found_in(noise(3.0, seed, colour)) == []
+    assert detect(noise(3.0, seed, colour)) == []
 
 
 def test_oscillation_lasts_two_seconds():
     for lasting, many in ((1.0, 0), (2.1, 1)):
         window = (TIME >= 1.0) & (TIME < 1.0 + lasting)
-        assert len(found_in(np.where(window, tone(42.0, 2.0), 0.0))) == many
+        assert len(detect(np.where(window, tone(42.0, 2.0), 0.0))) == many
 
 
 def test_tone_that_is_small_slow_not_judged_or_not_asked_for_is_left_out():
-    assert found_in(tone(2.0, 3.0)) == []
-    assert found_in(tone(42.0, 0.2)) == [] != found_in(tone(42.0, 0.3))
-    assert found_in(tone(42.0, 0.08), command=0.0 * TIME + 1.0) == []
-    assert found_in(tone(42.0, 5.0), command=0.0 * TIME) == []
-    assert found_in(tone(42.0, 5.0), judged=TIME < 1.5) == []
+    assert detect(tone(2.0, 3.0)) == []
+    assert detect(tone(42.0, 0.2)) == [] != detect(tone(42.0, 0.3))
+    assert detect(tone(42.0, 0.08), command=0.0 * TIME + 1.0) == []
+    assert detect(tone(42.0, 5.0), command=0.0 * TIME) == []
+    assert detect(tone(42.0, 5.0), judged=TIME < 1.5) == []
 
 
 def test_gaps_alone_are_no_oscillation_and_hide_none():
@@ -59,6 +59,6 @@ def test_gaps_alone_are_no_oscillation_and_hide_none():
     for second in range(0, 6, 2):
         missing |= (TIME >= second + 0.5) & (TIME < second + 0.53)
     quiet = np.where(missing, np.nan, noise(1.0) + 3.0 * np.sin(2.0 * np.pi * 0.5 * TIME))
-    assert found_in(quiet) == []
-    (one,) = found_in(np.where(missing, np.nan, tone(42.0, 2.0)))
+    assert detect(quiet) == []
+    (one,) = detect(np.where(missing, np.nan, tone(42.0, 2.0)))
     assert one.frequency == pytest.approx(42.0, abs=1.0)

@@ -44,8 +44,8 @@ def test_preset_says_what_it_sets_and_nothing_else_changes(name):
     plain, setup = resolve('quick'), resolve('quick', preset=name)
     given = preset_values(name)
     for part in ('controller', 'noise_estimator'):
-        found, before = (getattr(each, part).model_dump() for each in (setup, plain))
-        assert {key for key in found if found[key] != before[key]} <= set(given[part])
+        values, before = (getattr(each, part).model_dump() for each in (setup, plain))
+        assert {key for key in values if values[key] != before[key]} <= set(given[part])
     force = setup.controller.model_dump()['force']
     assert force == {key: force[key] | value if isinstance(value, dict) else value
                      for key, value in {**force, **given['controller']['force']}.items()}

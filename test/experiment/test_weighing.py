@@ -57,16 +57,16 @@ def recorded(folder, file, poses=POSES, *, offset=700_000, touched=()):
 
 @pytest.mark.ros
 @pytest.mark.parametrize(('offset', 'touched'), [(700_000, (2,)), (3_600_000_000_700_000, ())])
-def test_tool_is_found_from_rests_whatever_the_clocks(tmp_path, offset, touched):
+def test_tool_is_identified_from_rests_whatever_the_clocks(tmp_path, offset, touched):
     """Stamps of the sensor beside those of the joints, or an hour off; a touched tool left out."""
     file = controller_file(tmp_path)
-    found = weigh_recording(
+    result = weigh_recording(
         recorded(tmp_path / 'bag', file, offset=offset, touched=touched), [file])
-    assert found.poses == 5 - len(touched)
-    assert found.mass == pytest.approx(TOOL.mass, abs=0.01)
-    np.testing.assert_allclose(found.com_sensor, TOOL.com_sensor, atol=2e-3)
-    np.testing.assert_allclose(found.bias_sensor[:3], TOOL.bias_sensor[:3], atol=0.05)
+    assert result.poses == 5 - len(touched)
+    assert result.mass == pytest.approx(TOOL.mass, abs=0.01)
+    np.testing.assert_allclose(result.com_sensor, TOOL.com_sensor, atol=2e-3)
+    np.testing.assert_allclose(result.bias_sensor[:3], TOOL.bias_sensor[:3], atol=0.05)
     controller = validate(ControllerConfig, merge(
         read_parameters(config_dir() / 'controller.yaml'),
-        read_parameters(write_tool(tmp_path, found))))
-    assert controller.tool == found.tool()
+        read_parameters(write_tool(tmp_path, result))))
+    assert controller.tool == result.tool()

@@ -57,20 +57,20 @@ def test_a_moving_surface_is_pressed_as_one_that_rests():
         if k * H > 3.0:
             loop.plant.contacts.shift(1, (0.02 if k * H <= 4.0 else -0.02) * H)
 
-    told = {'table': {'friction_coefficient': FRICTION},
-            'board': {'friction_coefficient': FRICTION, 'surface_speed_limit': 0.1}}
-    contacts, errors = press(told, ticks=2500, each=receding)
+    settings = {'table': {'friction_coefficient': FRICTION},
+                'board': {'friction_coefficient': FRICTION, 'surface_speed_limit': 0.1}}
+    contacts, errors = press(settings, ticks=2500, each=receding)
     assert np.sqrt((errors[1750:2000] ** 2).mean()) < 0.3
     assert np.sqrt((errors[2250:2500] ** 2).mean()) < 0.3
     # The table's speed is not asked for.
     np.testing.assert_allclose(contacts['surface_speed_est'], [0.0, -0.02], atol=2e-3)
-    _, untold = press({}, ticks=2000, each=receding)
-    assert np.sqrt((untold[1750:] ** 2).mean()) > 1.0
+    _, bare = press({}, ticks=2000, each=receding)
+    assert np.sqrt((bare[1750:] ** 2).mean()) > 1.0
 
 
-@pytest.mark.parametrize(('degrees', 'limit', 'found'), [(20.0, {}, 20.0), (30.0, {
+@pytest.mark.parametrize(('degrees', 'limit', 'expected'), [(20.0, {}, 20.0), (30.0, {
     'normal_range': 0.2}, np.degrees(0.2))])
-def test_an_untold_tilt_is_found_while_sliding_within_its_range(degrees, limit, found):
+def test_unknown_tilt_is_followed_while_sliding_within_its_range(degrees, limit, expected):
     tilt = np.radians(degrees)
     surface = {'table': {'normal_world': [np.sin(tilt), 0.0, -np.cos(tilt)]}}
     motion = {'start_time': 2.5, 'amplitude': 0.1, 'period': 6.0, 'blend_time': 1.0}
@@ -78,14 +78,14 @@ def test_an_untold_tilt_is_found_while_sliding_within_its_range(degrees, limit, 
         {'table': {'friction_std': 3.0, 'normal_turn_rate': 3.0, **limit}}, ticks=3200,
         plant=surface, only='table', motion=motion)
     normal = contacts['normal'][0]
-    assert np.degrees(np.arctan2(normal[0], -normal[2])) == pytest.approx(found, abs=1.0)
+    assert np.degrees(np.arctan2(normal[0], -normal[2])) == pytest.approx(expected, abs=1.0)
     assert np.linalg.norm(normal) == pytest.approx(1.0)
     if not limit:
         smooth = np.convolve(errors[2100:], np.full(25, 1 / 25), 'valid')  # without roughness
         assert np.sqrt((smooth ** 2).mean()) < 0.3
-        _, untold = press({'table': {'friction_std': 3.0}}, ticks=1250, plant=surface,
-                          only='table')
-        assert untold[-100:].mean() > 0.8
+        _, bare = press({'table': {'friction_std': 3.0}}, ticks=1250, plant=surface,
+                        only='table')
+        assert bare[-100:].mean() > 0.8
 
 
 def test_centres_of_pressure_follow_the_force_and_stay_inside():

@@ -76,31 +76,31 @@ def test_compiled_law_is_its_matrices(name):
     law = law_of(name)
     alphas, desired, speeds = series()
     extra = np.random.default_rng(5).standard_normal(len(alphas))
-    found = run_steps(law, alphas, desired, speeds, extra)
+    outputs = run_steps(law, alphas, desired, speeds, extra)
     x = law.start_force * alphas[0]
     for k, y in enumerate(zip(alphas, desired, speeds)):
         x = x + (law.E * extra[k - 1] if k else 0.0)
-        np.testing.assert_allclose(found[k], law.C @ x + law.D @ y, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(outputs[k], law.C @ x + law.D @ y, rtol=1e-9, atol=1e-12)
         x = law.A @ x + law.B @ y
 
 
 def test_pi_is_proportional_and_integral():
     alphas, desired, speeds = series()
-    found = run_steps(law_of('pi', pi={'filter_cutoff': 0.0}), alphas, desired, speeds)[:, 0]
+    outputs = run_steps(law_of('pi', pi={'filter_cutoff': 0.0}), alphas, desired, speeds)[:, 0]
     gain = 24.0 * 100.0 / K
     error = desired - alphas
     integral = np.concatenate([[0.0], np.cumsum(0.5 * H * (error[1:] + error[:-1]))])
     # At the start only the force counts as known, and the command comes as a step.
     expected = gain * error + 5.0 * gain * (integral + 0.5 * H * desired[0])
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    np.testing.assert_allclose(outputs, expected, rtol=1e-9)
 
 
 def test_impedance_is_a_spring_from_the_touch_on():
     alphas, desired, speeds = series()
-    found = run_steps(law_of('impedance'), alphas, desired, speeds)[:, 0]
+    outputs = run_steps(law_of('impedance'), alphas, desired, speeds)[:, 0]
     depth = alphas[0] / K + np.concatenate(
         [[0.0], np.cumsum(0.5 * H * (speeds[1:] + speeds[:-1]))]) + 0.5 * H * speeds[0]
-    np.testing.assert_allclose(found, 900.0 * (desired / K - depth), rtol=1e-9)
+    np.testing.assert_allclose(outputs, 900.0 * (desired / K - depth), rtol=1e-9)
 
 
 def one_contact(desired):
@@ -200,11 +200,11 @@ def test_margins_are_where_the_loop_becomes_unstable(name):
 @pytest.mark.parametrize('name', LAWS)
 def test_design_for_a_range_has_its_margins_on_every_surface_and_its_file_is_read(tmp_path, name):
     """A law knows no contacts: their stiffness is in a setting beside its file."""
-    found = design_for_range(
+    result = design_for_range(
         name, input_delay=DELAY, softest=2000.0, stiffest=8000.0, noise_variance=2.0)
-    force = ForceConfig(**found.values)
+    force = ForceConfig(**result.values)
     config = resolve('quick').controller.model_copy(update={'force': force})
-    design = design_law(name, force, loop_model(config, found.stiffness))
+    design = design_law(name, force, loop_model(config, result.stiffness))
     law = design if isinstance(design, LinearLaw) else steady_law(design, steady_gain(design, 2.0))
     for stiffness in (2000.0, 4000.0, 8000.0, 15900.0):
         model = loop_model(config, stiffness)
@@ -213,13 +213,13 @@ def test_design_for_a_range_has_its_margins_on_every_surface_and_its_file_is_rea
         update={'input_delay': DELAY + 0.99 * H})}), 8000.0)
     assert spectral_radius(contact_loop(law, late)) < 1.0 + 1e-9
     path = tmp_path / 'law.yaml'
-    write_design(found, path)
-    for text in (show_design(found), path.read_text()):
+    write_design(result, path)
+    for text in (show_design(result), path.read_text()):
         _, setting = shlex.split(re.search(r"--set '[^']+'", text)[0])
         read = SetupOptions(scenario='quick', preset=str(path), settings=[setting]).setup()
         assert read.controller.force == force
         assert [x.stiffness for x in read.controller.contacts.values()] == pytest.approx(
-            [found.stiffness] * 2, abs=0.5)
+            [result.stiffness] * 2, abs=0.5)
 
 
 def test_registry_has_every_law_in_every_place():

@@ -33,18 +33,18 @@ def ends(marker):
 def test_arrows_are_as_long_as_their_forces_and_the_measured_end_at_the_tips():
     markers = ContactMarkers(CONFIG)
     arrows_of(np.ones((3, 2)), [False, True], markers, 0)  # of which nothing is left
-    found = arrows_of(FORCES, [True, False], markers)
-    assert len({(marker.ns, marker.id) for marker in found}) == len(found) == 6
-    assert len({str(marker.color) for marker in found[::2]}) == 3
-    assert found[0].color != found[1].color  # of a contact that is active, and of one that is not
-    assert found[5].action == Marker.DELETE
+    arrows = arrows_of(FORCES, [True, False], markers)
+    assert len({(marker.ns, marker.id) for marker in arrows}) == len(arrows) == 6
+    assert len({str(marker.color) for marker in arrows[::2]}) == 3
+    assert arrows[0].color != arrows[1].color  # of an active contact, and of one that is not
+    assert arrows[5].action == Marker.DELETE
     for k, name in enumerate(CONFIG.contact_names):
-        for marker, force in zip(found[k::2], FORCES[:, k]):
+        for marker, force in zip(arrows[k::2], FORCES[:, k]):
             tail, tip = ends(marker)
             np.testing.assert_allclose(tip - tail, 0.01 * force * NORMALS[k], atol=1e-12)
             assert (marker.header.frame_id, marker.header.stamp.sec) == (
                 'world', STAMP // 10 ** 9)
-        _, tip = ends(found[k])
+        _, tip = ends(arrows[k])
         np.testing.assert_allclose(tip, POSE.position_world + POSE.rotation_world @ (
             CONFIG.contacts[name].point_operational))
     assert sum(markers.due(tick) for tick in range(500)) == 25  # a second

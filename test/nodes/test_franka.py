@@ -53,7 +53,7 @@ class Bench:
 
     def __init__(self, middleware):
         self.cycles, self.time, self.failure, self.mode = SimpleQueue(), 0, None, 'Idle'
-        self.torque, self.sent, self.said = [0.0] * 7, [], {}
+        self.torque, self.sent, self.status = [0.0] * 7, [], {}
         self.robot = MagicMock(read_once=self.state)
         self.robot.load_model.return_value.gravity.return_value = GRAVITY
         self.robot.start_torque_control = lambda: SimpleNamespace(
@@ -121,11 +121,11 @@ class Bench:
 
     def wait_for_status(self, condition):
         """Wait until a status has message and values as a condition wants."""
-        def found():
-            if (status := self.newest(self._statuses, DiagnosticStatus)) is not None:
-                self.said = {'message': status.message, **{x.key: x.value for x in status.values}}
-            return self.said and condition(self.said)
-        wait_for(found, 'a status', lambda: self.said)
+        def matches():
+            if (new := self.newest(self._statuses, DiagnosticStatus)) is not None:
+                self.status = {'message': new.message, **{x.key: x.value for x in new.values}}
+            return self.status and condition(self.status)
+        wait_for(matches, 'a status', lambda: self.status)
 
 
 @pytest.fixture
@@ -153,10 +153,10 @@ def test_bridge_publishes_pairs_without_gravity_and_obeys_until_commands_stay_aw
     assert np.abs(np.diff(torques[:, 0])).max() < 1.0
     assert 15 <= np.count_nonzero(torques[:, 0] == 2.5) <= 25  # 20 ms
     np.testing.assert_allclose(torques[-1], -0.2 * np.array(LATE.damping), rtol=1e-6)
-    bench.wait_for_status(lambda said: int(said['damped']) > 400 and said['stopped'] == '1')
-    starts = int(bench.said['starts'])
+    bench.wait_for_status(lambda status: int(status['damped']) > 400 and status['stopped'] == '1')
+    starts = int(bench.status['starts'])
     bench.press(1.0)  # the next command starts anew
-    bench.wait_for_status(lambda said: int(said['starts']) == starts + 1)
+    bench.wait_for_status(lambda status: int(status['starts']) == starts + 1)
 
 
 @pytest.mark.ros
@@ -170,21 +170,21 @@ def test_bridge_waits_for_recovery_after_reflex_user_stop_and_lost_connection(be
             (2.5, OSError('libfranka: UDP receive: Timeout'), 'Idle')):
         bench.press(effort)
         bench.failure, bench.mode = failure, mode
-        bench.wait_for_status(lambda said: said['message'].endswith('; call ~/recover'))
-        assert bench.said['message'].split(';')[0] in str(failure)
+        bench.wait_for_status(lambda status: status['message'].endswith('; call ~/recover'))
+        assert bench.status['message'].split(';')[0] in str(failure)
         sent = len(bench.sent)
         for _ in range(5):
             bench.command(9.0)
         assert all(each.motion_finished for each in bench.sent[sent:])
         if mode == 'UserStopped':
-            bench.wait_for_status(lambda said: said['robot_mode'] == 'UserStopped')
+            bench.wait_for_status(lambda status: status['robot_mode'] == 'UserStopped')
             refused = recover()
             assert not refused.success and 'release the user stop' in refused.message
             bench.mode = 'Idle'
-            bench.wait_for_status(lambda said: said['robot_mode'] == 'Idle')
+            bench.wait_for_status(lambda status: status['robot_mode'] == 'Idle')
         assert (answer := recover()).success, answer.message
     bench.press(0.5)
-    bench.wait_for_status(lambda said: said['aborts'] == '3' and said['message'] == 'ok')
+    bench.wait_for_status(lambda status: status['aborts'] == '3' and status['message'] == 'ok')
     assert bench.robot.automatic_error_recovery.call_count == bench.library.Robot.call_count == 2
 
 

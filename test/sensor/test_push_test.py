@@ -68,9 +68,9 @@ def test_push_test_refuses_every_flip_and_every_large_rotation(
     assert not judge(sign * scale * mounting, sensor=sensor, hand=0.1, noise=0.02,
                      rng=np.random.default_rng(seed)).passed
     expected = np.random.default_rng(seed).standard_normal((5, 3))
-    found = fit_mounting(expected @ (sign * scale * mounting).T, expected)
-    assert found[0] == sign and found[2] == pytest.approx(scale)
-    np.testing.assert_allclose(found[1], mounting, atol=1e-8)
+    fit = fit_mounting(expected @ (sign * scale * mounting).T, expected)
+    assert fit[0] == sign and fit[2] == pytest.approx(scale)
+    np.testing.assert_allclose(fit[1], mounting, atol=1e-8)
 
 
 @given(seeds)

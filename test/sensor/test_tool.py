@@ -46,11 +46,11 @@ def test_contact_wrench_is_what_was_put_into_the_reading():
         moment = np.cross(tip - sensor.position_world, pressing) - np.cross(
             R @ np.array(TOOL.com_sensor), weight)
         reading = np.concatenate([R.T @ (pressing - weight), R.T @ moment]) + BIAS
-        found = contact_wrench(reading, sensor, point, TOOL, GRAVITY)
+        wrench = contact_wrench(reading, sensor, point, TOOL, GRAVITY)
         np.testing.assert_allclose(
-            found, [*pressing, *np.cross(tip - point, pressing)], atol=1e-12)
+            wrench, [*pressing, *np.cross(tip - point, pressing)], atol=1e-12)
         np.testing.assert_allclose(
-            found, equations.contact_wrench(reading, sensor, point, TOOL, GRAVITY), atol=1e-12)
+            wrench, equations.contact_wrench(reading, sensor, point, TOOL, GRAVITY), atol=1e-12)
 
 
 @pytest.mark.parametrize('pose', POSES[:3])
@@ -73,30 +73,30 @@ def test_tare_refuses_too_few_readings_and_any_unrest(wrenches, message):
 
 
 def test_identification_without_noise_is_exact():
-    found = identify_tool(readings(TILTS), GRAVITY)
-    assert found.mass == pytest.approx(0.5, abs=1e-12)
-    np.testing.assert_allclose(found.com_sensor, TOOL.com_sensor, atol=1e-12)
-    np.testing.assert_allclose(found.bias_sensor, BIAS, atol=1e-12)
-    assert max(found.force_residual, found.torque_residual) < 1e-12
-    assert found.condition < 10.0
-    assert_compensates(found.tool())
+    result = identify_tool(readings(TILTS), GRAVITY)
+    assert result.mass == pytest.approx(0.5, abs=1e-12)
+    np.testing.assert_allclose(result.com_sensor, TOOL.com_sensor, atol=1e-12)
+    np.testing.assert_allclose(result.bias_sensor, BIAS, atol=1e-12)
+    assert max(result.force_residual, result.torque_residual) < 1e-12
+    assert result.condition < 10.0
+    assert_compensates(result.tool())
 
 
 def test_identification_errors_are_those_of_repeated_identifications():
-    found = [identify_tool(readings(TILTS, noise=0.01, seed=seed), GRAVITY) for seed in range(200)]
-    mass, com = [x.mass for x in found], np.array([x.com_sensor for x in found])
-    assert np.std(mass) == pytest.approx(np.mean([x.mass_std for x in found]), rel=0.15)
+    results = [identify_tool(readings(TILTS, noise=0.01, seed=k), GRAVITY) for k in range(200)]
+    mass, com = [x.mass for x in results], np.array([x.com_sensor for x in results])
+    assert np.std(mass) == pytest.approx(np.mean([x.mass_std for x in results]), rel=0.15)
     np.testing.assert_allclose(
-        com.std(axis=0), np.mean([x.com_std for x in found], axis=0), rtol=0.15)
-    assert np.mean([x.force_residual for x in found]) == pytest.approx(0.01, rel=0.2)
+        com.std(axis=0), np.mean([x.com_std for x in results], axis=0), rtol=0.15)
+    assert np.mean([x.force_residual for x in results]) == pytest.approx(0.01, rel=0.2)
 
 
 def test_identification_of_an_empty_flange_is_a_mass_of_zero_with_the_bias():
-    found = identify_tool(
+    result = identify_tool(
         readings(TILTS, ToolConfig(bias_sensor=BIAS), noise=1e-3), GRAVITY)
-    assert abs(found.mass) <= 3.0 * found.mass_std
-    np.testing.assert_array_equal(found.com_sensor, np.zeros(3))
-    np.testing.assert_allclose(found.bias_sensor, BIAS, atol=0.01)
+    assert abs(result.mass) <= 3.0 * result.mass_std
+    np.testing.assert_array_equal(result.com_sensor, np.zeros(3))
+    np.testing.assert_allclose(result.bias_sensor, BIAS, atol=0.01)
 
 
 @pytest.mark.parametrize(('poses', 'message'), [

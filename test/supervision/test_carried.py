@@ -184,7 +184,7 @@ def test_arm_that_carries_itself_presses_and_stays_in_every_reaction(with_tool, 
 
 @pytest.mark.parametrize(('plant', 'force', 'carries_itself'), [
     ('rigid', 0.0, False), ('puma', 0.0, False), ('puma', 10.0, False), ('rigid', 10.0, True)])
-def test_tool_that_is_picked_up_and_told_of_is_borne_without_a_jump(plant, force, carries_itself):
+def test_announced_tool_that_is_picked_up_is_borne_without_a_jump(plant, force, carries_itself):
     """1.2 kg, at rest and while pressing; also by an arm that carries itself without a tool."""
     robot = {'adds_gravity': carries_itself, 'adds_tool_gravity': False}
     make = partial(SelfCarryingLoop, with_tool=False) if carries_itself else ClosedLoop

@@ -159,7 +159,7 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
     states = random.integers(len(NAMES), size=CONTACTS)
     SUPERVISOR.task.states['state'] = states
 
-    def found():
+    def check():
         return check_plausibility(plausibility_limits(BIASED), controls, arm.joints,
                                   contacts, SUPERVISOR.task.states)
 
@@ -173,8 +173,8 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
     place = state.pose.position_world
     outside = (place < np.array(limits.workspace_lower) - 0.01).any() or (
         place > np.array(limits.workspace_upper) + 0.01).any()
-    assert found() == (
+    assert check() == (
         NOT_FINITE * (scale == 3.0) + PULL * bool((alpha < -pull).any())
         + SIDEWAYS * bool(np.linalg.norm(sideways) > bound) + OUTSIDE * bool(outside))
     arm.joints['torque'], contacts['answer']['innovation'][0] = 0.0, np.inf
-    assert found() & NOT_FINITE
+    assert check() & NOT_FINITE

@@ -110,24 +110,24 @@ def test_variance_keeps_to_its_limits_and_grows_while_it_is_not_renewed():
         inputs = changed(good(k, random), 'variance', variance=np.full(CONTACTS, given_r))
         stage.validate(inputs)
         np.testing.assert_array_equal(stage.variance, used)
-    found = []
+    variances = []
     for k in range(24, 103):
         stage.validate(good(k, random)._replace(variance=None))
-        found.append(stage.variance[0])
-    np.testing.assert_allclose(found[:3], 7.0)
-    np.testing.assert_allclose(found[3:], np.minimum(7.0 * 1.1 ** np.arange(1, 77), 1e3))
+        variances.append(stage.variance[0])
+    np.testing.assert_allclose(variances[:3], 7.0)
+    np.testing.assert_allclose(variances[3:], np.minimum(7.0 * 1.1 ** np.arange(1, 77), 1e3))
 
 
 def test_third_identical_reading_is_frozen_and_a_wrench_is_bridged_for_one():
     stage, random = warm()
-    inputs, found = good(20, random), []
+    inputs, results = good(20, random), []
     for k in range(20, 25):
         inputs = changed(changed(inputs._replace(time=k * H), 'wrench', stamp=k * H),
                          'joints', stamp=k * H)
-        found.append(stage.validate(inputs._replace(variance=good(k, random).variance)))
+        results.append(stage.validate(inputs._replace(variance=good(k, random).variance)))
     frozen = ('joints_frozen', 'wrench_frozen')
-    assert [seen.rejected for seen in found] == [()] * 2 + [frozen] * 3
-    assert [seen.causes for seen in found] == [()] * 2 + [frozen[:1]] + [frozen] * 2
+    assert [seen.rejected for seen in results] == [()] * 2 + [frozen] * 3
+    assert [seen.causes for seen in results] == [()] * 2 + [frozen[:1]] + [frozen] * 2
     assert stage.sensor_fault == 'frozen'
     almost = np.ones(6) + 1e-9 * (np.arange(6) == 5)
     signal = [np.ones(6)] * 8 + [almost] * 5

@@ -358,10 +358,10 @@ def test_cause_of_a_collision_is_named(tmp_path, corrupt, controller, ticks, wha
     Cell('puma', False, False, 'wrench:biased_by_50%', 2)])
 def test_wrong_speeds_and_an_unproven_sensor_are_named_and_move_nothing(cell):
     """From the first sample on; unchecked: 24 rad/s and 1100 N, and 0.3 m within 10 s."""
-    found = run(cell)
+    result = run(cell)
     if cell.fault.startswith('wrench'):
-        assert found['way'] < FARTHEST and found['causes']
+        assert result['way'] < FARTHEST and result['causes']
     else:
         right = run(Cell(*cell[:3]))
-        assert (found['speed'] - right['speed']).max() < FASTER
-        assert found['force'] < LARGEST_FORCE and 'joints_velocity' in found['causes']
+        assert (result['speed'] - right['speed']).max() < FASTER
+        assert result['force'] < LARGEST_FORCE and 'joints_velocity' in result['causes']

@@ -45,7 +45,7 @@ def until(shown, condition, what):
 
 
 def test_graph_source_joins_presses_moves_and_tunes(shown):
-    snapshot = until(shown, lambda found: np.isfinite(found.q).all(), 'samples')
+    snapshot = until(shown, lambda snapshot: np.isfinite(snapshot.q).all(), 'samples')
     assert tuple(snapshot.gains.values()) == (30.0, 0.02, 100.0)
     simulated = resolve('quick', plant='rigid').plant.surfaces
     for name, _, point, patch in shown.scene.surfaces:
@@ -55,41 +55,41 @@ def test_graph_source_joins_presses_moves_and_tunes(shown):
             patch.vertices[patch.faces], expected.vertices[expected.faces], atol=1e-12)
     shown.command(source.FORCES, table=8.0, board=6.0)
     events = []
-    snapshot = until(shown, lambda found: events.extend(found.events) or (
-        np.abs(found.measured - (8.0, 6.0)) < 0.5).all() and set(found.states) == {'holding'},
-        'the forces')
+    snapshot = until(shown, lambda snapshot: events.extend(snapshot.events) or (
+        set(snapshot.states) == {'holding'}
+        and (np.abs(snapshot.measured - (8.0, 6.0)) < 0.5).all()), 'the forces')
     assert any('table holding' in text for _, text in events)
     start = snapshot.position_des
-    until(shown, lambda found: len(found.points) and np.isfinite(found.points[-1]).all(),
+    until(shown, lambda snapshot: len(snapshot.points) and np.isfinite(snapshot.points[-1]).all(),
           'points of the curves')
     shown.command(source.JOG, offset=[0.02, 0.0, 0.0])
-    until(shown, lambda found: found.position_des[0] > start[0] + 0.0199, 'the jog')
-    until(shown, lambda found: found.moving == '', 'rest')
+    until(shown, lambda snapshot: snapshot.position_des[0] > start[0] + 0.0199, 'the jog')
+    until(shown, lambda snapshot: snapshot.moving == '', 'rest')
     gains = dict(zip(source.GAIN_NAMES, (25.0, 0.03, 60.0)))
     shown.command(source.GAINS, **gains)
-    assert until(shown, lambda found: found.gains == gains, 'the gains')
+    assert until(shown, lambda snapshot: snapshot.gains == gains, 'the gains')
 
 
 def test_surface_and_push_change_the_simulated_world(shown):
-    before = until(shown, lambda found: found.moving == '', 'rest')
+    before = until(shown, lambda snapshot: snapshot.moving == '', 'rest')
     assert before.surfaces == shown.scene.simulated
     shown.command(source.SURFACE, name='table', stiffness=9000.0, friction=0.3)
     assert until(shown, bool, 'a snapshot').surfaces['table'] == (9000.0, 0.3)
     shown.command(source.PUSH, force=[8.0, 0.0, 0.0], tool=False)
-    until(shown, lambda found: found.position[0] > before.position[0] + 2e-4, 'the push')
-    until(shown, lambda found: found.position[0] < before.position[0] + 1e-4, 'the way back')
+    until(shown, lambda snapshot: snapshot.position[0] > before.position[0] + 2e-4, 'the push')
+    until(shown, lambda snapshot: snapshot.position[0] < before.position[0] + 1e-4, 'the way back')
 
 
 def test_another_client_is_shown_and_ends_a_motion(shown, domain):
     shown.command(source.PATTERN, axis='x', amplitude=0.03, period=2.0)
-    until(shown, lambda found: found.moving, 'the pattern')
+    until(shown, lambda snapshot: snapshot.moving, 'the pattern')
     with MultiContactClient('arm', domain_id=domain, timeout=PATIENCE) as other:
-        other.set_forces({'table': 7.0, 'board': 5.0})
-        until(shown, lambda found: found.commanded == {'table': 7.0, 'board': 5.0}, 'the forces')
+        other.set_forces(forces := {'table': 7.0, 'board': 5.0})
+        until(shown, lambda snapshot: snapshot.commanded == forces, 'the forces')
         other.hold()
         events = []
-        until(shown, lambda found: events.extend(found.events) or (
-            found.held and not found.moving), 'the hold')
+        until(shown, lambda snapshot: events.extend(snapshot.events) or (
+            snapshot.held and not snapshot.moving), 'the hold')
         with pytest.raises(CommandRefusedError, match='contact_forces/command: ~/hold: the arm'):
             shown.command(source.FORCES, table=9.0)
         with pytest.raises(MulticontactError, match='hold: the arm is held'):
@@ -99,7 +99,7 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
             wait_for(lambda: other.send(topics.FORCE_COMMAND, refused, '7') or any(
                 status.command == '7' for status in other.look()), 'the refusal')
         other.hold(False)
-    released = until(shown, lambda found: events.extend(found.events) or not found.held,
+    released = until(shown, lambda snapshot: events.extend(snapshot.events) or not snapshot.held,
                      'the release')
     texts = [text for _, text in events]
     for text, count in {'pose and forces held': 1, 'refused: contact_forces/command': 2,
@@ -107,8 +107,8 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
         assert sum(each.startswith(text) for each in texts) == count, texts
     with closing(GraphSource(resolve('paper'), namespace='arm', domain_id=domain)) as late:
         assert until(late, bool, 'a sample').time < until(shown, bool, 'a snapshot').time
-    later = until(shown, lambda found: found.time > released.time + 3.0, 'the last pose accepted')
-    rest = until(shown, lambda found: found.time > later.time + 0.5, 'a snapshot')
+    later = until(shown, lambda snapshot: snapshot.time > released.time + 3.0, 'the last pose')
+    rest = until(shown, lambda snapshot: snapshot.time > later.time + 0.5, 'a snapshot')
     assert rest.moving == '' and np.abs(rest.position_des - later.position_des).max() < 0.002
 
 

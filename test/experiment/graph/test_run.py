@@ -70,9 +70,9 @@ def test_graph_is_the_run_in_process_bit_for_bit(
     assert torque.tobytes() == run.data.torque.tobytes()
     assert variance.tobytes() == run.data.noise_variance.tobytes()
     for series, field in (('stiffness_est', 'position'), ('stiffness', 'effort')):
-        found = np.array([getattr(x, field) for x in recorded(result.bag, topics.STIFFNESS.name)])
-        if found.size:
-            assert found.tobytes() == getattr(run.data, series).tobytes()
+        values = np.array([getattr(x, field) for x in recorded(result.bag, topics.STIFFNESS.name)])
+        if values.size:
+            assert values.tobytes() == getattr(run.data, series).tobytes()
     assert [message.clock for message in recorded(result.bag, topics.CLOCK.name)] == [
         message.header.stamp for message in commands]
     sim = result.timing[SIM]
@@ -135,14 +135,14 @@ def test_second_interrupt_skips_the_report_and_says_how_to_write_it(tmp_path):
     assert counts(tmp_path / 'run/bag') and not (tmp_path / 'run/summary.json').exists()
 
 
-def test_warnings_of_nodes_are_told_once_each(tmp_path):
+def test_warnings_of_nodes_are_given_once_each(tmp_path):
     processes = NodeProcesses(GraphSpec(tmp_path, {}, ticks=1, rate=500.0), 0)
     processes.running = {CONTROLLER: None}
     log = tmp_path / f'logs/{CONTROLLER}.log'
-    for text, told in (('[INFO] [1.5] [node]: fine\n', ''), ('[WARN] [1.5] [node]: h', ''),
-                       ('[WARN] [1.5] [node]: hot\n', 'WARN: node: hot')):
+    for text, warning in (('[INFO] [1.5] [node]: fine\n', ''), ('[WARN] [1.5] [node]: h', ''),
+                          ('[WARN] [1.5] [node]: hot\n', 'WARN: node: hot')):
         log.write_text(text)
-        assert [processes.new_warnings(), processes.new_warnings()] == [told, '']
+        assert [processes.new_warnings(), processes.new_warnings()] == [warning, '']
 
 
 @pytest.mark.slow
@@ -195,9 +195,9 @@ def test_two_graphs_in_one_domain_record_their_own_topics_only(tmp_path):
             assert run.returncode == 0, errors
     for folder, side in zip(folders, sides):
         with Reader(folder / 'bag') as reader:
-            found = {x.topic: x.msgcount for x in reader.connections}
-        assert {x for x in found if not x.startswith(f'/{side}/')} == {'/clock'}
-        assert found[f'/{side}/joint_states'] == found[f'/{side}/joint_effort_command'] == TICKS
+            sizes = {x.topic: x.msgcount for x in reader.connections}
+        assert {x for x in sizes if not x.startswith(f'/{side}/')} == {'/clock'}
+        assert sizes[f'/{side}/joint_states'] == sizes[f'/{side}/joint_effort_command'] == TICKS
     wrenches = [recorded(folder / 'bag', f'/{side}/ft_sensor/wrench')[-1].wrench.force.z
                 for folder, side in zip(folders, sides)]
     assert wrenches[0] != wrenches[1]  # the seeds differ, and so do the graphs

@@ -96,11 +96,11 @@ def test_parts_have_what_the_study_has_and_the_values_of_the_files_for_the_rest(
         'soft': {'factors': {'ratio': {'values': [0.5], 'sets': STIFFNESS, 'multiples_of':
                                        'controller.contacts.*.stiffness'}}}})
     cells = run_cells(select(study, {'seed': (0,), **read_choices([f'{ESTIMATOR}=fixed'])}))
-    found = [(*(cell.factors[name] for name in ('part', DELAY, DAMPING, 'ratio')), cell.job.seed)
-             for cell in cells]
-    assert found == [('grid', 0, 100.0, 1.0, 0), ('grid', 2, 100.0, 1.0, 0),
-                     ('one', 3, 30.0, 1.0, 7), ('soft', 0, 100.0, 0.5, 0),
-                     ('soft', 2, 100.0, 0.5, 0)]
+    rows = [(*(cell.factors[name] for name in ('part', DELAY, DAMPING, 'ratio')), cell.job.seed)
+            for cell in cells]
+    assert rows == [('grid', 0, 100.0, 1.0, 0), ('grid', 2, 100.0, 1.0, 0),
+                    ('one', 3, 30.0, 1.0, 7), ('soft', 0, 100.0, 0.5, 0),
+                    ('soft', 2, 100.0, 0.5, 0)]
     soft = cells[-1].job.setup()
     assert {surface.stiffness for surface in soft.plant.surfaces.values()} == {3000.0}
     assert {contact.stiffness for contact in soft.controller.contacts.values()} == {6000.0}

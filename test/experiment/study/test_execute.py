@@ -49,10 +49,10 @@ def test_dead_worker_ends_the_run_and_keeps_what_is_finished(tmp_path):
     jobs = [MortalJob(number) for number in range(4)]
     with pytest.raises(RunError, match=f'^{WORKER_DIED}$'):
         run_jobs(by_key([*jobs, MortalJob(9, deadly=True)]), tmp_path, workers=2)
-    found = run_jobs(by_key([*jobs, MortalJob(9)]), tmp_path, workers=2)
+    results = run_jobs(by_key([*jobs, MortalJob(9)]), tmp_path, workers=2)
     for job in jobs:
-        assert found[job.key()]['process'] != os.getpid()
-        assert found[job.key()]['threads'] == '1'
+        assert results[job.key()]['process'] != os.getpid()
+        assert results[job.key()]['threads'] == '1'
     with pytest.raises(RunError, match='other code'):
         run_jobs({'job of other code': MortalJob(1)}, tmp_path, workers=1)
 

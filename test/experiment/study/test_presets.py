@@ -96,8 +96,8 @@ def test_comparison_judges_the_claims(tmp_path):
         'lead_window', 'fixed'))
     assert isinstance(small, CompareStudy)
     results = run_study(small, tmp_path, console=QUIET)
-    found = small.findings(results)
-    assert found[0] == 'lead_window, fixed are stable on rigid in all runs.'
-    assert 'agree with K_2 = 20 1/s' in found[-1]
+    sentences = small.findings(results)
+    assert sentences[0] == 'lead_window, fixed are stable on rigid in all runs.'
+    assert 'agree with K_2 = 20 1/s' in sentences[-1]
     direct = run_in_process(small.cells()[0].job.setup())
     assert results.frame['trajectory_sha256'][0] == direct.data.trajectory_sha256()

@@ -86,10 +86,10 @@ def test_slew_time_bounds_how_fast_every_estimate_changes(name):
     for k in range(600):
         alpha = 10.0 * (k > 300) + random.standard_normal(2) * (1.0 if k < 450 else 5.0)
         innovation = Innovation(alpha, one, one)
-        found, free = estimator.update(alpha, innovation), plain.update(alpha, innovation)
-        assert (np.abs(np.log(found / before)) <= 1.0 / 15.0 + 1e-12).all()
-        assert ((found >= np.minimum(free, before)) & (found <= np.maximum(free, before))).all()
-        before = found
+        R, free = estimator.update(alpha, innovation), plain.update(alpha, innovation)
+        assert (np.abs(np.log(R / before)) <= 1.0 / 15.0 + 1e-12).all()
+        assert ((R >= np.minimum(free, before)) & (R <= np.maximum(free, before))).all()
+        before = R
 
 
 RATE = 500.0
@@ -207,11 +207,11 @@ def test_variational_bayes_is_its_fixed_point_iteration():
 def test_estimators_find_the_variance_of_white_noise_and_follow_its_rise(name):
     """In their own loop: from 0.6 at rest to 100 in motion, as in the paper's Fig. 6."""
     sigma = np.where(np.arange(6000) < 3000, np.sqrt(0.6), 10.0)
-    found = run_force_loop(
+    variance = run_force_loop(
         estimator_of(name), sigma * np.random.default_rng(21).standard_normal(6000))
-    assert found[500:3000].mean() == pytest.approx(0.6, rel=0.15)
-    assert 50.0 < np.median(found[3250:3500]) < 200.0  # a few windows later
-    assert found[3500:].mean() == pytest.approx(100.0, rel=0.15)
+    assert variance[500:3000].mean() == pytest.approx(0.6, rel=0.15)
+    assert 50.0 < np.median(variance[3250:3500]) < 200.0  # a few windows later
+    assert variance[3500:].mean() == pytest.approx(100.0, rel=0.15)
 
 
 @pytest.mark.parametrize('name', ADAPTIVE)
