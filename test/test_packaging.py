@@ -98,16 +98,16 @@ def test_installed_commands_compile_once_and_run_from_any_folder(tmp_path):
     environment |= {'HOME': str(tmp_path), 'PYTHONDONTWRITEBYTECODE': '1'}
     commands = [subprocess.Popen(
         [venv / 'bin/multicontact', *command, '--scenario', 'quick', '--duration', '3',
-         '--out', command[0]], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+         '--out', command[0]], cwd=source, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         text=True, env=environment) for command in (['simulate'], ['run', '--speed', '0'])]
     outputs = [command.communicate()[0] for command in commands]
     assert [command.returncode for command in commands] == [0, 0], outputs
     # Of two that begin at once one compiles, before anything else, and the other waits.
     assert any('compiling the numerical kernels, once' in text for text in outputs)
-    summaries = [json.loads((tmp_path / name / 'summary.json').read_text(encoding='utf-8'))
+    summaries = [json.loads((source / name / 'summary.json').read_text(encoding='utf-8'))
                  for name in ('simulate', 'run')]
     assert len({summary['trajectory_sha256'] for summary in summaries}) == 1
-    for counts in tmp_path.glob('run/logs/*.json'):
+    for counts in source.glob('run/logs/*.json'):
         assert json.loads(counts.read_text(encoding='utf-8'))['kernels_compiled'] == 0
 
 

@@ -35,7 +35,10 @@ def prepare_nodes() -> None:
     CONTEXT.set_forkserver_preload(list(MODULES.values()))
     # Inherited by the server: a run stops its nodes in order, also when its terminal closes.
     handlers = {x: signal.signal(x, signal.SIG_IGN) for x in (signal.SIGHUP, signal.SIGINT)}
+    folder = os.getcwd()
+    os.chdir(sys.prefix)  # its modules would come from a checkout in which it is started
     forkserver.ensure_running()
+    os.chdir(folder)
     for number, handler in handlers.items():
         signal.signal(number, handler)
 
