@@ -91,7 +91,7 @@ class SimNode(Node):
         parameters = ParameterSet(self, PlantConfig, SimNodeConfig)
         plant_config, config = parameters.configurations()
         self._plant_config, self._config = plant_config, config
-        parameters.lock(self._change)
+        parameters.use = self._change
         self._plant = Plant(plant_config, rate=config.rate, seed=config.seed)
         # The first step ever takes many times as long as all others: not in the run.
         self._plant.step(self._plant.initial_torque)

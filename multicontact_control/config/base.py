@@ -112,15 +112,15 @@ def _field_error(detail: Mapping[str, Any], model: type[Config]) -> ConfigError:
 def _known_keys(model: type[Config], location: Sequence[int | str]) -> str:
     for part in location[:-1]:  # fields, and keys or places among several models
         if part in model.model_fields:
-            model = _model_in(model.model_fields[str(part)].annotation) or model
+            model = model_in(model.model_fields[str(part)].annotation) or model
     return ', '.join(model.model_fields)
 
 
-def _model_in(kind: Any) -> type[Config] | None:
+def model_in(kind: Any) -> type[Config] | None:
     """Return the first configuration in a type, as that of the values of a mapping."""
     if isinstance(kind, type) and issubclass(kind, Config):
         return kind
-    return next(filter(None, map(_model_in, get_args(kind))), None)
+    return next(filter(None, map(model_in, get_args(kind))), None)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:

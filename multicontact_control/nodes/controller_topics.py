@@ -22,6 +22,7 @@ from multicontact_control.nodes.status import identifier_of
 from multicontact_control.nodes.streams import JOINT_FIELDS, StreamPublisher
 import numpy as np
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray, Header
 from std_srvs.srv import SetBool, Trigger
 
@@ -113,21 +114,24 @@ def serve_commands(
     def obey(source: str, work: Callable[[Any], Any], wish: Any, identifier: str = '') -> Any:
         refusal = None
         try:
-            found = work(wish)
+            outcome = work(wish)
         except MulticontactError as error:
             node.refusals.refuse(source, error)
-            found = refusal = error
+            outcome = refusal = error
         answer(source, identifier, refusal)
-        return found
+        return outcome
 
     def serve(source: str, work: Callable[[Any], Any], request: Any, response: Any) -> Any:
-        found = obey(source, work, request)
-        response.message, response.success = str(found), not isinstance(found, MulticontactError)
+        outcome = obey(source, work, request)
+        response.message = str(outcome)
+        response.success = not isinstance(outcome, MulticontactError)
         return response
 
     def tare(_request: Any) -> str:
         bias = loop.tare(settings().tare).tolist()
-        node.parameter_set.assign('tool.bias_sensor', bias)
+        result, = node.set_parameters([Parameter('tool.bias_sensor', value=bias)])
+        if not result.successful:
+            raise MulticontactError(result.reason)
         return 'bias [N, N m]: ' + ', '.join(f'{x:.4g}' for x in bias)
 
     commands: dict[topics.Topic, Callable[[Any], Any]] = {

@@ -42,6 +42,7 @@ class ManagedNode(LifecycleNode):
         self.state, self.working, self.due = UNCONFIGURED, False, 0
         self.refusals = Refusals(self.get_logger())
         self.parameter_set = ParameterSet(self, *models)
+        self.parameter_set.refuse = self.refusals.refuse
         self._diagnostics = Diagnostics(self, lambda: [
             Status('life cycle', {'state': self.state}),
             *(self.statuses() if self.state in (ACTIVE, INACTIVE) else ())])
@@ -111,7 +112,7 @@ class ManagedNode(LifecycleNode):
         """Implement `LifecycleNode`."""
         def work() -> None:
             self.configure(self.parameter_set.configurations())
-            self.parameter_set.lock(self.reconfigure, self.refusals.refuse)
+            self.parameter_set.use = self.reconfigure
             settle_process()
         return self._attempt('configure', work, INACTIVE)
 
@@ -141,7 +142,7 @@ class ManagedNode(LifecycleNode):
     def _end(self) -> None:
         """Close, and destroy the ends of topics and services that `configure` has created."""
         self.close()
-        self.parameter_set.unlock()
+        self.parameter_set.use = None
         if self._gate is not None:
             self._lasting.append(self._gate.marker)
         self._gate, self.working, self.due = None, False, 0

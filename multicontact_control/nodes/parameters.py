@@ -15,7 +15,7 @@ from types import NoneType
 import typing
 from typing import Any, Literal
 
-from multicontact_control.config import Config, validate
+from multicontact_control.config import Config, model_in, validate
 from multicontact_control.errors import check_all, ConfigError, MulticontactError
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
@@ -32,48 +32,38 @@ BOUNDS = {'gt': 'above', 'ge': 'at least', 'lt': 'below', 'le': 'at most'}
 
 def _leaves(
     model: type[Config], overrides: Mapping[str, Any], prefix: str = '',
-) -> Iterator[tuple[str, Any, FieldInfo]]:
-    """Yield name, type and field of all values; `overrides` by name say what a mapping has."""
+) -> Iterator[tuple[str, FieldInfo]]:
+    """Yield name and field of all values; `overrides` by name say what a mapping has."""
     for key, field in model.model_fields.items():
-        name, annotation = prefix + key, _bare(field.annotation)
-        entries = [(name, annotation)]
-        if typing.get_origin(annotation) is dict:
-            value_type = _bare(typing.get_args(annotation)[1])
-            entries = [(f'{name}.{x}', value_type) for x in _mapping_names(name, overrides)]
-        for entry, kind in entries:
-            if isinstance(kind, type) and issubclass(kind, Config):
-                yield from _leaves(kind, overrides, f'{entry}.')
-            else:
-                yield entry, kind, field
+        name, inner = prefix + key, model_in(field.annotation)
+        if inner is None:
+            yield name, field
+        elif inner is field.annotation:
+            yield from _leaves(inner, overrides, f'{name}.')
+        else:
+            for entry in _mapping_names(name, overrides):
+                yield from _leaves(inner, overrides, f'{name}.{entry}.')
 
 
 def _mapping_names(name: str, overrides: Mapping[str, Any]) -> list[str]:
     """Return the names that a mapping has values for, or else those in the list of names."""
     listed = [x for x in overrides.get('contact_names') or () if isinstance(x, str)]
     start = f'{name}.'
-    found = {key[len(start):].split('.')[0]: None for key in overrides if key.startswith(start)}
-    return sorted(found, key=lambda x: listed.index(x) if x in listed else len(listed)) or listed
+    given = {key[len(start):].split('.')[0]: None for key in overrides if key.startswith(start)}
+    return sorted(given, key=lambda x: listed.index(x) if x in listed else len(listed)) or listed
 
 
-def _descriptor(name: str, kind: Any, field: FieldInfo) -> ParameterDescriptor:
+def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
     extra: Any = field.json_schema_extra or {}
     unit = f' [{extra["unit"]}]' if extra.get('unit') else ''
     limits = [f'{words} {getattr(bound, key):g}' for bound in field.metadata
               for key, words in BOUNDS.items() if getattr(bound, key, None) is not None]
-    if typing.get_origin(kind) is Literal:
-        limits = [f'one of {", ".join(map(str, typing.get_args(kind)))}']
-    # Not read-only: `lock` decides that, and a descriptor cannot be unlocked.
+    if typing.get_origin(field.annotation) is Literal:
+        limits = [f'one of {", ".join(map(str, typing.get_args(field.annotation)))}']
+    # Not read-only: that changes with the life cycle, a descriptor does not.
     return ParameterDescriptor(
         name=name, dynamic_typing=True, description=f'{field.description or ""}{unit}',
         additional_constraints='; '.join(limits + ([] if extra.get('live') else [LOCKED])))
-
-
-def _bare(annotation: Any) -> Any:
-    """Return an annotation without what is beside its type: `Annotated`, or a None."""
-    while typing.get_origin(annotation) is typing.Annotated:
-        annotation = typing.get_args(annotation)[0]
-    kinds = typing.get_args(annotation)
-    return _bare(next(x for x in kinds if x is not NoneType)) if NoneType in kinds else annotation
 
 
 def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -91,7 +81,13 @@ def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class ParameterSet:
-    """Declares the parameters of models; once locked, only those that are live can change."""
+    """
+    Declares the parameters of models.
+
+    While `use` is None all of them may change, to be validated when they are used; else only
+    those that are live: `use` takes the configurations with a change, or raises, and `refuse`
+    hears the name and error of a change that is not taken.
+    """
 
     def __init__(self, node: Node, *models: type[Config]) -> None:
         self._node, self._models = node, models
@@ -101,30 +97,18 @@ class ParameterSet:
         given = {name: parameter.value for name, parameter in overrides.items()
                  if name.split('.')[0] not in SET_BY_ROS}
         self._live: dict[str, bool] = {}
-        for name, kind, field in (x for model in models for x in _leaves(model, given)):
+        for name, field in (x for model in models for x in _leaves(model, given)):
             value = None if field.is_required() else field.get_default(call_default_factory=True)
-            if isinstance(value, Mapping):
-                value = value.get(name.rsplit('.', 1)[-1])
             if name in given:
                 value = [] if given[name] is None else given[name]
             extra: Any = field.json_schema_extra or {}
             self._live[name] = bool(extra.get('live'))
             node.declare_parameter(
-                name, _plain(value), _descriptor(name, kind, field), ignore_override=True)
+                name, _plain(value), _descriptor(name, field), ignore_override=True)
         self._unknown = {name: x for name, x in given.items() if name not in self._live}
-        self._use: Use | None = None
-        self._refuse: Refuse
+        self.use: Use | None = None
+        self.refuse: Refuse = lambda name, error: None
         node.add_on_set_parameters_callback(self._on_set)
-
-    def lock(
-        self, use: Use = lambda configurations: None, refuse: Refuse = lambda name, error: None,
-    ) -> None:
-        """Let `use` take changes or raise; `refuse` hears the name and error of one not taken."""
-        self._use, self._refuse = use, refuse
-
-    def unlock(self) -> None:
-        """Let every parameter change, to be validated when it is used."""
-        self._use = None
 
     def configurations(self, changes: Mapping[str, Any] | None = None) -> list[Any]:
         """Return a configuration per model, with changes by name; ConfigError of all at once."""
@@ -145,25 +129,19 @@ class ParameterSet:
         """Return the present value of a parameter, None if it has none."""
         return _plain(self._node.get_parameter_or(name).value)
 
-    def assign(self, name: str, value: Any) -> None:
-        """Change a parameter as its user could; ConfigError if that is refused."""
-        result = self._node.set_parameters([Parameter(name, value=value)])[0]
-        if not result.successful:
-            raise ConfigError(name, got=value, hint=result.reason)
-
     def _on_set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         changes = {x.name: _plain(x.value) for x in parameters if x.name in self._live}
-        if self._use is None or not changes:
+        if self.use is None or not changes:
             return SetParametersResult(successful=True)
         try:
             for name, value in changes.items():
                 if value is None or not self._live[name] and value != self.value(name):
                     raise ConfigError(name, hint=f'{LOCKED}; it stays {self.value(name)}')
-            self._use(self.configurations(changes))
+            self.use(self.configurations(changes))
         except Exception as error:
             if not isinstance(error, MulticontactError):  # a mistake here: not for the arm to pay
                 self._node.get_logger().error(traceback.format_exc())
-            self._refuse(next(iter(changes)), error)
+            self.refuse(next(iter(changes)), error)
             return SetParametersResult(successful=False, reason=str(error) or repr(error))
         return SetParametersResult(successful=True)
 
@@ -177,5 +155,5 @@ def load_parameters(node: Node, *models: type[Config]) -> list[Any]:
     """Declare the parameters of models, which stay as they are; return the configurations."""
     parameters = ParameterSet(node, *models)
     configurations = parameters.configurations()
-    parameters.lock()
+    parameters.use = lambda configurations: None
     return configurations

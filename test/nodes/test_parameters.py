@@ -119,7 +119,8 @@ def test_parameter_set_applies_changes_that_pass_the_check_as_a_whole(make_node)
             raise ArithmeticError('no solution')
         applied.extend(configs)
 
-    parameters.lock(use, lambda name, error: refused.append((name, str(error))))
+    parameters.use = use
+    parameters.refuse = lambda name, error: refused.append((name, str(error)))
     for value, reason in ((5.0, 'gains.soft: expected less than stiff, got 5.0'),
                           (0.0, 'no solution')):
         result = node.set_parameters([Parameter('gains.soft', value=value)])[0]
