@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 import time
@@ -85,9 +85,9 @@ class DurationLog:
     def percentiles(self, since: int = 0, expected: float = 0.0) -> dict[str, float | None]:
         """Return median, tails and maximum of what is not as `expected` [us]; None without any."""
         off = np.abs(self.microseconds(since) - expected)
-        found = np.percentile(off, list(PERCENTILES.values())).round(3).tolist() if (
+        values = np.percentile(off, list(PERCENTILES.values())).round(3).tolist() if (
             off.size) else [None] * len(PERCENTILES)
-        return dict(zip(PERCENTILES, found))
+        return dict(zip(PERCENTILES, values))
 
 
 class LoopStatistics:
@@ -138,31 +138,31 @@ class Inputs:
 
     def status(self, *, needed: bool, consequence: str = '') -> Status:
         """Return ages; if `needed`, which are above `max_age`, and what is done about it."""
-        ages = {topic.name: self.age(topic) for topic in self.last}
-        stale = [f'no {name} for {age:.3g} s' if age < math.inf else f'no {name} ever'
-                 for name, age in ages.items() if age > self.max_age and needed]
-        if missing := '; '.join(text for topic in self.last if needed
-                                for text in self._missing(topic)):
+        ages = {topic: self.age(topic) for topic in self.last}
+        stale = {topic: age for topic, age in ages.items() if needed and age > self.max_age}
+        if missing := '; '.join(filter(None, map(self._missing, stale))):
             self._node.get_logger().warning(missing, throttle_duration_sec=REMINDER_PERIOD)
+        warning = ', '.join(f'no {topic.name} ' + (
+            f'for {age:.3g} s' if age < math.inf else 'ever') for topic, age in stale.items())
         return Status('inputs', {
-            f'age_s {name}': age if age < math.inf else None for name, age in ages.items()},
-            warning=', '.join(stale) + (consequence if stale else ''))
+            f'age_s {topic.name}': age if age < math.inf else None for topic, age in ages.items()},
+            warning and warning + consequence)
 
-    def _missing(self, topic: Topic) -> Iterator[str]:
-        """Yield what is expected of a topic that is missing, and what there is instead."""
+    def _missing(self, topic: Topic) -> str:
+        """Return what is expected of a topic that is missing for long, and what there is."""
         missing = (time.monotonic_ns() - (self.last[topic] or self._since)) / NANOSECONDS
         if missing < MISSING_AGE:
-            return
+            return ''
         name = self._node.resolve_topic_name(topic.name)
         publishers = self._node.get_publishers_info_by_topic(name)
         types = {x.topic_type for x in publishers} - {topic.type_name}
         source = 'the driver of the robot' if topic.publisher == SIM else topic.publisher
-        found = (
+        present = (
             f'it has no publisher: start {source}, or give its topic, -r {topic.name}:=/its/topic'
             if not publishers else f'it is published as {", ".join(sorted(types))}' if types else
             f'publishers: {len(publishers)}, but nothing is sent that can be read')
-        yield (f'no message on {name} for {missing:.1f} s: expected {topic.type_name}: '
-               f'{topic.content} Found: {found}')
+        return (f'no message on {name} for {missing:.1f} s: expected {topic.type_name}: '
+                f'{topic.content} Found: {present}')
 
 
 def message_status(refusals: Refusals, **dropped: int) -> Status:

@@ -42,9 +42,8 @@ class RecorderConfig(graph.StartupConfig):
     """What to record, and where to."""
 
     folder: str = parameter(..., 'Folder of the bag, to be created.')
-    topics: tuple[str, ...] = parameter((), 'Topics to record; empty for all of the graph.')
     extra_topics: tuple[str, ...] = parameter(
-        (), 'Topics of others to record as well, each as `NAME TYPE`, e.g. '
+        (), 'Topics of others to record beside those of the graph, each as `NAME TYPE`, e.g. '
         '`/effort_controller/commands std_msgs/msg/Float64MultiArray`.')
 
 
@@ -105,14 +104,13 @@ class RecorderNode(Node):
         # Parameter services need an executor, which this node has not.
         super().__init__(RECORDER, start_parameter_services=False)
         self._config: RecorderConfig = load_parameters(self, RecorderConfig)[0]
-        chosen = self._chosen_topics()  # before a folder is made
+        topics = self._recorded_topics()  # before a folder is made
         self._bag = Bag(Path(self._config.folder))
         self._streams = []
-        for topic in chosen:
+        for name, topic in topics.items():
             latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
             self._streams.append(_Stream(
-                topic, self._bag.add_topic(
-                    self.resolve_topic_name(topic.name), topic.type_name, topic.profile),
+                topic, self._bag.add_topic(name, topic.type_name, topic.profile),
                 self.create_subscription(
                     topic.message, topic.name, graph.ignore,
                     qos.profile(qos.STREAM.depth, latched=latched), raw=True)))
@@ -121,18 +119,13 @@ class RecorderNode(Node):
         self._diagnostics = Diagnostics(self, self._statuses)
         self._gate = graph.StartupGate(self, self._config)
 
-    def _chosen_topics(self) -> list[Topic]:
-        """Return the topics to record; ConfigError if one is not known, or is there twice."""
-        ours = {topic.name: topic for topic in TOPICS}
-        for name in self._config.topics:
-            if name not in ours:
-                raise ConfigError('topics', f'names among {", ".join(ours)}', f"'{name}'")
-        chosen = [ours[name] for name in dict.fromkeys(self._config.topics or ours)]
-        taken = {self.resolve_topic_name(name) for name in ours}
+    def _recorded_topics(self) -> dict[str, Topic]:
+        """Return the topics by full name; ConfigError if one is not known, or is there twice."""
+        topics = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
         for text in self._config.extra_topics:
             name, _, type_name = text.strip().partition(' ')
             full = graph.full_topic_name('extra_topics', name, self)
-            if not type_name or full in taken:
+            if not type_name or full in topics:
                 raise ConfigError('extra_topics', 'NAME TYPE of other topics, each once',
                                   f"'{text}'")
             package, _, kind = type_name.strip().partition('/msg/')
@@ -140,9 +133,8 @@ class RecorderNode(Node):
                 message = getattr(import_module(f'{package}.msg'), kind)
             except (ImportError, AttributeError, TypeError, ValueError):
                 raise ConfigError('extra_topics', 'types that are installed', text) from None
-            taken.add(full)
-            chosen.append(Topic(name, message, USER, (RECORDER,), qos.STREAM, 'event'))
-        return chosen
+            topics[full] = Topic(name, message, USER, (RECORDER,), qos.STREAM, 'event')
+        return topics
 
     def run(self, spinner: Spinner) -> None:
         """Record until asked to stop and nothing comes any more."""

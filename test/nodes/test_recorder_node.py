@@ -36,20 +36,18 @@ JOINTS = [f'joint{i}' for i in range(1, 7)]
 def publishers(middleware):
     return {
         topic: middleware.node.create_publisher(topic.message, topic.name, topic.profile)
-        for topic in RECORDED}
+        for topic in topics.TOPICS if topic.publisher == topics.SIM}
 
 
 @pytest.fixture
 def record(middleware, tmp_path):
-    """Return what starts a recorder of topics."""
-    def start(chosen, *peers):
-        names = json.dumps([topic.name for topic in chosen])
+    """Return what starts a recorder of a simulator that this test is."""
+    def start():
         process = middleware.start(
             'multicontact_control.nodes.recorder_node', f'folder:={tmp_path / "bag"}',
-            f'topics:={names}', f'timing_file:={tmp_path / "counts.json"}',
-            *(f'startup_peers:=[{name}]' for name in peers))
+            f'timing_file:={tmp_path / "counts.json"}', 'startup_peers:=[sim_node]')
         ready = READY + topics.RECORDER
-        wait_for(lambda: process.poll() is not None or not peers
+        wait_for(lambda: process.poll() is not None
                  or middleware.node.count_publishers(ready), 'recorder connected')
         assert process.poll() is None, process.communicate()[1]
         return process
@@ -58,8 +56,8 @@ def record(middleware, tmp_path):
 
 def publish(publishers, first, count):
     for k in range(first, first + count):
-        for topic, publisher in publishers.items():
-            publisher.publish(
+        for topic in RECORDED:
+            publishers[topic].publish(
                 wrench_message(PERIOD * (1 + k), [k] * 6, 'ft_face')
                 if topic is topics.WRENCH else messages.joint_state_message(
                     PERIOD * (1 + k), JOINTS, position=[0.001 * k] * 6, velocity=[0.0] * 6,
@@ -76,11 +74,9 @@ def counts_after(process, folder, number=signal.SIGINT):
 
 
 def test_recorder_keeps_every_message_and_what_was_latched_before_it_came(
-        middleware, publishers, record, tmp_path):
-    description = middleware.node.create_publisher(
-        String, topics.ROBOT_DESCRIPTION.name, topics.ROBOT_DESCRIPTION.profile)
-    description.publish(String(data='before it came'))
-    process = record((*RECORDED, topics.ROBOT_DESCRIPTION), 'sim_node')
+        publishers, record, tmp_path):
+    publishers[topics.ROBOT_DESCRIPTION].publish(String(data='before it came'))
+    process = record()
     publish(publishers, 0, COUNT)
     # Reliable is what the writer still repeats: a message that was dropped on a busy machine
     # comes again with the next heartbeat, which may be after the recorder's quiet time.
@@ -89,12 +85,13 @@ def test_recorder_keeps_every_message_and_what_was_latched_before_it_came(
     counts = counts_after(process, tmp_path, signal.SIGTERM)
     for topic in RECORDED[:2]:
         assert [x.effort[0] for x in recorded(tmp_path / 'bag', topic.name)] == [*range(COUNT)]
-    assert (counts['messages'], counts['lost']) == (COUNT * len(RECORDED) + 1, 0)
+    assert [counts['counts'][f'/{topic.name}'] for topic in RECORDED] == [COUNT] * len(RECORDED)
+    assert counts['lost'] == 0
     assert [x.data for x in recorded(tmp_path / 'bag', 'robot_description')] == ['before it came']
 
 
 def test_recorder_that_is_killed_leaves_a_bag_that_is_read(publishers, record, tmp_path):
-    process, folder = record(publishers, 'sim_node'), tmp_path / 'bag'
+    process, folder = record(), tmp_path / 'bag'
 
     def flushed():
         with contextlib.suppress(MulticontactError):  # as long as there is little to read
@@ -113,7 +110,7 @@ def test_recorder_that_is_killed_leaves_a_bag_that_is_read(publishers, record, t
 
 def test_recorder_whose_disk_is_full_ends_in_a_line_and_leaves_a_bag_that_is_read(
         publishers, record, tmp_path):
-    process = record(publishers, 'sim_node')
+    process = record()
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (200_000, 200_000))
     for first in range(0, 1_000_000, 50):
         if process.poll() is not None:
@@ -126,7 +123,7 @@ def test_recorder_whose_disk_is_full_ends_in_a_line_and_leaves_a_bag_that_is_rea
 
 
 @pytest.mark.parametrize(('parameters', 'field'), [
-    ([], 'folder'), (['topics:=[joint_stats]'], 'topics'), *(
+    ([], 'folder'), *(
         ([f'extra_topics:=["{text}"]'], 'extra_topics') for text in (
             '/commands', '/joint_states sensor_msgs/msg/JointState',
             '/commands nowhere_msgs/msg/Nothing'))])
