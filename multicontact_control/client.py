@@ -11,7 +11,7 @@ from multicontact_control.control.tasks import quintic
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.link import CommandRefusedError, ControllerLink, DEACTIVATE
-from multicontact_control.nodes.status import ControllerStatus, new_identifier
+from multicontact_control.nodes.messages import ControllerStatus, new_identifier
 from multicontact_control.supervision.contacts import HOLDING, NAMES
 from multicontact_control.supervision.reactions import INFLATE, NONE
 import numpy as np

@@ -12,7 +12,7 @@ from multicontact_control.errors import MessageError, RunError
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph import create_publisher, ignore, take
 from multicontact_control.nodes.link import CLEAN_UP, DEACTIVATE, GuestNode
-from multicontact_control.nodes.status import ACCEPTED, ControllerStatus, STATE
+from multicontact_control.nodes.messages import ACCEPTED, ControllerStatus, STATE
 import numpy as np
 import pytest
 from ros_graph import obedient_graph, own_domain, PATIENCE, wait_for

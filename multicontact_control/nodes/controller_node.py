@@ -58,7 +58,7 @@ class ControllerNode(ManagedNode):
         wrench = topics.WRENCHES.get(config.wrench_input)
         self._inputs: dict[topics.Topic, tuple[streams.MessageReader, Any]] = {
             topics.NOISE_VARIANCE: (streams.variance_reader(config.column_names),
-                                    lambda found: timing.add_variance(*found)),
+                                    lambda reading: timing.add_variance(*reading)),
             topics.JOINT_STATES: (streams.named_reader(  # robots need not measure all of them
                 config.robot.joint_names, streams.JOINT_FIELDS[:2 + config.robot.measures_torque],
                 JointInput, ('velocity', 'effort')), timing.add)}

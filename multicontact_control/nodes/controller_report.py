@@ -14,7 +14,7 @@ from multicontact_control.nodes import topics
 from multicontact_control.nodes.diagnostics import Inputs, LoopStatistics, message_status, Status
 from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
-from multicontact_control.nodes.status import ACCEPTED, ControllerStatus, REFUSED, STATE
+from multicontact_control.nodes.messages import ACCEPTED, ControllerStatus, REFUSED, STATE
 from multicontact_control.sampling import NANOSECONDS, SampleTiming
 from multicontact_control.supervision.contacts import GIVEN_UP, LOST, NAMES, RETRACTING
 from multicontact_control.supervision.findings import undeclared_friction
@@ -26,7 +26,6 @@ REPEAT_TIME, REMINDER_TIME = 5 * NANOSECONDS, 30 * NANOSECONDS  # in which a lin
 STATE_INTERVAL = 20_000_000  # ns, between two messages on a state that changes
 ANSWER_INTERVAL = 100_000_000  # ns, between two equal answers: motions come at the control rate
 TROUBLED = tuple(NAMES[code] for code in (LOST, RETRACTING, GIVEN_UP))
-STIFFNESS_VALUES = ('stiffness', 'stiffness_est', 'stiffness_std', 'ratio_bound', 'margin')
 # Samples from which on a rate is known, and the factor from which on it is a wrong one.
 FEWEST, WRONG_RATE = 10, 1.3
 QUIET = SupervisorStatus(NONE, (), (), (), (), 0.0)  # before the first sample, and bare
@@ -191,21 +190,15 @@ class ControllerReport:
             *supervisor.findings))
 
     def _contacts(self) -> Status:
-        """Return the states and forces of the contacts, and R [N^2]."""
+        """Return the states of the contacts and R [N^2]; their forces are on topics."""
         loop, output, config = self._loop, self._loop.output, self._loop.config
         values: dict[str, Any] = {'held': loop.held}
         if output is None:
             return Status('contacts', values)
         variance = np.full(len(config.column_names), config.initial_noise_variance) if (
             self._timing.variance is None) else self._timing.variance
-        for key, numbers in (
-                ('measured_n', output.alpha_meas), ('estimated_n', output.alpha_est),
-                ('desired_n', output.alpha_des), ('noise_variance_n2', variance)):
-            values |= zip((f'{name} {key}' for name in config.column_names), numbers.tolist())
-        if config.force.stiffness == 'adaptive':
-            values |= {f'{name} {key}': float(output.contacts[i][key])
-                       for i, name in zip(config.leaders, config.contact_names)
-                       for key in STIFFNESS_VALUES}
+        values |= zip((f'{name} noise_variance_n2' for name in config.column_names),
+                      variance.tolist())
         states = dict(zip(config.contact_names, loop.status.contact_states if loop.status else [
             'force' if output.active[i] else 'motion' for i in config.leaders]))
         trouble = [f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '

@@ -18,7 +18,7 @@ from multicontact_control.nodes.contact_markers import ContactMarkers
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph import create_publisher, full_topic_name
 from multicontact_control.nodes.lifecycle import ManagedNode
-from multicontact_control.nodes.status import identifier_of
+from multicontact_control.nodes.messages import identifier_of
 from multicontact_control.nodes.streams import JOINT_FIELDS, StreamPublisher
 import numpy as np
 from rclpy.node import Node

@@ -68,7 +68,7 @@ class LateConfig(Config):
 class FrankaBridgeConfig(graph.StartupConfig):
     """Parameters of the bridge."""
 
-    address: str = parameter('', 'IP address or name of the robot.')
+    address: str = parameter(..., 'IP address or name of the robot.')
     enforce_realtime: bool = parameter(
         True, 'Whether libfranka asks for a real-time kernel; false for a simulated robot.')
     divider: int = parameter(
@@ -92,8 +92,6 @@ class FrankaBridgeConfig(graph.StartupConfig):
 
     @cross_check
     def _check(self) -> Iterator[ConfigError]:
-        if not self.address:
-            yield ConfigError('address', 'the IP address of the robot', "''")
         for name, count in {'joint_names': 7, 'collision_torque': 7, 'collision_force': 6}.items():
             if len(getattr(self, name)) != count:
                 yield ConfigError(name, f'{count} values', len(getattr(self, name)))

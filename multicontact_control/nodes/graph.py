@@ -122,8 +122,8 @@ class StartupGate:
         self._node, self._peers = node, config.startup_peers
         ends = {node.resolve_topic_name(topic.name): topic for topic in TOPICS}
         self._publishers, self._subscriptions = (
-            [(ends[x.topic_name], x) for x in found if x.topic_name in ends]
-            for found in (node.publishers, node.subscriptions))
+            [(ends[x.topic_name], x) for x in present if x.topic_name in ends]
+            for present in (node.publishers, node.subscriptions))
         self.marker: Publisher | None = None
         self.open = not self._peers
         self._next_poll, self._next_report = 0.0, time.monotonic() + REPORT_PERIOD

@@ -16,8 +16,8 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.graph import create_publisher, take
+from multicontact_control.nodes.messages import ControllerStatus, identify, new_identifier, REFUSED
 from multicontact_control.nodes.runtime import start_ros
-from multicontact_control.nodes.status import ControllerStatus, identify, new_identifier, REFUSED
 from multicontact_control.nodes.topics import Topic
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.context import Context

@@ -1,5 +1,5 @@
 """
-Messages from arrays, and commands from messages: the only place that builds message objects.
+Messages from arrays, commands and status from messages: the only place that builds messages.
 
 Numbers that are not finite, not named as expected or not of the right length are refused by
 `MessageError`, on the way in and on the way out. Messages at the control rate: `streams`.
@@ -8,11 +8,14 @@ Numbers that are not finite, not named as expected or not of the right length ar
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 import math
+import secrets
 from typing import Any
 
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Pose, Transform, Twist
 from multicontact_control.arrays import Vector
 from multicontact_control.control.tasks import MotionReading
@@ -24,23 +27,19 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 
-LAST_SECOND = 2 ** 31 - 1
 UNIT_QUATERNION_TOLERANCE = 1e-3
+STATE, ACCEPTED, REFUSED = 'state', 'accepted', 'refused'  # the event of a status
+STATUS_TEXTS = ('event', 'command', 'life_cycle', 'reaction', 'causes', 'contacts', 'push_test')
 
 
 def stamp_to_ns(stamp: Time) -> int:
     """Return a time stamp in nanoseconds, exactly."""
-    nanosec = int(stamp.nanosec)
-    if nanosec >= NANOSECONDS:
-        raise MessageError('stamp.nanosec', f'below {NANOSECONDS}', nanosec)
-    return int(stamp.sec) * NANOSECONDS + nanosec
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
 def ns_to_stamp(nanoseconds: int) -> Time:
-    """Return nanoseconds as a time stamp, exactly; MessageError if ROS cannot hold it."""
+    """Return nanoseconds as a time stamp, exactly."""
     sec, nanosec = divmod(nanoseconds, NANOSECONDS)
-    if abs(sec) > LAST_SECOND:
-        raise MessageError('stamp.sec', f'at most {LAST_SECOND}', sec)
     return Time(sec=sec, nanosec=nanosec)
 
 
@@ -58,15 +57,15 @@ def read_force_command(
     message: JointState, names: Sequence[str],
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Read forces and couples by name [N], or else centres of pressure by couple [m]."""
-    found = list(message.name)
-    if not found or len(set(found)) != len(found) or not set(found) <= set(names):
-        raise MessageError('name', f'distinct names among {list(names)}', found)
+    given = list(message.name)
+    if not given or len(set(given)) != len(given) or not set(given) <= set(names):
+        raise MessageError('name', f'distinct names among {list(names)}', given)
     if len(message.position) and len(message.effort):
         raise MessageError('position', 'none beside efforts: centres of pressure are commanded in '
                            'a message of their own', list(message.position))
     field = 'position' if len(message.position) else 'effort'
-    values = finite_array(getattr(message, field), len(found), field)
-    numbers = {name: float(value) for name, value in zip(found, values)}
+    values = finite_array(getattr(message, field), len(given), field)
+    numbers = dict(zip(given, values.tolist()))
     return ({}, numbers) if field == 'position' else (numbers, {})
 
 
@@ -111,17 +110,11 @@ def _fill(values: ArrayLike, field: str, axes: str, *parts: Any) -> None:
             setattr(part, axis, next(numbers))
 
 
-def joint_state_message(
-    stamp: int, names: Sequence[str], *, position: ArrayLike | None = None,
-    velocity: ArrayLike | None = None, effort: ArrayLike | None = None,
-) -> JointState:
-    """Build a named list of numbers."""
-    message = JointState(header=Header(stamp=ns_to_stamp(stamp)), name=list(names))
-    for field, values in (('position', position), ('velocity', velocity), ('effort', effort)):
-        if values is not None:
-            numbers = finite_array(values, len(names), field)
-            setattr(message, field, array('d', numbers.tobytes()))
-    return message
+def joint_state_message(stamp: int, names: Sequence[str], **fields: ArrayLike) -> JointState:
+    """Build a named list of numbers, by the `fields` position, velocity and effort."""
+    return JointState(header=Header(stamp=ns_to_stamp(stamp)), name=list(names), **{
+        field: array('d', finite_array(values, len(names), field).tobytes())
+        for field, values in fields.items()})
 
 
 def motion_message(
@@ -136,3 +129,64 @@ def motion_message(
     _fill(acceleration_world, 'accelerations', 'xyz', acceleration.linear, acceleration.angular)
     return MultiDOFJointTrajectoryPoint(
         transforms=[pose], velocities=[twist], accelerations=[acceleration])
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerStatus:
+    """What the controller says of itself on ``~/status``, and of a command."""
+
+    event: str  # `accepted` or `refused` for a command, else `state`
+    command: str  # its identifier; empty if it has none
+    text: str  # why it is refused; else what the controller does, `ok` for what it is asked for
+    life_cycle: str  # `active` or `inactive`
+    reaction: str  # `none`, or what it does instead of control
+    causes: str
+    contacts: str  # the state of each in words
+    held: bool  # on command
+    refused: int  # commands so far
+    readers: int  # of the command's topic that the controller knows, a recorder among them
+    push_test: str  # what it asks for; empty for nothing
+    forces: Mapping[str, float]  # obeyed by contact and couple [N]; empty in a scenario
+
+    @property
+    def contact_states(self) -> dict[str, str]:
+        """Return the state of each contact by its name."""
+        return dict(each.split(' ', 1) for each in self.contacts.split(', ') if each)
+
+    @classmethod
+    def of(cls, message: DiagnosticStatus) -> ControllerStatus:
+        """Return what a message on ``~/status`` says."""
+        values = {x.key: x.value for x in message.values}
+        forces = [each.rsplit(' ', 1) for each in values['forces'].split(', ') if each]
+        return cls(text=message.message, refused=int(values['refused']),
+                   readers=int(values['readers']), held=values['held'] == str(True),
+                   forces={name: float(force) for name, force in forces},
+                   **{name: values[name] for name in STATUS_TEXTS})
+
+    def message(self, name: str, level: bytes) -> DiagnosticStatus:
+        """Return the message that says so."""
+        values = {each: getattr(self, each) for each in STATUS_TEXTS} | {
+            'refused': str(self.refused), 'readers': str(self.readers), 'held': str(self.held),
+            'forces': ', '.join(f'{name} {force:.9g}' for name, force in self.forces.items())}
+        return DiagnosticStatus(
+            name=name, level=level, message=self.text,
+            values=[KeyValue(key=key, value=value) for key, value in values.items()])
+
+
+def new_identifier() -> str:
+    """Return an identifier for a command that no other client uses."""
+    return str(1 + secrets.randbelow(2 ** 31 - 1))
+
+
+def identify(command: Any, identifier: str) -> None:
+    """Give a command on a topic an identifier; that of a motion is a number of 31 bits."""
+    if isinstance(command, JointState):
+        command.header.frame_id = identifier
+    else:
+        command.time_from_start.sec = int(identifier or 0)
+
+
+def identifier_of(command: Any) -> str:
+    """Return the identifier of a command on a topic, empty if it has none."""
+    return str(command.header.frame_id if isinstance(command, JointState)
+               else command.time_from_start.sec or '')

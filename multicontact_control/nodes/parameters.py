@@ -38,11 +38,11 @@ def _leaves(
         name, inner = prefix + key, model_in(field.annotation)
         if inner is None:
             yield name, field
-        elif inner is field.annotation:
-            yield from _leaves(inner, overrides, f'{name}.')
-        else:
+        elif typing.get_origin(field.annotation) is dict:
             for entry in _mapping_names(name, overrides):
                 yield from _leaves(inner, overrides, f'{name}.{entry}.')
+        else:
+            yield from _leaves(inner, overrides, f'{name}.')
 
 
 def _mapping_names(name: str, overrides: Mapping[str, Any]) -> list[str]:

@@ -16,7 +16,6 @@ from geometry_msgs.msg import WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import counted, MessageError
 from multicontact_control.nodes.graph import create_publisher
-from multicontact_control.nodes.messages import LAST_SECOND
 from multicontact_control.nodes.topics import Topic
 from multicontact_control.sampling import NANOSECONDS
 from multicontact_control.supervision.inputs import WrenchInput
@@ -25,6 +24,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
+LAST_SECOND = 2 ** 31 - 1  # that a stamp can hold
 HEADER = 4  # bytes of the encapsulation: representation, options
 STAMP = struct.Struct('<iI')
 JOINT_FIELDS = ('position', 'velocity', 'effort')
@@ -162,17 +162,17 @@ def named_reader(
 ) -> MessageReader:
     """Return a reader of these fields of a JointState, by name, in the order of `names`."""
     def arrange(message: JointState, runs: list[slice]) -> Sequence[Any]:
-        found = list(message.name)
-        if any(found.count(name) != 1 for name in names):
-            raise MessageError('name', f'each of {list(names)} once', found)
-        places: Any = np.array([found.index(name) for name in names], dtype=int)
+        given = list(message.name)
+        if any(given.count(name) != 1 for name in names):
+            raise MessageError('name', f'each of {list(names)} once', given)
+        places: Any = np.array([given.index(name) for name in names], dtype=int)
         chosen = []
         for field in fields:
             length = len(getattr(message, field))
-            if length != len(found) and field not in optional:
-                raise MessageError(field, counted(len(found), 'values'), f'{length}')
+            if length != len(given) and field not in optional:
+                raise MessageError(field, counted(len(given), 'values'), f'{length}')
             place = runs[JOINT_FIELDS.index(field)].start + places
-            chosen.append(place if length == len(found) else place[:0])
+            chosen.append(place if length == len(given) else place[:0])
         return chosen
 
     return MessageReader(JointState, fields, arrange, make, optional)
@@ -191,10 +191,10 @@ def variance_reader(names: Sequence[str]) -> MessageReader:
 def wrench_reader(frame: str = '') -> MessageReader:
     """Return a reader of wrenches, force first, in a frame or in none; empty for any."""
     def arrange(message: WrenchStamped, runs: list[slice]) -> Sequence[Any]:
-        found = message.header.frame_id.lstrip('/')
-        if frame and found not in ('', frame):
+        given = message.header.frame_id.lstrip('/')
+        if frame and given not in ('', frame):
             raise MessageError('header.frame_id', f"'{frame}' (robot.sensor_frame), or none",
-                               f"'{found}'")
+                               f"'{given}'")
         return runs
 
     return MessageReader(WrenchStamped, ('wrench',), arrange, WrenchInput)

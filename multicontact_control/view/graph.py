@@ -16,7 +16,7 @@ from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.contact_markers import NAMESPACE
 from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.link import CommandRefusedError, ControllerLink
-from multicontact_control.nodes.status import ControllerStatus, new_identifier, REFUSED
+from multicontact_control.nodes.messages import ControllerStatus, new_identifier, REFUSED
 from multicontact_control.view import source
 from multicontact_control.view.motion import Motion
 import numpy as np
