@@ -45,11 +45,10 @@ def echo(
     """Print the messages of a topic as YAML documents, until Ctrl-C."""
     from multicontact_control.nodes import graph, qos
     from multicontact_control.nodes.link import GuestNode
-    from multicontact_control.nodes.runtime import StopFlag
+    from multicontact_control.nodes.runtime import stop_signals
     from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-    stop = StopFlag()
-    stop.install()
+    stop = stop_signals()
     name = graph.full_topic_name('topic', f'/{topic.strip("/")}')
     end = time.monotonic() + timeout
     with GuestNode(NODE, domain_id) as guest:

@@ -32,9 +32,6 @@ late goes on with the newest. In lockstep, where a loss would stop everything, t
 EVENT = profile(10)
 """What is sent now and then, as commands and diagnostics: none may be lost, nor replayed later."""
 
-DISPLAY = profile(25)
-"""For viewers: 1 s at 25 Hz, reliable so that the recording has them all."""
-
 GLANCE = profile(1, reliable=False)
 """Progress displays: only the newest value counts, and the sender must not wait for it."""
 

@@ -37,29 +37,18 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 ACKNOWLEDGE_TIMEOUT = 5.0  # s; the last acknowledgement may take long after the data has come
 
 
-class StopFlag:
-    """True once SIGINT or SIGTERM has come; after SIGTERM readers are not waited for: `hurry`."""
-
-    def __init__(self) -> None:
-        self._set = self.hurry = False
-
-    def __bool__(self) -> bool:
-        """Whether the process has been asked to stop."""
-        return self._set
-
-    def install(self) -> None:
-        """Take over both signals: rclpy's own way would end a node that still sends."""
-        for number in SIGNALS:
-            signal.signal(number, self._handle)
-
-    def _handle(self, number: int, _frame: object) -> None:
-        self._set, self.hurry = True, self.hurry or number == signal.SIGTERM
+def stop_signals() -> list[int]:
+    """Return a list that each SIGINT and SIGTERM joins, which then do not end the process."""
+    received: list[int] = []
+    for number in SIGNALS:  # rclpy's own way would end a node that still sends
+        signal.signal(number, lambda number, _frame: received.append(number))
+    return received
 
 
 class Spinner:
-    """Runs the callbacks of a node, until the flag `stop` ends everything."""
+    """Runs the callbacks of a node; a signal in the list `stop` ends everything."""
 
-    def __init__(self, node: Any, stop: StopFlag) -> None:
+    def __init__(self, node: Any, stop: Sequence[int]) -> None:
         self.stop, self._node = stop, node
         self._executor: Executor | None = None
 
@@ -107,8 +96,7 @@ def run_node(make_node: Callable[[], Any]) -> int:
     Of the node, `run(spinner)` returns when the work is done or the process should stop; `close()`
     is called however it ended. Errors give 2 for a bad configuration, one of `FULL`, or 1.
     """
-    program, stop = os.path.basename(sys.argv[0]), StopFlag()
-    stop.install()
+    program, stop = os.path.basename(sys.argv[0]), stop_signals()
     try:
         start_ros(None)
         check_arguments(program, make_node)
@@ -157,14 +145,14 @@ def loaded_kernels() -> Any:
     return sys.modules.get('multicontact_control.compiled')
 
 
-def _run(node: Any, stop: StopFlag) -> None:
-    """Run a node; at its end wait until reliable readers have what it has published."""
+def _run(node: Any, stop: Sequence[int]) -> None:
+    """Run a node; at its end, but for SIGTERM, reliable readers are to have what it published."""
     spinner = Spinner(node, stop)
     settle_process()
     try:
         node.run(spinner)
         give_up = time.monotonic() + ACKNOWLEDGE_TIMEOUT
-        for publisher in node.publishers if not stop.hurry else ():
+        for publisher in node.publishers if signal.SIGTERM not in stop else ():
             remaining = Duration(seconds=max(0.0, give_up - time.monotonic()))
             if publisher.topic_name not in ('/rosout', '/parameter_events') and not (
                     publisher.wait_for_all_acked(remaining)):

@@ -115,7 +115,7 @@ ROBOT_DESCRIPTION = Topic(
     'robot_description', String, SIM, (RECORDER,), qos.LATCHED, 'event',
     'The URDF, also for who comes late.')
 CONTACT_MARKERS = Topic(
-    'contact_markers', MarkerArray, CONTROLLER, (RECORDER,), qos.DISPLAY, 'event',
+    'contact_markers', MarkerArray, CONTROLLER, (RECORDER,), qos.EVENT, 'event',
     'Per contact the measured force as an arrow at its tip, beside it estimated and desired, '
     'at 25 Hz.')
 SURFACE_MARKERS = Topic(

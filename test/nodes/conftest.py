@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import diagnostics, lifecycle
 from multicontact_control.nodes.link import GuestNode
-from multicontact_control.nodes.runtime import Spinner, StopFlag
+from multicontact_control.nodes.runtime import Spinner
 import pytest
 from ros_graph import Middleware, own_domain
 
@@ -62,7 +62,7 @@ class Host(Middleware):
         options = [part for text in parameters for part in ('-p', text)]
         self.hosted = make_node(context=self.node.context, cli_args=[
             '--ros-args', '--params-file', str(file), *options])
-        self.spinner = Spinner(self.hosted, StopFlag())
+        self.spinner = Spinner(self.hosted, [])
         return self.hosted
 
     def __exit__(self, *error):

@@ -78,7 +78,7 @@ class Bench:
         self._sensor = node.create_publisher(WrenchStamped, 'franka_bridge/wrench', 10)
 
     def close(self):
-        self._stop.append('now')
+        self._stop.append(2)
         self._thread.join()
         self._spinner.close()
         self._bridge.close()
