@@ -10,7 +10,6 @@ from multicontact_control.config.base import (
     Config,
     cross_check,
     merge,
-    model_in,
     parameter,
     read_node_parameters,
     read_parameters,
@@ -46,5 +45,5 @@ __all__ = [
     'ControllerConfig', 'FedForward', 'ForceConfig', 'LawName', 'LimitsConfig',
     'MAX_DELAY_PERIODS', 'NoiseEstimatorConfig', 'Real', 'RobotConfig', 'SensorFrontEndConfig',
     'ToolConfig', 'TransitionConfig', 'UnitVector3', 'Vector', 'Vector3', 'WatchdogConfig',
-    'cross_check', 'merge', 'model_in', 'parameter', 'read_node_parameters', 'read_parameters',
-    'read_yaml', 'validate']
+    'cross_check', 'merge', 'parameter', 'read_node_parameters', 'read_parameters', 'read_yaml',
+    'validate']

@@ -15,7 +15,7 @@ from types import NoneType
 import typing
 from typing import Any, Literal
 
-from multicontact_control.config import Config, model_in, validate
+from multicontact_control.config.base import Config, model_in, validate
 from multicontact_control.errors import check_all, ConfigError, MulticontactError
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
