@@ -1,7 +1,5 @@
 """An arm that stands still, as far as a controller can tell over its topics."""
 
-from __future__ import annotations
-
 from arms import controller_config, HOME, pressed_wrench
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped

@@ -1,7 +1,5 @@
 """Recordings of a controller and a robot of seven joints, made without this package or ROS."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 from arms import seven_joint_urdf

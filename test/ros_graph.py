@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
 import json
 import os
 from pathlib import Path
@@ -18,8 +18,11 @@ from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.node_process import start_node
 from multicontact_control.experiment.graph.spec import START_ORDER
 from multicontact_control.nodes.link import GuestNode
+from multicontact_control.nodes.recorder_node import Bag
+from multicontact_control.nodes.topics import Topic
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 
@@ -73,6 +76,14 @@ def start_graph(
         [sys.executable, '-c', GRAPH, arguments], cwd=ROOT, stderr=subprocess.PIPE, text=True)
 
 
+def start_command(*arguments: object, **options: Any) -> subprocess.Popen[str]:
+    """Start `multicontact` in a process of its own; what it writes goes to pipes."""
+    return subprocess.Popen(
+        [sys.executable, '-m', 'multicontact_control.cli', *map(str, arguments)], **{
+            'cwd': ROOT, 'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE, 'text': True,
+            **options})
+
+
 def node_processes(folder: Path) -> dict[str, int]:
     """Return the processes of a run in a folder, by node name, as `ps` lists them."""
     listed = subprocess.run(['ps', '-ewwo', 'pid=,args='], capture_output=True, text=True).stdout
@@ -87,6 +98,17 @@ def recorded(bag: Path, topic: str) -> list[Any]:
         connections = [x for x in reader.connections if x.topic == f'/{topic.lstrip("/")}']
         return [store.deserialize_cdr(data, connection.msgtype)
                 for connection, _, data in reader.messages(connections)]
+
+
+def write_bag(folder: Path, rows: Iterable[tuple[Topic, int, Any]]) -> None:
+    """Write a bag of messages, each with its topic and its time [ns]."""
+    connections = {}
+    with closing(Bag(folder)) as bag:
+        for topic, time_ns, message in rows:
+            if topic.name not in connections:
+                connections[topic.name] = bag.add_topic(
+                    f'/{topic.name}', topic.type_name, topic.profile)
+            bag.write(connections[topic.name], time_ns, serialize_message(message))
 
 
 @contextmanager

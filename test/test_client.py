@@ -1,7 +1,5 @@
 """The Python client against the real graph."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from itertools import count
 from threading import Event
@@ -90,15 +88,16 @@ def test_first_command_is_recorded_and_forces_that_are_not_controlled_are_not_re
         working.result()
 
 
-def reached(arm):
+def reached(arm, **forces):
+    """Return the state once what is commanded is reached, with these forces if there are any."""
+    if forces:
+        arm.set_forces(forces)
     return arm.wait_until_reached(force_tolerance=0.5, timeout=PATIENCE)
 
 
 def test_client_presses_moves_and_keeps_pressing(arm):
-    arm.set_forces({'table': 5.0, 'board': 4.0})
-    reached(arm)
-    arm.set_forces({'table': 10.0})
-    state = reached(arm)
+    reached(arm, table=5.0, board=4.0)
+    state = reached(arm, table=10.0)
     assert state.forces_desired == {'table': 10.0, 'board': 4.0}
     R = wait_for(lambda: arm.read().noise_variance, 'the estimator, which may be found later')
     assert set(R) == {'table', 'board'}
@@ -111,8 +110,7 @@ def test_client_presses_moves_and_keeps_pressing(arm):
 
 
 def test_held_arm_refuses_forces_and_motions_until_it_is_released(arm):
-    arm.set_forces({'table': 8.0, 'board': 4.0})
-    reached(arm)
+    reached(arm, table=8.0, board=4.0)
     before = arm.read()
     arm.hold()
     with pytest.raises(CommandRefusedError, match='contact_forces/command: ~/hold: the arm'):
@@ -124,8 +122,7 @@ def test_held_arm_refuses_forces_and_motions_until_it_is_released(arm):
     assert held.forces_desired == {'table': 8.0, 'board': 4.0}
     np.testing.assert_allclose(held.position_desired, before.position_world, atol=0.002)
     arm.hold(False)
-    arm.set_forces({'table': 12.0})
-    assert reached(arm).forces_desired == {'table': 12.0, 'board': 4.0}
+    assert reached(arm, table=12.0).forces_desired == {'table': 12.0, 'board': 4.0}
     with pytest.raises(RunError, match='tare refused: contacts: let go'):
         arm.tare()
 
@@ -177,8 +174,7 @@ def test_each_of_two_clients_learns_what_becomes_of_its_own_commands(arm, domain
 
 
 def test_pressing_arm_with_an_announced_payload_presses_as_before(arm):
-    arm.set_forces({'table': 10.0, 'board': 5.0})
-    reached(arm)
+    reached(arm, table=10.0, board=5.0)
     truth = arm.node.create_subscription(JointState, topics.TRUE_FORCES.name, ignore, qos.GLANCE)
     for payload in (1.2, 0.0):
         arm.set_parameters('sim_node', {'payload': payload})
@@ -192,8 +188,7 @@ def test_pressing_arm_with_an_announced_payload_presses_as_before(arm):
 
 
 def test_client_deactivates_and_activates_a_real_controller(arm, domain_id):
-    arm.set_forces({'table': 5.0, 'board': 5.0})
-    reached(arm)
+    reached(arm, table=5.0, board=5.0)
     with GuestNode('driver', domain_id, 'arm') as driver, MultiContactClient(
             'arm', domain_id=domain_id, timeout=1.0) as impatient:
         for _ in range(2):  # once more makes no difference
@@ -209,14 +204,12 @@ def test_client_deactivates_and_activates_a_real_controller(arm, domain_id):
             assert driver.state('controller_node') == 'active'
         # What was commanded before is forgotten, by both.
         assert arm.read().forces_desired == {'table': 0.0, 'board': 0.0}
-        arm.set_forces({'table': 6.0})
-        assert reached(arm).forces_desired == {'table': 6.0, 'board': 0.0}
+        assert reached(arm, table=6.0).forces_desired == {'table': 6.0, 'board': 0.0}
         for name in ('controller_node', 'noise_estimator_node'):
             for transition in (DEACTIVATE, CLEAN_UP):
                 driver.change(name, transition)
     arm.activate()
-    arm.set_forces({'table': 5.0, 'board': 5.0})
-    assert set(reached(arm).noise_variance) == {'table', 'board'}
+    assert set(reached(arm, table=5.0, board=5.0).noise_variance) == {'table', 'board'}
 
 
 def test_missing_controller_is_named(domain_id):

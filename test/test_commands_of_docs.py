@@ -7,7 +7,6 @@ one folder from its first line to its last, but for NOT_FOLLOWED.
 """
 
 import ast
-from contextlib import closing
 from dataclasses import fields
 import inspect
 from pathlib import Path
@@ -21,10 +20,8 @@ from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, RE
 from multicontact_control.experiment.results import load_run
 from multicontact_control.experiment.study.config import read_choices, read_study, select
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.recorder_node import Bag
 import pytest
-from rclpy.serialization import serialize_message
-from ros_graph import ROOT
+from ros_graph import ROOT, write_bag
 from sim_bridge.robots import find_robot, has_urdf
 from test_docs import prose
 import typer
@@ -151,16 +148,12 @@ NOT_FOLLOWED = (
     'make', '. ', 'multicontact view', 'multicontact run', 'multicontact report runs/graph')
 
 
-def write_bag(folder, run):
-    """Write the measured forces of a run."""
-    topic = topics.MEASURED_FORCES
-    folder.parent.mkdir(parents=True)
-    with closing(Bag(folder)) as bag:
-        connection = bag.add_topic(f'/{topic.name}', topic.type_name, topic.profile)
-        for time, forces in zip(run.data.time[::10], run.data.alpha_meas[::10]):
-            stamp = round(time * 1e9)
-            bag.write(connection, stamp, serialize_message(messages.joint_state_message(
-                stamp, run.data.contact_names, effort=forces)))
+def forces_of(run):
+    """Yield messages of the measured forces of a run."""
+    for time, forces in zip(run.data.time[::10], run.data.alpha_meas[::10]):
+        stamp = round(time * 1e9)
+        yield topics.MEASURED_FORCES, stamp, messages.joint_state_message(
+            stamp, run.data.contact_names, effort=forces)
 
 
 def outline(text):
@@ -183,7 +176,9 @@ def test_tutorial_can_be_followed(tmp_path, monkeypatch, capsys):
             for line in lines_of(block):
                 words = shlex.split(line, comments=True)
                 if words[:2] == ['multicontact', 'run']:
-                    write_bag(Path(words[words.index('--out') + 1]) / 'bag', load_run(FIRST))
+                    folder = Path(words[words.index('--out') + 1])
+                    folder.mkdir(parents=True)
+                    write_bag(folder / 'bag', forces_of(load_run(FIRST)))
                 if not line.startswith(NOT_FOLLOWED):
                     with pytest.raises(SystemExit) as end:
                         cli.app(words[1:], prog_name='multicontact')

@@ -1,12 +1,16 @@
 """What numba compiles: when, where it is kept, and when it is compiled anew."""
 
+import json
 import os
-from pathlib import Path
 import shutil
 import subprocess
 import sys
 
-ROOT = Path(__file__).parents[1]
+from multicontact_control.compiled import cache_folder
+from multicontact_control.experiment.compilation import ensure_compiled
+import pytest
+from ros_graph import ROOT
+
 HEAD = 'from multicontact_control.compiled import compiled\n'
 CALLER = HEAD + (
     'from multicontact_control.inner import inner\n@compiled\ndef outer(x): return inner(x)\n')
@@ -53,3 +57,18 @@ def test_installation_that_cannot_be_written_is_compiled_once(tmp_path):
         environment = {'XDG_CACHE_HOME': '', variable: str(tmp_path / variable)}
         assert [run(tmp_path, **environment) for _ in range(2)] == [['2.0', '2'], ['2.0', '0']]
         assert any((tmp_path / variable).rglob('*.nbi'))
+
+
+@pytest.mark.slow
+def test_command_compiles_nothing_after_the_compile_step(tmp_path):
+    ensure_compiled()
+    before = {path: path.stat().st_mtime_ns for path in cache_folder().rglob('*.nb[ic]')}
+    done = subprocess.run(
+        [sys.executable, '-m', 'multicontact_control.cli', 'simulate', '--plant', 'rigid',
+         '--bare', '--noise-estimator', 'sage_husa', '--scenario', 'quick', '--duration', '3',
+         '--out', str(tmp_path)],
+        capture_output=True, text=True, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert done.returncode == 0, done.stderr
+    assert {path: path.stat().st_mtime_ns for path in cache_folder().rglob('*.nb[ic]')} == before
+    summary = json.loads((tmp_path / 'summary.json').read_text(encoding='utf-8'))
+    assert summary['timing']['kernels_compiled'] == 0

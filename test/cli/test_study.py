@@ -3,11 +3,10 @@
 import os
 import signal
 import subprocess
-import sys
 
 import pandas as pd
 import pytest
-from ros_graph import end_of, ROOT, wait_for
+from ros_graph import end_of, start_command, wait_for
 
 STUDY = """
 name: small
@@ -41,10 +40,8 @@ def test_ended_study_goes_on_where_it_was(multicontact, tmp_path, end, code):
     study, out = tmp_path / 'small.yaml', tmp_path / 'out'
     study.write_text(STUDY)
     # In a group of its own, as a terminal does.
-    process = subprocess.Popen(
-        [sys.executable, '-m', 'multicontact_control.cli', 'study', str(study), '--jobs', '2',
-         '--out', str(out)], cwd=ROOT, start_new_session=True, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True,
+    process = start_command(
+        'study', study, '--jobs', '2', '--out', out, start_new_session=True,
         # A test in the background ignores Ctrl-C, and so would all that it starts.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
     wait_for(lambda: process.poll() is not None or len(list(out.glob('cells/*.json'))) >= 2,

@@ -1,11 +1,7 @@
 """`multicontact topic list` and `echo`, against what `ros2 topic` of ROS 2 Jazzy prints."""
 
-from __future__ import annotations
-
 import os
 import signal
-import subprocess
-import sys
 import threading
 
 from geometry_msgs.msg import PoseStamped
@@ -14,7 +10,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.nodes import messages, qos
 from multicontact_control.nodes.link import GuestNode
 import pytest
-from ros_graph import end_of, own_domain, PATIENCE, ROOT
+from ros_graph import end_of, own_domain, PATIENCE, start_command
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 import yaml
@@ -68,10 +64,8 @@ def start():
 
         talker = threading.Thread(target=talk)
         talker.start()
-        environment = {**os.environ, 'PYTHONPATH': str(ROOT), 'ROS_DOMAIN_ID': str(domain_id)}
-        yield lambda *arguments: subprocess.Popen(
-            [sys.executable, '-m', 'multicontact_control.cli', 'topic', *arguments],
-            env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
+        yield lambda *arguments: start_command('topic', *arguments, env=environment)
         stop.set()
         talker.join()
 

@@ -1,7 +1,5 @@
 """The control law in plain numpy, as the equations stand: what the compiled one must equal."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 from equations import (

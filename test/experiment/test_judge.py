@@ -5,14 +5,7 @@ from dataclasses import replace
 from multicontact_control.cli.run import end_by_verdict
 from multicontact_control.experiment import figures
 from multicontact_control.experiment.display import verdict_lines
-from multicontact_control.experiment.judge import (
-    HELD,
-    INTERRUPTED,
-    judge,
-    NOT_STABLE,
-    STABLE,
-    UNJUDGED,
-)
+from multicontact_control.experiment.judge import HELD, INTERRUPTED, judge, NOT_STABLE, STABLE
 from multicontact_control.experiment.results import summarise
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
@@ -121,7 +114,7 @@ def test_contact_without_truth_is_judged_by_its_measured_force(setup, data, hidd
     data.alpha_true[hidden(data)] = np.nan
     verdict = judge(data, setup, mode='external')
     assert (verdict.name, verdict.unjudged) == (
-        UNJUDGED, f'no ground truth{whose}; by the measured forces no limit was passed')
+        'not judged', f'no ground truth{whose}; by the measured forces no limit was passed')
     data.alpha_meas[3000:, 1] = 0.0
     verdict = judge(data, setup, mode='external')
     assert verdict.reasons == ('board: contact lost for 6.00 s',) and verdict.name == NOT_STABLE

@@ -48,29 +48,22 @@ def test_contact_errors_are_root_mean_squares_in_their_window(setup, data):
     assert RunMetrics(data, setup).contact_summary(1)['rest']['true_error_rms_n'] == 0.0
 
 
-def test_step_response_of_a_known_lag(setup, data):
-    after = data.time >= 2.5
-    t = data.time[after] - 2.5
-    response = 1.0 - np.exp(-t / 0.05)
+@pytest.mark.parametrize(('commanded', 'start', 'steps'), [(False, 2.5, 2), (True, 3.0, 1)])
+def test_step_response_of_a_known_lag(setup, data, commanded, start, steps):
+    """Of the scenario, and of a topic: from the force that was pressed before."""
+    t = data.time - start
+    response = np.where(t < 0.0, 0.0, 1.0 - np.exp(-t / 0.05))
     response[(t > 0.5) & (t < 0.6)] = 1.1
-    data.alpha_true[after, 0] = np.where(t < 1.5, 2.0 + 8.0 * response, 15.0)
-    first = RunMetrics(data, setup).step_responses(0)[0]
-    assert (first.time_s, first.size_n) == (2.5, 8.0)
+    data.alpha_true[:, 0] = np.where((t < 1.5) | commanded, 2.0 + 8.0 * response, 15.0)
+    if commanded:
+        setup = replace(setup, commanded_by_topic=True)
+        for series, before in ((data.alpha_des, 2.0), (data.command, 0.0)):
+            series[:] = np.where(t < 0.0, before, 10.0)[:, None]
+    first, *others = RunMetrics(data, setup).step_responses(0)
+    assert (first.time_s, first.size_n, len(others)) == (start, 8.0, steps - 1)
     assert first.rise_63_s == pytest.approx(0.05, abs=0.003)
     assert first.overshoot_percent == pytest.approx(10.0)
     assert RunMetrics(data, setup).contact_summary(0)['step_rise_63_s'] == first.rise_63_s
-
-
-def test_commanded_step_begins_at_the_force_pressed_before(setup, data):
-    setup, before = replace(setup, commanded_by_topic=True), data.time < 3.0
-    lagging = np.where(before, 2.0, 10.0 - 8.0 * np.exp(-(data.time - 3.0) / 0.05))
-    lagging[(data.time > 4.0) & (data.time < 4.1)] = 10.8
-    data.alpha_des[:] = np.where(before, 2.0, 10.0)[:, None]
-    data.alpha_true[:], data.command[:] = lagging[:, None], np.where(before, 0.0, 10.0)[:, None]
-    (step,) = RunMetrics(data, setup).step_responses(0)
-    assert (step.time_s, step.size_n) == (3.0, 8.0)
-    assert step.rise_63_s == pytest.approx(0.05, abs=0.003)
-    assert step.overshoot_percent == pytest.approx(10.0)
 
 
 def test_couple_has_no_loss_and_its_steps_begin_at_zero():

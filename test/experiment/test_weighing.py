@@ -1,26 +1,17 @@
 """Weighing the tool from a recording; tests of graphs weigh that of a running robot."""
 
-from contextlib import closing
-
+from arms import controller_config
 from fake_arm import wrench_message
 from foreign_bag import controller_file, JOINTS, RATE, START
-from multicontact_control.config import (
-    ControllerConfig,
-    merge,
-    read_parameters,
-    ToolConfig,
-    validate,
-)
+from multicontact_control.config import read_parameters, ToolConfig
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.experiment.scenario import read_controller_files
 from multicontact_control.experiment.weighing import weigh_recording, write_tool
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.recorder_node import Bag
-from multicontact_control.paths import config_dir
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 import pytest
-from rclpy.serialization import serialize_message
+from ros_graph import write_bag
 
 TOOL = ToolConfig(mass=1.3, com_sensor=(0.01, -0.03, 0.07),
                   bias_sensor=(2.0, -1.0, 3.0, 0.1, -0.05, 0.02))
@@ -30,29 +21,24 @@ POSES[:, 3:6] = [[0.9, 0.5, -0.8], [1.4, 0.5, -0.8], [0.4, 0.5, -0.8], [0.9, 1.2
 REST, MOVE = 2.0, 0.8  # s
 
 
-def recorded(folder, file, poses=POSES, *, offset=700_000, touched=()):
-    """Record an arm that is led from pose to pose; its sensor has stamps of its own."""
+def led_arm(file, offset, touched):
+    """Yield messages of an arm led from pose to pose, whose sensor has stamps of its own."""
     read, random = read_controller_files([file]), np.random.default_rng(0)
     robot = RobotModel(read.config().robot, read.urdf_dir)
-    with closing(Bag(folder)) as bag:
-        joint_states, wrenches = (
-            bag.add_topic(f'/{topic.name}', topic.type_name, topic.profile)
-            for topic in (topics.JOINT_STATES, topics.WRENCH))
-        for k in range(round(len(poses) * (REST + MOVE) * RATE)):
-            number, at = divmod(k / RATE, REST + MOVE)
-            here, there = poses[int(number)], poses[min(int(number) + 1, len(poses) - 1)]
-            q = here + max(at - REST, 0.0) / MOVE * (there - here)
-            wrench = random.normal(size=6) * ([0.1] * 3 + [0.01] * 3) + TOOL.bias_sensor
-            wrench += weight_reading(robot.update(q, np.zeros(7)).sensor_pose.rotation_world,
-                                     TOOL, np.array([0.0, 0.0, -9.81]))
-            if int(number) in touched:
-                wrench[0] += 5.0 * np.sin(7.0 * at)
-            stamp = START + round(k / RATE * 1e9)
-            bag.write(joint_states, stamp, serialize_message(messages.joint_state_message(
-                stamp, JOINTS, position=q, velocity=np.zeros(7))))
-            bag.write(wrenches, stamp + offset % 10 ** 9, serialize_message(
-                wrench_message(stamp + offset, wrench, 'wrist')))
-    return folder
+    for k in range(round(len(POSES) * (REST + MOVE) * RATE)):
+        number, at = divmod(k / RATE, REST + MOVE)
+        here, there = POSES[int(number)], POSES[min(int(number) + 1, len(POSES) - 1)]
+        q = here + max(at - REST, 0.0) / MOVE * (there - here)
+        wrench = random.normal(size=6) * ([0.1] * 3 + [0.01] * 3) + TOOL.bias_sensor
+        wrench += weight_reading(robot.update(q, np.zeros(7)).sensor_pose.rotation_world,
+                                 TOOL, np.array([0.0, 0.0, -9.81]))
+        if int(number) in touched:
+            wrench[0] += 5.0 * np.sin(7.0 * at)
+        stamp = START + round(k / RATE * 1e9)
+        yield topics.JOINT_STATES, stamp, messages.joint_state_message(
+            stamp, JOINTS, position=q, velocity=np.zeros(7))
+        yield topics.WRENCH, stamp + offset % 10 ** 9, wrench_message(
+            stamp + offset, wrench, 'wrist')
 
 
 @pytest.mark.ros
@@ -60,13 +46,11 @@ def recorded(folder, file, poses=POSES, *, offset=700_000, touched=()):
 def test_tool_is_identified_from_rests_whatever_the_clocks(tmp_path, offset, touched):
     """Stamps of the sensor beside those of the joints, or an hour off; a touched tool left out."""
     file = controller_file(tmp_path)
-    result = weigh_recording(
-        recorded(tmp_path / 'bag', file, offset=offset, touched=touched), [file])
+    write_bag(tmp_path / 'bag', led_arm(file, offset, touched))
+    result = weigh_recording(tmp_path / 'bag', [file])
     assert result.poses == 5 - len(touched)
     assert result.mass == pytest.approx(TOOL.mass, abs=0.01)
     np.testing.assert_allclose(result.com_sensor, TOOL.com_sensor, atol=2e-3)
     np.testing.assert_allclose(result.bias_sensor[:3], TOOL.bias_sensor[:3], atol=0.05)
-    controller = validate(ControllerConfig, merge(
-        read_parameters(config_dir() / 'controller.yaml'),
-        read_parameters(write_tool(tmp_path, result))))
-    assert controller.tool == result.tool()
+    assert controller_config(
+        **read_parameters(write_tool(tmp_path, result))).tool == result.tool()

@@ -4,8 +4,10 @@ from contextlib import contextmanager
 
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import diagnostics, lifecycle
+from multicontact_control.nodes.controller_node import ControllerNode
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.runtime import Spinner
+from multicontact_control.paths import config_dir
 import pytest
 from ros_graph import Middleware, own_domain
 
@@ -47,7 +49,7 @@ def driver(domain_id):
 
 class Host(Middleware):
     """
-    A managed node in this process: its callbacks run whenever a test waits for something.
+    A controller in this process: its callbacks run whenever a test waits for something.
 
     It is in the context of the test's own node: participants of one process that come and go can
     make Fast DDS 2.14 wait for itself.
@@ -57,13 +59,19 @@ class Host(Middleware):
         super().__init__(domain_id)
         self.hosted = None
 
-    def make(self, make_node, *parameters, file):
-        """Make the node, unconfigured."""
+    def make(self, *parameters):
+        """Make a controller of the PUMA, unconfigured."""
         options = [part for text in parameters for part in ('-p', text)]
-        self.hosted = make_node(context=self.node.context, cli_args=[
-            '--ros-args', '--params-file', str(file), *options])
+        self.hosted = ControllerNode(context=self.node.context, cli_args=[
+            '--ros-args', '--params-file', str(config_dir() / 'controller.yaml'), *options])
         self.spinner = Spinner(self.hosted, [])
         return self.hosted
+
+    def activate(self, *parameters):
+        """Make it, active."""
+        node = self.make(*parameters)
+        assert node.trigger_configure() == node.trigger_activate() == lifecycle.SUCCESS
+        return node
 
     def __exit__(self, *error):
         if self.hosted is not None:

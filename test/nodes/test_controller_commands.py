@@ -1,7 +1,5 @@
 """What users tell a running controller: parameters, set-points, tare and hold."""
 
-from __future__ import annotations
-
 from fake_arm import FakeArm, PARAMETERS
 from geometry_msgs.msg import Transform
 from multicontact_control.paths import config_dir

@@ -1,16 +1,11 @@
 """Samples that come late, in part, in another form or not at all, over the middleware."""
 
-from __future__ import annotations
-
 import time
 
 from arms import HOME
 from fake_arm import EFFORT, FakeArm, PARAMETERS, PERIOD, UNFELT, wrench_message
 from multicontact_control.nodes import messages
-from multicontact_control.nodes.controller_node import ControllerNode
-from multicontact_control.nodes.lifecycle import SUCCESS
 from multicontact_control.nodes.link import GuestNode
-from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -41,16 +36,9 @@ class StrangeArm(FakeArm):
         self._wrench.publish(wrench_message(stamp + 50_000, self.wrench, self.frame))
 
 
-@pytest.fixture
-def controller(host):
-    def start(*parameters):
-        node = host.make(ControllerNode, *parameters, file=config_dir() / 'controller.yaml')
-        assert node.trigger_configure() == node.trigger_activate() == SUCCESS
-    return start
 
-
-def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host, controller):
-    controller(*PATIENT)
+def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host):
+    host.activate(*PATIENT)
     arm, parts = FakeArm(host), BOTH
 
     def send():
@@ -75,8 +63,8 @@ def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host, con
         supervisor_with('none')
 
 
-def test_older_sample_is_refused_and_a_clock_that_was_set_back_is_not(host, controller):
-    controller(*PARAMETERS)
+def test_older_sample_is_refused_and_a_clock_that_was_set_back_is_not(host):
+    host.activate(*PARAMETERS)
     arm = FakeArm(host)
     arm.connect()
     torque = arm.settle(30)
@@ -101,8 +89,8 @@ def test_older_sample_is_refused_and_a_clock_that_was_set_back_is_not(host, cont
     arm.diagnostics(lambda x: x['supervisor'][2]['reaction'] == 'none')
 
 
-def test_driver_of_another_robot_is_understood_and_a_wrong_frame_is_refused(host, controller):
-    controller(*PARAMETERS)
+def test_driver_of_another_robot_is_understood_and_a_wrong_frame_is_refused(host):
+    host.activate(*PARAMETERS)
     arm = StrangeArm(host, BEST_EFFORT)
     # The very first answer may go before it can be heard.
     np.testing.assert_allclose(arm.connect(), EFFORT, atol=1e-3)
@@ -117,9 +105,9 @@ def test_driver_of_another_robot_is_understood_and_a_wrong_frame_is_refused(host
     (1, None, 'inputs', 'ft_sensor/wrench'),  # without a publisher
     (1, 10 ** 9, 'loop', 'ms apart'),
     (4, 0, 'loop', 'expected 500 Hz')], ids=['missing', 'apart', 'rate'])
-def test_samples_that_cannot_be_used_are_named(host, controller, joints, wrench, part, text):
+def test_samples_that_cannot_be_used_are_named(host, joints, wrench, part, text):
     """Joint states come with stamps so many periods apart, wrenches so much later, or not."""
-    controller(*PARAMETERS)
+    host.activate(*PARAMETERS)
     arm = FakeArm(host)
 
     def send():
@@ -131,8 +119,8 @@ def test_samples_that_cannot_be_used_are_named(host, controller, joints, wrench,
     arm.diagnostics(lambda x: text in x[part][1], send)
 
 
-def test_second_node_that_publishes_joints_or_commands_is_named(host, host_domain, controller):
-    controller(*PARAMETERS, 'effort_output_topic:=/bare')
+def test_second_node_that_publishes_joints_or_commands_is_named(host, host_domain):
+    host.activate(*PARAMETERS, 'effort_output_topic:=/bare')
     arm = FakeArm(host)
     arm.connect()
     topics = {'joint_states': JointState, 'joint_effort_command': JointState,

@@ -1,13 +1,10 @@
 """The life cycle of the controller: in this process, and as a process."""
 
-from __future__ import annotations
-
 from pathlib import Path
 import re
 
 from fake_arm import EFFORT, FakeArm
 from fake_arm import PARAMETERS as STILL
-from multicontact_control.nodes.controller_node import ControllerNode
 from multicontact_control.nodes.lifecycle import FAILURE, FINALIZED, SUCCESS, UNCONFIGURED
 from multicontact_control.nodes.link import ACTIVATE, CONFIGURE, DEACTIVATE, TransitionError
 from multicontact_control.paths import config_dir
@@ -27,7 +24,7 @@ LARGEST_STEP = RATE * 0.002 * (1.0 + 1e-9)
 
 
 def test_controller_goes_through_every_transition_again_and_again(host):
-    controller, arm = host.make(ControllerNode, *PARAMETERS, file=FILE), FakeArm(host)
+    controller, arm = host.make(*PARAMETERS), FakeArm(host)
     gravity = arm.state.gravity
     for _ in range(2):
         assert controller.trigger_configure() == SUCCESS
@@ -77,8 +74,8 @@ def test_configure_refuses_what_is_wrong_until_it_is_repaired(host, tmp_path):
     weightless = tmp_path / 'weightless.urdf'
     weightless.write_text(re.sub('<inertial>.*?</inertial>', '', (
         config_dir() / 'puma560.urdf').read_text(), flags=re.DOTALL))
-    node = host.make(ControllerNode, 'robot.urdf:=nowhere.urdf', 'rate:=-500.0',
-                     "effort_output_topic:='bare efforts'", file=FILE)
+    node = host.make('robot.urdf:=nowhere.urdf', 'rate:=-500.0',
+                     "effort_output_topic:='bare efforts'")
     for name, value in (('rate', 500.0), ('robot.urdf', str(weightless)),
                         ('robot.urdf', 'puma560.urdf'),
                         ('effort_output_topic', '~/efforts')):

@@ -1,7 +1,5 @@
 """Any message: read or refused, and no number that is not finite goes out."""
 
-from __future__ import annotations
-
 import gc
 import math
 import sys
@@ -25,7 +23,6 @@ from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 from multicontact_control.errors import MessageError
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.controller_node import ControllerNode
 from multicontact_control.nodes.graph import ignore, take
 from multicontact_control.nodes.lifecycle import SUCCESS
 from multicontact_control.nodes.streams import (
@@ -35,7 +32,6 @@ from multicontact_control.nodes.streams import (
     NamedReading,
     wrench_reader,
 )
-from multicontact_control.paths import config_dir
 from multicontact_control.supervision.inputs import JointInput
 import numpy as np
 import pytest
@@ -307,10 +303,7 @@ class Live:
 @pytest.fixture(scope='module', params=[True, False], ids=['supervised', 'bare'])
 def live(request, make_host):
     with make_host() as host:
-        node = host.make(ControllerNode, f'base_dir:={config_dir()}', (
-            f'supervised:={str(request.param).lower()}'), file=config_dir() / 'controller.yaml')
-        node.get_logger().set_level(50)
-        assert node.trigger_configure() == node.trigger_activate() == SUCCESS
+        host.activate(f'supervised:={str(request.param).lower()}').get_logger().set_level(50)
         yield Live(host, request.param)
 
 

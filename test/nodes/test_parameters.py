@@ -4,16 +4,8 @@ from __future__ import annotations
 
 import contextlib
 
-from arms import seven_joint_urdf
-from multicontact_control.config import (
-    Config,
-    ControllerConfig,
-    parameter,
-    read_parameters,
-    Real,
-    validate,
-    Vector,
-)
+from arms import controller_config, seven_joint_urdf
+from multicontact_control.config import Config, ControllerConfig, parameter, Real, Vector
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.experiment.scenario import dotted, read_controller_files, resolve
@@ -58,7 +50,7 @@ def make_node(domain_id, tmp_path, monkeypatch):
 def test_load_parameters_reads_what_a_file_says(make_node, tmp_path):
     node = make_node(file=CONTROLLER_FILE)
     config, = load_parameters(node, ControllerConfig)
-    assert config == validate(ControllerConfig, read_parameters(CONTROLLER_FILE))
+    assert config == controller_config()
     name = 'contacts.board.stiffness'
     assert node.get_parameter(name).value == config.contacts['board'].stiffness
     file = tmp_path / 'parameters.yaml'  # YAML has no type for whole numbers and empty lists

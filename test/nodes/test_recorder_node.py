@@ -1,6 +1,4 @@
-"""The recorder as a process over real middleware: asked to stop, and killed."""
-
-from __future__ import annotations
+"""The recorder as a process over real middleware: asked to stop, and killed; and its bag."""
 
 import contextlib
 import errno
@@ -9,27 +7,28 @@ import resource
 import signal
 import time
 
+from arms import controller_config
 from fake_arm import wrench_message
-from multicontact_control.config import ControllerConfig, read_parameters, validate
-from multicontact_control.errors import ConfigError, MulticontactError
+from multicontact_control.errors import ConfigError, MulticontactError, RunError
 from multicontact_control.experiment.recording import read_bag
-from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph import READY
-from multicontact_control.nodes.recorder_node import RecorderNode
-from multicontact_control.paths import config_dir
+from multicontact_control.nodes.recorder_node import Bag, RecorderNode
 import pytest
 import rclpy
 from rclpy.duration import Duration
+from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from ros_graph import end_of, PATIENCE, recorded, wait_for
+from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
 pytestmark = pytest.mark.ros
 
 RECORDED = (topics.JOINT_STATES, topics.TRUE_FORCES, topics.WRENCH)
-COUNT, PERIOD = 600, 2_000_000
-CONTROLLER = validate(ControllerConfig, read_parameters(config_dir() / 'controller.yaml'))
-JOINTS = [f'joint{i}' for i in range(1, 7)]
+COUNT, PERIOD, START = 600, 2_000_000, 1_795_000_000_000_000_000
+CONTROLLER = controller_config()
 
 
 @pytest.fixture
@@ -60,8 +59,8 @@ def publish(publishers, first, count):
             publishers[topic].publish(
                 wrench_message(PERIOD * (1 + k), [k] * 6, 'ft_face')
                 if topic is topics.WRENCH else messages.joint_state_message(
-                    PERIOD * (1 + k), JOINTS, position=[0.001 * k] * 6, velocity=[0.0] * 6,
-                    effort=[k] * 6))
+                    PERIOD * (1 + k), CONTROLLER.robot.joint_names, position=[0.001 * k] * 6,
+                    velocity=[0.0] * 6, effort=[k] * 6))
         time.sleep(0.0005)  # a few times faster than the graph, not without a limit
 
 
@@ -137,3 +136,25 @@ def test_recorder_refuses_what_it_cannot_record(domain_id, tmp_path, parameters,
     finally:
         rclpy.try_shutdown()
     assert not (tmp_path / 'bag').exists()
+
+
+def test_bag_gives_back_bytes_times_and_qualities_of_service(tmp_path):
+    folder = tmp_path / 'bag'
+    sent = [(START + k * PERIOD, serialize_message(wrench_message(
+        START, [k, 0, 0, 0, 0, -k], 'ft_face'))) for k in range(COUNT)]
+    with contextlib.closing(Bag(folder)) as bag:
+        wrench = bag.add_topic('/wrench', 'geometry_msgs/msg/WrenchStamped', qos.STREAM)
+        bag.add_topic('/silent', 'std_msgs/msg/String', qos.LATCHED)
+        with pytest.raises(RunError, match='no_such_msgs'):
+            bag.add_topic('/thing', 'no_such_msgs/msg/Thing', qos.STREAM)
+        for time, data in sent:
+            bag.write(wrench, time, data)
+        assert [*bag.counts.values()] == [COUNT, 0]
+    with Reader(folder) as reader:
+        profiles = [x.ext.offered_qos_profiles[0] for x in reader.connections]
+        assert [x.durability for x in profiles] == [
+            QosDurability.VOLATILE, QosDurability.TRANSIENT_LOCAL]
+        assert profiles[0].reliability == QosReliability.RELIABLE
+        assert [(time, bytes(data)) for _, time, data in reader.messages()] == sent
+    with pytest.raises(RunError, match='expected a folder that does not exist yet'):
+        Bag(folder)

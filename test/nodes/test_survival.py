@@ -1,7 +1,5 @@
 """A graph that runs free and loses a part: what is left goes on, and reports it."""
 
-from __future__ import annotations
-
 from diagnostic_msgs.msg import DiagnosticArray
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph import ignore

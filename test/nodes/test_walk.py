@@ -1,16 +1,11 @@
 """The walk of a sample from its callback to the published torque, beside the page about it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 import re
 import sys
 
 from fake_arm import FakeArm, PARAMETERS
 import multicontact_control
-from multicontact_control.nodes.controller_node import ControllerNode
-from multicontact_control.nodes.lifecycle import SUCCESS
-from multicontact_control.paths import config_dir
 import pytest
 
 pytestmark = [pytest.mark.ros, pytest.mark.skipif(
@@ -46,8 +41,7 @@ class Walk:
 
 
 def test_sample_walks_as_the_page_describes(host):
-    node = host.make(ControllerNode, *PARAMETERS, file=config_dir() / 'controller.yaml')
-    assert node.trigger_configure() == node.trigger_activate() == SUCCESS
+    host.activate(*PARAMETERS)
     arm = FakeArm(host)
     arm.connect()
     for _ in range(STEADY):

@@ -1,7 +1,5 @@
 """The page in a browser: it loads without an error, and its elements steer."""
 
-from __future__ import annotations
-
 from contextlib import closing, ExitStack
 import threading
 

@@ -1,7 +1,5 @@
 """The page's view of a graph that runs: what it hears, what it commands, what is refused."""
 
-from __future__ import annotations
-
 from contextlib import closing, suppress
 
 from multicontact_control.client import CommandRefusedError, MultiContactClient

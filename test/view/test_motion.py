@@ -1,7 +1,5 @@
 """Motions that a page asks for: smooth, inside the workspace, and where they were asked to go."""
 
-from __future__ import annotations
-
 from multicontact_control.config import LimitsConfig
 from multicontact_control.errors import CommandError
 from multicontact_control.view.motion import ACCELERATION, Motion, SPEED

@@ -1,7 +1,5 @@
 """The page as it is served, without a browser."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -16,7 +14,7 @@ from multicontact_control.experiment.scenario import resolve
 from multicontact_control.view import source
 from multicontact_control.view.source import Scene, surfaces_of
 import pytest
-from ros_graph import own_domain
+from ros_graph import own_domain, start_command
 
 pytest.importorskip('viser', reason='viser is not installed (extra [view])')
 from multicontact_control.view.page import Page  # noqa: E402, I100
@@ -88,10 +86,10 @@ def test_view_without_viser_exits_with_two_and_one_line():
 @pytest.mark.slow
 @pytest.mark.ros
 def test_view_serves_a_page_and_ends_with_the_graph_it_started(tmp_path):
-    with own_domain() as domain_id, subprocess.Popen(
-            [sys.executable, '-m', 'multicontact_control.cli', 'view', '--port', str(PORT + 1),
-             '--plant', 'rigid', '--domain-id', str(domain_id)], stdout=subprocess.PIPE, text=True,
-            start_new_session=True, env={**os.environ, 'TMPDIR': str(tmp_path)}) as process:
+    environment = {**os.environ, 'TMPDIR': str(tmp_path)}
+    with own_domain() as domain_id, start_command(
+            'view', '--port', PORT + 1, '--plant', 'rigid', '--domain-id', domain_id,
+            stderr=None, start_new_session=True, env=environment) as process:
         try:
             while 'http' not in (line := process.stdout.readline()):
                 assert line, 'it has ended'

@@ -1,7 +1,5 @@
 """A recording: played, paused, scrubbed through, jumped in."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from dataclasses import replace
 from types import SimpleNamespace
@@ -12,19 +10,16 @@ from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.files import write_json
-from multicontact_control.nodes import messages
+from multicontact_control.nodes import messages, topics
 from multicontact_control.view import source
 from multicontact_control.view.replay import load_replay, ReplaySource
 import numpy as np
 import pytest
-from rclpy.serialization import serialize_message
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import get_typestore, Stores
+from ros_graph import write_bag
 from runs import run_of
 from sim_bridge.surface_patch import SurfaceMarkers
 import zstandard
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 PERIOD = 2_000_000  # ns
 
 
@@ -128,18 +123,18 @@ def test_replay_takes_one_namespace_of_a_file_and_its_surfaces(tmp_path):
     setup = resolve('moving_surface', plant='rigid')
     names = setup.controller.robot.joint_names
     markers = SurfaceMarkers(setup.plant, rate=500.0)
-    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+
+    def rows():
         for space, count in (('left', 399), ('right', 100)):
-            joints = writer.add_connection(
-                f'/{space}/joint_states', 'sensor_msgs/msg/JointState', typestore=STORE)
+            joints = replace(topics.JOINT_STATES, name=f'{space}/joint_states')
             for k in range(1, count + 1):
-                writer.write(joints, PERIOD * k, serialize_message(messages.joint_state_message(
-                    PERIOD * k, names, position=[0.1] * 6, velocity=[0.0] * 6, effort=[0.0] * 6)))
-        surfaces = writer.add_connection('/left/ground_truth/surfaces',
-                                         'visualization_msgs/msg/MarkerArray', typestore=STORE)
+                yield joints, PERIOD * k, messages.joint_state_message(
+                    PERIOD * k, names, position=[0.1] * 6, velocity=[0.0] * 6, effort=[0.0] * 6)
+        surfaces = replace(topics.SURFACE_MARKERS, name='left/ground_truth/surfaces')
         for k in (1, 101, 201):
-            writer.write(surfaces, PERIOD * k, serialize_message(
-                markers.message(PERIOD * k, np.full((2, 3), 1e-3 * k))))
+            yield surfaces, PERIOD * k, markers.message(PERIOD * k, np.full((2, 3), 1e-3 * k))
+
+    write_bag(tmp_path / 'bag', rows())
     file, = (tmp_path / 'bag').glob('*.mcap')
     with pytest.raises(RunError, match="namespaces 'left', 'right'; --namespace"):
         load_replay(file, setup)

@@ -1,7 +1,5 @@
 """What an arm looks like, from its URDF."""
 
-from __future__ import annotations
-
 from xml.etree import ElementTree
 
 from multicontact_control.paths import config_dir

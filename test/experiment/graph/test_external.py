@@ -4,8 +4,6 @@ A user's own robot behind the topics, on the way that docs/your_robot.md shows.
 The robot is `docs/minimal_simulator.py`, which takes what `new-robot` writes.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,13 +1,10 @@
 """The real graph: processes, middleware, bag; run to its end, commanded, and with a death."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
 import socket
 import subprocess
-import sys
 
 from multicontact_control.client import CommandRefusedError, MultiContactClient
 from multicontact_control.errors import ConfigError, RunError
@@ -22,7 +19,7 @@ from multicontact_control.nodes import topics
 from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM, TOPICS
 import numpy as np
 import pytest
-from ros_graph import end_of, node_processes, PATIENCE, recorded, ROOT, start_graph
+from ros_graph import end_of, node_processes, PATIENCE, recorded, start_command, start_graph
 from rosbags.rosbag2 import Reader
 from runs import run_of
 
@@ -124,9 +121,7 @@ def test_node_that_cannot_start_ends_the_run_with_its_log(tmp_path):
 
 @pytest.mark.slow
 def test_second_interrupt_skips_the_report_and_says_how_to_write_it(tmp_path):
-    process = subprocess.Popen(
-        [sys.executable, '-m', 'multicontact_control.cli', 'run', '--plant', 'rigid', '--out',
-         str(tmp_path / 'run')], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    process = start_command('run', '--plant', 'rigid', '--out', tmp_path / 'run', stderr=None)
     for text in ('ready; ', 'stopping the nodes'):
         assert any(text in line for line in process.stdout)
         process.send_signal(signal.SIGINT)
@@ -149,11 +144,9 @@ def test_warnings_of_nodes_are_given_once_each(tmp_path):
 def test_commanded_arm_obeys_until_a_signal_and_is_judged_by_what_was_commanded(tmp_path):
     out = tmp_path / 'run'
     with domain.reserve_domain() as domain_id:
-        process = subprocess.Popen(
-            [sys.executable, '-m', 'multicontact_control.cli', 'run', '--commanded',
-             '--speed', '0', '--scenario', 'quick', '--plant', 'rigid',
-             '--domain-id', str(domain_id), '--out', str(out)],
-            cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        process = start_command(
+            'run', '--commanded', '--speed', '0', '--scenario', 'quick', '--plant', 'rigid',
+            '--domain-id', domain_id, '--out', out, stderr=subprocess.STDOUT)
         try:
             with MultiContactClient(domain_id=domain_id, timeout=PATIENCE) as arm:
                 arm.set_forces({'table': 10.0, 'board': 5.0})

@@ -6,13 +6,7 @@ import pickle
 from mortal_jobs import MortalJob
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.study import jobs as jobs_module
-from multicontact_control.experiment.study.jobs import (
-    dask_client,
-    job_of,
-    prepare_folder,
-    run_jobs,
-    WORKER_DIED,
-)
+from multicontact_control.experiment.study.jobs import job_of, prepare_folder, run_jobs
 from multicontact_control.experiment.study.presets.faults import FaultJob
 import pytest
 
@@ -47,7 +41,7 @@ def test_key_changes_with_all_that_changes_the_outcome_and_with_nothing_else(mon
 def test_dead_worker_ends_the_run_and_keeps_what_is_finished(tmp_path):
     prepare_folder(tmp_path, overwrite=False)
     jobs = [MortalJob(number) for number in range(4)]
-    with pytest.raises(RunError, match=f'^{WORKER_DIED}$'):
+    with pytest.raises(RunError, match=f'^{jobs_module.WORKER_DIED}$'):
         run_jobs(by_key([*jobs, MortalJob(9, deadly=True)]), tmp_path, workers=2)
     results = run_jobs(by_key([*jobs, MortalJob(9)]), tmp_path, workers=2)
     for job in jobs:
@@ -73,7 +67,7 @@ def test_processes_and_cluster_give_the_results_of_this_process(tmp_path):
     assert here == there
     dask.config.set({'distributed.scheduler.allowed-failures': 0})
     with distributed.LocalCluster(2, threads_per_worker=2, dashboard_address=None) as cluster, \
-            dask_client(cluster.scheduler_address) as client:
+            jobs_module.dask_client(cluster.scheduler_address) as client:
         assert run_jobs(jobs, folders[2], client=client) == here
-        with pytest.raises(RunError, match=f'^{WORKER_DIED}$'):
+        with pytest.raises(RunError, match=f'^{jobs_module.WORKER_DIED}$'):
             run_jobs(by_key([MortalJob(0, deadly=True)]), folders[2], client=client)

@@ -5,13 +5,7 @@ from dataclasses import astuple
 from force_loop import estimator_of, observer_of, run_force_loop
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from multicontact_control.config import NoiseEstimatorConfig
-from multicontact_control.force.noise import (
-    ESTIMATORS,
-    Innovation,
-    lead_filter,
-    make_noise_estimator,
-)
+from multicontact_control.force.noise import ESTIMATORS, Innovation, lead_filter
 from multicontact_control.force.noise.base import VARIANCE_CEILING, VARIANCE_FLOOR
 import numpy as np
 import pytest
@@ -79,10 +73,8 @@ def test_estimators_scale_what_they_estimate_and_reset_forgets_all_samples(name)
 @pytest.mark.parametrize('name', NAMES)
 def test_slew_time_bounds_how_fast_every_estimate_changes(name):
     """By a factor e in 0.03 s, which is 15 samples."""
-    config = NoiseEstimatorConfig(estimator=name, contact_names=('a', 'b'), slew_time=0.03)
-    plain = make_noise_estimator(config.model_copy(update={'slew_time': 0.0}))
-    estimator, random = make_noise_estimator(config), np.random.default_rng(0)
-    before, one = np.full(2, config.fixed_variance), np.ones(2)
+    estimator, plain = (estimator_of(name, 2, slew_time=time) for time in (0.03, 0.0))
+    random, before, one = np.random.default_rng(0), np.full(2, 0.6), np.ones(2)
     for k in range(600):
         alpha = 10.0 * (k > 300) + random.standard_normal(2) * (1.0 if k < 450 else 5.0)
         innovation = Innovation(alpha, one, one)
