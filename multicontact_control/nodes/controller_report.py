@@ -36,7 +36,7 @@ class ControllerReport:
     Says what becomes of commands, what the controller does, and what is wrong with its inputs.
 
     Each answer to a command and each change of state is a `ControllerStatus` on ~/status. A
-    command with an identifier is answered; one without is told of if it is refused. The state is
+    command with an identifier is answered; one without only if it is refused. The state is
     repeated once a second. `restarts` counts how often samples have begun anew; the turns of
     `watch` are samples, its latencies last from the newest message of a sample to its command.
     """

@@ -214,13 +214,13 @@ class ControllerLink(GuestNode):
 
     def queue(self, topic: Topic) -> list[Any]:
         """Return the messages of a topic that have come since this was called last."""
-        found = list(self._taken(topic))
+        messages = list(self._taken(topic))
         self._kept[topic].clear()
-        return found
+        return messages
 
     def fresh(self, *wanted: Topic, one_stamp: bool = False) -> list[Any]:
         """Return messages that come from now on, all of one stamp if asked to; RunError."""
-        def found() -> list[Any] | None:
+        def complete() -> list[Any] | None:
             messages: list[Any] = [self.newest(topic) for topic in wanted]
             stamps = [x and x.header.stamp for x in messages]
             return None if None in stamps or (
@@ -229,11 +229,11 @@ class ControllerLink(GuestNode):
         for topic in wanted:
             self._taken(topic).clear()
         return self._awaited(
-            found, f'{", ".join(topic.name for topic in wanted)}: expected a message')
+            complete, f'{", ".join(topic.name for topic in wanted)}: expected a message')
 
-    def _awaited(self, found: Callable[[], T | None], missing: str) -> T:
+    def _awaited(self, get: Callable[[], T | None], missing: str) -> T:
         give_up = time.monotonic() + self._patience
-        while (value := found()) is None:
+        while (value := get()) is None:
             if time.monotonic() > give_up:
                 raise RunError(f'{missing} within {self._patience:g} s, got none; is the '
                                'controller active?')
@@ -242,10 +242,10 @@ class ControllerLink(GuestNode):
 
     def look(self) -> list[ControllerStatus]:
         """Return what the controller has said of itself and of commands since the last look."""
-        found = [ControllerStatus.of(message) for message in self.queue(topics.STATUS)]
-        for self.last_status in found:
+        statuses = [ControllerStatus.of(message) for message in self.queue(topics.STATUS)]
+        for self.last_status in statuses:
             self._on_status(self.last_status)
-        return found
+        return statuses
 
     def ask(self, name: str, service: Any, request: Any) -> str:
         """Call a service of the controller; return what it says, RunError where it refuses."""
@@ -261,11 +261,11 @@ class ControllerLink(GuestNode):
 
     def accepted(self, identifier: str) -> ControllerStatus | None:
         """Return the acceptance of a command since the last look, if any; CommandRefusedError."""
-        found = [status for status in self.look() if status.command == identifier]
-        for status in found:
+        answers = [status for status in self.look() if status.command == identifier]
+        for status in answers:
             if status.event == REFUSED:
                 raise CommandRefusedError(status.text)
-        return found[-1] if found else None
+        return answers[-1] if answers else None
 
     def command(self, topic: Topic, command: Any) -> None:
         """
