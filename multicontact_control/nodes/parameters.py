@@ -22,9 +22,6 @@ from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-Use = Callable[[Sequence[Any]], None]
-Refuse = Callable[[str, Exception], None]
-
 SET_BY_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 LOCKED = 'can be changed only before the node is configured'
 BOUNDS = {'gt': 'above', 'ge': 'at least', 'lt': 'below', 'le': 'at most'}
@@ -106,8 +103,8 @@ class ParameterSet:
             node.declare_parameter(
                 name, _plain(value), _descriptor(name, field), ignore_override=True)
         self._unknown = {name: x for name, x in given.items() if name not in self._live}
-        self.use: Use | None = None
-        self.refuse: Refuse = lambda name, error: None
+        self.use: Callable[[Sequence[Any]], None] | None = None
+        self.refuse: Callable[[str, Exception], None] = lambda name, error: None
         node.add_on_set_parameters_callback(self._on_set)
 
     def configurations(self, changes: Mapping[str, Any] | None = None) -> list[Any]:
