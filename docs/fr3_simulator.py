@@ -25,6 +25,7 @@ from geometry_msgs.msg import WrenchStamped
 import mujoco
 import numpy as np
 import rclpy
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
 IMPEDANCE = 0.01  # of the contacts, as in sim_bridge/mujoco_arm.py
@@ -93,7 +94,7 @@ class Sensor:
     def __init__(self, model: Any) -> None:
         os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
         os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(PROFILE))
-        rclpy.init(args=[])
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node('fr3_simulator', start_parameter_services=False)
         self._wrench = self._node.create_publisher(WrenchStamped, 'franka_bridge/wrench', 10)
         self._forces = self._node.create_publisher(JointState, 'fr3_simulator/contact_forces', 10)

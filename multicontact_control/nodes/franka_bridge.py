@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 import contextlib
+from dataclasses import replace
 import sys
 from threading import Event, Thread
 import time
@@ -56,14 +57,6 @@ class LateConfig(Config):
         999.9, 'Largest change of any torque that is sent, of commands as well; the robot stops '
         'at 1000.', unit='N m/s', gt=0.0, lt=1000.0)
 
-    @cross_check
-    def _check(self) -> Iterator[ConfigError]:
-        if not self.command_age < self.hold_time < self.stop_time:
-            yield ConfigError('hold_time', 'a value between command_age and stop_time',
-                              self.hold_time)
-        if len(self.damping) != JOINTS:
-            yield ConfigError('damping', f'{JOINTS} values', len(self.damping))
-
 
 class FrankaBridgeConfig(graph.StartupConfig):
     """Parameters of the bridge."""
@@ -92,9 +85,16 @@ class FrankaBridgeConfig(graph.StartupConfig):
 
     @cross_check
     def _check(self) -> Iterator[ConfigError]:
-        for name, count in {'joint_names': 7, 'collision_torque': 7, 'collision_force': 6}.items():
-            if len(getattr(self, name)) != count:
-                yield ConfigError(name, f'{count} values', len(getattr(self, name)))
+        late = self.late
+        for name, values, count in (
+                ('joint_names', self.joint_names, JOINTS), ('late.damping', late.damping, JOINTS),
+                ('collision_torque', self.collision_torque, JOINTS),
+                ('collision_force', self.collision_force, 6)):
+            if len(values) != count:
+                yield ConfigError(name, f'{count} values', len(values))
+        if not late.command_age < late.hold_time < late.stop_time:
+            yield ConfigError('late.hold_time', 'a value between late.command_age and '
+                              'late.stop_time', late.hold_time)
 
 
 class LateRule:
@@ -158,22 +158,23 @@ class FrankaBridge(Node):
             0, names, **dict.fromkeys(streams.JOINT_FIELDS[:count], zeros))).write
             for count in (2, 3)}  # without and with efforts
         self._wrenches = streams.StreamPublisher(self, topics.WRENCH, WrenchStamped())
+        readers = {topics.EFFORT_COMMAND: streams.named_reader(
+            names, ('effort',), streams.NamedReading)}
+        sensor = [replace(topics.WRENCH, publisher='the driver of the wrist sensor', name=(
+            graph.full_topic_name('wrench_topic', name, self)))
+            for name in [self._config.wrench_topic] if name]
+        readers |= dict.fromkeys(sensor, streams.wrench_reader())
         # Taken in by the control thread: an executor would empty the subscriptions of its node.
-        self._ends = Node(f'{NAME}_inputs', context=self.context, start_parameter_services=False)
-        inputs = {topics.EFFORT_COMMAND.name: (topics.EFFORT_COMMAND, streams.named_reader(
-            names, ('effort',), streams.NamedReading))}
-        if self._config.wrench_topic:
-            name = graph.full_topic_name('wrench_topic', self._config.wrench_topic, self)
-            inputs[name] = topics.WRENCH, streams.wrench_reader()
-        self._readers = {name: (self._ends.create_subscription(
-            topic.message, name, graph.ignore, qos.SENSOR, raw=True), reader)
-            for name, (topic, reader) in inputs.items()}
+        self._listener = Node(
+            f'{NAME}_inputs', context=self.context, start_parameter_services=False)
+        self._readers = {topic: (self._listener.create_subscription(
+            topic.message, topic.name, graph.ignore, qos.SENSOR, raw=True), reader)
+            for topic, reader in readers.items()}
         self._watch = diagnostics.LoopStatistics(1.0 / CYCLE)
-        self._inputs = diagnostics.Inputs(
-            self, 1.0 / (CYCLE * self._config.divider), topics.EFFORT_COMMAND)
+        self._inputs = diagnostics.Inputs(self, 1.0 / (CYCLE * self._config.divider), *sensor)
         self._diagnostics = diagnostics.Diagnostics(self, self._statuses)
         self._status_publisher = self.create_publisher(DiagnosticStatus, '~/status', qos.EVENT)
-        self._reported: tuple[float, tuple[str, ...]] = (0.0, ())
+        self._reported: tuple[float, tuple[str, ...]] = (0.0, (self._problem,))
         self._ending, self._recovery, self._recovered = False, Event(), Event()
         self.create_service(Trigger, '~/recover', self._on_recover)
         graph.StartupGate(self, self._config)  # the control thread inherits its scheduling
@@ -181,6 +182,8 @@ class FrankaBridge(Node):
     def run(self, spinner: Spinner) -> None:
         """Run the control thread until asked to stop; report meanwhile."""
         thread = Thread(target=self._control, name='control', daemon=True)
+        self.get_logger().info(f'connecting with {self._config.address}')
+        spinner.spin_once(0.0)  # with the first line logged, what takes long is done
         sys.setswitchinterval(SWITCH_INTERVAL)
         thread.start()
         while not spinner.stop and thread.is_alive():
@@ -194,7 +197,7 @@ class FrankaBridge(Node):
 
     def close(self) -> None:
         """Write the counts of this run, if asked to."""
-        self._ends.destroy_node()
+        self._listener.destroy_node()
         self._config.write_counts({
             **self._figures, 'answer_us': self._watch.latencies.percentiles(),
             'refused': dict(self._refusals.counts)})
@@ -203,24 +206,22 @@ class FrankaBridge(Node):
 
     def _control(self) -> None:
         """Answer the robot until the node ends."""
-        library = self._library
         while not self._ending or self._active is not None:
             asked = self._recovery.is_set() or self._robot is None and not self._lost
             try:
                 if asked:
                     self._recover()
-                if self._robot is None:
-                    time.sleep(0.05)
-                elif not self._ending:
+                if self._robot is not None and not self._ending:
                     self._turn()
                 elif self._active is not None:
                     self._finish()
-            except (library.FrankaException, library.NetworkException, RuntimeError,
-                    MulticontactError) as error:  # in Python, libfranka's have no common base
+            except (self._library.FrankaException, RuntimeError, MulticontactError) as error:
                 self._fail(error)
             if asked:
                 self._recovery.clear()
                 self._recovered.set()
+            if self._robot is None:
+                time.sleep(CONNECT_PERIOD)
 
     def _turn(self) -> None:
         """Take one state of the robot: answer it, then publish it."""
@@ -251,31 +252,26 @@ class FrankaBridge(Node):
 
     def _take_inputs(self, stamp: int) -> None:
         """Take in the newest command and wrench."""
-        for name, (subscription, reader) in self._readers.items():
-            newest = None
+        for topic, (subscription, reader) in self._readers.items():
             while (taken := graph.take(subscription)) is not None:
-                newest = taken[0]
-            if newest is None:
-                continue
-            try:
-                reading = reader.read(newest)
-            except MulticontactError as error:
-                self._refused.append((name, error))
-                continue
-            if isinstance(reading, streams.NamedReading):
-                self._command = reading
-                self._inputs.last[topics.EFFORT_COMMAND] = time.monotonic_ns()
-            else:
-                self._wrench, self._wrench_stamp = reading.wrench, stamp
+                try:
+                    reading = reader.read(taken[0])
+                except MulticontactError as error:
+                    self._refused.append((topic.name, error))
+                    continue
+                if topic is topics.EFFORT_COMMAND:
+                    self._command = reading
+                else:
+                    self._wrench, self._wrench_stamp = reading.wrench, stamp
+                    self._inputs.last[topic] = time.monotonic_ns()
 
     def _answer(self, state: Any, age: float, speed: Vector) -> None:
         """Send a torque, or end torque control."""
-        before = np.array(state.tau_J_d)
-        torque = self._rule.answer(age, self._command.values, speed, before)
-        self._torques = self._library.Torques((before if torque is None else torque).tolist())
+        torque = self._rule.answer(age, self._command.values, speed, np.array(state.tau_J_d))
         if torque is None:
             self._finish()
         else:
+            self._torques = self._library.Torques(torque.tolist())
             self._active.writeOnce(self._torques)
             self._figures['cycles'] += 1
             self._figures['success_rate'] = state.control_command_success_rate
@@ -311,9 +307,8 @@ class FrankaBridge(Node):
         elif self._active is not None:
             with contextlib.suppress(RuntimeError, self._library.FrankaException):
                 self._finish()  # libfranka then knows that it has ended
-        self._problem = one_line(error).removeprefix('libfranka: ')
-        if self._robot is None:
-            time.sleep(CONNECT_PERIOD)
+        self._problem = f'{self._config.address}: ' * (self._robot is None) + one_line(
+            error).removeprefix('libfranka: ').rstrip('.')
 
     def _recover(self) -> None:
         """Connect, or clear the robot's errors; torque control may then start."""
@@ -325,8 +320,9 @@ class FrankaBridge(Node):
                                          *[list(config.collision_force)] * 2)
             self._model = robot.load_model() if config.effort == 'measured' else None
             self._robot, self._origin = robot, 0
+            self._inputs.restart()
         elif self._mode == 'UserStopped':
-            raise RunError('release the user stop first')
+            raise RunError('release the user stop')
         elif self._active is None:
             self._robot.automatic_error_recovery()
             self._figures['recoveries'] += 1
@@ -345,7 +341,8 @@ class FrankaBridge(Node):
     def _robot_status(self) -> diagnostics.Status:
         """Return what the robot and the bridge do."""
         mode, control = self._mode, self._rule.kind if self._active is not None else (
-            'off' if self._problem or self._mode != 'Idle' else 'starts with the next command')
+            'off' if self._problem or self._mode != 'Idle' else
+            'has ended; ' * (self._rule.kind == STOPPED) + 'starts with the next command')
         return diagnostics.Status(
             'robot', {'torque_control': control, 'robot_mode': mode, 'errors': self._errors,
                       **self._figures},
@@ -359,18 +356,22 @@ class FrankaBridge(Node):
         while self._refused:
             self._refusals.refuse(*self._refused.popleft())
         status, now = self._robot_status(), time.monotonic()
-        texts = (status.error, status.warning, status.values['torque_control'])
+        control = status.values['torque_control']
+        texts = (status.error, status.warning, f'{self._config.address}: torque control ' + (
+            'runs' if control in (COMMANDED, HELD, DAMPED) else control))
         if texts != self._reported[1] or now > self._reported[0] + STATUS_PERIOD:
             if status.error and status.error not in self._reported[1]:
                 self.get_logger().error(status.error)
             elif status.warning and not status.error:
                 self.get_logger().warning(status.warning, throttle_duration_sec=LOG_PERIOD)
+            elif not status.error and texts[2] not in self._reported[1]:
+                self.get_logger().info(texts[2])
             self._reported = (now, texts)
             self._status_publisher.publish(diagnostics.status_message(NAME, status))
 
     def _statuses(self) -> Sequence[diagnostics.Status]:
         return [self._robot_status(), diagnostics.Status('loop', self._watch.report()),
-                self._inputs.status(needed=self._active is not None),
+                self._inputs.status(needed=self._robot is not None),
                 diagnostics.message_status(self._refusals)]
 
 
