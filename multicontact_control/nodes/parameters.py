@@ -30,24 +30,23 @@ BOUNDS = {'gt': 'above', 'ge': 'at least', 'lt': 'below', 'le': 'at most'}
 def _leaves(
     model: type[Config], overrides: Mapping[str, Any], prefix: str = '',
 ) -> Iterator[tuple[str, FieldInfo]]:
-    """Yield name and field of all values; `overrides` by name say what a mapping has."""
+    """
+    Yield name and field of all values.
+
+    A mapping has what `overrides` by name say of it, or else the contacts that they list.
+    """
     for key, field in model.model_fields.items():
         name, inner = prefix + key, model_in(field.annotation)
         if inner is None:
             yield name, field
         elif typing.get_origin(field.annotation) is dict:
-            for entry in _mapping_names(name, overrides):
+            start = f'{name}.'
+            given = dict.fromkeys(
+                x[len(start):].split('.')[0] for x in overrides if x.startswith(start))
+            for entry in given or overrides.get('contact_names') or ():
                 yield from _leaves(inner, overrides, f'{name}.{entry}.')
         else:
             yield from _leaves(inner, overrides, f'{name}.')
-
-
-def _mapping_names(name: str, overrides: Mapping[str, Any]) -> list[str]:
-    """Return the names that a mapping has values for, or else those in the list of names."""
-    listed = [x for x in overrides.get('contact_names') or () if isinstance(x, str)]
-    start = f'{name}.'
-    given = {key[len(start):].split('.')[0]: None for key in overrides if key.startswith(start)}
-    return sorted(given, key=lambda x: listed.index(x) if x in listed else len(listed)) or listed
 
 
 def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:

@@ -8,7 +8,6 @@ is killed leaves a bag that `report` and `view` read up to half a second before 
 from __future__ import annotations
 
 from collections import Counter
-import contextlib
 from dataclasses import dataclass
 from importlib import import_module
 from operator import itemgetter
@@ -138,8 +137,7 @@ class RecorderNode(Node):
 
     def run(self, spinner: Spinner) -> None:
         """Record until asked to stop and nothing comes any more."""
-        with contextlib.suppress(OSError):
-            os.nice(NICENESS)  # of this thread; those that take in messages keep theirs
+        os.nice(NICENESS)  # of this thread; those that take in messages keep theirs
         while not spinner.stop:
             self._gate.poll()
             self._drain()
