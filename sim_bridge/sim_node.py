@@ -22,15 +22,7 @@ from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.config import parameter, Real
 from multicontact_control.errors import MessageError, RunError
-from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.diagnostics import (
-    Diagnostics,
-    DurationLog,
-    Inputs,
-    LoopStatistics,
-    message_status,
-    Status,
-)
+from multicontact_control.nodes import diagnostics, messages, qos, topics
 from multicontact_control.nodes.graph import create_publisher, Refusals, StartupConfig, StartupGate
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import run_node, Spinner
@@ -108,7 +100,7 @@ class SimNode(Node):
         self._period = np.inf if config.lockstep else NANOSECONDS / config.rate
         self._misses = self._slips = self._timeouts = 0
         self._due = 0  # when the newest sample was due [ns]
-        self._step_times = DurationLog()
+        self._step_times = diagnostics.DurationLog()
         self._start = time.monotonic_ns()
         self._wall = 0
         self._published = np.zeros(REMEMBERED, dtype=np.int64)
@@ -123,9 +115,9 @@ class SimNode(Node):
             raw=True)
         self.create_subscription(
             topics.PUSH.message, topics.PUSH.name, self._on_push, topics.PUSH.profile)
-        self._watch = LoopStatistics(config.rate)
-        self._inputs = Inputs(self, config.rate, topics.EFFORT_COMMAND)
-        self._diagnostics = Diagnostics(self, self._statuses)
+        self._watch = diagnostics.LoopStatistics(config.rate)
+        self._inputs = diagnostics.Inputs(self, config.rate, topics.EFFORT_COMMAND)
+        self._diagnostics = diagnostics.Diagnostics(self, self._statuses)
         description.publish(String(data=self._plant.description.urdf))
         self._gate = StartupGate(self, config)
         self._origin = 0  # stamp of sample 0 [ns]
@@ -356,7 +348,7 @@ class SimNode(Node):
                 contacts.set_friction(number, new.friction)
         self._plant_config, self._plant.payload = config, configurations[1].payload
 
-    def _statuses(self) -> list[Status]:
+    def _statuses(self) -> list[diagnostics.Status]:
         wall = (time.monotonic_ns() - self._start) * 1e-9
         loop = {**self._watch.report(), 'ticks': self._tick + 1, 'pace_slips': self._slips,
                 'command_timeouts': self._timeouts, 'lockstep': self._config.lockstep,
@@ -364,15 +356,16 @@ class SimNode(Node):
         missed = loop['deadline_misses']
         forces = zip(self._plant.contact_names, self._sample.contact_force.tolist())
         return [
-            Status('loop', loop, warning=f'{missed} deadlines missed' if missed else ''),
+            diagnostics.Status(
+                'loop', loop, warning=f'{missed} deadlines missed' if missed else ''),
             self._inputs.status(
                 needed=self._tick > 0,
                 consequence=': the last torque is held' if self._hold.posture is None
                 else ': the drives hold their position'),
-            Status('contacts', {
+            diagnostics.Status('contacts', {
                 name: f'touching with {force:.4g} N' if force > 0.0 else 'free'
                 for name, force in forces}),
-            message_status(self._refusals, slow=self._reader.slow)]
+            diagnostics.message_status(self._refusals, slow=self._reader.slow)]
 
 
 def histogram(microseconds: Vector) -> dict[str, list[float] | list[int]]:

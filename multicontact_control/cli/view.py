@@ -5,13 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from multicontact_control.cli.options import (
-    DomainId,
-    EXIT_FAILED,
-    Namespace,
-    refuse_options,
-    SetupOptions,
-)
+from multicontact_control.cli import options
 import typer
 
 # What says which arm it is; a run knows that, other recordings do not.
@@ -19,12 +13,12 @@ OF_THE_ARM = ('scenario', 'robot', 'plant', 'preset', 'settings')
 
 
 def view(
-    context: typer.Context, options: SetupOptions,
+    context: typer.Context, chosen: options.SetupOptions,
     recording: Annotated[Path | None, typer.Argument(
         metavar='RUN', help='Folder of `run` or `simulate`, or a bag, to replay.')] = None,
     graph: Annotated[bool, typer.Option(
         '--graph', help='Join the ROS 2 graph that runs, instead of starting one.')] = False,
-    namespace: Namespace = None, domain_id: DomainId = None,
+    namespace: options.Namespace = None, domain_id: options.DomainId = None,
     port: Annotated[int, typer.Option(
         help='Port, or the next one that is free.', min=1, max=65535)] = 8080,
     open_browser: Annotated[bool, typer.Option('--open', help='Open the browser.')] = False,
@@ -40,10 +34,10 @@ def view(
     if recording is not None:
         from multicontact_control.experiment.results import run_of
 
-        refuse_options(context, ('seed', 'engine'), 'with a recording')
+        options.refuse_options(context, ('seed', 'engine'), 'with a recording')
         if run_of(recording)[1]:
-            refuse_options(context, OF_THE_ARM, 'with a run, which knows its own')
-    setup = options.setup()
+            options.refuse_options(context, OF_THE_ARM, 'with a run, which knows its own')
+    setup = chosen.setup()
     # Only now: bad input is refused before viser is loaded.
     from multicontact_control.view.run import run_view
 
@@ -52,4 +46,4 @@ def view(
         domain_id=domain_id, port=port, open_browser=open_browser)
     if ended:
         typer.echo(f'multicontact: {ended}', err=True)
-        raise typer.Exit(EXIT_FAILED)
+        raise typer.Exit(options.EXIT_FAILED)

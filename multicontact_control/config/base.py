@@ -130,7 +130,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError(str(path), hint=error.strerror or str(error)) from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(str(path), 'valid YAML', str(error).replace('\n', ' ')) from None
+        text = ' '.join(str(error).replace('in "<unicode string>", ', 'at ').split())
+        raise ConfigError(str(path), 'valid YAML', hint=text) from None
     if not isinstance(data, dict):
         raise ConfigError(str(path), 'a mapping of keys to values', type(data).__name__)
     return data

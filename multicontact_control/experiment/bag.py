@@ -180,12 +180,9 @@ def read_messages(
 def _records(path: Path) -> Iterator[tuple[Any, Any, Any, Callable[[], Any]] | None]:
     """Yield schema, channel, record and decoder of every message; None where a file is cut off."""
     files = mcap_files(path)
-    if not files and path.is_file():
-        raise RunError(f'{path}: expected an .mcap file or a folder with one')
     if not files:
-        content = 'none; `ros2 bag convert` makes MCAP of a database' if any(
-            path.glob('*.db3*')) else 'none' if path.is_dir() else 'nothing'
-        raise RunError(f'{path}: expected an .mcap file, got {content}')
+        hint = '; `ros2 bag convert` makes MCAP of a database' * any(path.glob('*.db3*'))
+        raise RunError(f'{path}: expected a run, an .mcap file or a folder with one{hint}')
     for file in files:
         try:
             stream: Any = file.open('rb')

@@ -13,14 +13,8 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from multicontact_control.config import ForceConfig
+from multicontact_control.experiment import metrics
 from multicontact_control.experiment.judge import HELD
-from multicontact_control.experiment.metrics import (
-    LASTING,
-    rms_in,
-    RunMetrics,
-    SETTLE_AFTER_START,
-    value_in,
-)
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 import numpy as np
@@ -143,7 +137,7 @@ def designed_rise(force: ForceConfig) -> float:
 
 def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict[str, Any]:
     """Return what studies tabulate and claims rest on, of a simulated run, as JSON values."""
-    force, run = setup.controller.force, RunMetrics(data, setup)
+    force, run = setup.controller.force, metrics.RunMetrics(data, setup)
     unstable_at, start = summary['unstable_at_s'], run.motion_start
     return {
         'plant': setup.plant_name, 'seed': setup.seed,
@@ -155,7 +149,7 @@ def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict
         'unstable_after_motion_s': None if unstable_at is None or math.isinf(start) else (
             unstable_at - start),
         'oscillation_hz': None if unstable_at is None else run.growing_line(unstable_at),
-        'ran_in_motion': float(data.time[-1]) > start + SETTLE_AFTER_START,
+        'ran_in_motion': float(data.time[-1]) > start + metrics.SETTLE_AFTER_START,
         'contacts': {
             name: {**_contact_evidence(run, i), 'recoveries': run.recoveries(i, unstable_at),
                    'rises_s': [step['rise_63_s'] for step in summary['contacts'][name]['steps']
@@ -164,7 +158,7 @@ def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict
         'motion': summary['motion']}
 
 
-def _contact_evidence(run: RunMetrics, i: int) -> dict[str, Any]:
+def _contact_evidence(run: metrics.RunMetrics, i: int) -> dict[str, Any]:
     plant, start = run.setup.plant, run.motion_start
     error, variance = run.error[:, i], run.data.noise_variance[:, i]
     ratios = [plant.stiffness_of(column.name) / column.stiffness
@@ -174,16 +168,16 @@ def _contact_evidence(run: RunMetrics, i: int) -> dict[str, Any]:
         pushed |= run.between(begin, min(begin + duration + AFTER_PUSH, start))
     return {
         **{name: {
-            'command_n': value_in(window, run.command[:, i], np.median),
-            'rms_n': rms_in(window, error), 'mean_n': value_in(window, error),
-            'std_n': value_in(window, error, np.std), 'lost': run.lost_share(i, window),
-            'variance_n2': value_in(window, variance, np.median)}
+            'command_n': metrics.value_in(window, run.command[:, i], np.median),
+            'rms_n': metrics.rms_in(window, error), 'mean_n': metrics.value_in(window, error),
+            'std_n': metrics.value_in(window, error, np.std), 'lost': run.lost_share(i, window),
+            'variance_n2': metrics.value_in(window, variance, np.median)}
             for name, window in zip(('rest', 'moving'), run.quiet)},
         # None of a couple.
         'stiffness_ratio': max(ratios, key=lambda ratio: abs(ratio - 1.0), default=None),
-        'start_peak_n': value_in(
-            run.between(start, start + SETTLE_AFTER_START), np.abs(error), np.max),
-        'variance_peak_n2': value_in(pushed, variance, np.max)}
+        'start_peak_n': metrics.value_in(
+            run.between(start, start + metrics.SETTLE_AFTER_START), np.abs(error), np.max),
+        'variance_peak_n2': metrics.value_in(pushed, variance, np.max)}
 
 
 def the_run(*estimators: str) -> Callable[[Runs], Runs]:
@@ -275,7 +269,7 @@ def _recoveries(run: Evidence) -> Numbers:
     """Return how long lasting pushes at rest take to be controlled out [s]."""
     return [(name, math.inf if answer['recovery'] is None else answer['recovery'])
             for name, contact in _pressed(run).items() for answer in contact['recoveries']
-            if not answer['moving'] and answer['duration'] >= LASTING]
+            if not answer['moving'] and answer['duration'] >= metrics.LASTING]
 
 
 STATEMENTS = (

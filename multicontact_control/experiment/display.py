@@ -115,8 +115,9 @@ def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
     """Return the lines below the table: motion, torque, verdict, warnings, where results are."""
     timing, text = summary['timing'], judge.verdict_text(summary)
     motion, share = summary['motion'], summary['torque']['max_fraction_of_limit']
+    error = motion['moving_position_rms_m']
     colour = COLOURS.get(summary['verdict'], 'yellow')
-    lines = [f"motion error {_number(motion['moving_position_rms_m'], 5)} m rms, "
+    lines = [f"motion error {'' if error is None else f'{error:.5f} m rms, '}"
              f"{_number(motion['orientation_max_rad'], 4)} rad at most; torque at most "
              f"{'-' if share is None else f'{100.0 * share:.0f} %'} of its limit",
              f'[{colour}]{escape(text)}[/{colour}] (judged: {escape(summary["judged"])})']

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 import math
 from typing import Any, NamedTuple
@@ -224,21 +225,19 @@ def _interventions(run: RunMetrics, log: Sequence[tuple[float, str]]) -> list[Fi
     events = [read_event(*line) for line in log]
     full = len(events) == CAPACITY
     places = [round(event.time * data.rate) for event in events]
-    times, held, before = [], np.zeros(data.ticks, dtype=bool), None
-    for event, place, end in zip(
-            events, places, [*places[1:], places[-1] if full else data.ticks]):
+    times, held, names = [], np.zeros(data.ticks, dtype=bool), Counter[str]()
+    ends = [*places[1:], places[-1] if full else data.ticks]
+    for before, event, place, end in zip(events[:1] + events, events, places, ends):
         held[place:end] = _replaces(event)
-        if before and place < data.ticks and loaded[place] and (
-                _replaces(event) and not _replaces(before)
-                or set(event.limits) - set(before.limits) - {'reference'}
-                or any(was in WHOLE and now in GONE for was, now in zip(
-                    before.contact_states, event.contact_states))):
+        if place < data.ticks and loaded[place] and (begun := _begun(before, event)):
             times.append(event.time)
-        before = event
+            names.update(begun)
     passed = [Finding(
         f'the supervisor changed something {CAPACITY} times: what it did later is not known',
         events[-1].time)] if full else []
-    passed += _again(f'the supervisor stepped in {len(times)} times under load', np.array(times))
+    commonest = ', '.join(f'{name} {count}' for name, count in names.most_common(3))
+    passed += _again(f'the supervisor stepped in {len(times)} times under load ({commonest})',
+                     np.array(times))
     share = float(held[loaded].mean())
     if share > LARGEST_HELD_SHARE:
         enough = np.cumsum(held & loaded) > LARGEST_HELD_SHARE * loaded.sum()
@@ -246,6 +245,15 @@ def _interventions(run: RunMetrics, log: Sequence[tuple[float, str]]) -> list[Fi
             f'the supervisor held the arm for {100.0 * share:.0f} % of the time under load',
             _first(data, enough)))
     return passed
+
+
+def _begun(before: Event, event: Event) -> set[str]:
+    """Return which limits, causes of a reaction and losses began between two events."""
+    begun = set(event.limits) - {*before.limits, 'reference'}
+    if _replaces(event) and not _replaces(before):
+        begun.update(event.causes or {event.reaction})
+    states = zip(before.contact_states, event.contact_states)
+    return begun | {f'contact {now}' for was, now in states if was in WHOLE and now in GONE}
 
 
 def _replaces(event: Event) -> bool:

@@ -37,7 +37,7 @@ from multicontact_control.files import read_json
 import numpy as np
 from sim_bridge.config import PlantConfig
 
-SUMMARY_FILE = 'summary.json'
+SUMMARY_FILE, SCHEMA = 'summary.json', 1
 REPORT_FILE = 'report.html'
 CONFIG_FOLDER, BAG_FOLDER, FIGURE_FOLDER, LOG_FOLDER = 'config', 'bag', 'figures', 'logs'
 # All that a run and its report leave, and all that is ever deleted.
@@ -149,7 +149,7 @@ def summarise(
     truth = bool(data.contact_names) and not without
     known = judge.MEASURED if np.isfinite(run.force).any() else judge.UNKNOWN
     return {
-        'schema': 1, 'scenario': setup.scenario.name, 'plant': setup.plant_name,
+        'schema': SCHEMA, 'scenario': setup.scenario.name, 'plant': setup.plant_name,
         'noise_estimator': setup.noise_estimator.estimator, 'mode': mode, 'seed': setup.seed,
         'ticks': data.ticks, 'rate_hz': data.rate,
         'trajectory_sha256': data.trajectory_sha256(), 'timing': timing,
@@ -175,6 +175,14 @@ class LoadedRun(NamedTuple):
     summary: dict[str, Any]
 
 
+def read_summary(folder: Path) -> dict[str, Any]:
+    """Return the content of ``summary.json``; ConfigError if that is no summary."""
+    summary = read_json(folder / SUMMARY_FILE)
+    if not isinstance(summary, dict) or summary.get('schema') != SCHEMA:
+        raise ConfigError(str(folder / SUMMARY_FILE), f'the summary of a run (schema {SCHEMA})')
+    return summary
+
+
 def load_setup(folder: Path) -> Setup:
     """
     Rebuild what a run was made with; ConfigError if a file is missing or not acceptable.
@@ -187,7 +195,7 @@ def load_setup(folder: Path) -> Setup:
     simulated = (config / 'plant.yaml').is_file()
     summary: dict[str, Any] = {'plant': 'unknown' if simulated else EXTERNAL, 'seed': 0}
     if (folder / SUMMARY_FILE).is_file():
-        summary |= read_json(folder / SUMMARY_FILE)
+        summary |= read_summary(folder)
 
     def read(model: Any, name: str, reader: Callable[[Path], Any] = read_parameters) -> Any:
         return validate(model, reader(config / name), str(config / name))
@@ -215,7 +223,7 @@ def load_run(folder: Path) -> LoadedRun:
         data = recording.RunData.load(folder)
     else:
         raise RunError(f'{folder}: expected {BAG_FOLDER}/ or {recording.SERIES_FILE}, got neither')
-    return LoadedRun(folder, setup, data, read_json(folder / SUMMARY_FILE))
+    return LoadedRun(folder, setup, data, read_summary(folder))
 
 
 def _setup_of_recording(path: Path, messages: BagMessages, files: Sequence[Path]) -> Setup:

@@ -13,23 +13,13 @@ import warnings
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.errors import CommandError, ConfigError
+from multicontact_control.experiment import results
 from multicontact_control.experiment.bag import MARKERS, mcap_files, read_messages
 from multicontact_control.experiment.judge import Event, read_event
 from multicontact_control.experiment.recording import CUT_OFF, read_bag, RunData, SERIES_FILE
-from multicontact_control.experiment.results import BAG_FOLDER, load_setup, run_of, SUMMARY_FILE
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.files import read_json
 from multicontact_control.supervision.reactions import NONE
 from multicontact_control.view import source
-from multicontact_control.view.source import (
-    ChangeReader,
-    felt_surfaces,
-    POINTS,
-    RATE,
-    Scene,
-    Snapshot,
-    surfaces_of,
-)
 import numpy as np
 
 LOOKED_BACK = 60.0  # s, of curves after a jump
@@ -45,7 +35,7 @@ class ReplaySource:
     """
 
     def __init__(
-        self, scene: Scene, data: RunData, events: Sequence[tuple[float, str]] = (),
+        self, scene: source.Scene, data: RunData, events: Sequence[tuple[float, str]] = (),
         places: Sequence[tuple[float, Mapping[str, Vector3]]] = (),
     ) -> None:
         self._data = data
@@ -58,7 +48,7 @@ class ReplaySource:
         self._events = [read_event(*line) for line in sorted(events)] or presses(
             data, list(config.leaders))
         self._event_times = [event.time for event in self._events]
-        changes = ChangeReader(config.contact_names)
+        changes = source.ChangeReader(config.contact_names)
         texts = [(event.time, changes.read(event)) for event in self._events]
         self._end = (data.ticks - 1) / data.rate
         self.scene = replace(
@@ -78,20 +68,20 @@ class ReplaySource:
             return self._end
         return now
 
-    def poll(self) -> list[Snapshot]:
+    def poll(self) -> list[source.Snapshot]:
         """Return a snapshot of now, if that is another one than the last."""
         now = self._now()
         if not self._changed and (not self._playing or monotonic() < self._next):
             return []
-        self._changed, self._next = False, monotonic() + 1.0 / RATE
+        self._changed, self._next = False, monotonic() + 1.0 / source.RATE
         last, self._shown = self._shown, now
         return [self._snapshot(now, last)]
 
-    def _snapshot(self, now: float, last: float) -> Snapshot:
+    def _snapshot(self, now: float, last: float) -> source.Snapshot:
         data, k = self._data, int(now * self._data.rate + 1e-6)
         first, end = np.searchsorted(self._points[:, 0], (last, now), side='right')
         event = self._events[max(0, bisect_right(self._event_times, now + 1e-9) - 1)]
-        return Snapshot(
+        return source.Snapshot(
             time=now, q=data.q[k], position=data.position[k], quaternion=data.quaternion[k],
             position_des=data.position_des[k], measured=data.alpha_meas[k],
             estimated=data.alpha_est[k], desired=data.alpha_des[k], true=data.alpha_true[k],
@@ -135,8 +125,8 @@ def presses(data: RunData, leaders: Sequence[int]) -> list[Event]:
 
 
 def block_points(data: RunData, config: ControllerConfig) -> Matrix:
-    """Return the curves of a recording, as `Snapshot` has them."""
-    size = max(1, round(data.rate / RATE / POINTS))
+    """Return the curves of a recording, as a snapshot has them."""
+    size = max(1, round(data.rate / source.RATE / source.POINTS))
     count = data.ticks // size
 
     def blocks(series: Matrix) -> Matrix:
@@ -166,18 +156,18 @@ def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> Repla
     if not folder.is_dir():
         raise ConfigError('recording', 'a folder of `multicontact run` or `simulate`, or a bag',
                           path)
-    run, of_run = run_of(path)
+    run, of_run = results.run_of(path)
     # Whatever lies beside a file is another recording.
     alone = not of_run and path.is_file() and bool(mcap_files(path))
     title = f'recording {(path if alone else run).resolve().name}'
-    bag = run / BAG_FOLDER if of_run else path if alone else folder
+    bag = run / results.BAG_FOLDER if of_run else path if alone else folder
     events: list[tuple[float, str]] = []
     marks: list[tuple[float, str]] = []
     if of_run:
-        setup = load_setup(run)
-        if (run / SUMMARY_FILE).is_file():  # else it did not come to its end
-            events = [(event['time_s'], event['what']) for event in read_json(
-                run / SUMMARY_FILE).get('events', ())]
+        setup = results.load_setup(run)
+        if (run / results.SUMMARY_FILE).is_file():  # else it did not come to its end
+            events = [(event['time_s'], event['what'])
+                      for event in results.read_summary(run).get('events', ())]
         marks = [] if setup.commanded_by_topic else scenario_marks(setup)
     if alone or mcap_files(bag):
         # Events and marks are timed from the first answer on.
@@ -189,16 +179,15 @@ def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> Repla
     elif (run / SERIES_FILE).is_file():
         data, places = RunData.load(run), []
     else:
-        raise ConfigError('recording', f'{BAG_FOLDER}/*.mcap or {SERIES_FILE} in it', run)
+        raise ConfigError('recording', f'{results.BAG_FOLDER}/*.mcap or {SERIES_FILE} in it', run)
     if not np.isfinite(data.q).any():
         raise ConfigError(
             'recording', f'the joints {", ".join(setup.controller.robot.joint_names)}, or '
             '--scenario and --plant that it was recorded with', 'others')
-    surfaces = surfaces_of(setup) if of_run and setup.simulated else (
-        felt_surfaces(setup.controller))
-    return ReplaySource(
-        Scene(title, setup.controller, setup.urdf_dir, surfaces, marks=tuple(marks)), data, events,
-        places)
+    surfaces = source.surfaces_of(setup) if of_run and setup.simulated else (
+        source.felt_surfaces(setup.controller))
+    scene = source.Scene(title, setup.controller, setup.urdf_dir, surfaces, marks=tuple(marks))
+    return ReplaySource(scene, data, events, places)
 
 
 def recorded_places(

@@ -219,10 +219,6 @@ def newtons(force: float) -> str:
     return '0.0' if text == '-0.0' else text
 
 
-def _length(force: float) -> float:
-    return METRES_PER_NEWTON * abs(force)
-
-
 def _sideways(point: Vector, normal: Vector) -> Vector:
     """Return a direction in a surface, up or towards the arm, to set out arrows along."""
     axis = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < LEVEL else point * (-1.0, -1.0, 0.0)
@@ -232,7 +228,7 @@ def _sideways(point: Vector, normal: Vector) -> Vector:
 
 def _arrow(point: Vector, normal: Vector, force: float, place: int) -> Matrix:
     """Return an arrow that ends on the surface; nothing for next to no force."""
-    length = _length(force) if np.isfinite(force) else 0.0
+    length = METRES_PER_NEWTON * abs(force) if np.isfinite(force) else 0.0
     if length < SMALLEST_ARROW:
         return np.tile(point + normal * 10.0, (2, 1))  # out of sight: a point has no direction
     foot = point + (place + 2.0) * BESIDE * _sideways(point, normal)

@@ -64,3 +64,7 @@ def test_simulate_leaves_a_run_folder(multicontact, tmp_path):
     replaced = multicontact('simulate', *options, '--duration', '1', '--overwrite')
     assert replaced.returncode == 0 and 'not judged: ' in replaced.stdout
     assert not (tmp_path / 'run/report.html').exists()
+    for text in ('{"sch', '[]', '{}'):
+        (tmp_path / 'run/summary.json').write_text(text)
+        done = multicontact('report', out)
+        assert done.returncode == 2 and 'run/summary.json: expected' in done.stderr

@@ -2,13 +2,7 @@
 
 from dataclasses import replace
 
-from multicontact_control.experiment.claims import (
-    designed_rise,
-    evidence_of,
-    judge_claims,
-    Statement,
-    STATEMENTS,
-)
+from multicontact_control.experiment import claims
 from multicontact_control.experiment.judge import INTERRUPTED
 from multicontact_control.experiment.results import summarise
 from multicontact_control.experiment.scenario import resolve
@@ -22,14 +16,14 @@ FIXED = {'noise_estimator': {'estimator': 'fixed'}}
 
 def claim_of(data, setup, words, rows=(), **summarised):
     summary = summarise(data, setup, **{'mode': 'in_process', 'timing': {}, **summarised})
-    (claim,) = [claim for claim in judge_claims(evidence_of(data, setup, summary), rows)
-                if words in claim.claim]
+    found = claims.judge_claims(claims.evidence_of(data, setup, summary), rows)
+    (claim,) = [claim for claim in found if words in claim.claim]
     return claim
 
 
 def row(label, data, setup):
     summary = summarise(data, setup, mode='in_process', timing={})
-    return {**evidence_of(data, setup, summary), 'estimator': label}
+    return {**claims.evidence_of(data, setup, summary), 'estimator': label}
 
 
 def changed(data, name, window, values):
@@ -91,7 +85,7 @@ def test_claim_of_one_run_follows_its_data(data, setup, words, breaker):
 
 def test_claims_that_the_run_does_not_tell_of_are_not_judged(data, setup, fixed):
     single = {words for words, _ in BREAKERS}
-    for claim in STATEMENTS:
+    for claim in claims.STATEMENTS:
         assert (claim_of(data, setup, claim.text).holds is None) == (
             not any(words in claim.text for words in single))
     for words in ('0.6 N² at rest', 'keeps the control working'):  # not with another estimator
@@ -146,15 +140,15 @@ def test_stiffness_claims_need_a_wrong_stiffness():
 
 def test_designed_rise_of_two_equal_poles_is_2_146_time_constants(setup):
     force = setup.controller.force
-    assert designed_rise(force) == pytest.approx(0.006 + 2.1462 * 0.02, abs=1e-5)
+    assert claims.designed_rise(force) == pytest.approx(0.006 + 2.1462 * 0.02, abs=1e-5)
     fast = force.model_copy(update={'second_pole_ratio': 1e4})
-    assert designed_rise(fast) == pytest.approx(0.026, abs=1e-4)
+    assert claims.designed_rise(fast) == pytest.approx(0.026, abs=1e-4)
 
 
 def test_statement_tells_nothing_relative_to_a_median_of_zero():
     """As of a push that the base recovers from while it lasts."""
-    statement = Statement('', '', lambda runs: runs[:1], lambda run: [('', run['s'])], '',
-                          over='window')
+    statement = claims.Statement('', '', lambda runs: runs[:1], lambda run: [('', run['s'])], '',
+                                 over='window')
     for seconds, numbers in ((0.0, []), (0.5, [('', 2.0)])):
         assert statement.numbers([{'estimator': 'fixed', 's': 1.0}, {
             'estimator': 'window', 's': seconds, 'active_state_order': 1,

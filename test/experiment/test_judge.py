@@ -129,7 +129,8 @@ def test_supervisor_that_steps_in_more_than_five_times_holds_the_run(setup, data
             texts += [(3.0 + k, caught), (3.002 + k, CALM)]
         verdict = judge(data, setup, events=texts)
         assert (verdict.name, len(verdict.reasons)) == (name, int(times > 5))
-    assert verdict.unstable_at is None
+    cause = caught.split(' | ')[1].strip() or 'contact lost'
+    assert f'({cause} 6)' in verdict.reasons[0] and verdict.unstable_at is None
 
 
 def test_bounces_before_load_and_slow_references_are_no_interventions(setup, data):

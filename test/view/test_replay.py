@@ -32,7 +32,7 @@ def recorded_run(tmp_path_factory):
     setup.write(folder / CONFIG_FOLDER)
     result.data.save(folder)
     events = [{'time_s': time, 'what': what} for time, what in result.events]
-    write_json(folder / SUMMARY_FILE, {'plant': 'rigid', 'seed': 0, 'events': events})
+    write_json(folder / SUMMARY_FILE, {'schema': 1, 'plant': 'rigid', 'seed': 0, 'events': events})
     return folder
 
 

@@ -22,7 +22,7 @@ from types import FrameType
 from typing import Any, NamedTuple
 
 from multicontact_control.errors import RunError
-from multicontact_control.experiment.graph.domain import reserve_domain
+from multicontact_control.experiment.graph.domain import domain_in_use, reserve_domain
 from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.experiment.graph.robot import RobotWatch
 from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec, MANAGED, SIM
@@ -34,6 +34,7 @@ WATCH_PERIOD, PROGRESS_PERIOD = 0.05, 0.2  # s
 TELL_PERIOD, WARN_PERIOD = 5.0, 1.0  # s, between two lines on what is waited for, or is wrong
 STOPPING = 'stopping the nodes; Ctrl-C again skips the report'
 DEACTIVATION_TIMEOUT = 5.0  # s
+DISCOVERY_TIME = 1.0  # s, in which the nodes of a domain are known
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 Tell = Callable[[str], None]
@@ -155,9 +156,10 @@ def running_graph(
     Without a `reference_file` the graph obeys the command topics, e.g. of a `ControllerLink` with
     its `domain_id`. Start it in the main thread. `keep_waiting` is called many times a second
     during the start with what is waited for, and may raise. Raises RunError if a node cannot be
-    started: its name and the end of its log.
+    started: its name and the end of its log; if another graph has its names.
     """
     with reserve_domain(spec.domain_id) as domain_id:
+        _refuse_company(spec, domain_id)
         graph = RunningGraph(spec, domain_id, keep_waiting)
         hurry = True
         try:
@@ -166,6 +168,18 @@ def running_graph(
             hurry = False
         finally:
             graph.stop(hurry=hurry)
+
+
+def _refuse_company(spec: GraphSpec, domain_id: int) -> None:
+    """Check that no node of another graph has a name of this one's; RunError."""
+    if domain_in_use(domain_id):  # by a driver or a page, too
+        with link.GuestNode('run_start', domain_id, spec.namespace) as guest:
+            time.sleep(DISCOVERY_TIME)
+            known = guest.node.get_node_names_and_namespaces()
+        if taken := {(name, f'/{spec.namespace}') for name in spec.nodes} & {*known}:
+            raise RunError(
+                f'ROS domain {domain_id}: expected no {min(taken)[0]}, got that of another run; '
+                'end it, or choose another --domain-id or --namespace')
 
 
 def run_graph(

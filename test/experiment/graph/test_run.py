@@ -155,6 +155,8 @@ def test_commanded_arm_obeys_until_a_signal_and_is_judged_by_what_was_commanded(
                 moved = arm.wait_until_reached(timeout=PATIENCE)
                 with pytest.raises(CommandRefusedError):
                     arm.set_forces({'table': 5000.0})
+                with pytest.raises(RunError, match=f'^ROS domain {domain_id}: expected no '):
+                    run_graph(make_spec(tmp_path / 'second', domain_id=domain_id)[1])
                 while (end := arm.read()).time < moved.time + 1.5:  # rest begins after 1 s
                     pass
         finally:
