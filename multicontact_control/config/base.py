@@ -139,11 +139,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 def read_parameters(path: Path) -> dict[str, Any]:
     """Read a ROS 2 parameter file with one section; ConfigError for any other file."""
-    data = read_yaml(path)
-    sections = [parameters for _, parameters in _sections(data)]
-    if len(sections) != 1 or sections[0] is None:
-        raise ConfigError(str(path), "one node key holding 'ros__parameters'", list(data))
-    return sections[0]
+    sections = dict(_sections(read_yaml(path)))
+    if len(sections) != 1 or None in sections.values():
+        raise ConfigError(str(path), "one node key holding 'ros__parameters'", [*sections])
+    return next(iter(sections.values()))
 
 
 def _sections(data: Mapping[str, Any], place: str = '') -> Iterator[tuple[str, Any]]:
