@@ -101,7 +101,7 @@ def test_setup_that_was_written_is_read_back(file, tmp_path):
     files = setup.write(tmp_path / 'run/config')
     assert set(files) == {'controller_node', 'noise_estimator_node'}
     write_json(tmp_path / 'run/summary.json', {
-        'plant': 'external', 'seed': 0, 'commanded_by_topic': True})
+        'schema': 1, 'plant': 'external', 'seed': 0, 'commanded_by_topic': True})
     again = load_setup(tmp_path / 'run')
     robot = setup.controller.robot
     assert again == replace(setup, urdf_dir=tmp_path / 'run/config')
