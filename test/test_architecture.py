@@ -26,7 +26,7 @@ BUDGETS = {
     'benchmarks': 350}
 OUTSIDE = ('test', 'test/campaign', 'benchmarks')  # of the product
 # 400 of the product for the bridge to a vendor's driver.
-MOST_LINES, MOST_TEST_LINES = 26_900, 13_000
+MOST_LINES, MOST_TEST_LINES = 26_857, 13_000
 MOST_COMPILED = 80  # functions
 
 
