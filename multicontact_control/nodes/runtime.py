@@ -108,7 +108,8 @@ def run_node(make_node: Callable[[], Any]) -> int:
         _run(make_node(), stop)
         return 0
     except MulticontactError as error:
-        print(f'{program}: {one_line(error)}', file=sys.stderr)
+        text = '; '.join(map(one_line, getattr(error, 'errors', [error])))
+        print(f'{program}: {text}', file=sys.stderr)
         return 2 if isinstance(error, ConfigError) else 1
     except Exception as error:
         code = error.errno if isinstance(error, OSError) and error.errno in FULL else 1
