@@ -5,8 +5,6 @@ Records are handed over as arrays, one element per joint or contact, or a single
 takes an array of records in a tenth of the time of a lone record.
 """
 
-from __future__ import annotations
-
 from multicontact_control.config import MAX_DELAY_PERIODS
 import numpy as np
 from numpy.typing import NDArray
