@@ -37,5 +37,6 @@ def named_file(kind: str, folder: str, name: str) -> Path:
     for path in (there / f'{name}.yaml', Path(name)):
         if path.is_file():
             return path
-    known = ', '.join(sorted(file.stem for file in there.glob('*.yaml')))
+    known = ', '.join(sorted(
+        file.relative_to(there).with_suffix('').as_posix() for file in there.rglob('*.yaml')))
     raise ConfigError(kind, f'one of {known}, or a path', f"'{name}'")
