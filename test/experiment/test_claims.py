@@ -16,8 +16,8 @@ FIXED = {'noise_estimator': {'estimator': 'fixed'}}
 
 def claim_of(data, setup, words, rows=(), **summarised):
     summary = summarise(data, setup, **{'mode': 'in_process', 'timing': {}, **summarised})
-    found = claims.judge_claims(claims.evidence_of(data, setup, summary), rows)
-    (claim,) = [claim for claim in found if words in claim.claim]
+    judged = claims.judge_claims(claims.evidence_of(data, setup, summary), rows)
+    (claim,) = [claim for claim in judged if words in claim.claim]
     return claim
 
 
