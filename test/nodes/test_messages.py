@@ -19,7 +19,7 @@ from geometry_msgs.msg import (
     Wrench,
     WrenchStamped,
 )
-from hypothesis import given, HealthCheck, settings
+from hypothesis import example, given, HealthCheck, settings
 from hypothesis import strategies as st
 from multicontact_control.errors import MessageError
 from multicontact_control.nodes import messages, topics
@@ -102,6 +102,8 @@ def read(reader, message, fields=('q', 'qd', 'effort')):
 
 @ANY
 @given(sent=st.lists(JOINT_STATE, min_size=1, max_size=4), names=st.permutations(JOINTS))
+@example([JointState(name=[*JOINTS, JOINTS[0]], **dict.fromkeys(
+    ('position', 'velocity', 'effort'), [0.0] * 7))], JOINTS)  # a joint twice
 def test_joint_readers_read_by_name_or_refuse(sent, names):
     """One reader for all: what one message has taught it must not spoil the next."""
     joints, efforts = joint_state_reader(names), named_reader(names, ('effort',), NamedReading)
