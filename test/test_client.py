@@ -38,7 +38,7 @@ class SmallController(GuestNode):
     """
     What a client sees of a controller that feels 10 N on a table, from a thread.
 
-    Its `recorder` is connected only after the first command was accepted.
+    Its `recorder` is connected only after the first command was published.
     """
 
     def __init__(self, domain_id):
@@ -60,8 +60,8 @@ class SmallController(GuestNode):
     def work(self, stop):
         for k in count(1):
             if taken := take(self.commands):
-                self.publish(ACCEPTED, taken[0].header.frame_id)
                 self.recorder = self.recorder or self.reader()
+                self.publish(ACCEPTED, taken[0].header.frame_id)
             self.publish(STATE)
             for publisher in self.forces:
                 publisher.publish(messages.joint_state_message(
