@@ -232,6 +232,8 @@ def main() -> None:
             run_franky_sim(arguments.address, arguments.write)
     except KeyboardInterrupt:
         sys.exit(0)
+    except OSError as error:  # of the port, as a rule
+        sys.exit(f'{arguments.address}: {error}; another simulator may be running')
 
 
 if __name__ == '__main__':
