@@ -284,11 +284,10 @@ class FrankaBridge(Node):
 
     def _publish(self, stamp: int, state: Any, speed: Vector) -> None:
         """Publish a sample."""
-        wrench, age = self._wrench, 1e-9 * (stamp - self._wrench_stamp)
         if not self._config.wrench_topic:
-            wrench, age = np.array(state.K_F_ext_hat_K), 0.0
-        if age <= self._config.wrench_age:
-            self._wrenches.send(stamp, wrench)
+            self._wrench, self._wrench_stamp = np.array(state.K_F_ext_hat_K), stamp
+        if 1e-9 * (stamp - self._wrench_stamp) <= self._config.wrench_age:
+            self._wrenches.send(stamp, self._wrench)
         else:
             self._figures['wrench_late'] += 1
         runs = [np.array(state.q), speed]
