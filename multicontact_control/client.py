@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import time
 
 from multicontact_control.arrays import Vector
+from multicontact_control.config import LimitsConfig
 from multicontact_control.control.tasks import quintic
-from multicontact_control.errors import RunError
+from multicontact_control.errors import CommandError, RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.link import CommandRefusedError, ControllerLink, DEACTIVATE
 from multicontact_control.nodes.messages import ControllerStatus, new_identifier
+from multicontact_control.supervision.command_limits import check_position
 from multicontact_control.supervision.contacts import HOLDING, NAMES
 from multicontact_control.supervision.reactions import INFLATE, NONE
 import numpy as np
@@ -26,6 +28,7 @@ __all__ = [
 STATE_TOPICS = (
     topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.POSE,
     topics.POSE_DESIRED)
+WORKSPACE = ('limits.workspace_lower', 'limits.workspace_upper')
 
 
 class NotReachedError(RunError):
@@ -154,7 +157,8 @@ class MultiContactClient(ControllerLink):
         Raises
         ------
         CommandRefusedError
-            If the controller does not obey; the arm stays where it got to.
+            If the goal is out of the workspace: nothing moves; if the controller does not obey on
+            the way: the arm stays where it got to.
         MessageError
             If a number is not finite, or the duration is not above 0.
 
@@ -162,6 +166,11 @@ class MultiContactClient(ControllerLink):
         if not 0.0 < duration < np.inf:
             raise messages.MessageError('duration', 'above 0 s', f'{duration:g} s')
         goal = messages.finite_array(position_world, 3, 'position_world')
+        lower, upper = self.parameters(topics.CONTROLLER, *WORKSPACE)
+        try:
+            check_position(goal, LimitsConfig(workspace_lower=lower, workspace_upper=upper))
+        except CommandError as error:
+            raise CommandRefusedError(f'{topics.MOTION_COMMAND.name}: {error}') from None
         # All that takes time comes first: the motion runs from the sample that it starts at.
         start = self.read()
         self.command(topics.MOTION_COMMAND, messages.motion_message(

@@ -143,11 +143,7 @@ def test_refused_forces_and_motions_change_no_target(arm):
     start = arm.read()
     with pytest.raises(CommandRefusedError, match='motion/command: position x: expected -0.6 to'):
         arm.move(start.position_desired + [2.0, 0.0, 0.0], duration=0.3)
-    assert arm.read().position_desired[0] <= 0.6
-    arm.move(start.position_desired, duration=0.5)
-    # The desired position is bounded to the reach of an arm that is still on its way.
-    wait_for(lambda: abs(arm.read().position_desired[0] - start.position_desired[0]) < 1e-12,
-             'the arm back where it began')
+    assert abs(arm.read().position_desired[0] - start.position_desired[0]) < 1e-4
 
 
 def test_each_of_two_clients_learns_what_becomes_of_its_own_commands(arm, domain_id):
@@ -170,7 +166,7 @@ def test_each_of_two_clients_learns_what_becomes_of_its_own_commands(arm, domain
             other.move(start + [2.0, 0.0, 0.0], duration=0.2)
         moving.result()
     assert reached(arm).forces_desired == {'table': 10.0, 'board': 4.0}
-    assert abs(arm.read().position_desired[0] - start[0] - 0.03) < 1e-12
+    assert abs(arm.read().position_desired[0] - start[0] - 0.03) < 1e-6
 
 
 def test_pressing_arm_with_an_announced_payload_presses_as_before(arm):

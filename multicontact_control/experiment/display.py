@@ -115,11 +115,13 @@ def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
     """Return the lines below the table: motion, torque, verdict, warnings, where results are."""
     timing, text = summary['timing'], judge.verdict_text(summary)
     motion, share = summary['motion'], summary['torque']['max_fraction_of_limit']
-    error = motion['moving_position_rms_m']
     colour = COLOURS.get(summary['verdict'], 'yellow')
-    lines = [f"motion error {'' if error is None else f'{error:.5f} m rms, '}"
-             f"{_number(motion['orientation_max_rad'], 4)} rad at most; torque at most "
-             f"{'-' if share is None else f'{100.0 * share:.0f} %'} of its limit",
+    errors = [text.format(motion[key]) for key, text in (
+        ('moving_position_rms_m', '{:.5f} m rms'), ('orientation_max_rad', '{:.4f} rad at most'))
+        if motion[key] is not None]
+    parts = [f'motion error {", ".join(errors)}'] * bool(errors)
+    parts += [] if share is None else [f'torque at most {100.0 * share:.0f} % of its limit']
+    lines = ['; '.join(parts),
              f'[{colour}]{escape(text)}[/{colour}] (judged: {escape(summary["judged"])})']
     if summary['mode'] == judge.REAL_TIME:
         p99 = (timing['latency_us'] or {}).get('p99')

@@ -16,14 +16,7 @@ from multicontact_control.experiment.bag import JOINT_STATE, read_messages, WREN
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.experiment.scenario import read_controller_files
-from multicontact_control.sensor.tool import (
-    Identification,
-    identify_tool,
-    MIN_POSES,
-    MIN_SAMPLES,
-    PoseReading,
-    tare_bias,
-)
+from multicontact_control.sensor import tool
 from multicontact_control.supervision.reactions import INFLATE, NONE
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -48,7 +41,7 @@ Tell = Callable[[str], None]
 def weigh(
     robot: RobotModel, gravity_world: Sequence[float], joints: tuple[Vector, Matrix],
     wrenches: tuple[Vector, Matrix], tell: Tell,
-) -> Identification:
+) -> tool.Identification:
     """
     Identify a tool from samples of an arm that is at rest in at least four poses.
 
@@ -64,17 +57,17 @@ def weigh(
         rotation = robot.update(mean, np.zeros(robot.joint_count)).sensor_pose.rotation_world
         rest = f'rest from {begin - q_time[0]:.1f} to {end - q_time[0]:.1f} s'
         try:
-            reading = tare_bias(
+            reading = tool.tare_bias(
                 readings[(f_time >= begin) & (f_time <= end)], rotation, ToolConfig(), gravity)
         except CalibrationError as error:
             tell(f'{rest} left out: {error}')
             continue
         tell(rest)
-        poses.append(PoseReading(rotation, reading))
-    if len(poses) < MIN_POSES:
-        raise CalibrationError(f'calibrate: expected at least {MIN_POSES} quiet rests of '
+        poses.append(tool.PoseReading(rotation, reading))
+    if len(poses) < tool.MIN_POSES:
+        raise CalibrationError(f'calibrate: expected at least {tool.MIN_POSES} quiet rests of '
                                f'{SETTLE_TIME + AVERAGE_TIME:g} s, got {len(poses)}')
-    return identify_tool(poses, gravity)
+    return tool.identify_tool(poses, gravity)
 
 
 def find_rests(time: Vector, q: Matrix) -> list[tuple[float, float]]:
@@ -102,7 +95,7 @@ def _arm(files: Sequence[Path]) -> tuple[ControllerConfig, RobotModel]:
 def weigh_recording(
     path: Path, files: Sequence[Path], namespace: str | None = None,
     tell: Tell = lambda text: None,
-) -> Identification:
+) -> tool.Identification:
     """
     Identify a tool from a recording, whose joint states and wrenches may have clocks of their own.
 
@@ -131,7 +124,7 @@ def weigh_recording(
 def weigh_running(
     files: Sequence[Path], *, namespace: str, domain_id: int | None, tilt: float,
     move_time: float, tell: Tell,
-) -> Identification:
+) -> tool.Identification:
     """
     Identify the tool of a robot by a controller that runs: it tilts the tool, and turns it back.
 
@@ -177,7 +170,7 @@ def _await_control(arm: Any) -> None:
     """Tare once the arm stands still, then wait until it obeys; RunError if it does not."""
     give_up, tared = time.monotonic() + TIMEOUT, False
     while True:
-        for _ in range(2 * MIN_SAMPLES):  # of a controller that has just begun, or moves
+        for _ in range(2 * tool.MIN_SAMPLES):  # of a controller that has just begun, or moves
             arm.read()
         with contextlib.suppress(RunError):  # as long as it moves, or if control does not wait
             if not tared:
@@ -196,7 +189,7 @@ def _turn(arm: Any, position: Vector, duration: float, pose: Rotation) -> None:
     """Turn the tool, again if the supervisor has held it meanwhile; RunError if it stays off."""
     for _ in range(ATTEMPTS):
         arm.move(position, duration, quaternion_xyzw=pose.as_quat())
-        for _ in range(2 * MIN_SAMPLES):  # until it has come to rest
+        for _ in range(2 * tool.MIN_SAMPLES):  # until it has come to rest
             off = (Rotation.from_quat(arm.read().quaternion_xyzw) * pose.inv()).magnitude()
         if off <= REACHED:
             return
@@ -219,7 +212,7 @@ def _sample(messages: Sequence[Any], names: Sequence[str]) -> Vector:
                      w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z])
 
 
-def describe(result: Identification) -> list[str]:
+def describe(result: tool.Identification) -> list[str]:
     """Return what was identified, with the standard errors, in lines of text."""
     centre = ', '.join(f'{1e3 * value:.2f} +- {1e3 * error:.2f}'
                        for value, error in zip(result.com_sensor, result.com_std))
@@ -231,7 +224,7 @@ def describe(result: Identification) -> list[str]:
             f'{result.force_residual:.3g} N and {result.torque_residual:.3g} N m rms']
 
 
-def write_tool(folder: Path, result: Identification) -> Path:
+def write_tool(folder: Path, result: tool.Identification) -> Path:
     """Write a tool as a parameter file to lay over the controller's, and return it."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / TOOL_FILE

@@ -19,12 +19,12 @@ from multicontact_control.nodes.graph import create_publisher, take
 from multicontact_control.nodes.messages import ControllerStatus, identify, new_identifier, REFUSED
 from multicontact_control.nodes.runtime import start_ros
 from multicontact_control.nodes.topics import Topic
-from rcl_interfaces.srv import SetParametersAtomically
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 
 CONFIGURE, ACTIVATE, DEACTIVATE, CLEAN_UP = 'configure', 'activate', 'deactivate', 'cleanup'
 GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
@@ -144,6 +144,15 @@ class GuestNode:
             raise NoAnswerError(
                 f'{client.service_name}: expected an answer within {timeout:g} s, got none')
         return future.result()
+
+    def parameters(self, node_name: str, *names: str) -> list[Any]:
+        """Return parameters of a node; RunError if it lacks one."""
+        request = GetParameters.Request(names=names)
+        values = [*map(parameter_value_to_python, self.call(
+            node_name, GetParameters, 'get_parameters', request).values)]
+        if len(values) != len(names) or None in values:
+            raise RunError(f'{node_name}: expected the parameters {", ".join(names)}, got not all')
+        return values
 
     def set_parameters(self, node_name: str, values: Mapping[str, Any]) -> None:
         """Set parameters of a node, all or none; RunError if it refuses."""

@@ -20,8 +20,7 @@ from multicontact_control.nodes.messages import ControllerStatus, new_identifier
 from multicontact_control.view import source
 from multicontact_control.view.motion import Motion
 import numpy as np
-from rcl_interfaces.srv import GetParameters, ListParameters
-from rclpy.parameter import parameter_value_to_python
+from rcl_interfaces.srv import ListParameters
 from sim_bridge.config import PUSH_TIME
 from sim_bridge.robots import find_robot, robot_names
 from sim_bridge.surface_patch import Patch
@@ -109,8 +108,8 @@ class GraphSource:
     def _meet(self) -> tuple[dict[str, float], float]:
         """Check that the controller is the expected one; return its gains and force ceiling."""
         config, message = self._config, self._link.fresh(topics.MEASURED_FORCES)[0]
-        *gains, ceiling, joints = self._read(
-            topics.CONTROLLER, (*source.GAIN_NAMES, CEILING, JOINTS))
+        *gains, ceiling, joints = self._link.parameters(
+            topics.CONTROLLER, *source.GAIN_NAMES, CEILING, JOINTS)
         _require_joints(config.robot.joint_names, tuple(joints))
         if tuple(message.name) != config.column_names:
             raise RunError(
@@ -130,7 +129,7 @@ class GraphSource:
                                  ListParameters.Request(prefixes=['surfaces'])).result.names
         states = {}
         for name in (x.split('.')[1] for x in listed if x.endswith('.stiffness')):
-            stiffness, friction, contact = self._read(topics.SIM, tuple(
+            stiffness, friction, contact = self._link.parameters(topics.SIM, *(
                 f'surfaces.{name}.{x}' for x in ('stiffness', 'friction', 'contact')))
             if (whole := contact or name) in {surface.name for surface in drawn}:
                 self._parts.setdefault(whole, []).append(name)
@@ -348,15 +347,6 @@ class GraphSource:
         message.vector.x, message.vector.y, message.vector.z = force
         self._push_publisher.publish(message)
         return ''  # what a push test asks for stays
-
-    def _read(self, node: str, names: tuple[str, ...]) -> list[Any]:
-        """Return parameters of a node; RunError if it lacks one."""
-        values = self._link.call(node, GetParameters, 'get_parameters',
-                                 GetParameters.Request(names=list(names))).values
-        parameters = [parameter_value_to_python(value) for value in values]
-        if len(parameters) != len(names) or None in parameters:
-            raise RunError(f'{node}: expected the parameters {", ".join(names)}, got not all')
-        return parameters
 
 
 def _name_of(marker: Marker) -> str:
