@@ -157,8 +157,7 @@ class MultiContactClient(ControllerLink):
         Raises
         ------
         CommandRefusedError
-            If the goal is out of the workspace: nothing moves; if the controller does not obey on
-            the way: the arm stays where it got to.
+            If the goal is out of the workspace or not obeyed; the arm stays where it got to.
         MessageError
             If a number is not finite, or the duration is not above 0.
 
@@ -260,9 +259,8 @@ class MultiContactClient(ControllerLink):
             return ''
         if status.reaction not in (NONE, INFLATE):  # control goes on with a larger R
             return status.text
-        pressed = [name for name, force in self._commanded.items() if force > 0.0]
         return ', '.join(f'{name} is {state}' for name, state in status.contact_states.items()
-                         if name in pressed and state != NAMES[HOLDING])
+                         if self._commanded.get(name, 0.0) > 0.0 and state != NAMES[HOLDING])
 
 
 def _by_name(message: JointState) -> dict[str, float]:

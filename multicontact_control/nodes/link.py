@@ -80,6 +80,7 @@ class GuestNode:
         self.node = node = Node(
             name, namespace=namespace, context=self.context, use_global_arguments=False,
             start_parameter_services=False, enable_rosout=False)
+        self._domain = f'ROS domain {self.context.get_domain_id()}'
         self._client = cache(lambda server, service, name: node.create_client(
             service, f'{server}/{name}'))
         self._executor = SingleThreadedExecutor(context=self.context)
@@ -137,7 +138,7 @@ class GuestNode:
         client, timeout = self._client(node_name, service, name), min(timeout, self._patience)
         if not self._wait(client.service_is_ready, self._patience, f'{node_name} to appear'):
             raise NoAnswerError(f'{client.service_name}: expected this service within '
-                                f'{self._patience:g} s, got none')
+                                f'{self._patience:g} s in {self._domain}, got none')
         future = client.call_async(request)
         if not self._wait(future.done, timeout, f'{node_name} to answer'):
             client.remove_pending_request(future)
@@ -244,8 +245,8 @@ class ControllerLink(GuestNode):
         give_up = time.monotonic() + self._patience
         while (value := get()) is None:
             if time.monotonic() > give_up:
-                raise RunError(f'{missing} within {self._patience:g} s, got none; is the '
-                               'controller active?')
+                raise RunError(f'{missing} within {self._patience:g} s in {self._domain}, got '
+                               'none; is the controller active?')
             time.sleep(POLL_PERIOD)
         return value
 
