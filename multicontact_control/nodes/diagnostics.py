@@ -19,7 +19,8 @@ from rclpy.node import Node
 
 PERIOD = NANOSECONDS
 STALE_PERIODS = 25  # from which an input at the control rate is stale
-MISSING_AGE, REMINDER_PERIOD = 1.0, 30.0  # s without a message, from which on it is missed
+# s: an input is missed after MISSING_AGE; its first message may take DISCOVERY_TIME.
+MISSING_AGE, DISCOVERY_TIME, REMINDER_PERIOD = 1.0, 3.0, 30.0
 CAPACITY = 1 << 18  # durations: 8 minutes at 500 Hz
 PERCENTILES = {'p50': 50.0, 'p99': 99.0, 'p999': 99.9, 'max': 100.0}
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -151,7 +152,7 @@ class Inputs:
     def _missing(self, topic: Topic) -> str:
         """Return what is expected of a topic that is missing for long, and what there is."""
         missing = (time.monotonic_ns() - (self.last[topic] or self._since)) / NANOSECONDS
-        if missing < MISSING_AGE:
+        if missing < (MISSING_AGE if self.last[topic] else DISCOVERY_TIME):
             return ''
         name = self._node.resolve_topic_name(topic.name)
         publishers = self._node.get_publishers_info_by_topic(name)
