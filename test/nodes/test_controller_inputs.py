@@ -36,7 +36,6 @@ class StrangeArm(FakeArm):
         self._wrench.publish(wrench_message(stamp + 50_000, self.wrench, self.frame))
 
 
-
 def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host):
     host.activate(*PATIENT)
     arm, parts = FakeArm(host), BOTH

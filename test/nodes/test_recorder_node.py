@@ -147,8 +147,8 @@ def test_bag_gives_back_bytes_times_and_qualities_of_service(tmp_path):
         bag.add_topic('/silent', 'std_msgs/msg/String', qos.LATCHED)
         with pytest.raises(RunError, match='no_such_msgs'):
             bag.add_topic('/thing', 'no_such_msgs/msg/Thing', qos.STREAM)
-        for time, data in sent:
-            bag.write(wrench, time, data)
+        for stamp, data in sent:
+            bag.write(wrench, stamp, data)
         assert [*bag.counts.values()] == [COUNT, 0]
     with Reader(folder) as reader:
         profiles = [x.ext.offered_qos_profiles[0] for x in reader.connections]
