@@ -147,7 +147,7 @@ def loaded_kernels() -> Any:
 
 
 def _run(node: Any, stop: Sequence[int]) -> None:
-    """Run a node; at its end, but for SIGTERM, reliable readers are to have what it published."""
+    """Run a node; unless SIGTERM ends it, wait until reliable readers have all messages."""
     spinner = Spinner(node, stop)
     settle_process()
     try:

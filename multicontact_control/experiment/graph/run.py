@@ -159,7 +159,7 @@ def running_graph(
     started: its name and the end of its log; if another graph has its names.
     """
     with reserve_domain(spec.domain_id) as domain_id:
-        _refuse_company(spec, domain_id)
+        _require_free_names(spec, domain_id)
         graph = RunningGraph(spec, domain_id, keep_waiting)
         hurry = True
         try:
@@ -170,7 +170,7 @@ def running_graph(
             graph.stop(hurry=hurry)
 
 
-def _refuse_company(spec: GraphSpec, domain_id: int) -> None:
+def _require_free_names(spec: GraphSpec, domain_id: int) -> None:
     """Check that no node of another graph has a name of this one's; RunError."""
     if domain_in_use(domain_id):  # by a driver or a page, too
         with link.GuestNode('run_start', domain_id, spec.namespace) as guest:

@@ -144,7 +144,7 @@ def _listed(texts: Sequence[str]) -> str:
 
 
 def study_of(config: StudyConfig) -> Study:
-    """Return the study of a configuration, with the code that its kind has in `presets`."""
+    """Return the study of a configuration: `presets.compare.CompareStudy` of kind `compare`."""
     if config.kind == 'sweep':
         return Study(config)
     module = import_module(f'{__package__}.presets.{config.kind}')
