@@ -55,14 +55,10 @@ class ControlLoop:
     output, status
         The answer to the newest sample, None before the first and in the safe behaviour, and what
         the supervisor did, None if not supervised.
-    events
-        What it did since the last restart.
+    events, time
+        What it did since the last restart, and the time of the newest tick [s].
     push_gate
         What allows force control.
-    time
-        Of the newest tick [s].
-    warnings
-        What is suspicious of the arm's model.
 
     """
 
@@ -70,14 +66,12 @@ class ControlLoop:
         self, config: ControllerConfig, scenario: TaskSource | None, limits: CommandLimits,
         base_dir: Path, *, supervised: bool = True,
     ) -> None:
-        self._feels = config.wrench_input != 'momentum'
-        if not (self._feels or supervised):
+        if config.wrench_input == 'momentum' and not supervised:
             raise ConfigError('wrench_input', 'raw or filtered without a supervisor', 'momentum')
         self.limits = limits
         source = scenario or CommandedTask(config.column_names, config.leader_of)
         self._commanded = source if isinstance(source, CommandedTask) else None
         robot = RobotModel(config.robot, base_dir)
-        self.warnings = robot.warnings(config.torque_limit)
         self.supervisor = Supervisor(config, robot, source, guarded=supervised)
         self.push_gate = PushGate(
             required=config.sensor.require_push_test, robot=robot,
@@ -88,11 +82,6 @@ class ControlLoop:
     def config(self) -> ControllerConfig:
         """Return the configuration in force."""
         return self.supervisor.config
-
-    @property
-    def safe(self) -> bool:
-        """Whether samples are answered by the declared safe behaviour."""
-        return self.supervisor.safe
 
     @property
     def held(self) -> bool:
@@ -111,32 +100,19 @@ class ControlLoop:
 
     def step(self, inputs: TickInputs) -> Vector:
         """
-        Answer a tick.
+        Answer the newest readings, however old, with the torque to command, shape (n,) [N m].
 
-        Parameters
-        ----------
-        inputs
-            The newest readings, however old, as the sensors gave them.
-
-        Returns
-        -------
-        Vector
-            The torque to command, shape (n,) [N m].
-
-        Raises
-        ------
-        MulticontactError
-            If not supervised, and something is missing or there is no torque for this posture.
-
+        If not supervised: MulticontactError if a reading is missing, or there is no torque for
+        this posture.
         """
         self._inputs, self.time = inputs, inputs.time
         output, self.status = self.supervisor.step(inputs)
         self.output = None if self.supervisor.safe else output
         if self.status is not None:
             self.events.note(inputs.time, self.status)
-        stage, arm = self.supervisor.inputs, self.supervisor.controller.arm
         if inputs.wrench is not None and inputs.wrench.stamp == inputs.time:
-            self._readings.append((self.time, stage.raw.copy(), arm.q.copy()))
+            self._readings.append((self.time, self.supervisor.inputs.raw.copy(),
+                                   self.supervisor.controller.arm.velocity.copy()))
         if self.push_gate.phase and self.output is not None:
             self._push(inputs)
         return output.torque
@@ -157,7 +133,7 @@ class ControlLoop:
 
     def _require_rest(self, purpose: str) -> None:
         """Refuse what is only possible with a wrist sensor that nothing presses on."""
-        if not self._feels:
+        if self.config.wrench_input == 'momentum':
             raise CommandError(
                 'wrench_input', got='momentum', hint=f'a {purpose} needs a wrist sensor')
         if self.output is not None and self.output.active.any():
@@ -184,18 +160,10 @@ class ControlLoop:
         self, forces: dict[str, float], centres: Mapping[str, float] | None = None,
     ) -> None:
         """
-        Obey commanded forces.
+        Obey forces and couples by name [N]; a change after a second or more is a `retry`, too.
 
-        A change after a second or more also tries again; see `retry`.
-
-        Parameters
-        ----------
-        forces
-            Of contacts, and couples of edges and planes, by name [N].
-        centres
-            Where the centre of pressure is to be instead of a couple, by the couple's name: from
-            the centre of the contact, along its direction or across it [m].
-
+        `centres` has the centre of pressure instead of a couple, by the couple's name: from the
+        centre of the contact, along its direction or across it [m].
         """
         task = self._commandable()
         shares = offset_shares(self.config, centres or {})
@@ -259,24 +227,19 @@ class ControlLoop:
 
     def tare(self, config: TareConfig) -> Vector:
         """
-        Return the bias by which the compensated wrench would read zero now.
+        Return the bias by which the compensated wrench would read zero, as `tare_bias` does.
 
-        Sensor axes, force first, shape (6,) [N, N m]. CommandError if the arm presses on something
-        or moves (both would be taken for bias), or if there is no sensor, or a fault of it;
-        CalibrationError if there are too few readings, or they are restless.
+        CommandError if the arm presses on something or moves, which would be taken for bias, or if
+        there is no sensor, or a fault of it.
         """
         self._require_rest('tare')
-        rejected = () if self.status is None else self.status.rejected
-        fault = self.supervisor.inputs.sensor_fault or next(
-            (cause for cause in rejected if cause.startswith('wrench')), '')
-        if fault:
+        if fault := self.supervisor.inputs.sensor_fault:
             raise CommandError('wrench', 'one without faults', fault)
         oldest = self.time - (TARE_READINGS - 0.5) * self.config.period
         recent = [row for row in self._readings if row[0] >= oldest]
-        readings, postures = (np.array([row[i] for row in recent]) for i in (1, 2))
-        way = float(np.abs(postures[-1:] - postures[:1]).max(initial=0.0))
-        fastest = way / (max(len(postures) - 1, 1) * self.config.period)
-        if not fastest <= MAX_JOINT_SPEED:
+        readings, velocities = (np.array([row[i] for row in recent]) for i in (1, 2))
+        fastest = np.abs(velocities.sum(axis=0)).max(initial=0.0) / max(len(recent), 1)
+        if fastest > MAX_JOINT_SPEED:
             raise CommandError('joint speeds', f'at most {MAX_JOINT_SPEED:g} rad/s',
                                f'{fastest:.3g} rad/s')
         rotation_world = self.supervisor.controller.arm.frames['sensor_rotation'][0]

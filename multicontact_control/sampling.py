@@ -20,7 +20,6 @@ from multicontact_control.supervision.inputs import (
 
 NANOSECONDS = 1_000_000_000
 LONGEST_PAUSE = 10.0  # s; stamps that jump farther ahead are of a clock that was set
-BARE_REPEATS = 25
 
 
 class Action(Enum):
@@ -32,7 +31,6 @@ class Action(Enum):
     HALF = 'step by half a sample'
     WITHOUT = 'step without a sample'
     REPEAT = 'send the last command again'
-    STALE = 'nothing: the same sample has come too often'
     SHOW = 'publish the last tick again, for the estimator that missed it'
     REFUSE = 'refuse the sample: it is older than the last'
 
@@ -53,21 +51,20 @@ class SampleTiming:
     ================================== =================== =================== ================
     one half of a sample               WAIT                WAIT                WAIT
     both, within `pair_tolerance`      STEP                STEP                STEP with R [1]_
-    the same stamp again, answered     REPEAT              REPEAT [2]_         REPEAT
+    the same stamp again, answered     REPEAT              REPEAT              REPEAT
     the same stamp again, waiting      WAIT                WAIT                SHOW
     one sample older than the last     REFUSE              ANEW                ANEW
-    a second, not older than the first STEP [3]_           ANEW                ANEW
+    a second, not older than the first STEP [2]_           ANEW                ANEW
     no sample for `patience`           HALF if one waits   WAIT                WAIT
-    none one period later, or later    WITHOUT [4]_        WAIT                WAIT
+    none one period later, or later    WITHOUT [3]_        WAIT                WAIT
     ================================== =================== =================== ================
 
     Nothing is missing before the first sample. The time of a tick is its stamp less the first;
     bare, the law's time goes in whole periods.
 
     .. [1] Of the sample before, not in the safe behaviour; WAIT until it is there.
-    .. [2] 25 times at most, then STALE: nothing else tells that the arm is not seen any more.
-    .. [3] The clock was set back; the watchdog answers that.
-    .. [4] Once for each period, in which time is counted on. It does not go back when samples
+    .. [2] The clock was set back; the watchdog answers that.
+    .. [3] Once for each period, in which time is counted on. It does not go back when samples
        come again: their stamps are shifted from then on.
 
     Parameters
@@ -118,8 +115,7 @@ class SampleTiming:
         self.variance: Vector | None = None
         self._inputs = TickInputs(0.0)
         self._time = self._shift = self._since = 0.0
-        # Periods without a sample since the newest one, and how often that one has come again.
-        self._late = self._repeats = 0
+        self._late = 0  # periods without a sample since the newest one
         self.tick = self.skipped = self.due = 0
 
     def add(self, reading: JointInput | WrenchInput) -> None:
@@ -151,9 +147,7 @@ class SampleTiming:
         action = Action.STEP
         if stamp == self.last_stamp:
             self._waiting = None
-            self._repeats += 1
-            return Decision(Action.REPEAT if self._supervised or self._lockstep or (
-                self._repeats <= BARE_REPEATS) else Action.STALE)
+            return Decision(Action.REPEAT)
         if stamp < self.last_stamp:
             if self._lockstep or not self._supervised:
                 self.restart()
@@ -175,7 +169,7 @@ class SampleTiming:
             time = self._time + self._period
         self._waiting = self._older_stamp = None
         self.tick, self.last_stamp, self.expected_stamp = tick, stamp, stamp
-        self._time, self._since, self._late, self._repeats = time, now, 0, 0
+        self._time, self._since, self._late = time, now, 0
         self.due = int(now + self._patience_ns) if self._patience_ns else 0
         _, joints_before, wrench_before, variance = self._inputs
         self._inputs = TickInputs(

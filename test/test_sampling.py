@@ -7,7 +7,7 @@ import pytest
 
 H = 0.002
 PERIOD = 2_000_000
-WAIT, STEP, ANEW, HALF, WITHOUT, REPEAT, STALE, SHOW, REFUSE = Action
+WAIT, STEP, ANEW, HALF, WITHOUT, REPEAT, SHOW, REFUSE = Action
 
 
 def joints(stamp):
@@ -109,20 +109,13 @@ def test_sample_is_waited_for_without_end_in_lockstep_and_without_supervisor(opt
     assert timing.due == 0 and timing.late(10 ** 12).action is WAIT
 
 
-@pytest.mark.parametrize(('options', 'repeats'), [
-    ({}, 60), ({'lockstep': True}, 60), ({'supervised': False}, 25)])
-def test_repeated_sample_gets_its_command_again(options, repeats):
-    timing = timing_of(**options)
-    sample(timing, 0)
-    assert [sample(timing, 0).action for _ in range(60)] == [REPEAT] * repeats + [STALE] * (
-        60 - repeats)
-
-
 @pytest.mark.parametrize('options', [{}, {'supervised': False}, {'lockstep': True}])
-def test_older_sample_is_refused_once_or_starts_everything_anew(options):
+def test_repeated_sample_gets_its_command_again_and_an_older_one_is_refused_or_starts_anew(
+        options):
     """A supervisor takes two in order for a clock that was set back."""
     timing = timing_of(**options)
     sample(timing, 100 * PERIOD)
+    assert sample(timing, 100 * PERIOD).action is REPEAT
     if options:
         action, inputs = sample(timing, PERIOD)
         assert (action, inputs.time, timing.tick) == (ANEW, 0.0, 0)

@@ -25,7 +25,7 @@ from multicontact_control.supervision.inputs import JointInput, TickInputs, Wren
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
-WHOLE = (Action.STEP, Action.ANEW, Action.REPEAT, Action.STALE)
+WHOLE = (Action.STEP, Action.ANEW, Action.REPEAT)
 SHOWN = (Action.STEP, Action.ANEW, Action.HALF, Action.SHOW)
 
 
@@ -48,7 +48,7 @@ class ControllerNode(ManagedNode):
         self._loop = loop = ControlLoop(
             config, node_config.scenario(config), node_config.command, node_config.folder,
             supervised=node_config.supervised)
-        for text in loop.warnings:
+        for text in loop.supervisor.controller.robot.warnings(config.torque_limit):
             self.get_logger().warning(text)
         _warm_up(loop)
         self._timing = timing = SampleTiming(

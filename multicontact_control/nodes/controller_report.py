@@ -74,7 +74,7 @@ class ControllerReport:
         loop, status = self._loop, self._loop.status or QUIET
         instruction = loop.push_gate.instruction
         now = (status.reaction, status.causes, loop.supervisor.findings, instruction,
-               status.contact_states, loop.safe, loop.held, self._node.state,
+               status.contact_states, loop.supervisor.safe, loop.held, self._node.state,
                *loop.commanded_forces.values())
         for name in status.rejected:
             self._warn(name, f'a reading is not used: {name}')
@@ -101,7 +101,7 @@ class ControllerReport:
     ) -> None:
         loop, status, reaction = self._loop, self._loop.status or QUIET, self._reaction()
         text = refusal or reaction or loop.push_gate.instruction or (
-            'safe behaviour' if loop.safe else 'held' if loop.held else 'ok')
+            'safe behaviour' if loop.supervisor.safe else 'held' if loop.held else 'ok')
         self._publisher.publish(ControllerStatus(
             event=event, command=identifier, text=text, life_cycle=self._node.state,
             reaction=status.reaction, causes=' '.join(status.causes),
@@ -125,7 +125,7 @@ class ControllerReport:
         return [
             Status('loop', {
                 **self.watch.report(), 'steps': self.watch.latencies.count,
-                'restarts': self.restarts, 'safe_behaviour': loop.safe,
+                'restarts': self.restarts, 'safe_behaviour': loop.supervisor.safe,
                 'supervised': loop.supervisor.guarded}, '; '.join(warnings)),
             self.inputs.status(
                 needed=active, consequence=': the last R is held' if held else ''),
