@@ -20,7 +20,7 @@ from multicontact_control.control.tick import ControlOutput
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sensor.push_test import PushGate, PushTestConfig
-from multicontact_control.sensor.tool import MAX_JOINT_SPEED, tare_bias, TareConfig
+from multicontact_control.sensor.tool import MAX_JOINT_SPEED, tare_bias
 from multicontact_control.supervision.command_limits import check_motion, CommandLimits
 from multicontact_control.supervision.inputs import TickInputs
 from multicontact_control.supervision.report import EventLog, SupervisorStatus
@@ -74,7 +74,7 @@ class ControlLoop:
         robot = RobotModel(config.robot, base_dir)
         self.supervisor = Supervisor(config, robot, source, guarded=supervised)
         self.push_gate = PushGate(
-            required=config.sensor.require_push_test, robot=robot,
+            required=config.sensor.require_push_test,
             gravity_world=np.array(config.robot.gravity_world), rate=config.rate)
         self.restart()
 
@@ -126,7 +126,8 @@ class ControlLoop:
         """Lead on with a push test by a sample with a new wrench, and obey its verdict."""
         joints, wrench, stage = inputs.joints, inputs.wrench, self.supervisor.inputs
         if stage.fresh and joints and wrench and joints.stamp == wrench.stamp and (
-                self.push_gate.update(joints.q, stage.raw, self.config.tool)) and (
+                self.push_gate.update(
+                    self.supervisor.controller.arm.frames[0], stage.raw, self.config.tool)) and (
                 self.push_gate.open):
             self.supervisor.gate.go_over()
             self.supervisor.task.lock(False)
@@ -141,10 +142,10 @@ class ControlLoop:
         if self.supervisor.reactions.presses:
             raise CommandError('contacts', hint='wait: a reaction still presses one')
 
-    def push_test(self, config: PushTestConfig, point_sensor: tuple[float, ...]) -> str:
+    def push_test(self, config: PushTestConfig) -> str:
         """Begin a push test, for which the arm stays where it is; return what to do now."""
         self._require_rest('push test')
-        self.push_gate.start(config, point_sensor, {
+        self.push_gate.start(config, {
             name: np.array(x.point_operational) for name, x in self.config.contacts.items()})
         self.supervisor.gate.go_over()
         self.supervisor.task.lock(True)
@@ -225,7 +226,7 @@ class ControlLoop:
             raise CommandError('control', hint='nothing to resume')
         return 'trying again'
 
-    def tare(self, config: TareConfig) -> Vector:
+    def tare(self) -> Vector:
         """
         Return the bias by which the compensated wrench would read zero, as `tare_bias` does.
 
@@ -244,4 +245,4 @@ class ControlLoop:
                                f'{fastest:.3g} rad/s')
         rotation_world = self.supervisor.controller.arm.frames['sensor_rotation'][0]
         return tare_bias(readings, rotation_world, self.config.tool,
-                         np.array(self.config.robot.gravity_world), config)
+                         np.array(self.config.robot.gravity_world))

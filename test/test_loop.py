@@ -10,7 +10,7 @@ from multicontact_control.loop import ControlLoop
 from multicontact_control.paths import config_dir
 from multicontact_control.sampling import Action, SampleTiming
 from multicontact_control.sensor.push_test import PushTestConfig
-from multicontact_control.sensor.tool import TareConfig, weight_reading
+from multicontact_control.sensor.tool import weight_reading
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import (
     JointInput,
@@ -105,8 +105,8 @@ class Bench:
 
     def assert_disturbs_the_sensor(self, match):
         """Check that what needs a sensor that feels nothing is refused."""
-        self.assert_refused(match, lambda: self.loop.tare(TareConfig()),
-                            lambda: self.loop.push_test(PushTestConfig(), ()))
+        self.assert_refused(match, lambda: self.loop.tare(),
+                            lambda: self.loop.push_test(PushTestConfig()))
 
 
 def make_contact(bench, force=6.0):
@@ -181,7 +181,7 @@ def test_tool_of_an_impossible_mass_or_in_a_push_test_is_refused():
     bench.step(5)
     with pytest.raises(ConfigError, match='tool.mass: expected above 4.419 kg, got 4'):
         bench.loop.reconfigure(other)
-    bench.loop.push_test(PushTestConfig(), ())
+    bench.loop.push_test(PushTestConfig())
     bench.assert_refused('^tool: wait: .*push test', lambda: bench.loop.reconfigure(other))
 
 
@@ -385,7 +385,7 @@ def test_tare_needs_recent_readings_of_a_good_sensor_on_an_arm_at_rest():
     bench = Bench(sensor={'frozen_ticks': 5})
 
     def tare():
-        return bench.loop.tare(TareConfig())
+        return bench.loop.tare()
 
     bench.step(100)
     np.testing.assert_allclose(tare(), 0.0, atol=0.02)

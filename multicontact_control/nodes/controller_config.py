@@ -13,14 +13,12 @@ from multicontact_control.config import (
     read_yaml,
     Real,
     validate,
-    Vector,
 )
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.errors import ConfigError
 from multicontact_control.nodes.graph import StartupConfig
 from multicontact_control.paths import config_dir
 from multicontact_control.sensor.push_test import PushTestConfig
-from multicontact_control.sensor.tool import TareConfig
 from multicontact_control.supervision.command_limits import CommandLimits
 
 SAFE_TIME = 0.5  # s, in which a robot gets the safe behaviour before it gets nothing
@@ -49,18 +47,12 @@ class ControllerNodeConfig(StartupConfig):
         '', 'Topic for the bare efforts (std_msgs/Float64MultiArray) that the forward '
         'controllers of ros2_control take; empty for none.')
     command: CommandLimits = CommandLimits()
-    tare: TareConfig = TareConfig()
     push_test: PushTestConfig = PushTestConfig()
-    push_point_sensor: Vector = parameter(
-        (), 'Where the tool is pushed in the push test, sensor frame, to 5 cm; empty for anywhere '
-        'near its tips, the operational point and the contacts.', unit='m')
 
     @cross_check
     def _check(self) -> Iterator[ConfigError]:
         if self.patience and self.patience < 1.0:
             yield ConfigError('patience', '0, or at least 1 period', self.patience)
-        if len(self.push_point_sensor) not in (0, 3):
-            yield ConfigError('push_point_sensor', '3 values or none', len(self.push_point_sensor))
 
     @property
     def folder(self) -> Path:

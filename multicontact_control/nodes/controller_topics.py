@@ -128,7 +128,7 @@ def serve_commands(
         return response
 
     def tare(_request: Any) -> str:
-        bias = loop.tare(settings().tare).tolist()
+        bias = loop.tare().tolist()
         result, = node.set_parameters([Parameter('tool.bias_sensor', value=bias)])
         if not result.successful:
             raise MulticontactError(result.reason)
@@ -145,6 +145,6 @@ def serve_commands(
     works: dict[str, Callable[[Any], Any]] = {
         'tare': tare, 'hold': lambda request: loop.hold(request.data),
         'retry': lambda _: loop.retry(),
-        'push_test': lambda _: loop.push_test(settings().push_test, settings().push_point_sensor)}
+        'push_test': lambda _: loop.push_test(settings().push_test)}
     for name, (kind, _) in SERVICES.items():
         node.create_service(kind, f'~/{name}', partial(serve, f'~/{name}', works[name]))

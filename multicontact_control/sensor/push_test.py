@@ -4,56 +4,46 @@ The push test: a user proves sign, frame and scale of the wrist sensor before fo
 A hand that pushes the tool along d with force F makes a right sensor read -F d, what the robot
 does to the hand. A fit f_i = s Q e_i of the measured forces to the expected names what is wrong;
 the decision is stricter: every push has to be read along its own direction, as large as it is.
-The moments m_i = p x f_i give the point p of the pushes, which has to be where the tool is pushed.
+The moments m_i = p x f_i give the point p of the pushes, which has to be near a tip of the tool.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 import math
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import Config, cross_check, parameter, Real, ToolConfig
 from multicontact_control.contact.wrench import contact_wrench
-from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-NEEDED = 'force control is disabled until ~/push_test has passed'
-
 DETECT_FORCE = 2.0  # N, change of force that begins a push
 RELEASE_FORCE = 1.0  # N, change of force below which a push is over
-MAX_ANGLE = 0.35  # rad between a push and its reading; a hand is good for 0.2
-ALIGNED = 0.95  # cosine from which an axis is called x, y or z
+PHASE_TIME = 0.3  # s: of rest, of a push before it is averaged, and of this average
+MAX_REST_STD = 0.5  # N, standard deviation of a force axis at rest
 MAX_REST_FORCE = 1.0  # N read with nothing touching the tool
+MAX_ANGLE = 0.35  # rad between a push and its reading; a hand is good for 0.2
+SCALE_TOLERANCE = 0.2  # of a force that is read
 LEVER_TOLERANCE = 0.05  # m, of the point of the pushes; a hand is good for 0.03
 MIN_LEVER = 0.08  # m from the sensor to the tip of a tool, from which moments tell of any point
-NEAR_TIP = 0.25  # of that lever, beyond which the tool is pushed if no point is declared
+NEAR_TIP = 0.25  # of that lever, beyond which the tool is pushed
 
 Direction = Literal['+x', '-x', '+y', '-y', '+z', '-z']
 
 
 class PushTestConfig(Config):
-    """How the tool is pushed, and what is accepted as right."""
+    """How the tool is pushed."""
 
     directions: tuple[Direction, ...] = parameter(
         ('+x', '+y', '+z'), 'World axes along which the tool is pushed, each axis at least once.')
     force: Real = parameter(
         10.0, 'Force of every push, by a spring balance or a known weight.', unit='N',
         gt=DETECT_FORCE)
-    rest_time: Real = parameter(
-        0.3, 'Time of rest, before the pushes and after each.', unit='s', gt=0.0)
-    settle_time: Real = parameter(
-        0.3, 'Time of a push before it is measured.', unit='s', ge=0.0)
-    hold_time: Real = parameter(0.3, 'Time over which a push is averaged.', unit='s', gt=0.0)
     timeout: Real = parameter(
         30.0, 'Longest wait for rest, for a push or for its end.', unit='s', gt=0.0)
-    max_rest_std: Real = parameter(
-        0.5, 'Largest standard deviation of a force axis at rest.', unit='N', gt=0.0)
-    scale_tolerance: Real = parameter(
-        0.2, 'Largest deviation of the scale from 1.', gt=0.0, le=0.4)
 
     @cross_check
     def _check_across_fields(self) -> Iterator[ConfigError]:
@@ -72,7 +62,7 @@ class PushTestResult(NamedTuple):
     """The verdict on a sensor: what is wrong or not checked, in words, and its scale."""
 
     findings: tuple[str, ...]
-    scale: float
+    scale: float = math.nan
     unchecked: str = ''
 
     @property
@@ -91,16 +81,12 @@ class PushTestResult(NamedTuple):
 
 class PushGate:
     """
-    Leads through a push test, and allows force control once it has passed.
-
-    Rest, then a push per direction: the user is told which, pushes, holds, lets go.
+    Leads through a push test: rest, then a push per direction; allows force control after it.
 
     Parameters
     ----------
     required
         Whether force control waits for a test.
-    robot
-        The arm.
     gravity_world
         g, shape (3,) [m/s^2].
     rate
@@ -117,14 +103,10 @@ class PushGate:
 
     """
 
-    def __init__(
-        self, *, required: bool, robot: RobotModel, gravity_world: Vector, rate: float,
-    ) -> None:
+    def __init__(self, *, required: bool, gravity_world: Vector, rate: float) -> None:
         self.open, self.phase = not required, ''
         self.result: PushTestResult | None = None
-        self._robot, self._gravity, self._rate = robot, gravity_world, rate
-        self._samples: list[Vector] = []
-        self._ticks = 0  # of the phase
+        self._gravity, self._rate = gravity_world, rate
 
     @property
     def running(self) -> bool:
@@ -132,118 +114,90 @@ class PushGate:
         return self.phase != ''
 
     @property
-    def direction(self) -> str:
-        """Direction to push in now, e.g. ``+x``; empty if it is not time to push."""
-        return self._config.directions[len(self._pushes)] if self.phase == 'push' else ''
-
-    @property
     def instruction(self) -> str:
         """Return what the user should do now; empty if there is nothing to be done."""
         if self.phase == 'push':
-            where = 'at the declared point' if self._point else 'near its tip'
-            return (f'push the tool along world {self.direction} with {self._config.force:g} N '
-                    f'{where} and hold')
+            return (f'push the tool near its tip along world '
+                    f'{self._config.directions[len(self._pushes)]} with '
+                    f'{self._config.force:g} N and hold')
         if self.running:
             return 'let go of the tool' if self.phase == 'release' else 'keep off the tool'
         if self.result is not None:
             return self.result.message
-        return '' if self.open else NEEDED
+        return '' if self.open else 'force control is disabled until ~/push_test has passed'
 
-    def start(
-        self, config: PushTestConfig, point_sensor: tuple[float, ...] = (),
-        contacts: Mapping[str, Vector] | None = None,
-    ) -> None:
-        """Begin a test at a point [m], or near the `contacts`, in the operational frame [m]."""
-        self._config, self._point, self.result = config, point_sensor, None
-        self._contacts = contacts or {}
-        self._enter('rest')
+    def start(self, config: PushTestConfig, contacts: Mapping[str, Vector]) -> None:
+        """Begin a test of a tool with tips at `contacts`, operational frame, shape (3,) [m]."""
+        self._config, self._contacts = config, contacts
+        self.result, self.phase = None, 'rest'
         self.restart()
 
     def restart(self) -> None:
         """Begin a test that is under way anew, with the next sample."""
         if self.running:
             self._rest, self._pushes = np.zeros(6), list[Vector]()
-            self._rotation: Matrix = np.eye(3)
-            self._lever: Vector | None = None
-            self._tips: dict[str, Vector] = {}
             self._enter('rest')
 
-    def update(self, q: Vector, wrench_sensor: Vector, tool: ToolConfig) -> bool:
+    def update(self, frame: Any, wrench_sensor: Vector, tool: ToolConfig) -> bool:
         """
         Take the next sample of a test that is under way; return whether it has come to its end.
 
-        Joint positions, shape (n,) [rad], and the reading in sensor axes, force first, shape (6,)
-        [N, N m].
+        A record of `FRAME`, and the reading in sensor axes, force first, shape (6,) [N, N m].
         """
-        state = self._robot.update(q, np.zeros(len(q)))
-        sensor, pose = state.sensor_pose, state.pose
-        self._rotation, origin = sensor.rotation_world, sensor.position_world
-        self._lever = self._rotation @ self._point if self._point else None
-        self._tips = {'the operational point': pose.position_world - origin} | {
-            f'contact {name}': pose.position_world + pose.rotation_world @ point - origin
-            for name, point in self._contacts.items()}
-        self.take(contact_wrench(wrench_sensor, sensor, origin, tool, self._gravity))
+        origin, rotation = frame['sensor_position'], frame['sensor_rotation']
+        wrench = contact_wrench(wrench_sensor, (origin, rotation), origin, tool, self._gravity)
+        self._ticks += 1
+        if not np.isfinite(wrench).all():
+            self._finish(PushTestResult(('a reading that is not a finite number',)))
+        elif self._ticks > max(1, round(self._config.timeout * self._rate)):
+            self._finish(PushTestResult((
+                f'the force did not follow within {self._config.timeout:g} s: '
+                f'{self.instruction}',)))
+        elif self._take(wrench):
+            point = frame['position'] - origin
+            tips = {'the operational point': point} | {
+                f'contact {name}': point + frame['rotation'] @ contact
+                for name, contact in self._contacts.items()}
+            self._finish(judge_pushes(
+                np.array(self._pushes), self._rest, self._config, rotation, tips))
         return not self.running
 
-    def take(self, wrench_world: Vector) -> None:
-        """Take the next wrench, as `contact_wrench` makes it, shape (6,) [N, N m]."""
-        config = self._config
-        self._ticks += 1
-        if not np.isfinite(wrench_world).all():
-            self._fail('a reading that is not a finite number')
-        elif self._ticks > max(1, round(config.timeout * self._rate)):
-            waited = f'within {config.timeout:g} s'
-            self._fail({
-                'rest': f'no rest {waited}: the force never kept still',
-                'push': f'no push along {self.direction} of more than {DETECT_FORCE:g} N felt '
-                        f'{waited}',
-                'release': f'the force did not return to that at rest {waited} after the push',
-            }[self.phase])
-        else:
-            change = float(np.linalg.norm(wrench_world[:3] - self._rest[:3]))
-            if (self.phase == 'push' and change < DETECT_FORCE) or (
-                    self.phase == 'release' and change >= RELEASE_FORCE):
-                self._samples = []
-                return
-            self._samples.append(wrench_world.copy())
-            self._end_phase()
-
-    def _end_phase(self) -> None:
-        """Go on to the next phase once there are samples enough of this one."""
-        config, count = self._config, len(self._samples)
-        settling = round(config.settle_time * self._rate)
+    def _take(self, wrench: Vector) -> bool:
+        """Take a sample, and go on to the next phase after enough; return whether all is done."""
+        change = float(np.linalg.norm(wrench[:3] - self._rest[:3]))
+        if (self.phase == 'push' and change < DETECT_FORCE) or (
+                self.phase == 'release' and change >= RELEASE_FORCE):
+            self._samples = []
+            return False
+        self._samples.append(wrench)
+        count = max(2, round(PHASE_TIME * self._rate))
+        if len(self._samples) < (2 * count if self.phase == 'push' else count):
+            return False
+        mean = np.mean(self._samples[-count:], axis=0)
         if self.phase == 'push':
-            if count == settling + max(1, round(config.hold_time * self._rate)):
-                self._pushes.append(np.mean(self._samples[settling:], axis=0))
-                self._enter('release')
-        elif count == max(2, round(config.rest_time * self._rate)):
+            self._pushes.append(mean)
+            self._enter('release')
+        elif self.phase == 'rest' and np.std(self._samples, axis=0)[:3].max() > MAX_REST_STD:
+            self._samples = []
+        elif len(self._pushes) == len(self._config.directions):
+            return True
+        else:
             if self.phase == 'rest':
-                if np.std(self._samples, axis=0)[:3].max() > config.max_rest_std:
-                    self._samples = []
-                    return
-                self._rest = np.mean(self._samples, axis=0)
-            if len(self._pushes) < len(config.directions):
-                self._enter('push')
-            else:
-                self._finish(judge_pushes(
-                    np.array(self._pushes), self._rest, config,
-                    rotation_world=self._rotation, lever_world=self._lever, tips=self._tips))
+                self._rest = mean
+            self._enter('push')
+        return False
 
     def _enter(self, phase: str) -> None:
-        self.phase, self._ticks, self._samples = phase, 0, []
-
-    def _fail(self, finding: str) -> None:
-        self._finish(PushTestResult((finding,), math.nan))
+        self.phase, self._ticks, self._samples = phase, 0, list[Vector]()
 
     def _finish(self, result: PushTestResult) -> None:
         self.result, self.open = result, result.passed
-        self._enter('')
+        self.phase = ''
 
 
 def judge_pushes(
-    wrenches: Matrix, rest: Vector, config: PushTestConfig, *,
-    rotation_world: Matrix, lever_world: Vector | None = None,
-    tips: Mapping[str, Vector] | None = None,
+    wrenches: Matrix, rest: Vector, config: PushTestConfig, rotation_world: Matrix,
+    tips: Mapping[str, Vector],
 ) -> PushTestResult:
     """
     Judge a sensor by its readings under pushes.
@@ -254,29 +208,24 @@ def judge_pushes(
         Compensated mean wrench at the sensor, world axes, of each push, shape (p, 6), and while
         nothing touches the tool, shape (6,) [N, N m].
     config
-        Directions, force and tolerances.
+        Directions and force.
     rotation_world
         Orientation of the sensor, shape (3, 3), to name what is found in its axes.
-    lever_world
-        From the sensor to where the tool is pushed, world axes, shape (3,) [m]; None if that is
-        anywhere near its tips.
     tips
-        From the sensor to the operational point and the contacts, likewise, by what they are
-        called: ends of the tool, and what moments may be about instead of the sensor.
+        From the sensor to the ends of the tool, by name, world axes, shape (3,) [m].
 
     """
     expected, deltas = -config.force * config.directions_world, wrenches - rest
     sign, rotation, scale = fit_mounting(deltas[:, :3], expected)
     findings = _mounting_findings(
-        sign, rotation_world.T @ rotation @ rotation_world, scale, config) or _push_findings(
+        sign, rotation_world.T @ rotation @ rotation_world, scale) or _push_findings(
         deltas[:, :3], expected, config)
-    unchecked, tips = '', tips or {}
-    if not findings:
-        reach = max((float(np.linalg.norm(tip)) for tip in tips.values()), default=0.0)
-        if lever_world is None and reach < MIN_LEVER:
-            unchecked = f'moments not checked: the tool reaches {100.0 * reach:.0f} cm'
-        else:
-            findings = _lever_findings(deltas, rotation_world, lever_world, tips, config)
+    reach = max(float(np.linalg.norm(tip)) for tip in tips.values())
+    unchecked = ''
+    if reach < MIN_LEVER:
+        unchecked = f'moments not checked: the tool reaches {100.0 * reach:.0f} cm'
+    elif not findings:
+        findings = _moment_findings(deltas, rotation_world, reach, tips, config)
     offset = float(np.linalg.norm(rest[:3]))
     if offset > MAX_REST_FORCE:
         findings.append(f'{offset:.1f} N read with nothing touching the tool: tare or identify it')
@@ -296,29 +245,21 @@ def fit_mounting(measured: Matrix, expected: Matrix) -> tuple[int, Matrix, float
     return sign, sign * Q, float(sigma.sum() / np.sum(expected ** 2))
 
 
-def _mounting_findings(
-    sign: int, rotation: Matrix, scale: float, config: PushTestConfig,
-) -> list[str]:
+def _mounting_findings(sign: int, rotation: Matrix, scale: float) -> list[str]:
     """Name a flipped sign, a turn and a wrong scale, in the sensor's axes."""
     findings = []
     vector = Rotation.from_matrix(rotation).as_rotvec()
     angle = float(np.linalg.norm(vector))
-    axis = vector / max(angle, 1e-12)
-    largest = int(np.argmax(np.abs(axis)))
-    aligned, turn = abs(axis[largest]) >= ALIGNED, 1
-    name = f'the axis ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}) of the sensor'
-    if aligned:
-        name, turn = f"the sensor's {'xyz'[largest]}", 1 if axis[largest] > 0.0 else -1
-    half_turn = angle > np.pi - MAX_ANGLE
-    if sign < 0 and half_turn and aligned:
-        findings.append(f'sign of {name} alone flipped')  # a reflection is -(half a turn)
+    axis = np.round(vector / max(angle, 1e-12), 1) + 0.0  # without negative zeros
+    name = f'the axis ({", ".join(f"{x:g}" for x in axis)}) of the sensor'
+    if sign < 0 and angle > np.pi - MAX_ANGLE:
+        findings.append(f'sign along {name} alone flipped')  # a reflection is -(half a turn)
     else:
         if sign < 0:
             findings.append('sign flipped')
         if angle > MAX_ANGLE:
-            degrees = 180 if half_turn else turn * round(float(np.degrees(angle)))
-            findings.append(f'rotated by {degrees} deg about {name}')
-    if abs(scale - 1.0) > config.scale_tolerance:
+            findings.append(f'rotated by {np.degrees(angle):.0f} deg about {name}')
+    if abs(scale - 1.0) > SCALE_TOLERANCE:
         findings.append(f'scale {scale:.2g}')
     return findings
 
@@ -327,46 +268,42 @@ def _push_findings(forces: Matrix, expected: Matrix, config: PushTestConfig) -> 
     """Name the pushes that are read off their direction or their size."""
     findings = []
     for name, force, wanted in zip(config.directions, forces, expected):
-        size, right = float(np.linalg.norm(force)), float(np.linalg.norm(wanted))
-        cosine = float(force @ wanted) / (size * right) if size > 0.0 else -1.0
-        angle = float(np.degrees(np.arccos(min(max(cosine, -1.0), 1.0))))
-        if not cosine >= np.cos(MAX_ANGLE):  # NaN does not pass
-            findings.append(f'push along {name} read {angle:.0f} deg off')
-        elif not abs(size / right - 1.0) <= config.scale_tolerance:
-            findings.append(f'push along {name} read as {size:.3g} N instead of {right:g} N')
+        size = float(np.linalg.norm(force))
+        cosine = float(force @ wanted) / max(size * config.force, 1e-12)
+        angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        if not angle <= MAX_ANGLE:  # NaN does not pass
+            findings.append(f'push along {name} read {math.degrees(angle):.0f} deg off')
+        elif not abs(size / config.force - 1.0) <= SCALE_TOLERANCE:
+            findings.append(f'push along {name} read as {size:.3g} N instead of '
+                            f'{config.force:g} N')
     return findings
 
 
-def _lever_findings(
-    deltas: Matrix, rotation_world: Matrix, lever: Vector | None, tips: Mapping[str, Vector],
+def _moment_findings(
+    deltas: Matrix, rotation_world: Matrix, reach: float, tips: Mapping[str, Vector],
     config: PushTestConfig,
 ) -> list[str]:
-    """Name moments that are not those of pushes where the tool is pushed, and likely causes."""
+    """Name moments that are not those of pushes near a tip of the tool, and likely causes."""
     forces, moments = deltas[:, :3], deltas[:, 3:]
     point: Vector = np.linalg.lstsq(
         np.vstack([np.cross(np.eye(3), force).T for force in forces]), moments.ravel())[0]
     off = np.linalg.norm(
         moments - np.cross(point, forces), axis=1) / np.linalg.norm(forces, axis=1)
-    farthest = max((float(np.linalg.norm(tip)) for tip in tips.values()), default=0.0)
-
-    def right(point: Vector) -> bool:
-        if lever is not None:
-            return bool(np.linalg.norm(point - lever) <= LEVER_TOLERANCE)
-        return bool(np.linalg.norm(point) <= farthest + LEVER_TOLERANCE) and any(
-            point @ tip >= NEAR_TIP * (tip @ tip) for tip in tips.values()
-            if np.linalg.norm(tip) >= 0.5 * farthest)
-
     if not (off <= 2.0 * LEVER_TOLERANCE).all():
         worst = config.directions[int(np.argmax(off))]
         return [f'torque of the push along {worst} is {100.0 * off.max():.0f} cm off the point '
                 'of the others: torque channels swapped?']
-    if right(point):
+
+    def near_tip(point: Vector) -> bool:
+        return bool(np.linalg.norm(point) <= reach + LEVER_TOLERANCE) and any(
+            point @ tip >= NEAR_TIP * (tip @ tip) for tip in tips.values()
+            if np.linalg.norm(tip) >= 0.5 * reach)
+
+    if near_tip(point):
         return []
     causes = [f'moments about {name} instead of the sensor (a wrench at the TCP)'
-              for name, tip in tips.items() if np.linalg.norm(tip) > LEVER_TOLERANCE and right(
-                  point + tip)][:1]
-    causes += ['sign of the torques flipped'] * right(-point)
+              for name, tip in tips.items() if near_tip(point + tip)][:1]
+    causes += ['sign of the torques flipped'] * near_tip(-point)
     x, y, z = rotation_world.T @ point
     return [f'torques are those of pushes at ({x:.2f}, {y:.2f}, {z:.2f}) m from the sensor, which '
-            f'is not {"near the tip" if lever is None else "the point"} of the tool'
-            + (f': {" or ".join(causes)}?' if causes else '')]
+            f'is not near the tip of the tool{": " if causes else ""}{" or ".join(causes)}']

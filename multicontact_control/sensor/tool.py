@@ -13,25 +13,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.config import Config, parameter, Real, ToolConfig
+from multicontact_control.config import ToolConfig
 from multicontact_control.errors import CalibrationError
 import numpy as np
 
 MIN_SAMPLES = 25  # readings of a tare
+MAX_FORCE_STD, MAX_TORQUE_STD = 0.5, 0.05  # N, N m: of these readings, in an axis
 MAX_JOINT_SPEED = 0.02  # rad/s, mean during a tare, so that no inertia counts as bias
 MIN_POSES = 4
 MAX_CONDITION = 30.0  # of the equations; a tilt of some 6 degrees
 NOTHING_HANGS = 3.0  # standard errors below which a mass is none
 MAX_FORCE_RESIDUAL, MAX_TORQUE_RESIDUAL = 0.5, 0.05  # N, N m: rms of what a fit leaves of an axis
-
-
-class TareConfig(Config):
-    """When readings are quiet enough for a tare."""
-
-    max_force_std: Real = parameter(
-        0.5, 'Largest standard deviation of a force axis.', unit='N', gt=0.0)
-    max_torque_std: Real = parameter(
-        0.05, 'Largest standard deviation of a torque axis.', unit='N m', gt=0.0)
 
 
 class PoseReading(NamedTuple):
@@ -82,20 +74,8 @@ def weight_reading(rotation_world: Matrix, tool: ToolConfig, gravity_world: Vect
     """
     Return what an unbiased sensor reads at rest with nothing touching the tool: -m R^T g.
 
-    Parameters
-    ----------
-    rotation_world
-        R, orientation of the sensor, shape (3, 3).
-    tool
-        Mass and centre of mass; its bias is not used.
-    gravity_world
-        g, shape (3,) [m/s^2].
-
-    Returns
-    -------
-    Vector
-        Sensor axes, force first, shape (6,) [N, N m].
-
+    R is the orientation of the sensor, shape (3, 3), g gravity, shape (3,) [m/s^2]; the reading is
+    in sensor axes, force first, shape (6,) [N, N m].
     """
     force = -tool.mass * (rotation_world.T @ gravity_world)
     return np.concatenate((force, np.cross(tool.com_sensor, force)))
@@ -103,7 +83,6 @@ def weight_reading(rotation_world: Matrix, tool: ToolConfig, gravity_world: Vect
 
 def tare_bias(
     wrenches_sensor: Matrix, rotation_world: Matrix, tool: ToolConfig, gravity_world: Vector,
-    config: TareConfig | None = None,
 ) -> Vector:
     """
     Return the bias for `ToolConfig.bias_sensor`, by which the compensated reading is zero.
@@ -116,8 +95,6 @@ def tare_bias(
         Readings at rest, sensor axes, force first, shape (k, 6) [N, N m].
     rotation_world, tool, gravity_world
         As for `weight_reading`.
-    config
-        What counts as quiet.
 
     Raises
     ------
@@ -125,17 +102,16 @@ def tare_bias(
         If there are too few readings, or they are restless or not finite.
 
     """
-    config = config or TareConfig()
     if len(wrenches_sensor) < MIN_SAMPLES:
         raise CalibrationError(
             f'tare: expected at least {MIN_SAMPLES} readings, got {len(wrenches_sensor)}')
     if not np.isfinite(wrenches_sensor).all():
         raise CalibrationError('tare: expected finite readings, got NaN or infinity')
     restless = np.std(wrenches_sensor, axis=0).reshape(2, 3).max(axis=1)
-    if restless[0] > config.max_force_std or restless[1] > config.max_torque_std:
+    if restless[0] > MAX_FORCE_STD or restless[1] > MAX_TORQUE_STD:
         raise CalibrationError(
             f'tare: expected readings at rest (standard deviation at most '
-            f'{config.max_force_std:g} N and {config.max_torque_std:g} N m), got '
+            f'{MAX_FORCE_STD:g} N and {MAX_TORQUE_STD:g} N m), got '
             f'{restless[0]:.3g} N and {restless[1]:.3g} N m')
     mean: Vector = wrenches_sensor.mean(axis=0)
     return mean - weight_reading(rotation_world, tool, gravity_world)
@@ -178,21 +154,19 @@ def identify_tool(readings: Sequence[PoseReading], gravity_world: Vector) -> Ide
         raise CalibrationError(
             f'mass: expected at least 0 kg, got {mass:.3g} kg; is the sign of the sensor '
             'flipped?')
-    residual = np.sqrt(np.mean(left ** 2, axis=(0, 2))).tolist()
-    for what, rms, limit, unit in zip(
-            ('force', 'torque'), residual, (MAX_FORCE_RESIDUAL, MAX_TORQUE_RESIDUAL),
-            ('N', 'N m')):
-        if rms > limit:
-            raise CalibrationError(
-                f'residual {what}: expected at most {limit:g} {unit}, got {rms:.3g} {unit}; '
-                'is the frame of the sensor right, and was the arm at rest?')
+    force_residual, torque_residual = np.sqrt(np.mean(left ** 2, axis=(0, 2))).tolist()
+    if force_residual > MAX_FORCE_RESIDUAL or torque_residual > MAX_TORQUE_RESIDUAL:
+        raise CalibrationError(
+            f'residual: expected at most {MAX_FORCE_RESIDUAL:g} N and {MAX_TORQUE_RESIDUAL:g} '
+            f'N m, got {force_residual:.3g} N and {torque_residual:.3g} N m; is the frame of the '
+            'sensor right, and was the arm at rest?')
     com, com_std = np.zeros(3), np.zeros(3)
     if mass > NOTHING_HANGS * mass_std:
         com = x[1:4] / (mass * scale)
         com_std = np.hypot(spread[1:4] * np.sqrt(variance[1]) / scale, com * mass_std) / mass
     return Identification(
         mass=max(float(mass), 0.0), mass_std=float(mass_std), com_sensor=com, com_std=com_std,
-        bias_sensor=x[4:].copy(), force_residual=residual[0], torque_residual=residual[1],
+        bias_sensor=x[4:].copy(), force_residual=force_residual, torque_residual=torque_residual,
         condition=condition, poses=poses)
 
 
