@@ -106,8 +106,8 @@ LENGTH, GAP = 2.0 * PHASE_TIME + 0.2, 0.8  # s, of a push and between two
 @pytest.mark.parametrize(('plant', 'mounting', 'verdict'), [
     ('puma', np.eye(3), 'passed'), ('puma', -np.eye(3), 'sign flipped'),
     ('rigid', 0.5 * np.eye(3), 'scale 0.5'),
-    ('rigid', [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], "rotated by 90 deg about the axis (0, 1, 0) of"),
-    ('puma', [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], "rotated by 90 deg about the axis (0, 0, -1) of")])
+    ('rigid', [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], 'rotated by 90 deg about the axis (0, 1, 0)'),
+    ('puma', [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], 'rotated by 90 deg about the axis (0, 0, -1)')])
 def test_push_test_names_the_fault_of_the_mounting(plant, mounting, verdict):
     """Tared first, so that nothing is wrong at rest."""
     pushes = dict(zip((500 + round(500 * i * (LENGTH + GAP)) for i in itertools.count()),
