@@ -9,7 +9,6 @@ from multicontact_control.config import (
     Config,
     cross_check,
     parameter,
-    Real,
     UnitVector3,
     Vector,
     Vector3,
@@ -30,7 +29,7 @@ class SurfaceConfig(Config):
     contact: str = parameter(
         '', 'Contact that this tip is a part of, as an end of an edge or a corner of a plane; '
         'empty for a contact of its own, named as the surface.')
-    offset: tuple[Real, Real] = parameter(
+    offset: tuple[float, float] = parameter(
         (0.0, 0.0), 'Where on that contact, in half lengths along its direction and half widths '
         'across it.')
     point_world: Vector3 = parameter(..., 'A point of the mean surface.', unit='m')
@@ -39,26 +38,26 @@ class SurfaceConfig(Config):
     shape: Literal['plane', 'cylinder', 'sphere'] = parameter(
         'plane', 'Cylinders are curved along the track of the height profile (world x laid into '
         'the surface, or y for one that faces along x).')
-    radius: Real = parameter(
+    radius: float = parameter(
         0.0, 'Of a cylinder or sphere: above 0 with its centre behind the surface, as of a ball, '
         'below 0 with its centre on the side of the robot, as of a bowl.', unit='m')
-    velocity: Real = parameter(
+    velocity: float = parameter(
         0.0, 'Largest speed at which the surface moves along its normal, first away from the '
         'robot if positive.', unit='m/s')
-    motion_start: Real = parameter(0.0, 'When it begins to move.', unit='s', ge=0.0)
-    motion_period: Real = parameter(
+    motion_start: float = parameter(0.0, 'When it begins to move.', unit='s', ge=0.0)
+    motion_period: float = parameter(
         0.0, 'Period of v sin(2 pi t / T), which leads it back; 0 for a constant velocity.',
         unit='s', ge=0.0)
-    stiffness: Real = parameter(
+    stiffness: float = parameter(
         6000.0, 'Contact stiffness.', unit='N/m', live=True, gt=0.0)
-    damping: Real = parameter(30.0, 'Contact damping.', unit='N s/m', ge=0.0)
-    friction: Real = parameter(
+    damping: float = parameter(30.0, 'Contact damping.', unit='N s/m', ge=0.0)
+    friction: float = parameter(
         0.1, 'Coulomb friction coefficient.', live=True, ge=0.0, le=2.0)
-    slip_speed: Real = parameter(
+    slip_speed: float = parameter(
         5e-3, 'Sliding speed at which friction reaches 71 % of its value.', unit='m/s', gt=0.0)
-    roughness_std: Real = parameter(
+    roughness_std: float = parameter(
         4e-5, 'Standard deviation of the height profile, 0 for a smooth one.', unit='m', ge=0.0)
-    roughness_length: Real = parameter(
+    roughness_length: float = parameter(
         1e-4, 'Standard deviation of the Gaussian that smooths the profile.', unit='m', gt=0.0)
 
 
@@ -69,8 +68,8 @@ class SensorConfig(Config):
         (), 'What the mounting makes of true forces and of true torques: a 3 x 3 matrix, row by '
         'row, e.g. a rotation or -1 on the diagonal for a flipped sign; empty for nothing.')
     noise: bool = parameter(True, 'Whether white noise is added.')
-    force_noise_std: Real = parameter(0.047, 'Noise per force axis.', unit='N', ge=0.0)
-    torque_noise_std: Real = parameter(0.004, 'Noise per torque axis.', unit='N m', ge=0.0)
+    force_noise_std: float = parameter(0.047, 'Noise per force axis.', unit='N', ge=0.0)
+    torque_noise_std: float = parameter(0.004, 'Noise per torque axis.', unit='N m', ge=0.0)
     bias: Vector = parameter((0.0,) * 6, 'Constant offset of each axis.', unit='N, N m')
     saturate: bool = parameter(True, 'Whether readings stop at full scale.')
     full_scale: Vector = parameter(
@@ -78,7 +77,7 @@ class SensorConfig(Config):
     quantise: bool = parameter(True, 'Whether readings come in steps.')
     bits: int = parameter(14, 'Bits over the whole range, both signs.', ge=2, le=32)
     low_pass: bool = parameter(True, 'Whether ft_sensor/wrench_filtered is filtered.')
-    low_pass_cutoff: Real = parameter(
+    low_pass_cutoff: float = parameter(
         125.0, 'Cut-off of the last of the cascaded low-passes.', unit='Hz', gt=0.0)
 
     @cross_check
@@ -102,7 +101,7 @@ class PlantConfig(Config):
         'or the contact solver of the engine does, with planes at rest and without roughness.')
     home: Vector = parameter(..., 'Joint angles at the start.', unit='rad')
     gravity_world: Vector3 = parameter((0.0, 0.0, -9.81), 'Gravity.', unit='m/s^2')
-    substep: Real = parameter(2.5e-4, 'Integration step.', unit='s', gt=0.0)
+    substep: float = parameter(2.5e-4, 'Integration step.', unit='s', gt=0.0)
     actuator_delay_ticks: int = parameter(
         1, 'Control periods from a sample to the torque that answers it.',
         ge=0, le=MAX_ACTUATOR_DELAY)
@@ -114,9 +113,9 @@ class PlantConfig(Config):
         (), 'Damping between rotor and link, joint side.', unit='N m s/rad')
     joint_sensing: Literal['motor', 'joint'] = parameter(
         'motor', 'Side of the drive springs the encoders sit on.')
-    joint_friction_scale: Real = parameter(
+    joint_friction_scale: float = parameter(
         0.6, 'Joint friction relative to the published one, 0 for none.', ge=0.0, le=5.0)
-    joint_friction_speed: Real = parameter(
+    joint_friction_speed: float = parameter(
         1e-3, 'Joint speed scale of the smoothed Coulomb friction.', unit='rad/s', gt=0.0)
     torque_limit: Vector = parameter(
         (), "Largest joint torque; empty for the robot's own.", unit='N m')

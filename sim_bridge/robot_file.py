@@ -9,7 +9,6 @@ from multicontact_control.config import (
     Config,
     cross_check,
     parameter,
-    Real,
     UnitVector3,
     Vector,
     Vector3,
@@ -21,9 +20,9 @@ from sim_bridge.arm import Body, Placement
 class ToolData(Config):
     """The tool beyond the wrist sensor, in the sensor's frame."""
 
-    face_offset: Real = parameter(..., 'Operational point to sensor face, along its z.', unit='m')
-    face_mass: Real = parameter(..., 'Mass of the face itself.', unit='kg', gt=0.0)
-    mass: Real = parameter(..., 'Mass of the tool.', unit='kg', gt=0.0)
+    face_offset: float = parameter(..., 'Operational point to sensor face, along its z.', unit='m')
+    face_mass: float = parameter(..., 'Mass of the face itself.', unit='kg', gt=0.0)
+    mass: float = parameter(..., 'Mass of the tool.', unit='kg', gt=0.0)
     com: Vector3 = parameter(..., 'Centre of mass of the tool.', unit='m')
     inertia: Vector3 = parameter(..., 'Ixx, Iyy, Izz about the com.', unit='kg m^2')
     tips: dict[str, Vector3] = parameter(..., 'Bar tips by URDF link name.', unit='m')
@@ -39,9 +38,9 @@ class SideConfig(Config):
 
     tip: str = parameter(..., 'Tip of the tool that touches.')
     normal_world: UnitVector3 = parameter(..., 'Unit surface normal INTO the surface.')
-    gap: Real = parameter(
+    gap: float = parameter(
         0.007, 'From the tip at home to the simulated surface.', unit='m', gt=0.0)
-    stiffness: Real = parameter(
+    stiffness: float = parameter(
         6000.0, 'Contact stiffness, of the surface and of its model.', unit='N/m', gt=0.0)
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
 from multicontact_control.arrays import Vector
-from multicontact_control.config import parameter, Real
+from multicontact_control.config import parameter
 from multicontact_control.errors import MessageError, RunError
 from multicontact_control.nodes import diagnostics, messages, qos, topics
 from multicontact_control.nodes.graph import create_publisher, Refusals, StartupConfig, StartupGate
@@ -54,16 +54,16 @@ REMEMBERED = 1024  # samples whose time of publication is known
 class SimNodeConfig(StartupConfig):
     """What only the node needs to know, not the plant in it."""
 
-    rate: Real = parameter(500.0, 'Samples per second.', unit='Hz', gt=0.0)
+    rate: float = parameter(500.0, 'Samples per second.', unit='Hz', gt=0.0)
     seed: int = parameter(0, 'Seed of roughness and sensor noise.', ge=0)
     ticks: int = parameter(0, 'Samples after which the node ends, 0 for never.', ge=0)
     lockstep: bool = parameter(
         True, 'Whether to wait for the command that answers each sample; false for a plant that '
         'runs on, as a robot does.')
-    speed: Real = parameter(
+    speed: float = parameter(
         1.0, 'Simulated time per wall time at most, in lockstep; 0 for as fast as it goes.',
         ge=0.0, le=100.0)
-    payload: Real = parameter(
+    payload: float = parameter(
         0.0, 'Mass that the tool picks up, at its centre of mass, and lays down with 0.',
         unit='kg', live=True, ge=0.0)
 

@@ -29,7 +29,8 @@ import pytest
     ({'force': {'allocation': 'paper'}, 'contacts': {'table': {'surface_speed_limit': 0.1}}},
      'force.allocation: expected decoupled with contacts.table.surface_speed_limit, got paper'),
     ({'torque_limit': [97.6, -186.4, 89.4, 24.2, 20.1, 21.3]},
-     'torque_limit: expected values above 0, got -186.4'),
+     'torque_limit.1: expected greater than 0, got -186.4'),
+    ({'tool': {'bias_sensor': [0.0] * 5}}, 'tool.bias_sensor: expected at least 6 items'),
     ({'contact_state': {'preload': 80.0}},
      'contact_state.preload: expected below force_ceiling 60 N, got 80 N'),
     ({'contact_state': {'contact_threshold': 0.3}}, 'contact_state.release_threshold: expected'),
@@ -60,7 +61,7 @@ def test_all_that_is_wrong_is_named_at_once():
     """Keys, types, and what does not fit together, of every section, a line for each."""
     with pytest.raises(ConfigError) as caught:
         controller_config(
-            limits={'joint_speed': [0.0], 'workspace_lower': [1.0], 'workspace_upper': [0.0]},
+            limits={'joint_speed': [1.0], 'workspace_lower': [1.0], 'workspace_upper': [0.0]},
             contact_state={'contact_threshold': 99.0}, sensor={'full_scale': [-1.0]},
             torque_limit=[1.0], contact_names=['table', 'wall'], robot={'armature': [1.0]})
     assert all(line.startswith('controller.yaml: ') for line in str(caught.value).splitlines())

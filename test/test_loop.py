@@ -286,8 +286,7 @@ def test_force_that_no_contact_makes_is_held_against_and_latched(force, cause):
     assert bench.reaction == 'none'
 
 
-@pytest.mark.parametrize('changes', [
-    {'watchdog': {'on_joint_fault': 'damp'}}, {}, {'limits': {'joint_speed': [0.5] * 6}}])
+@pytest.mark.parametrize('changes', [{}, {'limits': {'joint_speed': [0.5] * 6}}])
 def test_arm_that_is_not_seen_is_brought_to_rest_and_carried(changes):
     """Also where it has moved at more than its allowed speed."""
     bench, sixth = Bench(**changes), np.eye(6)[5]

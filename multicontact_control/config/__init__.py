@@ -11,29 +11,16 @@ from multicontact_control.config.base import (
     cross_check,
     merge,
     parameter,
-    read_node_parameters,
     read_parameters,
     read_yaml,
-    Real,
     UnitVector3,
     validate,
     Vector,
     Vector3,
 )
-from multicontact_control.config.contact import ContactConfig
-from multicontact_control.config.controller import (
-    ControllerConfig,
-    MAX_DELAY_PERIODS,
-    TransitionConfig,
-)
-from multicontact_control.config.force import (
-    AdaptiveStiffnessConfig,
-    FedForward,
-    ForceConfig,
-    LawName,
-    NoiseEstimatorConfig,
-)
-from multicontact_control.config.robot import RobotConfig, SensorFrontEndConfig, ToolConfig
+from multicontact_control.config.controller import ControllerConfig, MAX_DELAY_PERIODS
+from multicontact_control.config.force import FedForward, ForceConfig, NoiseEstimatorConfig
+from multicontact_control.config.robot import RobotConfig, ToolConfig
 from multicontact_control.config.supervision import (
     ContactStateConfig,
     LimitsConfig,
@@ -41,9 +28,7 @@ from multicontact_control.config.supervision import (
 )
 
 __all__ = [
-    'AdaptiveStiffnessConfig', 'Config', 'ContactConfig', 'ContactStateConfig',
-    'ControllerConfig', 'FedForward', 'ForceConfig', 'LawName', 'LimitsConfig',
-    'MAX_DELAY_PERIODS', 'NoiseEstimatorConfig', 'Real', 'RobotConfig', 'SensorFrontEndConfig',
-    'ToolConfig', 'TransitionConfig', 'UnitVector3', 'Vector', 'Vector3', 'WatchdogConfig',
-    'cross_check', 'merge', 'parameter', 'read_node_parameters', 'read_parameters', 'read_yaml',
-    'validate']
+    'Config', 'ContactStateConfig', 'ControllerConfig', 'FedForward', 'ForceConfig',
+    'LimitsConfig', 'MAX_DELAY_PERIODS', 'NoiseEstimatorConfig', 'RobotConfig',
+    'ToolConfig', 'UnitVector3', 'Vector', 'Vector3', 'WatchdogConfig', 'cross_check', 'merge',
+    'parameter', 'read_parameters', 'read_yaml', 'validate']

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import math
 from pathlib import Path
+import re
 from typing import Annotated, Any, get_args, TypeVar
 
 from multicontact_control.errors import ConfigError
@@ -22,6 +23,8 @@ import yaml
 UNIT_NORM_TOLERANCE = 1e-3
 EVERY_NODE = '**'  # in the place of a node's name
 LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # ten times as fast
+# With which pydantic begins what it expects.
+PHRASES = re.compile('^(Value error, expected|Input should be|[A-Z][a-z]+ should have) ')
 
 
 def _unit_length(vector: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -35,9 +38,10 @@ def _unit_length(vector: tuple[float, float, float]) -> tuple[float, float, floa
 
 ModelT = TypeVar('ModelT', bound='Config')
 
-Real = Annotated[float, Field(allow_inf_nan=False)]
-Vector = tuple[Real, ...]
-Vector3 = tuple[Real, Real, Real]
+Vector = tuple[float, ...]
+PositiveVector = tuple[Annotated[float, Field(gt=0.0)], ...]
+NonNegativeVector = tuple[Annotated[float, Field(ge=0.0)], ...]
+Vector3 = tuple[float, float, float]
 UnitVector3 = Annotated[Vector3, AfterValidator(_unit_length)]
 
 
@@ -48,16 +52,17 @@ def parameter(
     Declare one tunable value as a pydantic field; a default of ``...`` makes it required.
 
     The description is one sentence without the SI unit. A live value may change while a node
-    runs. Bounds are ``gt``, ``ge``, ``lt``, ``le`` and ``min_length``.
+    runs. Bounds are those of pydantic: ``gt``, ``ge``, ``lt``, ``le``, ``min_length``...
     """
     return Field(
         default, description=description, json_schema_extra={'unit': unit, 'live': live}, **bounds)
 
 
 class Config(BaseModel):
-    """Base of every configuration: frozen; unknown keys are errors."""
+    """Base of every configuration: frozen; unknown keys, infinity and NaN are errors."""
 
-    model_config = ConfigDict(extra='forbid', frozen=True, validate_default=True)
+    model_config = ConfigDict(
+        extra='forbid', frozen=True, validate_default=True, allow_inf_nan=False)
 
 
 def cross_check(check: Callable[[ModelT], Iterable[ConfigError]]) -> Any:
@@ -105,8 +110,7 @@ def _field_error(detail: Mapping[str, Any], model: type[Config]) -> ConfigError:
                            f"unknown key '{location[-1]}'")
     if kind == 'missing':
         return ConfigError(field, 'a value', 'nothing')
-    expected = detail['msg'].removeprefix('Value error, ').removeprefix('Input should be ')
-    return ConfigError(field, expected.removeprefix('expected '), repr(detail['input']))
+    return ConfigError(field, PHRASES.sub('', detail['msg']), repr(detail['input']))
 
 
 def _known_keys(model: type[Config], location: Sequence[int | str]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-from multicontact_control.config.base import Config, parameter, Real, UnitVector3, Vector3
+from multicontact_control.config.base import Config, parameter, UnitVector3, Vector3
 from multicontact_control.config.force import LawName
 
 ContactType = Literal['point', 'edge', 'plane']
@@ -36,31 +36,31 @@ class ContactConfig(Config):
         ..., 'Contact point, or centre of an edge or plane, in the operational frame.', unit='m')
     direction_operational: UnitVector3 = parameter(
         (1.0, 0.0, 0.0), 'Edge, or first side of a plane, in the operational frame.')
-    half_length: Real = parameter(
+    half_length: float = parameter(
         0.05, 'Half the length of an edge, or of a plane along its direction.', unit='m', gt=0.0)
-    half_width: Real = parameter(
+    half_width: float = parameter(
         0.05, 'Half the width of a plane across its direction.', unit='m', gt=0.0)
-    stiffness: Real = parameter(
+    stiffness: float = parameter(
         6000.0, 'Modelled stiffness k_env at the contact.', unit='N/m', gt=0.0)
-    couple_stiffness: Real = parameter(
+    couple_stiffness: float = parameter(
         0.0, 'The same for couples, torque per angle and half length squared; 0 for a third of '
         'stiffness, as of a contact that is equally stiff everywhere.', unit='N/m', ge=0.0)
-    friction_std: Real = parameter(
+    friction_std: float = parameter(
         0.0, 'Standard deviation of the friction that is allowed for when contact forces are '
         'found from the wrench; 0 for none.', unit='N', ge=0.0)
-    friction_coefficient: Real = parameter(
+    friction_coefficient: float = parameter(
         0.0, 'Expected Coulomb friction along the sliding velocity; friction_std is then the '
         'standard deviation of the rest.', live=True, ge=0.0, le=2.0)
-    normal_turn_rate: Real = parameter(
+    normal_turn_rate: float = parameter(
         0.0, 'Largest rate at which the normal turns to the one that the force on a sliding '
         'contact indicates; 0 to keep normal_world. A slip at the touch turns it as fast: no '
         'more than is needed. Needs friction_std.', unit='rad/s', live=True, ge=0.0, le=10.0)
-    normal_range: Real = parameter(
+    normal_range: float = parameter(
         0.6, 'Largest angle of the normal to normal_world.', unit='rad', live=True, gt=0.0, le=1.5)
-    surface_speed: Real = parameter(
+    surface_speed: float = parameter(
         0.0, 'Speed of the surface along its normal, away from the robot if positive; K_2 damps '
         'the motion relative to it.', unit='m/s', live=True, ge=-0.5, le=0.5)
-    surface_speed_limit: Real = parameter(
+    surface_speed_limit: float = parameter(
         0.0, 'Largest estimated speed of the surface beyond that; 0 for no estimate.',
         unit='m/s', live=True, ge=0.0, le=0.5)
     law: Literal[LawName, ''] = parameter('', 'Force law of this contact, empty for force.law.')

@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from operator import attrgetter
 from typing import Literal
 
-from multicontact_control.config.base import Config, cross_check, parameter, Real, Vector
+from multicontact_control.config.base import (
+    Config,
+    cross_check,
+    NonNegativeVector,
+    parameter,
+    PositiveVector,
+    Vector,
+)
 from multicontact_control.config.contact import Column, ContactConfig, FORCE, KINDS, SUFFIXES
 from multicontact_control.config.force import ForceConfig, LawName
 from multicontact_control.config.robot import RobotConfig, SensorFrontEndConfig, ToolConfig
@@ -19,22 +27,26 @@ from multicontact_control.errors import ConfigError, counted
 
 MAX_DELAY_PERIODS = 10
 FASTEST_MOMENTUM = 0.4  # bandwidth per rate: the residual is a mean over some samples
+PER_JOINT = (
+    'torque_limit', 'limits.joint_lower', 'limits.joint_speed', 'limits.torque_rate',
+    'collision.threshold', 'friction.coulomb', 'friction.viscous', 'robot.armature',
+    'posture.joints')
 SafeBehaviour = Literal['gravity_compensation', 'zero_torque', 'hold_position']
 
 
 class MotionConfig(Config):
     """The PD motion law (P04 sec. 3.1, 5.2)."""
 
-    natural_frequency: Real = parameter(
+    natural_frequency: float = parameter(
         30.0, 'Natural frequency of the motion loop.', unit='rad/s', live=True, gt=0.0, le=200.0)
-    damping_ratio: Real = parameter(
+    damping_ratio: float = parameter(
         1.0, 'Damping ratio of the motion loop.', live=True, gt=0.0, le=5.0)
 
 
 class PostureConfig(Config):
     """Motion of the joints that the operational point does not see, of an arm with more than 6."""
 
-    natural_frequency: Real = parameter(
+    natural_frequency: float = parameter(
         5.0, 'Natural frequency, critically damped, by which joints go to the posture; 0 to damp '
         'them only (nullspace_damping).', unit='rad/s', live=True, ge=0.0, le=50.0)
     joints: Vector = parameter(
@@ -44,11 +56,11 @@ class PostureConfig(Config):
 class FrictionConfig(Config):
     """Compensation of the joints' friction, which the paper's model does not have."""
 
-    coulomb: Vector = parameter(
+    coulomb: NonNegativeVector = parameter(
         (), 'Coulomb friction added per joint, along its motion; empty for none.', unit='N m')
-    viscous: Vector = parameter(
+    viscous: NonNegativeVector = parameter(
         (), 'Viscous friction added per joint; empty for none.', unit='N m s/rad')
-    speed: Real = parameter(
+    speed: float = parameter(
         0.02, 'Joint speed at which tanh(v / speed) lets most of the Coulomb friction in.',
         unit='rad/s', live=True, gt=0.0)
 
@@ -56,18 +68,17 @@ class FrictionConfig(Config):
 class TransitionConfig(Config):
     """Torque from one law to another: at a start, a stop and a live change."""
 
-    blend_time: Real = parameter(
-        0.2, 'Shortest fade of the difference of two laws.', unit='s', live=True, ge=0.0, le=10.0)
-    torque_rate: Real = parameter(
+    blend_time: float = parameter(
+        0.2, 'Shortest fade of the difference of two laws; time of a change of `tool`.',
+        unit='s', live=True, ge=0.0, le=10.0)
+    torque_rate: float = parameter(
         100.0, 'Largest rate at which it fades, in any joint.', unit='N m/s', live=True, gt=0.0)
-    slew_time: Real = parameter(
-        0.2, 'Time of a change of `tool`.', unit='s', live=True, ge=0.0, le=10.0)
 
 
 class ControllerConfig(Config):
     """Everything the controller needs to know."""
 
-    rate: Real = parameter(500.0, 'Control rate 1/h.', unit='Hz', gt=0.0)
+    rate: float = parameter(500.0, 'Control rate 1/h.', unit='Hz', gt=0.0)
     robot: RobotConfig
     tool: ToolConfig = ToolConfig()
     sensor: SensorFrontEndConfig = SensorFrontEndConfig()
@@ -89,21 +100,25 @@ class ControllerConfig(Config):
     wrench_input: Literal['raw', 'filtered', 'momentum'] = parameter(
         'raw', 'Which wrench feeds the loop: ft_sensor/wrench, ft_sensor/wrench_filtered, or '
         'that of the joint torques, for an arm without a wrist sensor.')
-    initial_noise_variance: Real = parameter(
+    initial_noise_variance: float = parameter(
         0.6, 'R until an estimate arrives.', unit='N^2', gt=0.0)
-    torque_limit: Vector = parameter(
+    torque_limit: PositiveVector = parameter(
         (), 'Largest commanded torque per joint; empty for none.', unit='N m')
-    nullspace_damping: Real = parameter(
+    nullspace_damping: float = parameter(
         2.0, 'Least joint damping in the null space, of arms with more than six joints and near '
         'singularities.', unit='1/s', ge=0.0)
 
     @cross_check
     def _check_across_fields(self) -> Iterator[ConfigError]:
-        yield from self._check_joints()
-        known, names = self.contacts, self.contact_names
-        unknown = [name for name in names if name not in known]
+        joints = len(self.robot.joint_names)
+        for name in PER_JOINT:
+            count = len(attrgetter(name)(self))
+            if count not in (0, joints):
+                yield ConfigError(name, f'{counted(joints, "values")}, one per joint', count)
+        names = self.contact_names
+        unknown = sorted(set(names) - self.contacts.keys())
         if unknown:
-            yield ConfigError('contact_names', f'names among {", ".join(sorted(known))}',
+            yield ConfigError('contact_names', f'names among {", ".join(sorted(self.contacts))}',
                               ', '.join(map(repr, unknown)))
         if len(set(names)) != len(names):
             yield ConfigError('contact_names', 'distinct names', list(names))
@@ -117,32 +132,13 @@ class ControllerConfig(Config):
         if not unknown:
             yield from self._check_laws()
 
-    def _check_joints(self) -> Iterator[ConfigError]:
-        joints, limits = len(self.robot.joint_names), self.limits
-        positive = {'torque_limit': self.torque_limit, 'limits.joint_speed': limits.joint_speed,
-                    'limits.torque_rate': limits.torque_rate,
-                    'collision.threshold': self.collision.threshold}
-        friction = {'friction.coulomb': self.friction.coulomb,
-                    'friction.viscous': self.friction.viscous}
-        for name, values in {
-                **positive, **friction, 'robot.armature': self.robot.armature,
-                'limits.joint_lower': limits.joint_lower,
-                'posture.joints': self.posture.joints}.items():
-            if values and len(values) != joints:
-                yield ConfigError(
-                    name, f'{counted(joints, "values")}, one per joint', f'{len(values)}')
-            if name in positive and min(values, default=1.0) <= 0.0:
-                yield ConfigError(name, 'values above 0', min(values))
-            if name in friction and min(values, default=0.0) < 0.0:
-                yield ConfigError(name, 'values of at least 0', min(values))
-
     def _check_laws(self) -> Iterator[ConfigError]:
-        force, contacts = self.force, {name: self.contacts[name] for name in self.contact_names}
-        others = sorted({self.law_of(name) for name in contacts} - {'aob'})
-        adaptive = force.stiffness == 'adaptive'
+        force, adaptive = self.force, self.force.stiffness == 'adaptive'
+        others = sorted({self.law_of(name) for name in self.contact_names} - {'aob'})
         # What needs contacts that do not move each other, as N alpha* (eq. 30) lets them.
         decoupled = [f'the law {law}' for law in others] + ['adaptive stiffness'] * adaptive
-        for name, contact in contacts.items():
+        for name in self.contact_names:
+            contact = self.contacts[name]
             decoupled += [f'the {contact.type} {name}'] * (contact.type != 'point')
             decoupled += [f'contacts.{name}.{field}' for field in (
                 'surface_speed', 'surface_speed_limit') if getattr(contact, field)]
@@ -157,15 +153,11 @@ class ControllerConfig(Config):
         if decoupled and force.allocation != 'decoupled':
             yield ConfigError(
                 'force.allocation', f'decoupled with {", ".join(decoupled)}', force.allocation)
-        if adaptive and others:
-            yield ConfigError(
-                'force.stiffness', f'configured with the law {others[0]}', force.stiffness)
-        if adaptive and not force.active_state_order:
-            yield ConfigError(
-                'force.stiffness', 'configured without active state', force.stiffness)
-        if adaptive and force.damping_rate <= 0.0:
-            yield ConfigError(
-                'force.damping_rate', 'above 0 with adaptive stiffness', force.damping_rate)
+        if adaptive and (others or not force.active_state_order):
+            yield ConfigError('force.stiffness', 'configured unless every law is aob, with an '
+                              'active state', force.stiffness)
+        if adaptive and not force.damping_rate:
+            yield ConfigError('force.damping_rate', 'above 0 with adaptive stiffness', 0.0)
 
     def _check_delay(self) -> Iterator[ConfigError]:
         sensor, nyquist = self.sensor, 0.5 * self.rate
@@ -191,8 +183,7 @@ class ControllerConfig(Config):
     @property
     def loop_delay(self) -> float:
         """T_d of the force loop: force.input_delay and that of the measurement of forces [s]."""
-        commanded, filtered, observed = self._delays.values()
-        return commanded + filtered + observed
+        return sum(self._delays.values())
 
     @property
     def columns(self) -> tuple[Column, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
-from multicontact_control.config.base import Config, cross_check, parameter, Real
+from multicontact_control.config.base import Config, cross_check, parameter
 from multicontact_control.errors import ConfigError
 
 LawName = Literal['aob', 'pi', 'dob', 'lqg', 'admittance', 'impedance', 'feedforward']
@@ -15,54 +15,54 @@ FedForward = Literal['estimate', 'desired', 'mixed', 'measured']
 class PiConfig(Config):
     """The law `pi`: u = K_p e + K_i int e dt, with K_p = bandwidth K_2 / k."""
 
-    bandwidth: Real = parameter(
+    bandwidth: float = parameter(
         24.0, 'Bandwidth of the loop with K_p alone.', unit='rad/s', live=True, gt=0.0, le=500.0)
-    integral_rate: Real = parameter(5.0, 'K_i / K_p.', unit='1/s', live=True, gt=0.0, le=100.0)
-    filter_cutoff: Real = parameter(
+    integral_rate: float = parameter(5.0, 'K_i / K_p.', unit='1/s', live=True, gt=0.0, le=100.0)
+    filter_cutoff: float = parameter(
         30.0, 'Cut-off of a low-pass on the force, 0 for none.', unit='Hz', live=True, ge=0.0)
 
 
 class DobConfig(Config):
     """The law `dob`: a disturbance observer with a filter Q of second order."""
 
-    observer_bandwidth: Real = parameter(
+    observer_bandwidth: float = parameter(
         40.0, 'Double pole of Q.', unit='rad/s', live=True, gt=0.0, le=1000.0)
-    bandwidth: Real = parameter(
+    bandwidth: float = parameter(
         25.0, 'Bandwidth of the force loop around it.', unit='rad/s', live=True, gt=0.0, le=500.0)
 
 
 class LqgConfig(Config):
     """The law `lqg`: a steady Kalman filter with a disturbance state, and an LQ regulator."""
 
-    noise_variance: Real = parameter(
+    noise_variance: float = parameter(
         2.0, 'R of the steady filter.', unit='N^2', live=True, gt=0.0)
-    input_weight: Real = parameter(
+    input_weight: float = parameter(
         1.0, 'Weight of an input of 1 m/s^2 against a force error of 1 N.', live=True, gt=0.0)
 
 
 class AdmittanceConfig(Config):
     """The law `admittance`: a virtual mass and damper turn force errors into speed."""
 
-    bandwidth: Real = parameter(
+    bandwidth: float = parameter(
         25.0, 'k over the virtual damping.', unit='rad/s', live=True, gt=0.0, le=500.0)
-    inertia_time: Real = parameter(
+    inertia_time: float = parameter(
         0.005, 'Virtual mass over the virtual damping.', unit='s', live=True, ge=1e-4, le=1.0)
-    integral_rate: Real = parameter(
+    integral_rate: float = parameter(
         5.0, 'Decay rate of a constant force error.', unit='1/s', live=True, ge=0.0, le=100.0)
 
 
 class ImpedanceConfig(Config):
     """The law `impedance`: a virtual spring to a point that lies alpha_des / k in the surface."""
 
-    natural_frequency: Real = parameter(
+    natural_frequency: float = parameter(
         30.0, 'Natural frequency of that spring.', unit='rad/s', live=True, gt=0.0, le=500.0)
 
 
 class AdaptiveStiffnessConfig(Config):
     """The stiffness that the observers' model follows, with `force.stiffness: adaptive`."""
 
-    lowest: Real = parameter(200.0, 'Smallest stiffness of the model.', unit='N/m', gt=0.0)
-    highest: Real = parameter(
+    lowest: float = parameter(200.0, 'Smallest stiffness of the model.', unit='N/m', gt=0.0)
+    highest: float = parameter(
         8e4, 'Largest stiffness of the model, at the first touch.', unit='N/m', gt=0.0)
 
     @cross_check
@@ -89,16 +89,16 @@ class ForceConfig(Config):
     lqg: LqgConfig = LqgConfig()
     admittance: AdmittanceConfig = AdmittanceConfig()
     impedance: ImpedanceConfig = ImpedanceConfig()
-    time_constant: Real = parameter(
+    time_constant: float = parameter(
         0.02, 'Time constant of the dominant closed-loop pole.', unit='s', live=True, gt=0.0)
-    second_pole_ratio: Real = parameter(
+    second_pole_ratio: float = parameter(
         1.0, 'Second pole relative to the first, 1 for two equal ones.', live=True, ge=1.0)
-    damping_rate: Real = parameter(
+    damping_rate: float = parameter(
         100.0, 'K_2 of eq. 32, damping of the contact motion; the paper leaves it open.',
         unit='1/s', live=True, ge=0.0)
-    input_delay: Real = parameter(
+    input_delay: float = parameter(
         0.006, 'T_d of eq. 32, from commanded to acting input.', unit='s', ge=0.0)
-    process_noise: Real = parameter(
+    process_noise: float = parameter(
         1e-3, 'Q_k = process_noise I (P04 sec. 5.2).', live=True, gt=0.0)
     active_state_order: int = parameter(
         1, 'Order of the active state p_k, 0 for plain pole placement without it.', ge=0, le=3)
@@ -119,19 +119,19 @@ class NoiseEstimatorConfig(Config):
         'from the innovations of the observers.')
     contact_names: tuple[str, ...] = parameter(
         ..., 'Contacts in the order of every contact vector.', min_length=1)
-    rate: Real = parameter(500.0, 'Rate of the force samples.', unit='Hz', gt=0.0)
+    rate: float = parameter(500.0, 'Rate of the force samples.', unit='Hz', gt=0.0)
     window: int = parameter(
         50, 'Samples in the window N of eq. 43, of forces or of innovations; `sage_husa` and '
         '`variational_bayes` forget by 1 - 1/N.', ge=2, le=10000)
-    zero_frequency: Real = parameter(3.0, 'Zero of G_f, eq. 42.', unit='Hz', gt=0.0)
-    pole_frequency: Real = parameter(60.0, 'Pole of G_f, eq. 42.', unit='Hz', gt=0.0)
-    variance_scale: Real = parameter(
+    zero_frequency: float = parameter(3.0, 'Zero of G_f, eq. 42.', unit='Hz', gt=0.0)
+    pole_frequency: float = parameter(60.0, 'Pole of G_f, eq. 42.', unit='Hz', gt=0.0)
+    variance_scale: float = parameter(
         1.0, 'Factor of an estimated R, e.g. to compare estimators of equal R at rest.', gt=0.0)
-    slew_time: Real = parameter(
+    slew_time: float = parameter(
         0.0, 'Time in which R changes by a factor e at most; 0 for no bound, as in the paper. A '
         'force step raises R, which with K_2 = 20 1/s slows the step: 0.03 s prevents that.',
         unit='s', ge=0.0, le=10.0)
-    fixed_variance: Real = parameter(
+    fixed_variance: float = parameter(
         0.6, 'R of the estimator `fixed`, and of others at first.', unit='N^2', gt=0.0)
 
     @cross_check

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 import math
 
-from multicontact_control.config.base import Config, cross_check, parameter, Real, Vector, Vector3
+from multicontact_control.config.base import Config, cross_check, parameter, Vector, Vector3
 from multicontact_control.errors import ConfigError, counted
 
 
@@ -39,9 +39,6 @@ class RobotConfig(Config):
 
     @cross_check
     def _check_locked(self) -> Iterator[ConfigError]:
-        both = sorted(set(self.locked_joints) & set(self.joint_names))
-        if both:
-            yield ConfigError('robot.locked_joints', 'none of robot.joint_names', both)
         count, positions = len(self.locked_joints), len(self.locked_positions)
         if positions not in (0, count):
             yield ConfigError('robot.locked_positions', counted(count, 'values')
@@ -57,17 +54,12 @@ class RobotConfig(Config):
 class ToolConfig(Config):
     """The load of the wrist sensor, whose weight is subtracted from the readings."""
 
-    mass: Real = parameter(0.0, 'Mass beyond the sensor.', unit='kg', live=True, ge=0.0)
+    mass: float = parameter(0.0, 'Mass beyond the sensor.', unit='kg', live=True, ge=0.0)
     com_sensor: Vector3 = parameter(
         (0.0, 0.0, 0.0), 'Its centre, in the sensor frame.', unit='m', live=True)
     bias_sensor: Vector = parameter(
         (0.0,) * 6, 'Reading without load, force first, subtracted from every reading.',
-        unit='N, N m', live=True)
-
-    @cross_check
-    def _check_length(self) -> Iterator[ConfigError]:
-        if len(self.bias_sensor) != 6:
-            yield ConfigError('tool.bias_sensor', '6 values', len(self.bias_sensor))
+        unit='N, N m', live=True, min_length=6, max_length=6)
 
 
 class SensorFrontEndConfig(Config):
@@ -75,15 +67,15 @@ class SensorFrontEndConfig(Config):
 
     filter_order: int = parameter(
         0, 'Order of the low-pass on the readings: 0 for none, 1, or 2 (Butterworth).', ge=0, le=2)
-    filter_cutoff: Real = parameter(
+    filter_cutoff: float = parameter(
         125.0, 'Its cut-off; its delay is added to force.input_delay.', unit='Hz', gt=0.0)
     full_scale: Vector = parameter(
         (), 'Largest reading of each axis, force first; 99 % of it are saturated. Empty if '
         'unknown.', unit='N, N m')
-    force_noise_std: Real = parameter(
+    force_noise_std: float = parameter(
         0.05, 'Noise of a force axis: the weight of a reading with contacts.*.friction_std.',
         unit='N', gt=0.0)
-    torque_noise_std: Real = parameter(
+    torque_noise_std: float = parameter(
         0.004, 'The same of a torque axis.', unit='N m', gt=0.0)
     frozen_ticks: int = parameter(
         3, 'Identical readings in a row that mean a frozen sensor; 0 for a sensor that repeats '
@@ -94,10 +86,9 @@ class SensorFrontEndConfig(Config):
 
     @cross_check
     def _check(self) -> Iterator[ConfigError]:
-        if len(self.full_scale) not in (0, 6):
-            yield ConfigError('sensor.full_scale', '6 values or none', len(self.full_scale))
-        if min(self.full_scale, default=1.0) <= 0.0:
-            yield ConfigError('sensor.full_scale', 'values above 0', min(self.full_scale))
+        scales = list(self.full_scale)
+        if len(scales) not in (0, 6) or min(scales, default=1.0) <= 0.0:
+            yield ConfigError('sensor.full_scale', '6 values above 0, or none', scales)
         if self.frozen_ticks == 1:
             yield ConfigError('sensor.frozen_ticks', '0 or at least 2', 1)
 

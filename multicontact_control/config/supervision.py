@@ -5,34 +5,32 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
-from multicontact_control.config.base import Config, cross_check, parameter, Real, Vector
+from multicontact_control.config.base import Config, cross_check, parameter, PositiveVector, Vector
 from multicontact_control.errors import ConfigError
-
-Reaction = Literal['hold', 'float', 'damp']
 
 
 class ContactStateConfig(Config):
     """Thresholds of the contact states, and the search for surfaces."""
 
-    approach_speed: Real = parameter(
+    approach_speed: float = parameter(
         0.02, 'Largest speed along a normal towards a surface that is not felt, where a scenario '
         'sets none.', unit='m/s', gt=0.0, le=0.25)
-    approach_ramp_time: Real = parameter(
+    approach_ramp_time: float = parameter(
         0.5, 'Time to reach that speed.', unit='s', gt=0.0, le=10.0)
-    approach_distance: Real = parameter(
+    approach_distance: float = parameter(
         0.1, 'A surface not met over this distance is given up.', unit='m', gt=0.0, le=2.0)
-    contact_threshold: Real = parameter(
+    contact_threshold: float = parameter(
         1.5, 'Measured force that counts as touch.', unit='N', gt=0.0, le=100.0)
-    release_threshold: Real = parameter(
+    release_threshold: float = parameter(
         0.5, 'Measured force below which a contact may be lost.', unit='N', ge=0.0, le=100.0)
-    retry_time: Real = parameter(
+    retry_time: float = parameter(
         5.0, 'Time to the next search for a contact that was not found, doubled by each; 0 for '
         'none. One left for its force waits for a command.', unit='s', ge=0.0, le=3600.0)
-    smallest_force: Real = parameter(
+    smallest_force: float = parameter(
         3.0, 'Smallest commanded force; below, sliding looks like a loss.', unit='N', gt=0.0)
-    preload: Real = parameter(
+    preload: float = parameter(
         2.0, 'Desired force from touch until the contact holds.', unit='N', gt=0.0, le=100.0)
-    force_ceiling: Real = parameter(
+    force_ceiling: float = parameter(
         60.0, 'Measured force at which a contact is left.', unit='N', gt=0.0, le=1000.0)
 
     @cross_check
@@ -51,11 +49,11 @@ class LimitsConfig(Config):
 
     joint_lower: Vector = parameter((), 'Lower stop of each joint.', unit='rad')
     joint_upper: Vector = parameter((), 'Upper stop of each joint.', unit='rad')
-    joint_speed: Vector = parameter((), 'Largest speed of each joint.', unit='rad/s')
-    torque_rate: Vector = parameter((), 'Largest rate of each torque.', unit='N m/s')
-    operational_speed: Real = parameter(
+    joint_speed: PositiveVector = parameter((), 'Largest speed of each joint.', unit='rad/s')
+    torque_rate: PositiveVector = parameter((), 'Largest rate of each torque.', unit='N m/s')
+    operational_speed: float = parameter(
         0.5, 'Largest speed of the operational point.', unit='m/s', gt=0.0, le=10.0)
-    operational_turn: Real = parameter(
+    operational_turn: float = parameter(
         2.0, 'Largest angular speed of the operational frame.', unit='rad/s', gt=0.0, le=50.0)
     workspace_lower: Vector = parameter(
         (), 'Lower corner of the box the operational point stays in.', unit='m')
@@ -78,18 +76,18 @@ class CollisionConfig(Config):
     reaction: Literal['none', 'hold', 'float', 'damp'] = parameter(
         'hold', 'Reaction: a report only, the posture held while contact forces fade, the arm '
         'carried once it is at rest, or carried and damped.')
-    bandwidth: Real = parameter(
+    bandwidth: float = parameter(
         200.0, 'K of the observer, whose time constant is 1 / K, at least 2.5 periods.',
         unit='1/s', gt=0.0, le=2000.0)
-    threshold: Vector = parameter(
+    threshold: PositiveVector = parameter(
         (), 'Least external torque in each joint that is a collision, at rest; empty for the '
         'shares below.', unit='N m')
-    limit_share: Real = parameter(
+    limit_share: float = parameter(
         0.03, "That torque over the joint's limit (torque_limit, or that of the URDF), at least "
         '1 N m...', ge=0.0, le=1.0)
-    friction_share: Real = parameter(
+    friction_share: float = parameter(
         1.0, '...and over its Coulomb friction (friction.coulomb), added to it.', ge=0.0, le=10.0)
-    dynamic_share: Real = parameter(
+    dynamic_share: float = parameter(
         0.1, 'Added to it, over the torque that accelerates the joint.', ge=0.0, le=1.0)
     command_delay: int = parameter(
         -1, 'Periods from a sample to the torque that answers it, for an arm that measures no '
@@ -99,26 +97,22 @@ class CollisionConfig(Config):
 class WatchdogConfig(Config):
     """Limits of valid inputs, and the reactions beyond them."""
 
-    joint_max_age: Real = parameter(
+    joint_max_age: float = parameter(
         1.5, 'Largest age of a joint state.', unit='periods', ge=1.0, le=1000.0)
-    wrench_max_age: Real = parameter(
+    wrench_max_age: float = parameter(
         12.5, 'Largest age of a wrench; up to it the observers predict what is not measured.',
         unit='periods', ge=1.0, le=1000.0)
-    variance_max_age: Real = parameter(
+    variance_max_age: float = parameter(
         4.5, 'Largest age of R, which is one period old at best and three on a busy machine.',
         unit='periods', ge=2.0, le=1e4)
-    on_joint_fault: Reaction = parameter(
-        'float', 'Reaction to a joint state that is missing, stale or invalid.')
-    on_wrench_fault: Reaction = parameter(
-        'hold', 'Reaction to a wrench that is missing, stale or invalid.')
-    rate_band: Real = parameter(
+    rate_band: float = parameter(
         2.5, 'Twice in a row a period beyond 1 / rate_band to rate_band times the right one is '
         'a fault.', gt=1.0, le=100.0)
     frozen_joint_ticks: int = parameter(
         0, 'Identical joint states in a row, while a joint moves, that mean frozen joints; 0 for '
         'encoders with steps near the motion in a period.', ge=0, le=1000)
-    friction_bound: Real = parameter(
+    friction_bound: float = parameter(
         0.8, 'Largest accepted ratio of sideways to normal forces, beyond 5 N.', gt=0.0, le=10.0)
-    recovery_time: Real = parameter(
+    recovery_time: float = parameter(
         0.05, 'How long all inputs must be good before control resumes; after each relapse three '
         'times as long.', unit='s', ge=0.0, le=60.0)

@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple, Protocol
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.config import Config, parameter, Real, UnitVector3
+from multicontact_control.config import Config, parameter, UnitVector3
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
@@ -56,30 +56,30 @@ class MotionReading(NamedTuple):
 class ApproachConfig(Config):
     """Guarded contact: towards every surface until it is felt."""
 
-    start_time: Real = parameter(0.5, 'When the approach starts.', unit='s', ge=0.0)
-    speed: Real = parameter(0.02, 'Approach speed.', unit='m/s', gt=0.0, le=0.25)
-    ramp_time: Real = parameter(0.5, 'Time to reach that speed.', unit='s', gt=0.0)
-    contact_threshold: Real = parameter(
+    start_time: float = parameter(0.5, 'When the approach starts.', unit='s', ge=0.0)
+    speed: float = parameter(0.02, 'Approach speed.', unit='m/s', gt=0.0, le=0.25)
+    ramp_time: float = parameter(0.5, 'Time to reach that speed.', unit='s', gt=0.0)
+    contact_threshold: float = parameter(
         1.5, 'Measured force that counts as contact.', unit='N', gt=0.0)
-    preload: Real = parameter(2.0, 'Desired force from contact to first step.', unit='N', gt=0.0)
+    preload: float = parameter(2.0, 'Desired force from contact to first step.', unit='N', gt=0.0)
 
 
 class ForceStepConfig(Config):
     """A step of the desired forces."""
 
-    time: Real = parameter(..., 'When.', unit='s', ge=0.0)
-    forces: dict[str, Real] = parameter(
+    time: float = parameter(..., 'When.', unit='s', ge=0.0)
+    forces: dict[str, float] = parameter(
         ..., 'Desired force per contact, and couple of an edge or plane.', unit='N')
 
 
 class SineConfig(Config):
     """A sinusoid along one direction, blended in."""
 
-    start_time: Real = parameter(..., 'When the motion starts.', unit='s', ge=0.0)
+    start_time: float = parameter(..., 'When the motion starts.', unit='s', ge=0.0)
     direction_world: UnitVector3 = parameter((1.0, 0.0, 0.0), 'Unit direction, world axes.')
-    amplitude: Real = parameter(0.15, 'Amplitude.', unit='m', ge=0.0)
-    period: Real = parameter(8.0, 'Period.', unit='s', gt=0.0)
-    blend_time: Real = parameter(2.0, 'Duration of the quintic blend-in.', unit='s', gt=0.0)
+    amplitude: float = parameter(0.15, 'Amplitude.', unit='m', ge=0.0)
+    period: float = parameter(8.0, 'Period.', unit='s', gt=0.0)
+    blend_time: float = parameter(2.0, 'Duration of the quintic blend-in.', unit='s', gt=0.0)
 
 
 class ReferenceConfig(Config):

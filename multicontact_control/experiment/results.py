@@ -12,7 +12,6 @@ import shutil
 from typing import Any, NamedTuple
 
 from multicontact_control.config import (
-    ContactConfig,
     ControllerConfig,
     NoiseEstimatorConfig,
     read_parameters,
@@ -20,7 +19,7 @@ from multicontact_control.config import (
     RobotConfig,
     validate,
 )
-from multicontact_control.config.contact import ACROSS, ALONG, ContactType, SUFFIXES
+from multicontact_control.config.contact import ACROSS, ALONG, ContactConfig, ContactType, SUFFIXES
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment import judge, recording
 from multicontact_control.experiment.bag import BagMessages, mcap_files

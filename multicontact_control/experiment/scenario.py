@@ -17,13 +17,11 @@ from multicontact_control.config import (
     merge,
     NoiseEstimatorConfig,
     parameter,
-    read_node_parameters,
     read_parameters,
     read_yaml,
-    Real,
     validate,
 )
-from multicontact_control.config.base import EVERY_NODE
+from multicontact_control.config.base import EVERY_NODE, read_node_parameters
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import check_all, ConfigError
@@ -48,7 +46,7 @@ class ScenarioConfig(Config):
 
     name: str = parameter(..., 'Name, as used in file names.', min_length=1)
     description: str = parameter('', 'What it shows.')
-    duration: Real = parameter(..., 'Length of the run.', unit='s', ge=SHORTEST)
+    duration: float = parameter(..., 'Length of the run.', unit='s', ge=SHORTEST)
     reference: ReferenceConfig = ReferenceConfig()
     controller: dict[str, Any] = parameter({}, 'Values laid over config/controller.yaml.')
     noise_estimator: dict[str, Any] = parameter(

@@ -24,8 +24,8 @@ from typing import Any
 from multicontact_control.algebra import cholesky, dot, multiply, solve_cholesky
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.config import AdaptiveStiffnessConfig, ForceConfig
 from multicontact_control.config.contact import FORCE
+from multicontact_control.config.force import AdaptiveStiffnessConfig, ForceConfig
 from multicontact_control.force.plant import DelayedPlant
 from multicontact_control.records import LIMITS
 import numpy as np

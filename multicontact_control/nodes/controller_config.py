@@ -11,7 +11,6 @@ from multicontact_control.config import (
     cross_check,
     parameter,
     read_yaml,
-    Real,
     validate,
 )
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
@@ -32,11 +31,11 @@ class ControllerNodeConfig(StartupConfig):
         'law; without them it is the law alone, as its claims are measured.')
     lockstep: bool = parameter(
         False, 'Whether to wait for the noise variance of one sample before answering the next.')
-    patience: Real = parameter(
+    patience: float = parameter(
         1.5, 'Periods after a sample from which the next is waited for no longer: what has come '
         'of it is used, and one period later the tick is taken without it. 0 to wait for ever; '
         'only with supervision, and not in lockstep.', ge=0.0, le=100.0)
-    pair_tolerance: Real = parameter(
+    pair_tolerance: float = parameter(
         0.5, 'Largest difference between the stamps of a joint state and a wrench that are taken '
         'for one sample.', unit='periods', ge=0.0, le=0.5)
     reference_file: str = parameter(

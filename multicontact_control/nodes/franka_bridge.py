@@ -21,7 +21,7 @@ from typing import Any, Literal
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from multicontact_control.arrays import Vector
-from multicontact_control.config import Config, cross_check, parameter, Real
+from multicontact_control.config import Config, cross_check, parameter
 from multicontact_control.config import Vector as Numbers
 from multicontact_control.errors import ConfigError, MulticontactError, RunError
 from multicontact_control.nodes import diagnostics, graph, messages, qos, streams, topics
@@ -45,15 +45,15 @@ FIGURES = ('cycles', 'starts', 'aborts', 'recoveries', 'lost_cycles', COMMANDED,
 class LateConfig(Config):
     """What the bridge sends while the newest command is late; its age counts from its sample."""
 
-    command_age: Real = parameter(
+    command_age: float = parameter(
         0.006, 'Age up to which a command is in time.', unit='s', gt=0.0)
-    hold_time: Real = parameter(
+    hold_time: float = parameter(
         0.02, 'Age up to which its torque is held, as the robot does by itself.', unit='s')
-    stop_time: Real = parameter(
+    stop_time: float = parameter(
         0.5, 'Age up to which the joints are damped; then torque control ends.', unit='s')
     damping: Numbers = parameter(
         (20.0,) * 4 + (5.0,) * 3, 'Torque per speed of damped joints.', unit='N m s/rad')
-    torque_rate: Real = parameter(
+    torque_rate: float = parameter(
         999.9, 'Largest change of any torque that is sent, of commands as well; the robot stops '
         'at 1000.', unit='N m/s', gt=0.0, lt=1000.0)
 
@@ -75,7 +75,7 @@ class FrankaBridgeConfig(graph.StartupConfig):
     wrench_topic: str = parameter(
         '~/wrench', 'Topic of the wrist sensor (geometry_msgs/WrenchStamped); empty for the '
         "robot's own estimate, K_F_ext_hat_K, in its stiffness frame.")
-    wrench_age: Real = parameter(
+    wrench_age: float = parameter(
         0.005, 'Age from which a wrench is published no more.', unit='s', gt=0.0)
     collision_torque: Numbers = parameter(
         (40.0,) * JOINTS, 'External joint torques at which the robot stops.', unit='N m')

@@ -14,7 +14,7 @@ import math
 from typing import Any, Literal, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.config import Config, cross_check, parameter, Real, ToolConfig
+from multicontact_control.config import Config, cross_check, parameter, ToolConfig
 from multicontact_control.contact.wrench import contact_wrench
 from multicontact_control.errors import ConfigError
 import numpy as np
@@ -39,10 +39,10 @@ class PushTestConfig(Config):
 
     directions: tuple[Direction, ...] = parameter(
         ('+x', '+y', '+z'), 'World axes along which the tool is pushed, each axis at least once.')
-    force: Real = parameter(
+    force: float = parameter(
         10.0, 'Force of every push, by a spring balance or a known weight.', unit='N',
         gt=DETECT_FORCE)
-    timeout: Real = parameter(
+    timeout: float = parameter(
         30.0, 'Longest wait for rest, for a push or for its end.', unit='s', gt=0.0)
 
     @cross_check

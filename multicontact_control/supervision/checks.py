@@ -38,9 +38,9 @@ LEAST_THRESHOLD, LEARNT_SHARE = 1.0, 0.1
 def reactions_of(config: ControllerConfig) -> dict[str, str]:
     """Return the reaction to each part that has failed, by what the causes begin with."""
     return {
-        'joints': config.watchdog.on_joint_fault, 'wrench': config.watchdog.on_wrench_fault,
-        CONTRADICTED: 'hold', 'variance': 'inflate', 'clock': 'hold', 'motion': 'hold',
-        'law': 'hold', 'start': 'hold', COLLISION: config.collision.reaction}
+        'joints': 'float', 'wrench': 'hold', CONTRADICTED: 'hold', 'variance': 'inflate',
+        'clock': 'hold', 'motion': 'hold', 'law': 'hold', 'start': 'hold',
+        COLLISION: config.collision.reaction}
 
 
 @compiled

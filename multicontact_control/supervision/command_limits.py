@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from multicontact_control.arrays import Vector
-from multicontact_control.config import Config, ControllerConfig, LimitsConfig, parameter, Real
+from multicontact_control.config import Config, ControllerConfig, LimitsConfig, parameter
 from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError
@@ -18,10 +18,10 @@ NOTHING: Mapping[str, float] = {}
 class CommandLimits(Config):
     """Largest force that may be commanded, and more; the box for positions is that of `limits`."""
 
-    force_ceiling: Real = parameter(
+    force_ceiling: float = parameter(
         30.0, 'Largest force that may be commanded at a contact; below '
         'contact_state.force_ceiling, at which a contact is left.', unit='N', live=True, gt=0.0)
-    motion_timeout: Real = parameter(
+    motion_timeout: float = parameter(
         0.2, 'How long twist and acceleration of a motion command count if no other follows; then '
         'only its pose does.', unit='s', live=True, gt=0.0)
 

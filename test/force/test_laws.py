@@ -6,7 +6,8 @@ import shlex
 from typing import get_args
 
 from multicontact_control.cli.options import SetupOptions
-from multicontact_control.config import ForceConfig, LawName, read_yaml
+from multicontact_control.config import ForceConfig, read_yaml
+from multicontact_control.config.force import LawName
 from multicontact_control.experiment.law_report import (
     contact_loop,
     design_for_range,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 
 from arms import controller_config, seven_joint_urdf
-from multicontact_control.config import Config, ControllerConfig, parameter, Real, Vector
+from multicontact_control.config import Config, ControllerConfig, parameter, Vector
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.experiment.scenario import dotted, read_controller_files, resolve
@@ -21,14 +21,14 @@ CONTROLLER_FILE = config_dir() / 'controller.yaml'
 
 
 class Gains(Config):
-    stiff: Real = parameter(2.0, 'A gain.', unit='1/s', live=True, ge=0.0, le=10.0)
-    soft: Real = parameter(1.0, 'A lower gain.', unit='1/s', live=True)
+    stiff: float = parameter(2.0, 'A gain.', unit='1/s', live=True, ge=0.0, le=10.0)
+    soft: float = parameter(1.0, 'A lower gain.', unit='1/s', live=True)
     order: int = parameter(1, 'An order.', ge=0, le=3)
     weights: Vector = parameter((), 'Weights.', live=True)
 
 
 class Whole(Config):
-    size: Real = parameter(..., 'A size.', unit='m', gt=0.0)
+    size: float = parameter(..., 'A size.', unit='m', gt=0.0)
     gains: Gains = Gains()
 
 

@@ -1,7 +1,7 @@
 """What the input stage refuses and why, how long it bridges, its low-pass and its readings."""
 
 from arms import controller_config, HOME
-from multicontact_control.config import SensorFrontEndConfig
+from multicontact_control.config.robot import SensorFrontEndConfig
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.force_law import make_force_laws
 from multicontact_control.records import JOINT, MOMENTUM

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal
 
-from multicontact_control.config import Config, parameter, read_yaml, Real, validate
+from multicontact_control.config import Config, parameter, read_yaml, validate
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.overrides import read_settings
 from multicontact_control.experiment.scenario import plant_source
@@ -24,8 +24,8 @@ class FactorConfig(Config):
     """What is varied: values or a range of one parameter, or levels with values of several."""
 
     values: tuple[Any, ...] = parameter((), 'Values of the parameter, or labels of levels.')
-    start: Real | None = parameter(None, 'First value of a range.')
-    stop: Real | None = parameter(None, 'Last value of a range.')
+    start: float | None = parameter(None, 'First value of a range.')
+    stop: float | None = parameter(None, 'Last value of a range.')
     count: int = parameter(0, 'How many values a range has.')
     spacing: Literal['linear', 'log'] = parameter(
         'linear', 'Whether neighbours in a range have the same difference, or the same ratio.')
@@ -91,7 +91,7 @@ class PartConfig(Config):
         min_length=1)
     seeds: tuple[NonNegativeInt, ...] = parameter(
         (0,), 'Seeds, or how many of them, from 0; everything is run with each.', min_length=1)
-    duration: Real | None = parameter(
+    duration: float | None = parameter(
         None, "Length of every run; the scenario's own if not given.", unit='s', ge=1.0)
     preset: str = parameter(
         '', 'What is laid over the files first: paper, best, adaptive, or a path; nothing if '
@@ -99,7 +99,7 @@ class PartConfig(Config):
     supervised: bool = parameter(
         True, 'Whether contact states, watchdogs and limits are put around the controller, as '
         'in `simulate`; false is its `--bare`.')
-    surface_gone: tuple[Real, Real] | None = parameter(
+    surface_gone: tuple[float, float] | None = parameter(
         None, 'From when to when the last surface is away.', unit='s')
     fixed: dict[str, Any] = parameter({}, 'Parameters that differ from the files in every run.')
     factors: dict[str, FactorConfig] = parameter(
@@ -122,7 +122,7 @@ class ColumnConfig(Config):
         'median', 'What is shown of the runs of a line: a statistic, how many are true '
         '(`share`), all that there is (`set`), at which values of a factor all are good '
         '(`good_values`).')
-    scale: Real = parameter(1.0, 'What values are multiplied by.')
+    scale: float = parameter(1.0, 'What values are multiplied by.')
     digits: int | None = parameter(None, 'After the point; four significant ones if not given.')
     part: str = parameter('', 'Only runs of this part; of all parts if empty.')
     each: bool = parameter(False, 'Whether `*` shows every contact.')
