@@ -13,8 +13,6 @@ def report(
     context: typer.Context,
     runs: Annotated[list[Path], typer.Argument(
         metavar='RUN', help='Folders of `run` or `simulate`, bag folders, or .mcap files.')],
-    claims: Annotated[bool, typer.Option(
-        '--claims', help='Judge the claims of the paper by other scenarios, too.')] = False,
     out: Annotated[Path | None, typer.Option(
         help='Folder for report.html and the figures; the first run, or beside the first '
         'recording, if not given.')] = None,
@@ -35,7 +33,7 @@ def report(
         options.refuse_options(context, ('controller', 'namespace'),
                                'with runs of this package, which know their own')
     loaded = [load(path, controller or (), namespace) for path in runs]
-    paths = write_report(loaded, out or report_folder(runs[0]), claims=claims)
+    paths = write_report(loaded, out or report_folder(runs[0]))
     for run in loaded:
         for remark in run.summary.get('remarks', ()):
             typer.echo(f'{run.folder}: {remark}')
@@ -52,9 +50,9 @@ def identify(
     """
     Identify the contacts of a run from its force steps.
 
-    For each contact: stiffness and damping of the surface in series with the arm, and without it
-    where its drives are known, friction of the others, inertia of the tool, noise of the sensor,
-    and the delay from a commanded torque to the motion, each with its standard error.
+    For each contact: stiffness and damping of the surface in series with the arm, friction of the
+    others, inertia of the tool, noise of the sensor, and the delay from a commanded torque to the
+    motion, each with its standard error.
     """
     from multicontact_control.experiment.contact_identification import identify_contacts, show
     from multicontact_control.experiment.results import load

@@ -124,13 +124,10 @@ class BagMessages:
 
 def mcap_files(path: Path) -> list[Path]:
     """Return the MCAP files of a recording, or that file, also those compressed as a whole."""
-    files = [path] if path.is_file() else sorted(path.glob('*.mcap*'), reverse=True)
-    # Of a file that is there twice, the one that is not compressed comes last.
-    by_stem = {match[1]: file for file in files
-               if (match := re.fullmatch(r'(.*)\.mcap(\.zstd?)?', file.name))}
+    files = [path] if path.is_file() else sorted(path.glob('*.mcap*'))
     # rosbag2 counts bag_0, bag_1, ..., bag_10.
-    return [by_stem[stem] for stem in sorted(by_stem, key=lambda stem: [
-        int(part) if part.isdigit() else part for part in re.split(r'(\d+)', stem)])]
+    return sorted((file for file in files if re.search(r'\.mcap(\.zstd?)?$', file.name)),
+                  key=lambda file: [int(part) for part in re.findall(r'\d+', file.name)])
 
 
 def read_messages(

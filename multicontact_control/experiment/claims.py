@@ -94,15 +94,9 @@ def of_the_paper(setup: Setup) -> bool:
     return setup.scenario.name == PAPER_SCENARIO and not setup.commanded_by_topic
 
 
-def claims_of(
-    data: RunData, setup: Setup, summary: Mapping[str, Any], *, asked: bool = False,
-) -> list[Claim]:
-    """
-    Judge the paper's claims by a run of its scenario, of another one only if `asked`.
-
-    They are about a simulated plant that plays its scenario; of other runs there are none.
-    """
-    if setup.commanded_by_topic or not setup.simulated or not (asked or of_the_paper(setup)):
+def claims_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> list[Claim]:
+    """Judge the paper's claims by a simulated run of its scenario; of others there are none."""
+    if not (setup.simulated and of_the_paper(setup)):
         return []
     return judge_claims(evidence_of(data, setup, summary))
 
@@ -148,7 +142,6 @@ def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict
         'stable': None if summary['verdict'] == HELD else summary['stable'],
         'unstable_after_motion_s': None if unstable_at is None or math.isinf(start) else (
             unstable_at - start),
-        'oscillation_hz': None if unstable_at is None else run.growing_line(unstable_at),
         'ran_in_motion': float(data.time[-1]) > start + metrics.SETTLE_AFTER_START,
         'contacts': {
             name: {**_contact_evidence(run, i), 'recoveries': run.recoveries(i, unstable_at),

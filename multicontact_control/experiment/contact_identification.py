@@ -3,10 +3,9 @@ What recorded force steps say of the contacts: stiffness, damping, friction, too
 
 The signals pass the band-pass of the on-line estimate (`force.stiffness`), whose regression is
 done at once over all samples that it would accept, with the tool's inertia as one more unknown,
-and every unknown within its physical range. Encoders on the motors see surface and arm in series;
-where the springs of the drives are known, the surface alone is found as well. The standard errors
-are those of the scatter, and of what changes if any one step is left out (jackknife), where a
-spring, a damper and a mass do not explain all.
+and every unknown within its physical range. Encoders on the motors see surface and arm in series.
+The standard errors are those of the scatter, and of what changes if any one step is left out
+(jackknife), where a spring, a damper and a mass do not explain all.
 The delay is that at which the acceleration of a contact point by the commanded torque fits best
 what is measured, less what felt forces and gravity do.
 """
@@ -39,14 +38,12 @@ APART = 0.1  # s, between the samples of two steps
 # Of the unknowns: the largest values, with 0 as the least.
 LARGEST = {'stiffness_n_m': math.inf, 'damping_n_s_m': math.inf, 'tool_mass_kg': math.inf,
            'friction': stiffness.LARGEST_FRICTION}
-SERIES = 'surface and arm in series'
 # Of the variance found from n changes, relative to its square, times n: 5.44 for the median of
 # independent ones; of white noise neighbouring changes have a value in common.
 SCATTER = 6.6
 # Of each result: text, unit, scale and digits.
 TEXTS = {
     'stiffness_n_m': ('stiffness', 'N/m', 1.0, 0),
-    'surface_n_m': ('stiffness of the surface alone', 'N/m', 1.0, 0),
     'damping_n_s_m': ('damping', 'N s/m', 1.0, 1),
     'friction': ('friction of the others', '', 1.0, 3), 'tool_mass_kg': ('tool', 'kg', 1.0, 3),
     'noise_variance_n2': ('noise variance at rest', 'N^2', 1.0, 5),
@@ -63,7 +60,6 @@ class ContactSignals(NamedTuple):
     friction: Vector  # of the others, per mu [N]
     commanded: Vector  # acceleration by the commanded torque [m/s^2]
     resisted: Vector  # and by the felt forces, gravity and the arm's own motion [m/s^2]
-    given: Vector  # way that the springs of the drives give under the felt forces [m]
 
 
 def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
@@ -73,10 +69,9 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
     Returns by contact: `stiffness_n_m`, `damping_n_s_m`, `friction` of the other surfaces,
     `tool_mass_kg`, `noise_variance_n2` of the measured force at rest and `delay_s`, each a mapping
     of `value` and `std`, its standard error, infinite from a single step; None where the data
-    cannot tell. `surface_n_m` is the stiffness without flexible drives that are known, `of` says
-    what the others are of, `samples` is their number, `explained` the share of their variance.
-    Raises ConfigError if the arm is not known or
-    has no wrist sensor, RunError if no contact has a step of its command.
+    cannot tell. `samples` is their number, `explained` the share of their variance. Raises
+    ConfigError if the arm is not known or has no wrist sensor, RunError if no contact has a step
+    of its command.
     """
     config = setup.controller
     if not config.robot.urdf:
@@ -85,11 +80,8 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
     if config.wrench_input == 'momentum':
         raise ConfigError('wrench_input', 'raw or filtered: the forces of a wrist sensor',
                           config.wrench_input)
-    flexible = setup.simulated and setup.plant.drives == 'flexible'
-    springs = np.array(setup.plant.drive_stiffness) if flexible else np.array(math.inf)
-    signals = contact_signals(data, config, setup.urdf_dir, springs)
-    of = SERIES if flexible or not setup.simulated else 'surface'
-    contacts = {name: _identify(signal, config) | {'of': of} for name, signal in signals.items()}
+    signals = contact_signals(data, config, setup.urdf_dir)
+    contacts = {name: _identify(signal, config.period) for name, signal in signals.items()}
     if all(contact['stiffness_n_m'] is None for contact in contacts.values()):
         raise RunError(
             'identify: expected joint states, wrenches and commanded torques of one stamp during '
@@ -98,9 +90,9 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
 
 
 def contact_signals(
-    data: RunData, config: ControllerConfig, base_dir: Path, springs: Vector,
+    data: RunData, config: ControllerConfig, base_dir: Path,
 ) -> dict[str, ContactSignals]:
-    """Return the signals of every contact's normal force; of `springs` of the drives [N m/rad]."""
+    """Return the signals of every contact's normal force."""
     names = config.column_names
     controller = Controller(config, RobotModel(config.robot, base_dir))
     contacts, frame = controller.contacts, controller.controls[0]['frame']
@@ -116,32 +108,25 @@ def contact_signals(
         signals[3, :, k] = np.linalg.norm(twist[:3] + np.cross(twist[3:], levers), axis=1)
         signals[4, :, k] = [
             stiffness.friction_of_others(frame, contacts, i) for i in range(len(names))]
-        signals[5:, :, k] = _reactions(controller, data.torque[k], springs)
+        signals[5:, :, k] = _reactions(controller, data.torque[k])
     return {names[i]: ContactSignals(*signals[:, i]) for i in config.leaders}
 
 
-def _reactions(controller: Controller, torque: Vector, springs: Vector) -> Matrix:
-    """Return how torque, and all else, accelerates the contact points, and what springs give."""
+def _reactions(controller: Controller, torque: Vector) -> Matrix:
+    """Return how torque, and all else, accelerates the contact points."""
     terms, contacts = controller.robot.terms, controller.contacts
     M = np.triu(terms.mass_matrix)
     M += np.triu(M, 1).T
     felt = terms.jacobian.T @ (contacts['N'].T @ contacts['alpha_meas'])
     both = np.linalg.solve(M, np.column_stack([torque, controller.arm.bias_torque + felt]))
-    reactions: Matrix = (
-        contacts['N'] @ terms.jacobian @ np.column_stack([both, felt / springs])).T
+    reactions: Matrix = (contacts['N'] @ terms.jacobian @ both).T
     return reactions
 
 
-def _identify(signal: ContactSignals, config: ControllerConfig) -> dict[str, Any]:
-    h = config.period
-    filtered, accepted = _band_passed(signal, config)
-    contact = {'samples': int(accepted.sum()), **_fit(filtered, accepted, h), 'surface_n_m': None,
-               'noise_variance_n2': noise_at_rest(signal), 'delay_s': _delay(signal, accepted, h)}
-    if np.nan_to_num(signal.given).any():
-        rate = np.nan_to_num(np.gradient(signal.given, h))  # none beside a gap
-        alone = signal._replace(speed=signal.speed - rate)
-        contact['surface_n_m'] = _fit(*_band_passed(alone, config), h)['stiffness_n_m']
-    return contact
+def _identify(signal: ContactSignals, h: float) -> dict[str, Any]:
+    filtered, accepted = _band_passed(signal, h)
+    return {'samples': int(accepted.sum()), **_fit(filtered, accepted, h),
+            'noise_variance_n2': noise_at_rest(signal), 'delay_s': _delay(signal, accepted, h)}
 
 
 def _fit(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
@@ -173,9 +158,8 @@ def _fit(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
         'explained': 1.0 - float(left @ left) / float(y @ y)}
 
 
-def _band_passed(signal: ContactSignals, config: ControllerConfig) -> tuple[Matrix, Mask]:
+def _band_passed(signal: ContactSignals, h: float) -> tuple[Matrix, Mask]:
     """Return z, v, w, alpha and a behind the on-line estimate's band-pass, and what it takes."""
-    h = config.period
     record: Any = np.zeros(1, dtype=STIFFNESS)[0]
     record['period'] = h
     fit = record['slow']
@@ -233,7 +217,7 @@ def _delay(signal: ContactSignals, accepted: Mask, h: float) -> dict[str, float]
 
 
 def show(contacts: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return what was identified as lines of text, and of what it is."""
+    """Return what was identified as lines of text."""
     lines = []
     for name, contact in contacts.items():
         share = '' if contact['explained'] is None else (
@@ -241,12 +225,9 @@ def show(contacts: Mapping[str, Mapping[str, Any]]) -> str:
         lines.append(f'{name}: {counted(contact["samples"], "samples")}{share}')
         for key, (text, unit, scale, digits) in TEXTS.items():
             value = contact[key]
-            if key == 'surface_n_m' and value is None:
-                continue
             lines.append(f'  {text}: not known from this recording' if value is None else (
                 f'  {text}: {scale * value["value"]:.{digits}f} +- '
                 f'{scale * value["std"]:.{digits}f} {unit}').rstrip().replace(
                     '+- inf', '+- unknown (one step only)'))
-    if any(contact['of'] == SERIES for contact in contacts.values()):
-        lines.append(f'stiffness and damping are those of {SERIES}, as the force loop feels them')
-    return '\n'.join(lines)
+    return '\n'.join([*lines, 'stiffness and damping are those of surface and arm in series, as '
+                      'the force loop feels them'])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 import math
 from typing import Any, NamedTuple
 
@@ -42,7 +42,6 @@ LARGEST_MOTION_ERROR = 0.01  # m rms, while the commanded pose moves
 LARGEST_HELD_SHARE = 0.05  # of the time under load, in which reactions replace the control law
 LEAST_JUDGED = 0.5  # of the time under load, for which every force is known in a stable run
 
-TRUE, MEASURED, UNKNOWN = 'true', 'measured', 'unknown'  # forces that a run is judged by
 # Modes of a run: the simulator waits; it does not; a robot of others; a recording.
 LOCKSTEP, REAL_TIME, EXTERNAL_RUN, RECORDED = (
     'lockstep', 'free_running', 'external', 'recorded')
@@ -83,7 +82,7 @@ class Verdict(NamedTuple):
 
     name: str  # `STABLE`, `POOR`, `HELD`, `NOT_STABLE`, `SILENT` or `UNJUDGED`
     reasons: tuple[str, ...]  # of a run that is not judged, what was seen all the same
-    judged: str  # which forces and errors, over what time
+    judged: str  # which forces, over what time
     unstable_at: float | None  # of limits that were passed: the first that has a time [s], if any
     unjudged: str = ''  # why it is not judged, if it is not
 
@@ -94,7 +93,7 @@ def verdict_text(summary: Mapping[str, Any]) -> str:
     reasons = '; '.join(summary['instabilities'])
     if name == UNJUDGED:
         return f"{name}: {summary['unjudged']}" + (f'; seen: {reasons}' if reasons else '')
-    if summary['forces'] != TRUE and name != SILENT:
+    if summary['without_truth'] and name != SILENT:
         return f'{name} {BY_MEASUREMENT}: {reasons}'
     return f'{name}: {reasons}' if reasons else name
 
@@ -111,12 +110,10 @@ def judge(
     """
     run = RunMetrics(data, setup)
     passed, helped = _findings(run, mode, ended_early), _interventions(run, events)
-    steps = [run.largest_step(i) for i in range(len(data.contact_names))]
-    overshoots = {contact: step.overshoot_percent
-                  for contact, step in zip(data.contact_names, steps) if step}
+    far = [Finding(f'{contact}: overshoots its largest step by {step.overshoot_percent:.0f} %')
+           for i, contact in enumerate(data.contact_names)
+           if (step := run.largest_step(i)) and step.overshoot_percent > LARGEST_OVERSHOOT]
     error = run.motion_summary()['moving_position_rms_m']
-    far = [Finding(f'{contact}: overshoots its largest step by {percent:.0f} %')
-           for contact, percent in overshoots.items() if percent > LARGEST_OVERSHOOT]
     if error is not None and error > LARGEST_MOTION_ERROR:
         far.append(Finding(f'motion error of {1e3 * error:.0f} mm rms'))
     silent = mode == EXTERNAL_RUN and ended_early not in ('', INTERRUPTED)  # the first that passed
@@ -127,21 +124,17 @@ def judge(
     return Verdict(
         UNJUDGED if unjudged else name,
         tuple(finding.text for finding in (*passed, *helped, *far)),
-        _judged(run, overshoots.values(), error), min(times, default=None), unjudged)
+        _judged(run), min(times, default=None), unjudged)
 
 
-def _judged(run: RunMetrics, overshoots: Collection[float], error: float | None) -> str:
-    """Return what a verdict is about: forces and their time under load, overshoot, motion."""
-    without = run.without_truth()
-    pressed = [name for name, forces in zip(run.data.contact_names, run.pressing.T)
-               if (forces > 0.0).any()]
-    parts = [f'{run.windows.loaded.sum() / run.data.rate:.3g} s under load', *(
-        f'{kind} force of {" and ".join(chosen)}' for kind, chosen in (
-            (TRUE, [name for name in pressed if name not in without]),
-            (MEASURED, [name for name in pressed if name in without])) if chosen)]
-    if overshoots:
-        parts.append(f'overshoot at most {max(overshoots):.0f} %')
-    return ', '.join(parts + ([] if error is None else [f'motion error {1e3 * error:.2g} mm rms']))
+def _judged(run: RunMetrics) -> str:
+    """Return what a verdict is about: the time under load, and whose true or measured forces."""
+    names: dict[str, list[str]] = {'true': [], 'measured': []}
+    for name, known, forces in zip(run.data.contact_names, run.truth, run.pressing.T):
+        if (forces > 0.0).any():
+            names['true' if known else 'measured'].append(name)
+    return ', '.join([f'{run.windows.loaded.sum() / run.data.rate:.3g} s under load', *(
+        f'{kind} force of {" and ".join(some)}' for kind, some in names.items() if some)])
 
 
 def _doubt(run: RunMetrics, ended_early: str) -> str:

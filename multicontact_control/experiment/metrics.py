@@ -26,7 +26,6 @@ BAND_OF_NOISE = 3.0  # ... or this many standard deviations of the error before 
 BAND_HELD = 0.1  # s, for this long
 LOOK_BACK = 1.0  # s, before a push, from which its noise is taken
 LASTING = 0.5  # s; a push this long is to be controlled out while it lasts
-GROWTH = 0.5  # s before instability in which its oscillation is looked for
 
 
 class Windows(NamedTuple):
@@ -229,8 +228,6 @@ class RunMetrics:
             'step_rise_63_s': largest.rise_63_s if largest else None,
             'step_overshoot_percent': largest.overshoot_percent if largest else None,
             'steps': [response._asdict() for response in self.step_responses(i)],
-            'oscillation_s': max((each.duration for each in self.oscillations(
-                i, judged.loaded & asked)), default=None),
             **{name: self._window_summary(i, window & asked)
                for name, window in (('rest', judged.rest), ('moving', judged.moving))}}
 
@@ -247,25 +244,22 @@ class RunMetrics:
 
     def motion_summary(self) -> dict[str, float | None]:
         """
-        Return how well the commanded motion was followed, under load and in `moving`.
+        Return how well the commanded motion was followed: position in `moving`, turn under load.
 
         The position error counts along the directions that no contact constrains: by the normals
         of simulated surfaces, by those that the controller is given of others.
         """
         data, judged, config = self.data, self.windows, self.setup.controller
         if not (judged.loaded.any() and config.robot.urdf):  # a recording tells no normals
-            return dict.fromkeys(('position_rms_m', 'moving_position_rms_m',
-                                  'orientation_max_rad'))
+            return dict.fromkeys(('moving_position_rms_m', 'orientation_max_rad'))
         plant = self.setup.plant
         normals = np.array([each.normal_world for each in (
             (plant.surfaces[name] for name in plant.touched) if self.setup.simulated else
             (config.contacts[name] for name in config.contact_names))])
         free = np.eye(3) - np.linalg.pinv(normals) @ normals
         error = np.linalg.norm((data.position - data.position_des) @ free, axis=1)
-        known = np.isfinite(error)
         cosine = np.abs((data.quaternion * data.quaternion_des).sum(axis=1))
-        return {'position_rms_m': rms_in(judged.loaded & known, error),
-                'moving_position_rms_m': rms_in(judged.moving & known, error),
+        return {'moving_position_rms_m': rms_in(judged.moving, error),
                 'orientation_max_rad': value_in(
                     judged.loaded, 2.0 * np.arccos(np.minimum(cosine, 1.0)), np.max)}
 
@@ -313,14 +307,6 @@ class RunMetrics:
                 'peak': float(np.nanmax(np.abs(error[self.between(start, until)]))),
                 'recovery': settled[0] / self.data.rate if settled and not lost else None})
         return answers
-
-    def growing_line(self, unstable_at: float) -> float | None:
-        """Return the strongest frequency of the true forces in the 0.5 s before a time [Hz]."""
-        forces = self.data.alpha_true[self.between(unstable_at - GROWTH, unstable_at)]
-        if forces.shape[0] < GROWTH * self.data.rate - 1 or not np.isfinite(forces).all():
-            return None
-        frequencies, power = oscillation.spectrum(forces.T, self.data.rate, padding=8)
-        return float(frequencies[int(np.argmax(power.sum(axis=0)))])
 
 
 def truth_lacking(without: Sequence[str], names: Collection[str]) -> str:

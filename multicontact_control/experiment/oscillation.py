@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 import numpy as np
+from scipy.signal import periodogram
 
 WINDOW = 0.5  # s; five periods of the lowest frequency
 LOWEST = 10.0  # Hz, just above the poles of the designed loop (8 Hz), which follows its command
@@ -61,7 +62,8 @@ def oscillations(
         return []
     index = np.array(starts)[:, None] + np.arange(length)
     limit = np.maximum(LARGEST_LINE * command[index].max(axis=1), LEAST_LINE)
-    frequencies, power = spectrum(known[index], rate)
+    frequencies, density = periodogram(known[index], rate, np.hanning(length), detrend='linear')
+    power = density * frequencies[1]
     oscillates, frequency, rms = np.array([
         _line(frequencies, power[begin:begin + STRETCH], limit[begin:begin + STRETCH])
         for begin in range(len(starts) - STRETCH + 1)]).T
@@ -85,21 +87,6 @@ def _line(frequencies: Vector, power: Matrix, limit: Vector) -> tuple[bool, floa
     stands_out = mean[peak] >= CONTRAST * mean[peak - round(FLANK / frequencies[1])]
     return (bool(stands_out and strong.sum() >= STRETCH - EXCEPTIONS), float(frequencies[peak]),
             float(np.sqrt(line.mean())))
-
-
-def spectrum(values: Matrix, rate: float, padding: int = 1) -> tuple[Vector, Matrix]:
-    """
-    Return frequencies, shape (f,) [Hz], and the mean square of series at each, shape (w, f).
-
-    `values`, shape (w, n), lose their trend, and are padded with zeros to `padding` times n.
-    """
-    n = values.shape[1]
-    ramp, hann = np.linspace(-1.0, 1.0, n), np.hanning(n)
-    values = values - values.mean(axis=1, keepdims=True)
-    values = values - np.outer(values @ ramp, ramp) / (ramp @ ramp)
-    amplitude = np.abs(np.fft.rfft(values * hann, padding * n, axis=1))
-    power: Matrix = 2.0 * amplitude ** 2 / (padding * n * (hann @ hann))
-    return np.arange(power.shape[1]) * (rate / (padding * n)), power
 
 
 def bridged(values: Vector, rate: float) -> Vector:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 import json
 from types import NoneType
-from typing import Any, cast, TypeVar
+from typing import Any, TypeVar
 
 from multicontact_control.config import merge
 from multicontact_control.errors import ConfigError
@@ -125,11 +125,10 @@ def resolve_with(
 
     ConfigError if a text, or a name in what the arguments resolve to, is not acceptable.
     """
-    resolved: Any = resolver(**arguments)
-    if settings:
-        nested = overrides_of(
-            read_settings(settings), getattr(resolved, 'setup', resolved), '--set ')
-        resolved = resolver(**{**arguments, **{
-            ARGUMENTS[section]: merge(arguments.get(ARGUMENTS[section]) or {}, values)
-            for section, values in nested.items()}})
-    return cast(T, resolved)
+    resolved = resolver(**arguments)
+    if not settings:
+        return resolved
+    setup: Any = getattr(resolved, 'setup', resolved)
+    nested = overrides_of(read_settings(settings), setup, '--set ')
+    return resolver(**{**arguments, **{
+        ARGUMENTS[section]: values for section, values in nested.items()}})

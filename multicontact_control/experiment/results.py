@@ -54,8 +54,7 @@ def run_folder(
     """
     Yield the folder of a run, as `prepare_folder` makes it; remove it if the run leaves nothing.
 
-    The run that it replaces is then there again. Without `out`, ``latest`` leads to a folder with
-    a summary or a recording.
+    Without `out`, ``latest`` leads to a folder with a summary or a recording.
     """
     folder = prepare_folder(out, scenario, overwrite=overwrite, now=now)
     try:
@@ -63,20 +62,12 @@ def run_folder(
     finally:
         if not any((folder / name).exists() for name in (SUMMARY_FILE, LOG_FOLDER)):
             shutil.rmtree(folder, ignore_errors=True)
-            with suppress(FileNotFoundError):
-                _aside(folder).rename(folder)
         elif out is None and (
                 (folder / SUMMARY_FILE).is_file() or mcap_files(folder / BAG_FOLDER)):
             fresh = folder.parent / f'.latest-{os.getpid()}'
             fresh.unlink(missing_ok=True)
             fresh.symlink_to(folder.name)
             fresh.replace(folder.parent / 'latest')
-        shutil.rmtree(_aside(folder), ignore_errors=True)
-
-
-def _aside(folder: Path) -> Path:
-    """Return where a run lies while another one is to take its place."""
-    return folder.with_name(f'.{folder.name}-replaced')
 
 
 def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: datetime) -> Path:
@@ -84,7 +75,7 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
     Make and return the folder of a run, empty of any earlier run.
 
     Without `out` it is ``runs/<date>-<time>-<scenario>``, numbered if that is taken. With
-    `overwrite` a run that is already in `out` is put aside. Raises ConfigError if the folder holds
+    `overwrite` a run that is already in `out` is deleted. Raises ConfigError if the folder holds
     something else, or cannot be made.
     """
     folder = out or Path('runs') / f'{now:%Y%m%d-%H%M%S}-{scenario}'
@@ -112,8 +103,6 @@ def _make_numbered(folder: Path) -> Path:
 
 def _empty(folder: Path, *, overwrite: bool) -> None:
     """Make a folder, or empty it of a run; ConfigError if it holds what must be kept."""
-    if folder.exists() and not folder.is_dir():
-        raise ConfigError('out', 'a folder', f'{folder}, a file')
     folder.mkdir(parents=True, exist_ok=True)
     names = {entry.name for entry in folder.iterdir()}
     if not names:
@@ -124,8 +113,7 @@ def _empty(folder: Path, *, overwrite: bool) -> None:
     if not overwrite:
         raise ConfigError('out', 'a folder without a run, or --overwrite',
                           f'{folder}, which holds a run')
-    shutil.rmtree(_aside(folder), ignore_errors=True)
-    folder.rename(_aside(folder))
+    shutil.rmtree(folder)
     folder.mkdir()
 
 
@@ -144,9 +132,6 @@ def summarise(
     during = [(time, what) for time, what in events or () if time < data.ticks / data.rate]
     verdict = judge.judge(data, setup, mode=mode, ended_early=ended_early, events=during)
     run = RunMetrics(data, setup)
-    without = run.without_truth()
-    truth = bool(data.contact_names) and not without
-    known = judge.MEASURED if np.isfinite(run.force).any() else judge.UNKNOWN
     return {
         'schema': SCHEMA, 'scenario': setup.scenario.name, 'plant': setup.plant_name,
         'noise_estimator': setup.noise_estimator.estimator, 'mode': mode, 'seed': setup.seed,
@@ -157,12 +142,9 @@ def summarise(
         'stable': judge.LOOP_IS_STABLE.get(verdict.name), 'verdict': verdict.name,
         'judged': verdict.judged, 'unjudged': verdict.unjudged or None,
         'instabilities': list(verdict.reasons), 'unstable_at_s': verdict.unstable_at,
-        'ended_early': ended_early or None, 'claims': [],
-        'truth': truth, 'without_truth': without, 'forces': judge.TRUE if truth else known,
-        'commanded_by_topic': setup.commanded_by_topic,
-        'supervised': events is not None} | (
-            {} if events is None else {'events': [
-                {'time_s': round(time, 6), 'what': what} for time, what in during]})
+        'ended_early': ended_early or None, 'claims': [], 'without_truth': run.without_truth(),
+        'commanded_by_topic': setup.commanded_by_topic, 'supervised': events is not None,
+        'events': [{'time_s': round(time, 6), 'what': what} for time, what in during]}
 
 
 class LoadedRun(NamedTuple):

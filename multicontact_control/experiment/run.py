@@ -55,8 +55,7 @@ def run_simulate(setup: Setup, folder: Path, *, supervised: bool = True) -> dict
         raise RunError(f'the run ended at once: {result.ended_early}')
     result.data.save(folder)
     timing = {
-        'deadline_misses': 0, 'lost_messages': 0, 'tick_us': percentiles(result.tick_us),
-        'latency_us': None, 'kernels_compiled': compiled_here(),
+        'tick_us': percentiles(result.tick_us), 'kernels_compiled': compiled_here(),
         'realtime_factor': result.data.ticks / result.data.rate / result.wall_time}
     summary = results.summarise(
         result.data, setup, mode='in_process', timing=timing, ended_early=result.ended_early,

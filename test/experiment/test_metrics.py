@@ -81,18 +81,18 @@ def test_couple_has_no_loss_and_its_steps_begin_at_zero():
 
 def test_motion_error_counts_in_free_directions_and_in_its_window(setup, data):
     data.position[:, 1:] += [0.01, -0.01]
-    assert RunMetrics(data, setup).motion_summary()['position_rms_m'] < 1e-12
+    assert RunMetrics(data, setup).motion_summary()['moving_position_rms_m'] < 1e-12
+    data.position[data.time < 8.5, 0] += 0.1
     data.position[data.time >= 8.5, 0] += 0.002
     turned = data.quaternion.copy()
     turned[5000] = -np.sin(0.01), 0.0, 0.0, -np.cos(0.01)
     motion = RunMetrics(replace(data, quaternion=turned), setup).motion_summary()
     assert motion['moving_position_rms_m'] == pytest.approx(0.002)
-    assert motion['position_rms_m'] == pytest.approx(0.002 * np.sqrt(3.5 / 9.5), rel=1e-3)
     assert motion['orientation_max_rad'] == pytest.approx(0.02)
     tilted = resolve('tilt', plant='rigid')
     data = perfect_run(tilted)
     data.position[:] += 0.03 * np.array(tilted.plant.surfaces['table'].normal_world)
-    assert RunMetrics(data, tilted).motion_summary()['position_rms_m'] < 1e-12
+    assert RunMetrics(data, tilted).motion_summary()['moving_position_rms_m'] < 1e-12
 
 
 @pytest.fixture(scope='module')
@@ -120,12 +120,5 @@ def test_recovery_is_the_time_until_the_error_stays_in_the_band(pushed, push, er
     assert answer['recovery'] == (
         recovery if recovery is None else pytest.approx(recovery, abs=0.003))
     assert answer['peak'] == pytest.approx(max(abs(size) for *_, size in errors))
-
-
-def test_growing_line_is_the_frequency_before_instability(pushed):
-    data = perfect_run(pushed)
-    time = data.time[(data.time >= 10.0) & (data.time < 11.0)]
-    data = with_error(data, 10.0, 11.0, np.sin(2.0 * np.pi * 42.0 * time))
-    assert RunMetrics(data, pushed).growing_line(11.0) == pytest.approx(42.0, abs=0.5)
-    early = RunMetrics(data, pushed).recoveries(0, 4.0)
+    early = RunMetrics(data, pushed).recoveries(0, 4.0)  # of a run that is unstable by then
     assert early and all(answer['recovery'] is None for answer in early)

@@ -6,7 +6,6 @@ import re
 from browser import Tab
 from multicontact_control.cli import app
 from multicontact_control.experiment import report
-from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.page import envelope, figure, Panel, Trace, write_page
 from multicontact_control.experiment.results import load_run, summarise
 from multicontact_control.experiment.scenario import resolve
@@ -24,7 +23,7 @@ RANGES = ('() => [...document.querySelectorAll(".figure")].flatMap(place => plac
 def folder(tmp_path_factory):
     """Make a run folder with a recording made to the paper."""
     folder = tmp_path_factory.mktemp('run')
-    setup = resolve('disturbance', plant='puma')
+    setup = resolve('paper', plant='puma', duration=40.0)
     data = paper_run(setup)
     setup.write(folder / 'config')
     data.save(folder)
@@ -34,27 +33,21 @@ def folder(tmp_path_factory):
 
 
 def test_load_run_rebuilds_what_the_run_was_made_with(folder):
-    run, made = load_run(folder), resolve('disturbance', plant='puma')
+    run, made = load_run(folder), resolve('paper', plant='puma', duration=40.0)
     for part in ('plant', 'noise_estimator', 'scenario', 'controller', 'plant_name', 'seed'):
         assert getattr(run.setup, part) == getattr(made, part)
     assert (run.setup.urdf_dir / run.setup.controller.robot.urdf).is_file()
     assert run.summary == json.loads((folder / 'summary.json').read_text(encoding='utf-8'))
-    assert {claim.holds for claim in claims_of(
-        run.data, run.setup, run.summary, asked=True)} >= {True, None}
-    assert claims_of(run.data, run.setup, run.summary) == []  # not the paper's scenario
 
 
 def test_report_command_writes_a_page_and_figures(folder, tmp_path):
-    claims = ('Claims of the paper', 'as in the paper', 'not judged')
-    for options, shown in (((), ()), (('--claims',), claims)):
-        result = CliRunner().invoke(
-            app, ['report', str(folder), '--out', str(tmp_path), *options])
-        assert result.exit_code == 0, result.output
-        text = (tmp_path / 'report.html').read_text(encoding='utf-8')
-        for words in ('Contact force: table', 'Noise variance', 'Timing', 'damping_rate: 100.0',
-                      '<td>N</td>', *claims):
-            assert (words in text) == (words not in claims or words in shown)
-        assert len(text) < 1e6
+    result = CliRunner().invoke(app, ['report', str(folder), '--out', str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    text = (tmp_path / 'report.html').read_text(encoding='utf-8')
+    for words in ('Contact force: table', 'Noise variance', 'Timing', 'damping_rate: 100.0',
+                  '<td>N</td>', 'Claims of the paper', 'as in the paper', 'not judged'):
+        assert words in text
+    assert len(text) < 1e6
     assert sorted(path.name for path in (tmp_path / 'figures').iterdir()) == [
         f'{name}.{ending}' for name in (
             'fig3_force_table', 'fig4_force_board', 'fig5_motion', 'fig6_noise_variance')

@@ -70,9 +70,9 @@ def test_preset_that_is_not_acceptable_is_refused(tmp_path, text, message):
 
 
 def test_settings_reach_every_part():
-    setup = resolve_with(resolve, {'scenario': 'quick', 'plant': 'rigid', 'controller': {
-        'force': {'law': 'dob'}}}, [
-        'plant.surfaces.*.stiffness=60000', 'controller.force.damping_rate=60',
+    setup = resolve_with(resolve, {'scenario': 'quick', 'plant': 'rigid'}, [
+        'plant.surfaces.*.stiffness=60000', 'controller.force.law=dob',
+        'controller.force.damping_rate=60',
         'noise_estimator.estimator=fixed', 'scenario.duration=3',
         'controller.torque_limit=[1, 2, 3, 4, 5, 6]'])
     assert {surface.stiffness for surface in setup.plant.surfaces.values()} == {60_000.0}

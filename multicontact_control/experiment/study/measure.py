@@ -121,7 +121,7 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
         'error': metrics['error'] or ended,
         'instabilities': '; '.join(summary.get('instabilities', ())) or None,
         'settled': share is not None and share <= SETTLED and not ended,
-        **{name: evidence.get(name) for name in ('unstable_after_motion_s', 'oscillation_hz')},
+        'unstable_after_motion_s': evidence.get('unstable_after_motion_s'),
         **{f'{window}_{name}': _largest(contact[window][name] for contact in shown)
            for window, name in (
                ('rest', 'rms_n'), ('moving', 'rms_n'), ('moving', 'lost'),

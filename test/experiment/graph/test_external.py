@@ -137,7 +137,8 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(shell, tmp_path):
     run = tmp_path / 'runs/latest'
     summary = json.loads((run / 'summary.json').read_text())
     assert 'not judged: no ground truth; by the measured forces no limit was passed' in text
-    assert (summary['truth'], summary['mode'], summary['stable']) == (False, 'external', None)
+    assert (summary['without_truth'], summary['mode'], summary['stable']) == (
+        ['table'], 'external', None)
     data = load(run).data
     assert np.nanmax(data.alpha_meas) > 9.0 and np.nanmax(data.command) == 10.0
     recorded = read_graph(run / 'bag').by_topic
@@ -204,5 +205,5 @@ def test_robot_that_is_gone_ends_the_run_and_is_named(shell, tmp_path):
     assert 'ended: my_simulator has not published /left/' in text
     summary = json.loads((tmp_path / 'run/summary.json').read_text())
     assert summary['ended_early'].startswith('my_simulator has not published')
-    assert not summary['truth'] and summary['verdict'] == 'ended: robot silent'
+    assert summary['without_truth'] and summary['verdict'] == 'ended: robot silent'
     assert (tmp_path / 'run/figures/fig3_force_table.png').is_file()

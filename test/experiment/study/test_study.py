@@ -78,7 +78,7 @@ def test_sentences_tell_where_all_runs_are_good_and_between_what_the_numbers_lie
 
 def test_row_has_the_worst_contact_and_infinite_times_of_what_never_came():
     push = {'moving': False, 'duration': 0.1, 'peak': 1.0, 'recovery': 0.2}
-    evidence = {'unstable_after_motion_s': None, 'oscillation_hz': None, 'contacts': {
+    evidence = {'unstable_after_motion_s': None, 'contacts': {
         name: {**dict.fromkeys(('rest', 'moving'), {
             'rms_n': rms, 'lost': lost, 'variance_n2': None}), 'recoveries': [
                 push, {**push, 'duration': 1.0, 'recovery': recovery},
@@ -86,7 +86,7 @@ def test_row_has_the_worst_contact_and_infinite_times_of_what_never_came():
         for name, rms, lost, recovery in (('a', 0.1, 0.0, 0.3), ('b', 0.2, None, None))}}
     summary = {'stable': False, 'verdict': 'not stable', 'instabilities': ['a: b', 'c'],
                'ended_early': '', 'ticks': 50, 'timing': {'tick_us': 3.0}, 'contacts': {'a': {
-                   'oscillation_s': 2.0, 'rest': {'true_error_rms_n': 0.1}, 'steps': [
+                   'rest': {'true_error_rms_n': 0.1}, 'steps': [
                        {'rise_63_s': None, 'overshoot_percent': 3.0},
                        {'rise_63_s': 0.1, 'overshoot_percent': 1.0}]}}}
     row = metrics_row({'summary': summary, 'evidence': evidence, 'error': None,
