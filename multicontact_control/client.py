@@ -58,13 +58,8 @@ class MultiContactClient(ControllerLink):
     `RunError` if what it waits for does not come, and where the controller refuses. At the end,
     or by `close`, the client leaves; the controller goes on with its last commands.
 
-    Parameters
-    ----------
-    namespace, domain_id
-        Of the controller; by default the domain of the environment.
-    timeout
-        Longest wait for an answer or a sample [s].
-
+    `namespace` and `domain_id` are those of the controller, by default the domain of the
+    environment; `timeout` is the longest wait for an answer or a sample [s].
     """
 
     def __init__(
@@ -72,20 +67,17 @@ class MultiContactClient(ControllerLink):
     ) -> None:
         super().__init__((*STATE_TOPICS, topics.NOISE_VARIANCE), namespace=namespace,
                          domain_id=domain_id, timeout=timeout)
-        self._commanded: dict[str, float] = {}
 
     def activate(self) -> None:
         """Configure and activate estimator and controller; they know of no command from before."""
         if self.has_lifecycle(topics.ESTIMATOR, wait=1.0):
             self.bring_up(topics.ESTIMATOR)
-        if self.bring_up(topics.CONTROLLER):
-            self._commanded.clear()
+        self.bring_up(topics.CONTROLLER)
 
     def deactivate(self) -> None:
         """Let the controller command its safe behaviour and obey no more."""
         if self.state(topics.CONTROLLER) == 'active':
             self.change(topics.CONTROLLER, DEACTIVATE)
-        self._commanded.clear()
 
     def status(self) -> ControllerStatus | None:
         """Return what the controller has said of itself last, None if nothing so far."""
@@ -108,20 +100,20 @@ class MultiContactClient(ControllerLink):
         self, forces: Mapping[str, float], centres: Mapping[str, float] | None = None,
     ) -> None:
         """
-        Command contact forces, and return when they are accepted; other contacts keep theirs.
+        Command contact forces, then centres, and return when they are accepted.
 
         Parameters
         ----------
         forces
             Desired force by contact name, or couple, e.g. ``blade/along`` [N, N m]; 0 gives the
-            contact back to motion control.
+            contact back to motion control, and contacts that are not named keep their force.
         centres
             Centre of pressure by the couple's name, from the middle of the contact [m].
 
         Raises
         ------
         CommandRefusedError
-            If the controller refuses: nothing changes; centres are commanded after the forces.
+            If the controller refuses; nothing changes.
         MessageError
             If a force is not finite.
 
@@ -130,12 +122,9 @@ class MultiContactClient(ControllerLink):
         if forces:
             self.command(topics.FORCE_COMMAND, messages.joint_state_message(
                 0, list(forces), effort=list(forces.values())))
-            self._commanded.update(forces)
-        if centres:  # couples that follow the forces of their contacts
+        if centres:
             self.command(topics.FORCE_COMMAND, messages.joint_state_message(
                 0, list(centres), position=list(centres.values())))
-            self._commanded = {name: force for name, force in self._commanded.items()
-                               if name not in centres}
 
     def move(
         self, position_world: ArrayLike, duration: float, *,
@@ -174,25 +163,22 @@ class MultiContactClient(ControllerLink):
         start = self.read()
         self.command(topics.MOTION_COMMAND, messages.motion_message(
             start.position_desired, start.quaternion_desired, np.zeros(6), np.zeros(6)))
-        start = self.read()
+        start, identifier = self.read(), new_identifier()
         turn = Rotation.from_quat(start.quaternion_desired)
         last = turn if quaternion_xyzw is None else Rotation.from_quat(
             messages.finite_array(quaternion_xyzw, 4, 'quaternion_xyzw'))
         rotation_vector = (last * turn.inv()).as_rotvec()
         change = np.concatenate([goal - start.position_desired, rotation_vector])
-        elapsed, identifier = 0.0, new_identifier()
+        elapsed = 0.0
         while elapsed < duration:
-            before, elapsed = elapsed, self.read().time - start.time
-            if elapsed < before:
-                raise RunError(f'samples begin anew, {before - elapsed:.3g} s before the last')
-            s, ds, dds = quintic(min(elapsed, duration), duration)
+            elapsed = self.read().time - start.time
+            s, ds, dds = quintic(elapsed, duration)
             point = messages.motion_message(
                 start.position_desired + s * change[:3],
                 (Rotation.from_rotvec(s * rotation_vector) * turn).as_quat(),
                 ds * change, dds * change)
             self.accepted(identifier)  # what it refuses of the way ends the motion
-            if elapsed < duration:
-                self.send(topics.MOTION_COMMAND, point, identifier)
+            self.send(topics.MOTION_COMMAND, point, identifier)
         self.command(topics.MOTION_COMMAND, point)
         self.read()
 
@@ -201,8 +187,7 @@ class MultiContactClient(ControllerLink):
         forces, estimated, desired, pose, pose_desired = self.fresh(
             *STATE_TOPICS, one_stamp=True)
         return ArmState(
-            messages.stamp_to_ns(forces.header.stamp) * 1e-9, _by_name(forces),
-            _by_name(estimated), _by_name(desired),
+            _time_of(forces), _by_name(forces), _by_name(estimated), _by_name(desired),
             _by_name(self.newest(topics.NOISE_VARIANCE) or JointState()),
             *messages.pose_arrays(pose.pose), *messages.pose_arrays(pose_desired.pose))
 
@@ -210,10 +195,10 @@ class MultiContactClient(ControllerLink):
         self, force_tolerance: float = 0.5, timeout: float = 20.0, *, settle_time: float = 0.2,
     ) -> ArmState:
         """
-        Wait until the controller holds what this client commanded; return the state then.
+        Wait until the controller holds the commanded forces; return the state then.
 
-        The mean of the measured forces is near the commands, the pressed contacts are held, and
-        no reaction takes the place of control.
+        The mean measured forces of all pressed contacts are near their commands, these contacts
+        are held, and no reaction takes the place of control.
 
         Parameters
         ----------
@@ -228,39 +213,36 @@ class MultiContactClient(ControllerLink):
             Naming the contacts that are still off, and what the controller does instead.
 
         """
-        commanded = np.array(list(self._commanded.values()))
-        seen: list[Vector] = []
-        start, give_up = 0.0, time.monotonic() + timeout
-        while True:
-            message, = self.fresh(topics.MEASURED_FORCES)
-            now, forces = messages.stamp_to_ns(message.header.stamp) * 1e-9, _by_name(message)
-            if not seen or now < start:  # or their clock was set back
-                start, seen = now, []
-            seen.append(np.array([forces[name] for name in self._commanded]))
-            off = np.abs(np.mean(seen, axis=0) - commanded)
-            obstacle = self._obstacle()
-            if obstacle:
-                seen = []
-            elif now - start >= settle_time:
-                if (off <= force_tolerance).all():
-                    return self.read()
-                seen = []
+        give_up = time.monotonic() + timeout
+        while missing := self._missing(force_tolerance, settle_time):
             if time.monotonic() > give_up:
-                far = [f'{name} is off by {value:.3g} N' for name, value
-                       in zip(self._commanded, off) if value > force_tolerance]
-                raise NotReachedError(
-                    f'not within {force_tolerance:g} N after {timeout:g} s: '
-                    f'{", ".join([*far, *filter(None, [obstacle])]) or "too few samples"}')
+                raise NotReachedError(f'not within {force_tolerance:g} N after {timeout:g} s: '
+                                      f'{", ".join(missing)}')
+        return self.read()
 
-    def _obstacle(self) -> str:
-        """Return what keeps the commanded forces from being controlled, empty for nothing."""
-        status = self.status()
-        if status is None or not self._commanded:
-            return ''
-        if status.reaction not in (NONE, INFLATE):  # control goes on with a larger R
-            return status.text
-        return ', '.join(f'{name} is {state}' for name, state in status.contact_states.items()
-                         if self._commanded.get(name, 0.0) > 0.0 and state != NAMES[HOLDING])
+    def _missing(self, tolerance: float, settle_time: float) -> list[str]:
+        """Return what keeps the commanded forces from being held in the next samples."""
+        seen: list[JointState] = []
+        while not seen or 0.0 <= _time_of(seen[-1]) - _time_of(seen[0]) < settle_time:
+            seen += self.fresh(topics.MEASURED_FORCES)
+        measured = dict(zip(seen[0].name, np.mean([x.effort for x in seen], axis=0)))
+        status = self._awaited(self.status, f'{topics.STATUS.name}: expected a message')
+        # Control goes on with a larger R.
+        missing = [] if status.reaction in (NONE, INFLATE) else [status.text]
+        for name, force in status.forces.items():
+            off, held = abs(measured[name] - force), NAMES[HOLDING]
+            state = status.contact_states.get(name, held)
+            if status.forces[name.partition('/')[0]] == 0.0:
+                continue  # a couple acts while its contact does
+            if off > tolerance:
+                missing.append(f'{name} is off by {off:.3g} N')
+            if state != held:
+                missing.append(f'{name} is {state}')
+        return missing
+
+
+def _time_of(message: JointState) -> float:
+    return messages.stamp_to_ns(message.header.stamp) * 1e-9
 
 
 def _by_name(message: JointState) -> dict[str, float]:

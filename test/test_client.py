@@ -1,23 +1,19 @@
 """The Python client against the real graph."""
 
 from concurrent.futures import ThreadPoolExecutor
-from itertools import count
-from threading import Event
+from dataclasses import replace
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from multicontact_control.client import CommandRefusedError, MultiContactClient, NotReachedError
 from multicontact_control.errors import MessageError, RunError
-from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph import create_publisher, ignore, take
+from multicontact_control.nodes import qos, topics
+from multicontact_control.nodes.graph import ignore, take
 from multicontact_control.nodes.link import CLEAN_UP, DEACTIVATE, GuestNode
-from multicontact_control.nodes.messages import ACCEPTED, ControllerStatus, STATE
 import numpy as np
 import pytest
 from ros_graph import obedient_graph, own_domain, PATIENCE, wait_for
 from sensor_msgs.msg import JointState
 
 pytestmark = pytest.mark.ros
-FORCES = (topics.MEASURED_FORCES, topics.DESIRED_FORCES)
 
 
 @pytest.fixture(scope='module')
@@ -34,65 +30,21 @@ def arm(domain_id, tmp_path_factory):
         yield client
 
 
-class SmallController(GuestNode):
-    """
-    What a client sees of a controller that feels 10 N on a table, from a thread.
-
-    Its `recorder` is connected only after the first command was published.
-    """
-
-    def __init__(self, domain_id):
-        super().__init__('controller_node', domain_id, 'small')
-        self.commands, self.recorder, self.state = self.reader(), None, ('none', 'table holding')
-        self.forces, self.status = ([create_publisher(self.node, topic) for topic in chosen]
-                                    for chosen in (FORCES, [topics.STATUS]))
-
-    def reader(self):
-        return self.node.create_subscription(
-            JointState, topics.FORCE_COMMAND.name, ignore, topics.FORCE_COMMAND.profile)
-
-    def publish(self, event, identifier=''):
-        reaction, contacts = self.state
-        self.status[0].publish(ControllerStatus(
-            event, identifier, 'ok', 'active', reaction, '', contacts, False, 0, 2, '', {}
-        ).message('status', DiagnosticStatus.OK))
-
-    def work(self, stop):
-        for k in count(1):
-            if taken := take(self.commands):
-                self.recorder = self.recorder or self.reader()
-                self.publish(ACCEPTED, taken[0].header.frame_id)
-            self.publish(STATE)
-            for publisher in self.forces:
-                publisher.publish(messages.joint_state_message(
-                    20_000_000 * k, ['table'], effort=[10.0]))
-            if stop.wait(0.005):
-                return
-
-
-def test_first_command_is_recorded_and_forces_that_are_not_controlled_are_not_reached(domain_id):
-    stop = Event()
-    with SmallController(domain_id) as controller, ThreadPoolExecutor(1) as pool, (
-            MultiContactClient('small', domain_id=domain_id, timeout=PATIENCE)) as client:
-        working = pool.submit(controller.work, stop)
-        try:
-            client.set_forces({'table': 10.0})
-            message, _ = wait_for(lambda: take(controller.recorder), 'its first command recorded')
-            assert message.effort.tolist() == [10.0]
-            for controller.state in (
-                    ('float', 'table free'), ('hold', 'table holding'), ('none', 'table free')):
-                with pytest.raises(NotReachedError):
-                    client.wait_until_reached(timeout=0.5)
-        finally:
-            stop.set()
-        working.result()
-
-
 def reached(arm, **forces):
     """Return the state once what is commanded is reached, with these forces if there are any."""
     if forces:
         arm.set_forces(forces)
     return arm.wait_until_reached(force_tolerance=0.5, timeout=PATIENCE)
+
+
+@pytest.mark.parametrize(('changes', 'message'), [
+    ({}, 'table is off by'), ({'contacts': 'table free, board holding'}, 'table is free'),
+    ({'reaction': 'hold', 'text': 'hold: wrench_stale'}, 'hold: wrench_stale')])
+def test_forces_that_are_not_held_are_not_reached(arm, monkeypatch, changes, message):
+    reached(arm, table=8.0, board=4.0)
+    monkeypatch.setattr(arm, 'status', lambda: replace(arm.last_status, **changes))
+    with pytest.raises(NotReachedError, match=message):
+        arm.wait_until_reached(10.0 if changes else 0.0, timeout=0.5)
 
 
 def test_client_presses_moves_and_keeps_pressing(arm):
