@@ -260,14 +260,6 @@ def urdf_path(name: str, folder: Path) -> Path:
     return path
 
 
-def has_urdf(robot: Robot) -> bool:
-    """Return whether the URDF of a robot is installed."""
-    try:
-        return urdf_path(robot.file.urdf, robot.folder).is_file()
-    except ConfigError:
-        return False
-
-
 def _package_folder(package: str) -> Path | None:
     """Return where the URDFs of a package are, None if it is not installed."""
     if package == 'example-robot-data':  # its wheel has no module

@@ -2,18 +2,28 @@
 
 from importlib.util import find_spec
 
+from multicontact_control.errors import ConfigError
 import pytest
-from sim_bridge.robots import find_robot, has_urdf, robot_names
+from sim_bridge.robots import find_robot, robot_names, urdf_path
 
 NO_MUJOCO = 'MuJoCo is not installed: extra [mujoco]'
 needs_mujoco = pytest.mark.skipif(find_spec('mujoco') is None, reason=NO_MUJOCO)
 ENGINES = ['pybullet', pytest.param('mujoco', marks=needs_mujoco)]
 
 
+def has_urdf(name):
+    """Return whether the URDF of a robot is installed."""
+    robot = find_robot(name)
+    try:
+        return urdf_path(robot.file.urdf, robot.folder).is_file()
+    except ConfigError:
+        return False
+
+
 def robot_parameters(names):
     """Return robots as parameters of a test; all but the PUMA and the Panda are nightly."""
     return [pytest.param(name, marks=[
-        pytest.mark.skipif(not has_urdf(find_robot(name)),
+        pytest.mark.skipif(not has_urdf(name),
                            reason=f'no URDF of {name}: extra [robots] or [franka]'),
         *([] if name in ('puma', 'panda') else [pytest.mark.nightly])]) for name in names]
 

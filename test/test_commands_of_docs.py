@@ -21,8 +21,8 @@ from multicontact_control.experiment.results import load_run
 from multicontact_control.experiment.study.config import read_choices, read_study, select
 from multicontact_control.nodes import messages, topics
 import pytest
+from robots import has_urdf
 from ros_graph import ROOT, write_bag
-from sim_bridge.robots import find_robot, has_urdf
 from test_docs import prose
 import typer
 
@@ -84,7 +84,7 @@ def parse(words):
     if name == 'study' and values['name']:
         select(read_study(values['name']), read_choices(values['settings'] or ()))
     if 'scenario' in values and not values.get('external') and values['robot'] not in YOURS and (
-            has_urdf(find_robot(values['robot'] or 'puma'))):
+            has_urdf(values['robot'] or 'puma')):
         RunOptions(**{field.name: values[field.name] for field in fields(RunOptions)
                       if field.name in values}).setup()
 

@@ -63,7 +63,8 @@ def study(
     options.end_at_signals('interrupted; the same command goes on from there')
     # Only now: what is heavy is not loaded for the sake of an error.
     from multicontact_control.experiment.study import config as files
-    from multicontact_control.experiment.study.study import run_study, study_of
+    from multicontact_control.experiment.study.presets import study_of
+    from multicontact_control.experiment.study.study import run_study
 
     config, numbers, choices = check_all(
         lambda: files.read_study(name), lambda: _seeds(seeds),

@@ -18,7 +18,7 @@ from multicontact_control.errors import RunError
 from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.files import write_json
+from multicontact_control.files import finite, write_json
 import numpy as np
 import pandas as pd
 from rich.progress import track
@@ -69,7 +69,7 @@ def main(arguments=None):
                               len(chosen) + 1))
     except (RunError, KeyboardInterrupt) as error:
         problems.append(f'ended early: {error or "interrupted"}')
-    write_json(options.out / 'faults.json', [asdict(row) for row in rows])
+    write_json(options.out / 'faults.json', finite([asdict(row) for row in rows]))
     if rows:
         print(pd.DataFrame(rows).groupby(['input', 'kind']).agg(
             n=('safe', 'size'), reaction=('reaction', lambda x: ', '.join(sorted(set(x)))),

@@ -238,13 +238,13 @@ class Graph(link.GuestNode):
         except RunError as error:
             problems.append(str(error).splitlines()[0])
         seen, silences = self.observe(begin, problems)
-        seen.limited_rate = fault.input != CONTROLLER  # its first command is what the drives do
         if fault.goes_on and any(stop - start > STOPPED for start, stop in silences):
             seen.problems.add('commands stopped')
-        row = judge.judge(fault, seed, self.setup, seen)
+        # The first command of a controller is what the drives do.
+        row = judge.judge(fault, seed, self.setup, seen._replace(
+            limited_rate=fault.input != CONTROLLER))
         safe = max([row.time_to_safe_s, *(round(stop - begin, 6) for _, stop in silences)])
-        return replace(
-            row, time_to_safe_s=safe if recovered and row.time_to_safe_s >= 0.0 else -1.0)
+        return replace(row, time_to_safe_s=safe if recovered else math.inf)
 
     def observe(self, begin, problems):
         """Return what is seen of a fault from `begin` [s] on, and its silences [s]."""

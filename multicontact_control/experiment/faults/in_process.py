@@ -19,7 +19,6 @@ from multicontact_control.experiment.faults.vocabulary import (
     PlantEdit,
     Random,
     START,
-    TWO,
 )
 from multicontact_control.experiment.scenario import plant_source, resolve, Setup
 from multicontact_control.supervision.inputs import TickInputs
@@ -143,10 +142,3 @@ def run_fault(loop: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow
         forces=np.array(forces), commands=loop.setup.commanded(begin * period + time),
         met=np.array(met), noticed=loop.control.events.collisions.total() > collisions,
         speed=max(speeds), lasted=lasted, problems=problems), phase=phase)
-
-
-def together(fault: Fault, other: Fault) -> Fault:
-    """Return two faults as one of which no reaction is declared."""
-    return Fault(
-        TWO, f'{fault.input} {fault.kind} + {other.input} {other.kind}', None,
-        meets=other.meets if fault.meets is None else fault.meets, parts=(fault, other))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
+import math
+from typing import NamedTuple
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.experiment.faults.vocabulary import Fault, REST, SLIDING
@@ -25,6 +27,7 @@ FASTEST = 0.7
 NOTICED_FORCE = 30.0  # N on what the wrist sensor does not feel, from where it must be noticed
 OFF_TIME, OFF_FORCE, OFF_SHARE = 0.02, 2.0, 0.2  # s, N, share of the command: off it beyond both
 BACK_TIME = 0.6  # s after a fault, in which the arm is back: waiting, and five time constants
+UNKNOWN = np.zeros((0, 1))  # forces
 AGAIN = 10  # changes of the reaction, within a run of 1.2 s and 2/s over 5 s
 
 
@@ -37,7 +40,7 @@ class FaultRow:
     seed: int
     reaction: str  # the strongest while it lasted
     # From its beginning until a declared reaction is in force, if one is declared, and every true
-    # force is, and stays, within the ceiling [s]; -1 says never.
+    # force is, and stays, within the ceiling [s]; infinite if that never comes.
     time_to_safe_s: float
     peak_force_n: float  # largest true normal force, also on what is in the way [N]
     peak_torque_fraction: float  # largest commanded torque over its limit, 0 without one
@@ -46,18 +49,14 @@ class FaultRow:
     phase: str
     problems: str = ''
     # How long the true force of a contact was further from what the task asks for than 2 N and a
-    # fifth of it, over 20 ms, on surfaces [s]; -1 says not known.
-    off_command_s: float = -1.0
+    # fifth of it, over 20 ms, on surfaces [s]; None if not known.
+    off_command_s: float | None = None
     transitions: int = 0  # how often the reaction changed
     shortfalls: str = ''  # what a safe arm did not do as well as it should
+    pair: str = ''  # the two at once
 
 
-def _none() -> Matrix:
-    return np.zeros((0, 1))
-
-
-@dataclass
-class Observation:
+class Observation(NamedTuple):
     """What was seen of a fault; times are from its beginning [s]."""
 
     torque: Matrix  # commands, shape (ticks, n) [N m]
@@ -68,13 +67,13 @@ class Observation:
     limited_rate: bool = True  # torques may not jump; they may where a process begins
     reactions: Sequence[str] = ()  # in each tick
     # True forces, those that the task asks for, and those on obstacles, shape (ticks, count) [N].
-    forces: Matrix = field(default_factory=_none)
-    commands: Matrix = field(default_factory=_none)
-    met: Matrix = field(default_factory=_none)
+    forces: Matrix = UNKNOWN
+    commands: Matrix = UNKNOWN
+    met: Matrix = UNKNOWN
     noticed: bool = False  # whether a collision was reported
     speed: float = 0.0  # largest true speed of a joint [rad/s]
     lasted: int = 0  # ticks of the fault
-    problems: set[str] = field(default_factory=set)  # what is known to have gone wrong
+    problems: Collection[str] = ()  # what is known to have gone wrong
 
 
 def judge(
@@ -115,13 +114,14 @@ def judge(
         shortfalls.append('not back at its command')
     return FaultRow(
         kind=fault.kind, input=fault.input, seed=seed, reaction=seen.reaction,
-        time_to_safe_s=-1.0 if never else round(
+        time_to_safe_s=math.inf if never else round(
             max((reached or 0) * config.period, *seen.time[over].tolist(), 0.0), 6),
         peak_force_n=round(max(met, float(seen.force.max(initial=0.0))), 3),
         peak_torque_fraction=round(fraction, 5), safe=not problems, plant=setup.plant_name,
         phase=phase, problems=', '.join(sorted(problems)),
-        off_command_s=round(float(off_command.sum()) * config.period, 6) if at_work else -1.0,
-        transitions=transitions, shortfalls=', '.join(shortfalls))
+        off_command_s=round(float(off_command.sum()) * config.period, 6) if at_work else None,
+        transitions=transitions, shortfalls=', '.join(shortfalls),
+        pair=' + '.join(f'{part.input} {part.kind}' for part in fault.parts))
 
 
 def never_allowed(seen: Observation, setup: Setup) -> tuple[set[str], float]:

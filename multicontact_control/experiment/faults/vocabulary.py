@@ -296,12 +296,19 @@ FAULTS: dict[tuple[str, str], Fault] = {(fault.kind, fault.input): fault for fau
     *(Fault('raises', part, Breakdown(part)) for part in PARTS), *_velocities(), *_drivers())}
 
 
-def pairs_of_faults(count: int, seed: int) -> list[tuple[Fault, Fault]]:
-    """Return faults of different things, two at a time, drawn at random."""
-    random, known = np.random.default_rng([seed, count]), list(FAULTS.values())
-    pairs: list[tuple[Fault, Fault]] = []
+def together(*faults: Fault) -> Fault:
+    """Return several faults as one of which no reaction is declared; a single one as it is."""
+    meets = [fault.meets for fault in faults if fault.meets is not None]
+    return faults[0] if len(faults) == 1 else Fault(
+        TWO, '', None, meets=meets[0] if meets else None, parts=faults)
+
+
+def pairs_of_faults(count: int, seed: int) -> list[tuple[tuple[str, str], ...]]:
+    """Return the names of faults of different inputs, two at a time, drawn at random."""
+    random, known = np.random.default_rng([seed, count]), list(FAULTS)
+    pairs: list[tuple[tuple[str, str], ...]] = []
     while len(pairs) < count:
         one, other = (known[int(k)] for k in random.integers(len(known), size=2))
-        if one.input != other.input:
+        if one[1] != other[1]:
             pairs.append((one, other))
     return pairs

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from itertools import product
 from typing import Any, NamedTuple
 
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment import overrides
-from multicontact_control.experiment.scenario import plant_source, resolve, Setup
+from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.experiment.study.config import PartConfig, StudyConfig
-from multicontact_control.experiment.study.jobs import Job, job_of, RunJob
+from multicontact_control.experiment.study.jobs import Job, RunJob
 
 CHOSEN = ('robot', 'scenario', 'preset')  # factors that choose files
 
@@ -36,29 +35,32 @@ def run_cells(study: StudyConfig) -> list[Cell]:
               for part in study.parts.values() for name, factor in part.factors.items()}
     cells = []
     for title, part in study.parts.items():
-        for plant in part.plants:
-            for chosen in product(*(
-                    [(name, *setting) for setting in factor.settings(name)]
-                    for name, factor in part.factors.items())):
-                job = _job(study, part, plant, chosen)
-                if job is None:
-                    continue
-                try:
-                    setup = job.setup()
-                except ConfigError as error:
-                    where = ', '.join(f'{name} = {value}' for name, value, _ in chosen)
-                    field = f'{title} ({where}): {error.field}'.strip() if where else error.field
-                    raise error.moved(field) from None
-                factors = {'part': title, 'plant': setup.plant_name, **absent,
-                           **{name: value for name, value, _ in chosen},
-                           **{name: overrides.value_of(name, setup) for name in absent
-                              if is_parameter(name)}}
-                for seed in part.seeds:
-                    seeded = replace(job, seed=seed)
-                    cells.append(Cell({**factors, 'seed': seed}, seeded, seeded.key()))
+        for plant, *chosen in product(part.plants, *(
+                [(name, *setting) for setting in factor.settings(name)]
+                for name, factor in part.factors.items())):
+            job = _job(study, part, plant, chosen)
+            if job is None:
+                continue
+            try:
+                setup = job.setup()
+            except ConfigError as error:
+                where = ', '.join(f'{name} = {value}' for name, value, _ in chosen)
+                field = f'{title} ({where}): {error.field}'.strip() if where else error.field
+                raise error.moved(field) from None
+            factors = {'part': title, 'plant': setup.plant_name, **absent,
+                       **{name: value for name, value, _ in chosen},
+                       **{name: overrides.value_of(name, setup) for name in absent
+                          if is_parameter(name)}}
+            cells += seeded(factors, job, part.seeds)
     if not cells:
         raise ConfigError('parts', 'at least one run', 'none that fulfils the conditions')
     return cells
+
+
+def seeded(factors: Mapping[str, Any], job: Any, seeds: Sequence[int]) -> list[Cell]:
+    """Return the cells of a `RunJob` with some seeds."""
+    jobs = {seed: replace(job, arguments={**job.arguments, 'seed': seed}) for seed in seeds}
+    return [Cell({**factors, 'seed': seed}, one, one.key()) for seed, one in jobs.items()]
 
 
 def is_parameter(name: str) -> bool:
@@ -72,11 +74,10 @@ def _job(
 ) -> RunJob | None:
     """Return the run of a combination, None where the part's conditions are not fulfilled."""
     settings = {name: value for _, _, values in chosen for name, value in values.items()}
-    files = {'preset': part.preset, 'scenario': part.scenario,
-             **{name: settings.pop(name) for name in CHOSEN if name in settings}}
-    scenario, robot = files.pop('scenario'), files.pop('robot', '')
-    name = plant_source(plant.rpartition('/')[2], robot).name if robot else plant
-    base = _base(scenario, name, part.duration, files['preset'])
+    arguments = {'scenario': part.scenario, 'plant': plant, 'preset': part.preset,
+                 'duration': part.duration,
+                 **{name: settings.pop(name) for name in CHOSEN if name in settings}}
+    base = resolve(**arguments)
     if not _fulfilled(part.where, base):
         return None
     values = dict(part.fixed)
@@ -88,15 +89,10 @@ def _job(
             settings |= _multiples(factor.sets, settings.pop(factor.sets),
                                    factor.multiples_of, base)
     laid_over = overrides.overrides_of({**values, **settings}, base, 'factors.')
-    return job_of(
-        scenario, base.plant_name, part.seeds[0], supervised=part.supervised,
-        surface_gone=part.surface_gone, duration=part.duration, **files,
-        **{overrides.ARGUMENTS[section]: nested for section, nested in laid_over.items()})
-
-
-@lru_cache(maxsize=64)
-def _base(scenario: str, plant: str, duration: float | None, preset: str) -> Setup:
-    return resolve(scenario, plant=plant, duration=duration, preset=preset)
+    return RunJob(
+        {**arguments, **{overrides.ARGUMENTS[section]: nested
+                         for section, nested in laid_over.items()}},
+        part.supervised, part.surface_gone)
 
 
 def _fulfilled(where: Mapping[str, Any], setup: Setup) -> bool:

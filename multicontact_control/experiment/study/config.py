@@ -15,7 +15,7 @@ from pydantic import field_validator, model_validator, NonNegativeInt
 from sim_bridge.robots import find_robot
 
 DIGITS = 12  # of the values of a range, such that 0.1 is not 0.09999999999999999
-Kind = Literal['sweep', 'compare', 'map', 'robots', 'tune', 'faults']
+Kind = Literal['sweep', 'compare', 'map', 'tune', 'faults']
 Aggregate = Literal['median', 'min', 'max', 'share', 'set', 'good_values']
 Choices = Mapping[str, Sequence[Any]]  # values by factor
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from concurrent.futures import as_completed, BrokenExecutor, CancelledError
-from contextlib import closing, contextmanager, ExitStack, suppress
-from dataclasses import asdict, dataclass, replace
-from functools import cache, lru_cache
+from contextlib import AbstractContextManager, closing, ExitStack, nullcontext, suppress
+from dataclasses import asdict, dataclass
+from functools import cache
 import hashlib
 from importlib.metadata import PackageNotFoundError, version
 from itertools import starmap
 import json
 from pathlib import Path
 import signal
-import socket
 import threading
 import time
 from typing import Any, ClassVar, Protocol
@@ -22,7 +21,7 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import count_bar
 from multicontact_control.experiment.scenario import resolve, Setup
-from multicontact_control.files import finite, write_json
+from multicontact_control.files import finite, read_json, write_json
 from rich.console import Console
 from sim_bridge.robots import find_robot
 
@@ -43,10 +42,10 @@ class Job(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     def setup(self) -> Setup:
-        """Return the setup that is run, checked."""
+        """Return the setup that is run; ConfigError if it is not acceptable."""
 
     def key(self) -> str:
-        """Return the hash of all that decides the outcome; ConfigError if it is not acceptable."""
+        """Return the hash of all that decides the outcome."""
 
     def run(self) -> dict[str, Any]:
         """Do the work in this process; return what was measured as JSON values."""
@@ -84,23 +83,20 @@ def setup_content(setup: Setup) -> dict[str, Any]:
             'arm': repr(find_robot(setup.plant.robot).arm), **configurations}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class RunJob:
-    """One run of a scenario; made by `job_of`."""
+    """One run of a scenario."""
 
-    scenario: str
-    plant: str
-    seed: int
-    overrides: str = '{}'  # canonical JSON of the other arguments of `resolve`
+    arguments: Mapping[str, Any]  # of `resolve`
     supervised: bool = False
     surface_gone: tuple[float, float] | None = None  # from when to when the last one is away [s]
 
     def setup(self) -> Setup:
-        """Return everything the run needs, checked."""
-        return replace(_resolved(replace(self, seed=0)), seed=self.seed)
+        """Return everything the run needs; see `Job.setup`."""
+        return resolve(**self.arguments)
 
     def key(self) -> str:
-        """Return the hash of all that decides the outcome; see `Job.key`."""
+        """Return the hash of all that decides the outcome."""
         return content_key('run', {**setup_content(self.setup()), 'supervised': self.supervised,
                                    'surface_gone': self.surface_gone})
 
@@ -112,46 +108,22 @@ class RunJob:
         return measure_run(self.setup(), self.supervised, self.surface_gone)
 
 
-# Jobs that differ in their seed only follow each other: one is remembered.
-@lru_cache(maxsize=1)
-def _resolved(job: RunJob) -> Setup:
-    return resolve(job.scenario, plant=job.plant, **json.loads(job.overrides))
-
-
-def job_of(
-    scenario: str, plant: str, seed: int, *, supervised: bool = False,
-    surface_gone: tuple[float, float] | None = None, **overrides: Any,
-) -> RunJob:
-    """Return a job; `overrides` are arguments of `resolve`."""
-    kept = {name: value for name, value in overrides.items() if value}
-    return RunJob(scenario, plant, seed, json.dumps(
-        kept, sort_keys=True, separators=(',', ':')), supervised, surface_gone)
-
-
-def read_cell(folder: Path, key: str) -> dict[str, Any] | None:
-    """Return what was measured in a finished job of a folder, None if it is not there or whole."""
-    try:
-        cell = json.loads((folder / CELLS / f'{key}.json').read_text('utf-8'))
-    except (OSError, ValueError):
-        return None
-    metrics: dict[str, Any] = cell['metrics']
-    return metrics
+def read_cells(folder: Path, keys: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return what was measured in those jobs that are finished in a folder, by key."""
+    paths = {key: folder / CELLS / f'{key}.json' for key in keys}
+    return {key: read_json(path)['metrics'] for key, path in paths.items() if path.exists()}
 
 
 def prepare_folder(folder: Path, *, overwrite: bool) -> None:
     """
     Make the folder of a study, keeping its finished jobs unless they shall go.
 
-    ConfigError if it cannot be made, or holds files but no ``cells/``.
+    ConfigError if it holds files but no ``cells/``.
     """
     cells = folder / CELLS
     if folder.is_dir() and not cells.is_dir() and any(folder.iterdir()):
         raise ConfigError('out', 'a new or empty folder, or that of a study', folder)
-    try:
-        cells.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError('out', 'a folder that can be made',
-                          f'{folder} ({error.strerror})') from None
+    cells.mkdir(parents=True, exist_ok=True)
     for path in cells.glob('*.json') if overwrite else ():
         path.unlink()
 
@@ -167,7 +139,7 @@ def run_jobs(
     every core; the client of a Dask cluster runs them there. RunError if a worker or the cluster
     dies; what was finished before is kept.
     """
-    done = {key: metrics for key in jobs if (metrics := read_cell(folder, key)) is not None}
+    done = read_cells(folder, jobs)
     todo = {key: job for key, job in jobs.items() if key not in done}
     if todo:
         ensure_compiled()  # here once, not in every worker at once
@@ -222,28 +194,25 @@ def _run(key: str, job: Job) -> Outcome:
         return key, finite(job.run()), time.perf_counter() - start
 
 
-@contextmanager
-def dask_client(address: str) -> Iterator[Any]:
+def dask_client(address: str) -> AbstractContextManager[Any]:
     """
-    Connect to the Dask scheduler at an address; yield None without one.
+    Connect to the Dask scheduler at an address; a context of None without one.
 
     ConfigError if nothing answers there, RunError if `distributed` is not installed.
     """
     if not address:
-        yield None
-        return
+        return nullcontext()
     try:
-        import distributed
+        from distributed import Client
         from distributed.comm import get_address_host_port
     except ImportError:
         raise RunError('a Dask cluster needs `distributed`, which is not installed here: '
                        'pip install distributed') from None
     try:
-        # A client that is refused leaves threads that complain at the end of the program.
-        socket.create_connection(get_address_host_port(address), CONNECT_TIMEOUT).close()
-        client = distributed.Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+        get_address_host_port(address)  # refuses it before there is anything to close
+        client: AbstractContextManager[Any] = Client(
+            address, timeout=CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ConfigError('dask', 'the address of a Dask scheduler that answers, e.g. '
                           'tcp://127.0.0.1:8786', f'{address} ({error})') from None
-    with client:
-        yield client
+    return client

@@ -21,10 +21,7 @@ SETTLED = 0.1  # of the command: with a larger error at its end a run has not se
 SHORTEST = 2  # samples that a summary can be made of
 AWAY = 0.05  # m, by which a surface moves away
 MEAN_TIME = 0.012  # s, over which forces of a vanishing surface's neighbour are averaged
-# Of summary.json: what stands elsewhere in the row, is no result, or depends on the machine.
-LEFT_OUT = ('claims', 'ended_early', 'instabilities', 'judged', 'mode',
-            'noise_estimator', 'plant', 'scenario', 'schema', 'seed', 'stable', 'supervised',
-            'timing', 'trajectory_sha256', 'verdict')
+IN_FULL = ('ticks', 'contacts', 'motion', 'torque', 'unstable_at_s')  # of summary.json
 Metrics = Mapping[str, Any]
 
 
@@ -107,8 +104,8 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
     `rest_rms_n`, `moving_rms_n`, `moving_lost`, `rest_variance_n2`, `moving_variance_n2` are those
     of the worst contact without pushes; `rise_s`, `overshoot_percent` of the worst step;
     `push_peak_n`, `push_off_s` of the worst push at rest, `short_push_s`, `lasting_push_s` the
-    recovery from the pushes of each length. A time is infinite if the event never came. The
-    scalars of ``summary.json`` have dotted names.
+    recovery from the pushes of each length. A time is infinite if the event never came. Further
+    numbers have dotted names as in ``summary.json``.
     """
     summary, evidence = metrics['summary'] or {}, metrics.get('evidence') or {}
     ended, share = summary.get('ended_early'), metrics.get('final_error_share')
@@ -136,8 +133,8 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
         'overshoot_percent': _largest(step['overshoot_percent'] for step in steps),
         **{name: metrics.get(name) for name in ('activity_nm', 'neighbour_n')},
         **{name: value for name, value in dotted({
-            name: summary[name] for name in summary if name not in LEFT_OUT}).items()
-           if not isinstance(value, (list, tuple))},
+            name: summary[name] for name in IN_FULL if name in summary}).items()
+           if not isinstance(value, list)},
         'trajectory_sha256': summary.get('trajectory_sha256')}
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +16,15 @@ from multicontact_control.experiment.study import table
 from multicontact_control.experiment.study.cells import Cell, is_parameter, run_cells
 from multicontact_control.experiment.study.config import StudyConfig
 from multicontact_control.experiment.study.jobs import (
-    CELLS,
     dask_client,
     prepare_folder,
-    read_cell,
+    read_cells,
     run_jobs,
 )
 from multicontact_control.experiment.study.measure import metrics_row
-from multicontact_control.files import read_json, replacing, write_json
+from multicontact_control.files import write_json
 import pandas as pd
 from rich.console import Console
-from rich.markup import escape as plain
 
 DPI = 130  # of the figure
 SHOWN = 150  # lines of a table that the terminal shows
@@ -37,17 +34,13 @@ PAGE_FILE, FIGURE_FILE = 'study.html', 'study.png'
 Metrics = Mapping[str, Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Results:
-    """What came out of a study: the table of its cells."""
+    """What came out of a study: its cells, and the table of them."""
 
+    cells: Sequence[Cell]
     frame: pd.DataFrame  # a row for each cell; `attrs` has factors and units
-    folder: Path
-
-    def metrics(self) -> list[Metrics]:
-        """Return what was measured in the cell of each row; ConfigError if its file is missing."""
-        return [read_json(self.folder / CELLS / f'{key}.json')['metrics']
-                for key in self.frame['key']]
+    metrics: Mapping[str, Metrics]  # what was measured, by `key`
 
 
 class Study:
@@ -74,8 +67,7 @@ class Study:
 
     def findings(self, results: Results) -> list[str]:
         """Return what the numbers show, in sentences."""
-        frame, config = results.frame, self.config
-        return [*table.sentences(frame, config), *table.extremes(table.listing_of(frame, config))]
+        return table.sentences(results.frame, self.config)
 
     def figure(self, results: Results) -> Any:
         """Return the figure, None if there is none."""
@@ -85,31 +77,15 @@ class Study:
         """Return what stands below the table on the page: HTML by plain heading."""
         return {}
 
-    def write(self, results: Results) -> None:
-        """Write study, table and page into the folder."""
-        folder, frame = results.folder, results.frame
-        write_json(folder / STUDY_FILE, self.config.model_dump(mode='json'))
-        with replacing(folder / CSV_FILE) as partial:
-            frame.to_csv(partial, index=False)
-        with replacing(folder / TABLE_FILE) as partial:
-            frame.to_parquet(partial, index=False, compression='zstd')
-        figure = self.figure(results)
-        if figure is not None:
-            figure.savefig(folder / FIGURE_FILE, dpi=DPI)
-        about, _, runs = self.config.description.partition(': ')
-        warnings = self.warnings(results)
-        title = ': '.join(filter(None, (f'Study {self.config.name}', about)))
-        page.write_page(folder / PAGE_FILE, title, '\n'.join([
-            _listed(self.findings(results)), f'<p>{escape(runs[:1].upper() + runs[1:])}</p>',
-            '' if figure is None else page.image(folder / FIGURE_FILE, self.config.name),
-            *(f'<h2>{escape(section)}</h2>' + page.table(
-                list(map(escape, lines)), [list(map(escape, line)) for line in lines.to_numpy()],
-                numbers_from=lines.attrs['labels'])
-              for section, lines in table.listing_of(frame, self.config).items()),
-            f'<p class=note>{escape(self.config.notes)} Every run is in {CSV_FILE}.</p>',
-            page.folded(counted(len(warnings), 'remarks'), _listed(warnings)) if warnings else '',
-            *(f'<h2>{escape(heading)}</h2>{text}'
-              for heading, text in self.sections(results).items())]))
+    def results(self, cells: Sequence[Cell], metrics: Mapping[str, Metrics]) -> Results:
+        """Return cells with what was measured in them, by key, as a table."""
+        frame = self.complete(pd.DataFrame([
+            {**cell.factors, **row, 'key': cell.key}
+            for cell in cells for row in self.rows(metrics[cell.key])]))
+        units = {name: unit_of(name, cells[0].job.setup()) for name in cells[0].factors
+                 if is_parameter(name)}
+        frame.attrs = {'factors': list(cells[0].factors), 'units': units, 'version': __version__}
+        return Results(cells, frame, metrics)
 
     def warnings(self, results: Results) -> list[str]:
         """Return which runs ended early and why, and which columns are not in the table."""
@@ -125,31 +101,30 @@ class Study:
             for column in table.table_columns(frame, self.config)
             if column.value not in frame and table.worst(frame, column.value).isna().all()]
 
-    def results(
-        self, cells: Sequence[Cell], metrics: Mapping[str, Metrics], folder: Path,
-    ) -> Results:
-        """Return cells with what was measured in them, by key, as a table."""
-        frame = self.complete(pd.DataFrame([
-            {**cell.factors, **row, 'key': cell.key}
-            for cell in cells for row in self.rows(metrics[cell.key])]))
-        units = {name: unit_of(name, cells[0].job.setup()) for name in cells[0].factors
-                 if is_parameter(name)}
-        frame.attrs = {'factors': list(cells[0].factors), 'units': units,
-                       'study': self.config.name, 'version': __version__}
-        return Results(frame, folder)
+    def write(self, results: Results, folder: Path) -> None:
+        """Write study, table and page into the folder."""
+        frame, config, warnings = results.frame, self.config, self.warnings(results)
+        write_json(folder / STUDY_FILE, config.model_dump(mode='json'))
+        frame.to_csv(folder / CSV_FILE, index=False)
+        frame.to_parquet(folder / TABLE_FILE, index=False)
+        figure = self.figure(results)
+        if figure is not None:
+            figure.savefig(folder / FIGURE_FILE, dpi=DPI)
+        page.write_page(folder / PAGE_FILE, f'Study {config.name}', '\n'.join([
+            f'<p>{escape(config.description)}</p>', _listed(self.findings(results)),
+            '' if figure is None else page.image(folder / FIGURE_FILE, config.name),
+            *(f'<h2>{escape(section)}</h2>' + page.table(
+                list(map(escape, lines)), [list(map(escape, line)) for line in lines.to_numpy()],
+                numbers_from=lines.attrs['labels'])
+              for section, lines in table.listing_of(frame, config).items()),
+            f'<p class=note>{escape(config.notes)} Every run is in {CSV_FILE}.</p>',
+            page.folded(counted(len(warnings), 'remarks'), _listed(warnings)) if warnings else '',
+            *(f'<h2>{escape(heading)}</h2>{text}'
+              for heading, text in self.sections(results).items())]))
 
 
 def _listed(texts: Sequence[str]) -> str:
     return f'<ul>{"".join(f"<li>{escape(text)}</li>" for text in texts)}</ul>'
-
-
-def study_of(config: StudyConfig) -> Study:
-    """Return the study of a configuration: `presets.compare.CompareStudy` of kind `compare`."""
-    if config.kind == 'sweep':
-        return Study(config)
-    module = import_module(f'{__package__}.presets.{config.kind}')
-    study: Study = getattr(module, f'{config.kind.capitalize()}Study')(config)
-    return study
 
 
 def run_study(
@@ -163,39 +138,38 @@ def run_study(
     Dask cluster at the address `dask`. ConfigError if the study is not acceptable, before anything
     is run; RunError if a worker dies: what is finished is kept.
     """
-    console, name = console or Console(), study.config.name
+    console, name = console or Console(highlight=False), study.config.name
     cells, folder = study.cells(), out or Path('runs') / name
     keys = {cell.key for cell in cells}
     with dask_client(dask) as client:
         if not dry_run:
             prepare_folder(folder, overwrite=overwrite)
-        finished = 0 if overwrite else sum(read_cell(folder, key) is not None for key in keys)
-        console.print(f'study {name}: {counted(len(keys), "jobs")}, {finished} of them finished '
-                      'before', highlight=False)
+        console.print(f'study {name}: {counted(len(keys), "jobs")}, '
+                      f'{len(read_cells(folder, keys))} of them finished before')
         if dry_run:
             for factor in cells[0].factors:
                 values = dict.fromkeys(str(cell.factors[factor]) for cell in cells)
                 if any(values):
-                    console.print(f'  {factor}: {", ".join(filter(None, values))}',
-                                  highlight=False, markup=False, soft_wrap=True)
+                    console.print(f'  {factor}: {", ".join(filter(None, values))}', markup=False,
+                                  soft_wrap=True)
             return None
 
         def run(some: Sequence[Cell]) -> dict[str, dict[str, Any]]:
             return run_jobs({cell.key: cell.job for cell in some}, folder, workers=jobs,
                             client=client, console=console, title=name)
 
-        results = study.results(cells, run(cells), folder)
+        results = study.results(cells, run(cells))
         if further := study.further(results):
             cells += further
-            results = study.results(cells, run(cells), folder)
-    study.write(results)
+            results = study.results(cells, run(cells))
+    study.write(results, folder)
     listing = table.listing_of(results.frame, study.config)
     if sum(map(len, listing.values())) <= SHOWN:
         console.print(*table.terminal_tables(name, listing, console.width))
     for text in study.warnings(results):
-        console.print(f'[red]{plain(text)}[/red]', highlight=False)
+        console.print(text, style='red', markup=False)
     for text in study.findings(results):
-        console.print(f'- {plain(text)}', highlight=False)
+        console.print(f'- {text}', markup=False)
     for file in (PAGE_FILE, CSV_FILE, TABLE_FILE):
-        console.print(f'results in {folder / file}', highlight=False, soft_wrap=True)
+        console.print(f'results in {folder / file}', soft_wrap=True)
     return results

@@ -112,24 +112,6 @@ def good_values(frame: pd.DataFrame, factor: str, truth: str) -> str:
     return ', '.join(values) or 'none'
 
 
-def extremes(listing: Listing) -> list[str]:
-    """Return between which numbers the first columns of the tables lie, and on which lines."""
-    lines, count = pd.concat(listing), next(iter(listing.values())).attrs['labels']
-    lines.index = pd.RangeIndex(len(lines))
-    texts = []
-    for column in list(lines)[count:]:
-        numbers = pd.to_numeric(lines[column], errors='coerce').dropna()
-        if numbers.nunique() < 2:
-            continue
-        name, _, unit = column.rstrip(']').partition(' [')
-        ends = [f'{lines[column][at]} {unit}'.rstrip() + ' (' + ', '.join(
-            cell if cell[0].isalpha() else f'{head.partition(" [")[0]} = {cell}'
-            for head, cell in lines.iloc[at, :count].items() if cell) + ')'
-            for at in numbers.sort_values(kind='stable').index[[0, -1]]]
-        texts.append(f'{name}: {" to ".join(ends)}.')
-    return texts[:MOST_SHOWN]
-
-
 def _groups(frame: pd.DataFrame, by: Sequence[str]) -> Iterable[tuple[Any, pd.DataFrame]]:
     """Return the rows of each combination of values, in the order in which they come first."""
     return frame.groupby(list(by) or (lambda _: ''), sort=False, dropna=False)

@@ -1,9 +1,9 @@
 """Faults in process: how they are answered and judged, and that the judge can say no."""
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.in_process import RUN_TICKS, together, with_obstacles
+from multicontact_control.experiment.faults.in_process import RUN_TICKS, with_obstacles
 from multicontact_control.experiment.faults.judge import judge, Observation
-from multicontact_control.experiment.faults.vocabulary import FAULTS, REST
+from multicontact_control.experiment.faults.vocabulary import FAULTS, REST, together
 from multicontact_control.experiment.study.presets.faults import in_fork
 import numpy as np
 import pytest
@@ -45,5 +45,5 @@ def test_declared_reaction_that_does_not_come_is_not_safe(world, kind):
         np.zeros((RUN_TICKS, 6)), 0.002 * np.arange(1.0, RUN_TICKS + 1.0), np.zeros(RUN_TICKS),
         'none', reactions=['none'] * RUN_TICKS, lasted=100)
     assert not judge(FAULTS[kind], 1, world.setup, seen, phase=REST).safe
-    seen.reactions = [*['none'] * 2, *['float'] * 598]
+    seen = seen._replace(reactions=[*['none'] * 2, *['float'] * 598])
     assert judge(FAULTS[kind], 1, world.setup, seen, phase=REST).safe

@@ -5,7 +5,7 @@ from multicontact_control.config import NoiseEstimatorConfig, read_yaml
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.study.cells import run_cells
 from multicontact_control.experiment.study.config import read_choices, read_study, select
-from multicontact_control.experiment.study.study import study_of
+from multicontact_control.experiment.study.presets import study_of
 from multicontact_control.force.laws import LAWS
 from multicontact_control.force.noise import lead_filter
 from multicontact_control.paths import config_dir
@@ -74,7 +74,7 @@ def test_bad_file_parameter_or_value_is_refused_before_anything_runs(read, chang
 
 def test_cells_are_every_combination_with_every_seed_on_every_plant(read):
     cells = run_cells(select(read(plants=['rigid', 'puma']), {}))
-    assert [(cell.factors['plant'], cell.factors[DELAY], cell.factors[ESTIMATOR], cell.job.seed)
+    assert [tuple(cell.factors[name] for name in ('plant', DELAY, ESTIMATOR, 'seed'))
             for cell in cells] == [
         (plant, ticks, estimator, seed) for plant in ('rigid', 'puma') for ticks in (0, 2)
         for estimator in ('fixed', 'lead_window') for seed in (0, 1)]
@@ -92,7 +92,7 @@ def test_parts_have_what_the_study_has_and_the_values_of_the_files_for_the_rest(
         'soft': {'factors': {'ratio': {'values': [0.5], 'sets': STIFFNESS, 'multiples_of':
                                        'controller.contacts.*.stiffness'}}}})
     cells = run_cells(select(study, {'seed': (0,), **read_choices([f'{ESTIMATOR}=fixed'])}))
-    rows = [(*(cell.factors[name] for name in ('part', DELAY, DAMPING, 'ratio')), cell.job.seed)
+    rows = [tuple(cell.factors[name] for name in ('part', DELAY, DAMPING, 'ratio', 'seed'))
             for cell in cells]
     assert rows == [('grid', 0, 100.0, 1.0, 0), ('grid', 2, 100.0, 1.0, 0),
                     ('one', 3, 30.0, 1.0, 7), ('soft', 0, 100.0, 0.5, 0),
@@ -114,7 +114,8 @@ def test_user_chooses_plants_seeds_and_values(read):
         study, {'seed': (5,), **read_choices(['level=b', f'{DAMPING}=20, 60'])}, robot='panda'))
     assert [(cell.factors['level'], cell.factors[DAMPING]) for cell in cells] == [
         ('b', 20.0), ('b', 60.0)]
-    assert {(cell.job.plant, cell.job.seed) for cell in cells} == {('panda/rigid', 5)}
+    assert {(cell.factors['plant'], cell.factors['seed']) for cell in cells} == {
+        ('panda/rigid', 5)}
     with pytest.raises(ConfigError, match='^level: expected some of a, b, got'):
         select(study, {'level': ['c']})
     with pytest.raises(ConfigError, match='^part: expected some of'):
@@ -162,5 +163,6 @@ def test_every_law_has_ranges_whose_ends_are_acceptable():
         whole = study_of(select(study, {}))
         ends = {name: [values[0], values[-1]] for name, values in ranges.items()}
         cells = run_cells(select(whole.config, ends))
-        assert 2 <= len(cells) <= 2 ** len(ranges) and {cell.job.seed for cell in cells} == {0}
+        assert 2 <= len(cells) <= 2 ** len(ranges)
+        assert {cell.factors['seed'] for cell in cells} == {0}
         assert cells[0].job.setup().controller.force.law == law

@@ -1,12 +1,13 @@
 """Jobs: their keys, and what runs them."""
 
+from dataclasses import replace
 import os
 import pickle
 
 from mortal_jobs import MortalJob
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.study import jobs as jobs_module
-from multicontact_control.experiment.study.jobs import job_of, prepare_folder, run_jobs
+from multicontact_control.experiment.study.jobs import prepare_folder, run_jobs, RunJob
 from multicontact_control.experiment.study.presets.faults import FaultJob
 import pytest
 
@@ -15,25 +16,23 @@ def by_key(jobs):
     return {job.key(): job for job in jobs}
 
 
-SHORT = [job_of('step', 'rigid', seed, duration=1.6) for seed in range(2)]
+def job_of(**arguments):
+    return RunJob({'scenario': 'quick', 'plant': 'rigid', 'seed': 0, **arguments})
 
 
 def test_key_changes_with_all_that_changes_the_outcome_and_with_nothing_else(monkeypatch):
     variants = [
-        job_of('quick', 'rigid', 0), job_of('quick', 'rigid', 1), job_of('quick', 'puma', 0),
-        job_of('disturbance', 'rigid', 0), job_of('quick', 'rigid', 0, duration=5.0),
-        job_of('quick', 'rigid', 0, preset='paper'),
-        job_of('quick', 'rigid', 0, noise_estimator={'estimator': 'fixed'}),
-        job_of('quick', 'rigid', 0, plant_overrides={'actuator_delay_ticks': 2}),
-        job_of('quick', 'rigid', 0, scenario_overrides={'reference': {
-            'approach': {'speed': 0.03}}}),
-        job_of('quick', 'rigid', 0, supervised=True),
-        job_of('quick', 'rigid', 0, surface_gone=(5.0, 6.0))]
+        job_of(), job_of(seed=1), job_of(plant='puma'), job_of(scenario='disturbance'),
+        job_of(duration=5.0), job_of(preset='paper'),
+        job_of(noise_estimator={'estimator': 'fixed'}),
+        job_of(plant_overrides={'actuator_delay_ticks': 2}),
+        job_of(scenario_overrides={'reference': {'approach': {'speed': 0.03}}}),
+        replace(job_of(), supervised=True), replace(job_of(), surface_gone=(5.0, 6.0))]
     keys = [job.key() for job in variants]
     assert len(set(keys)) == len(variants)
     assert keys[0] == pickle.loads(pickle.dumps(variants[0])).key()
-    same = job_of('quick', 'rigid', 0, controller={'force': {'damping_rate': 100.0}})
-    assert same.key() == job_of('quick', 'rigid', 0, preset='best').key() == keys[0]
+    same = job_of(controller={'force': {'damping_rate': 100.0}})
+    assert same.key() == job_of(preset='best').key() == keys[0]
     monkeypatch.setattr(jobs_module, 'code_stamp', lambda: 'other code')
     assert variants[0].key() != keys[0]
 
@@ -56,12 +55,13 @@ def test_processes_and_cluster_give_the_results_of_this_process(tmp_path):
     distributed = pytest.importorskip('distributed')
     import dask
 
-    faults = [FaultJob('quick', 'rigid', 'approach', 0, (('nan', 'wrench', seed),))
+    faults = [FaultJob('quick', 'rigid', 'approach', 0, (((('nan', 'wrench'),), seed),))
               for seed in (1, 2)]
     folders = [tmp_path / name for name in ('here', 'there', 'cluster')]
     for folder in folders:
         prepare_folder(folder, overwrite=False)
-    jobs = by_key([*SHORT, *faults])
+    jobs = by_key([
+        *(job_of(scenario='step', seed=seed, duration=1.6) for seed in (0, 1)), *faults])
     here, there = (run_jobs(jobs, folder, workers=i + 1)
                    for i, folder in enumerate(folders[:2]))
     assert here == there

@@ -1,18 +1,13 @@
 """Studies from the file to the table, its lines and its page."""
 
 import io
-import json
 
 from multicontact_control.experiment import closed_loop
 from multicontact_control.experiment.study.config import read_study, select, StudyConfig
 from multicontact_control.experiment.study.measure import metrics_row
-from multicontact_control.experiment.study.study import Results, run_study, study_of
-from multicontact_control.experiment.study.table import (
-    extremes,
-    good_values,
-    listing_of,
-    sentences,
-)
+from multicontact_control.experiment.study.presets import study_of
+from multicontact_control.experiment.study.study import run_study
+from multicontact_control.experiment.study.table import good_values, listing_of, sentences
 import numpy as np
 import pandas as pd
 import pytest
@@ -62,7 +57,7 @@ def test_lines_are_statistics_over_the_seeds(frame):
         ['60000', '2/3', '312', '5.0', '4 / 0.5', '-']]
 
 
-def test_sentences_tell_where_all_runs_are_good_and_between_what_the_numbers_lie(frame):
+def test_sentences_tell_where_all_runs_are_good(frame):
     for flags, values in (('00111', '1, 2, 5'), ('11110', '0.1 to 2'), ('00000', 'none')):
         runs = pd.DataFrame({'k': (0.1, 0.5, 1.0, 2.0, 5.0), 'good': [*map(int, flags)]})
         assert good_values(runs.astype({'good': bool}), 'k', 'good') == values
@@ -72,8 +67,6 @@ def test_sentences_tell_where_all_runs_are_good_and_between_what_the_numbers_lie
     assert sentences(frame, config) == [
         'pi is stable on rigid in all runs, with k_s = 600, 60000 N/m.',
         'dob is stable on rigid in 2 of 3 runs, in every run with k_s = 600 N/m.']
-    assert extremes(listing_of(frame, config))[0] == (
-        'rise: 1.000 s (k_s = 600, pi) to 9.000 s (k_s = 600, dob).')
 
 
 def test_row_has_the_worst_contact_and_infinite_times_of_what_never_came():
@@ -134,9 +127,5 @@ def test_changed_study_runs_what_is_missing_and_failures_are_rows(tmp_path, monk
     assert '4 jobs, 4 of them finished' in run(2)
     assert table == ((out / 'study.csv').read_bytes(), (out / 'study.parquet').read_bytes())
     assert {each.name for each in out.iterdir()} == FILES
-    assert '0 of them finished' in run(2, dry_run=True, overwrite=True)
     frame = pd.read_parquet(out / 'study.parquet')
-    assert len(frame) == 4
-    assert frame['trajectory_sha256'].nunique() == 2
-    cell = json.loads((out / 'cells' / f'{frame["key"][0]}.json').read_text())
-    assert cell['metrics'] == Results(frame, out).metrics()[0]
+    assert len(frame) == 4 and frame['trajectory_sha256'].nunique() == 2

@@ -1,1 +1,16 @@
-"""What kinds of studies have beside their file: findings, figures, jobs of their own."""
+"""The kinds of studies: what each has beside its file, such as findings or jobs of its own."""
+
+from multicontact_control.experiment.study.config import StudyConfig
+from multicontact_control.experiment.study.presets.compare import CompareStudy
+from multicontact_control.experiment.study.presets.faults import FaultsStudy
+from multicontact_control.experiment.study.presets.map import MapStudy
+from multicontact_control.experiment.study.presets.tune import TuneStudy
+from multicontact_control.experiment.study.study import Study
+
+KINDS = {'sweep': Study, 'compare': CompareStudy, 'map': MapStudy, 'tune': TuneStudy,
+         'faults': FaultsStudy}
+
+
+def study_of(config: StudyConfig) -> Study:
+    """Return the study of a configuration."""
+    return KINDS[config.kind](config)

@@ -13,17 +13,13 @@ class CompareStudy(Study):
     """Noise estimators; the claims of the paper are judged over K_2 on every plant."""
 
     def findings(self, results: Results) -> list[str]:
-        """Return how many claims agree with each K_2, and with which those that depend on it."""
+        """Return how many claims agree with each K_2."""
         sentences = super().findings(results)
         for plant, claims in comparison_claims(results).items():
-            rates = [f'{rate:g}' for rate in claims]
-            judged = [[claim.holds for claim in each] for each in claims.values()]
+            judged = {rate: [claim.holds for claim in each] for rate, each in claims.items()}
             sentences.append(f'Of the claims of the paper, on {plant}, ' + ', '.join(
-                f'{each.count(True)} of {len(each) - each.count(None)} agree with K_2 = {rate}'
-                for rate, each in zip(rates, judged)) + ' 1/s.')
-            sentences += [f'On {plant}, with K_2 = {", ".join(agree)} 1/s: {each[0].claim}.'
-                          for each in zip(*claims.values()) if len(each) > len(agree := [
-                              rate for rate, claim in zip(rates, each) if claim.holds]) > 0]
+                f'{each.count(True)} of {len(each) - each.count(None)} agree with K_2 = {rate:g}'
+                for rate, each in judged.items()) + ' 1/s.')
         return sentences
 
     def sections(self, results: Results) -> dict[str, str]:
@@ -36,8 +32,8 @@ class CompareStudy(Study):
 def comparison_claims(results: Results) -> dict[str, dict[float, list[Claim]]]:
     """Judge the claims on every plant with every K_2, each by its first run like the paper's."""
     rows = [{**metrics['evidence'], 'estimator': row['estimator'], 'part': row['part']}
-            for (_, row), metrics in zip(results.frame.iterrows(), results.metrics())
-            if metrics['summary']]
+            for _, row in results.frame.iterrows()
+            if (metrics := results.metrics[row['key']])['summary']]
     claims: dict[str, dict[float, list[Claim]]] = {}
     for run in rows:
         if run['part'] in LIKE_THE_PAPER and run['estimator'] == PAPER_ESTIMATOR:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 import math
 from multiprocessing.connection import Pipe
@@ -12,7 +11,7 @@ import traceback
 from typing import Any
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.in_process import run_fault, together, with_obstacles
+from multicontact_control.experiment.faults.in_process import run_fault, with_obstacles
 from multicontact_control.experiment.faults.judge import FaultRow
 from multicontact_control.experiment.faults.vocabulary import (
     APPROACH,
@@ -23,7 +22,7 @@ from multicontact_control.experiment.faults.vocabulary import (
     REST,
     SLIDING,
     START,
-    TWO,
+    together,
 )
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.cells import Cell
@@ -31,10 +30,11 @@ from multicontact_control.experiment.study.jobs import content_key, setup_conten
 from multicontact_control.experiment.study.study import Metrics, Study
 import pandas as pd
 
-PHASE_TIMES = {START: 0.0, APPROACH: 0.65, REST: 4.9, SLIDING: 8.2}  # s
+PHASE_TIMES = {START: 0.0, APPROACH: 0.65, REST: 4.9, SLIDING: 8.2}  # s, in this order
 FAULT_TIMEOUT = 60  # s
 FAULTS_PER_JOB = 12
 PAIRS, FEW_PAIRS = 300, 12  # of faults at the same time, the latter with a single seed
+Names = tuple[tuple[str, str], ...]  # kind and input of a fault, or of two at the same time
 
 
 @dataclass(frozen=True)
@@ -45,15 +45,14 @@ class FaultJob:
     plant: str
     phase: str
     first_seed: int  # of the plant
-    # Kind, input and seed of each, and kind and input of another at the same time, if any.
-    faults: tuple[tuple[Any, ...], ...]
+    faults: tuple[tuple[Names, int], ...]  # with their seeds
 
     def setup(self) -> Setup:
         """Return the scenario in which they happen."""
         return with_obstacles(self.scenario, self.plant, self.first_seed)
 
     def key(self) -> str:
-        """Return the hash of all that decides the outcome; see `Job.key`."""
+        """Return the hash of all that decides the outcome."""
         return content_key('faults', {
             **asdict(self), **setup_content(self.setup()), 'time': PHASE_TIMES[self.phase]})
 
@@ -61,9 +60,8 @@ class FaultJob:
         """Run the faults; a row for each is under `rows`."""
         world = _world_at(self)
         return {'rows': [
-            asdict(in_fork(world, together(FAULTS[kind, source], FAULTS[other[0], other[1]])
-                           if other else FAULTS[kind, source], seed, self.phase))
-            for kind, source, seed, *other in self.faults]}
+            asdict(in_fork(world, together(*map(FAULTS.__getitem__, names)), seed, self.phase))
+            for names, seed in self.faults]}
 
 
 # The worlds of this process by plant: faults happen in copies of them, so that a later phase
@@ -102,7 +100,7 @@ def in_fork(world: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
         row: FaultRow = ours.recv()
         return row
     except EOFError:
-        return FaultRow(fault.kind, fault.input, seed, 'died', -1.0, -1.0, -1.0, False,
+        return FaultRow(fault.kind, fault.input, seed, 'died', math.inf, 0.0, 0.0, False,
                         world.setup.plant_name, phase, 'died')
     finally:
         ours.close()
@@ -121,43 +119,39 @@ class FaultsStudy(Study):
         """
         part, = self.config.parts.values()
         plants, seeds = part.plants, part.seeds
-        spread = len(plants) * len(PHASES)
-        numbered: list[tuple[int, Sequence[str], tuple[Any, ...]]] = []
+        places: dict[tuple[str, str], list[tuple[Names, int]]] = {
+            (phase, plant): [] for phase in PHASE_TIMES for plant in plants}
+
+        def put(number: int, phases: tuple[str, ...], names: Names, seed: int) -> None:
+            """Put a fault where it is the turn of its number: all plants, then all phases."""
+            phase = phases[number // len(plants) % len(phases)]
+            places[phase, plants[number % len(plants)]].append((names, seed))
+
         for index, (name, fault) in enumerate(FAULTS.items()):
             phases = (START, *PHASES) if fault.from_start else PHASES
-            numbers = [(index % spread, seeds[0] + index % spread)] if len(seeds) == 1 else (
-                enumerate(seeds))
-            numbered += [(number, phases, (*name, seed)) for number, seed in numbers]
+            turn = index % (len(plants) * len(PHASES))
+            for number, seed in enumerate(seeds) if len(seeds) > 1 else [(turn, seeds[0] + turn)]:
+                put(number, phases, (name,), seed)
         pairs = pairs_of_faults(PAIRS if len(seeds) > 1 else FEW_PAIRS, seeds[0])
-        numbered += [
-            (number, PHASES, (one.kind, one.input, seeds[0] + number, other.kind, other.input))
-            for number, (one, other) in enumerate(pairs)]
-        places: dict[tuple[str, str], list[tuple[Any, ...]]] = {
-            (plant, phase): [] for phase in sorted(PHASE_TIMES, key=PHASE_TIMES.__getitem__)
-            for plant in plants}
-        for number, situations, work in numbered:  # all plants, then all phases, in turn
-            places[plants[number % len(plants)],
-                   situations[number // len(plants) % len(situations)]].append(work)
+        for number, pair in enumerate(pairs):
+            put(number, PHASES, pair, seeds[0] + number)
         jobs = [FaultJob(part.scenario, plant, phase, seeds[0],
                          tuple(faults[i:i + FAULTS_PER_JOB]))
-                for (plant, phase), faults in places.items()
+                for (phase, plant), faults in places.items()
                 for i in range(0, len(faults), FAULTS_PER_JOB)]
         return [Cell({'plant': job.plant, 'phase': job.phase}, job, job.key()) for job in jobs]
 
     def rows(self, metrics: Metrics) -> list[dict[str, Any]]:
-        """Return a row for each fault; what never came is infinite, what is not known is none."""
-        return [{**row, 'error': row['problems'] or row['shortfalls'] or None,
-                 'back': not row['shortfalls'],
-                 'time_to_safe_s': row['time_to_safe_s'] if row['time_to_safe_s'] >= 0.0 else (
-                     math.inf),
-                 'off_command_s': row['off_command_s'] if row['off_command_s'] >= 0.0 else None}
-                for row in metrics['rows']]
+        """Return a row for each fault."""
+        rows: list[dict[str, Any]] = metrics['rows']
+        return rows
 
     def complete(self, frame: pd.DataFrame) -> pd.DataFrame:
-        """Return the rows by kind and seed; pairs are one kind."""
+        """Return the rows by kind and seed, those of pairs last; what never came is infinite."""
         order = {name: i for i, name in enumerate(FAULTS)}
         places = [order.get(name, len(order)) for name in zip(frame['kind'], frame['input'])]
-        pairs = frame['input'].where(frame['kind'] == TWO, '')
+        problems = frame['problems'].where(frame['problems'] != '', frame['shortfalls'])
         return frame.assign(
-            pair=pairs, input=frame['input'].mask(frame['kind'] == TWO, ''), place=places,
+            error=problems.where(problems != '', None), back=frame['shortfalls'] == '',
+            time_to_safe_s=frame['time_to_safe_s'].astype(float).fillna(math.inf), place=places,
         ).sort_values(['place', 'seed'], kind='stable', ignore_index=True).drop(columns='place')

@@ -8,8 +8,8 @@ damps, and that the sensor weighs the tool's inertia.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import cached_property
+from collections.abc import Mapping
+from functools import lru_cache
 import math
 from typing import Any
 
@@ -22,11 +22,12 @@ from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.operational_space import task_inertia
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.law_report import contact_loop
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.study import Results, Study
 from multicontact_control.force import margins
 from multicontact_control.force.force_law import design_law, loop_model
-from multicontact_control.force.laws import steady_law
+from multicontact_control.force.laws import LoopModel, steady_law
 from multicontact_control.force.observer import ObserverDesign, steady_gain
 import numpy as np
 import pandas as pd
@@ -44,28 +45,14 @@ Boundaries = Mapping[str, Mapping[int, float]]  # largest stable ratio by line a
 class MapStudy(Study):
     """True stiffness over that of the model, and delay of the actuator."""
 
-    @cached_property
-    def boundaries(self) -> Mapping[str, Boundaries]:
-        """Return the boundaries of the linear loops by plant: with R held, and of eq. 32 alone."""
-        by_plant: dict[str, dict[str, dict[int, float]]] = {}
-        for cell in self.cells():
-            plant, delay = cell.factors['plant'], cell.factors[DELAY]
-            lines = by_plant.setdefault(plant, {})
-            if any(delay in line for line in lines.values()):
-                continue
-            loop = ArmLoop(cell.job.setup())
-            for name, variance, paper in LINEAR_LOOPS:
-                lines.setdefault(f'{name} (R = {variance:g} N²)', {})[delay] = (
-                    loop.boundary(variance, paper=paper))
-        return by_plant
-
     def findings(self, results: Results) -> list[str]:
         """Return where runs settle, and the boundaries of the linear loops."""
         return [*super().findings(results), *(
             f'{name} is stable on {plant} up to {RATIO} = ' + ', '.join(
                 f'{min(ratio, RATIOS[-1]):.2f} with {delay}' for delay, ratio in line.items())
             + ' periods of delay.'
-            for plant, lines in self.boundaries.items() for name, line in lines.items())]
+            for plant, lines in linear_boundaries(results).items()
+            for name, line in lines.items())]
 
     def figure(self, results: Results) -> Figure:
         """
@@ -82,7 +69,7 @@ class MapStudy(Study):
         for axes in grid.flat[len(groups):]:
             axes.set_axis_off()
         for axes, ((plant, label), frame) in zip(grid.flat, groups):
-            mesh = _panel(axes, frame, self.boundaries[plant])
+            mesh = _panel(axes, frame, linear_boundaries(results)[plant])
             axes.set_title(f'{plant}: {label}', fontsize=9)
         for axes in grid[:, 0]:
             axes.set_ylabel('delay [periods]', fontsize=8)
@@ -92,6 +79,19 @@ class MapStudy(Study):
         handles, names = grid[0, 0].get_legend_handles_labels()
         figure.legend(handles, names, loc='outside lower left', ncols=columns, fontsize=8)
         return figure
+
+
+@lru_cache(maxsize=1)  # sentences and figure of a study show the same
+def linear_boundaries(results: Results) -> Mapping[str, Boundaries]:
+    """Return the boundaries of the linear loops by plant: with R held, and of eq. 32 alone."""
+    by_plant: dict[str, dict[str, dict[int, float]]] = {}
+    setups = {(cell.factors['plant'], cell.factors[DELAY]): cell for cell in results.cells}
+    for (plant, delay), cell in setups.items():
+        loop, lines = ArmLoop(cell.job.setup()), by_plant.setdefault(plant, {})
+        for name, variance, paper in LINEAR_LOOPS:
+            lines.setdefault(f'{name} (R = {variance:g} N²)', {})[delay] = (
+                loop.boundary(variance, paper=paper))
+    return by_plant
 
 
 def _panel(axes: Axes, frame: pd.DataFrame, boundaries: Boundaries) -> Any:
@@ -153,29 +153,22 @@ class ArmLoop:
                 2.0 * self.stiffness[0] * self.mobility[0, 0]), 1.0),
             'desired': 1.0}.get(config.force.fed_forward, 0.0)
 
-    def radius(self, noise_variance: float, *, paper: bool = False) -> Callable[[float], float]:
+    def boundary(self, noise_variance: float, *, paper: bool = False) -> float:
         """
-        Return the spectral radius of the closed loops as a function of the stiffness ratio.
+        Return the largest stable stiffness ratio, 0 for none or infinity.
 
         With R held at `noise_variance` [N^2], on the arm, or on the plant of eq. 32 if `paper`.
         """
         law = steady_law(self.observer, steady_gain(self.observer, noise_variance))
-        period, K_2, none = self.config.period, self.config.force.damping_rate, np.zeros((1, 1))
+        period, K_2 = self.config.period, self.config.force.damping_rate
+        model = LoopModel(float(self.stiffness[0]), K_2, self.delay, period)
 
-        def spectral_radius_at(ratio: float) -> float:
-            stiffness = ratio * self.stiffness
-            plant = margins.LinearArmPlant(
-                none, stiffness[:1], none[0], none, self.delay, K_2,
-            ) if paper else margins.LinearArmPlant(  # where the real delay counts in whole periods
-                self.mobility, stiffness, self.damping, self.tool_inertia,
-                round(self.delay * self.config.rate) * period)
-            return margins.spectral_radius(margins.closed_loop(
-                plant, law, 0.0 if paper else K_2, period, fed_share=self.fed_share))
+        def is_stable(ratio: float) -> bool:
+            loop = contact_loop(law, model, ratio) if paper else margins.closed_loop(
+                margins.LinearArmPlant(  # where the real delay counts in whole periods
+                    self.mobility, ratio * self.stiffness, self.damping, self.tool_inertia,
+                    round(self.delay / period) * period),
+                law, K_2, period, fed_share=self.fed_share)
+            return margins.spectral_radius(loop) < 1.0
 
-        return spectral_radius_at
-
-    def boundary(self, noise_variance: float, *, paper: bool = False) -> float:
-        """Return the largest stable ratio, 0 for none or infinity, with R held [N^2]."""
-        radius = self.radius(noise_variance, paper=paper)
-        return math.sqrt(math.prod(
-            margins.last_stable(lambda ratio: radius(ratio) < 1.0, RATIOS, 1e-7)))
+        return math.sqrt(math.prod(margins.last_stable(is_stable, RATIOS, 1e-7)))

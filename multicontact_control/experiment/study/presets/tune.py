@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 import math
+from pathlib import Path
 from typing import Any
 
 from multicontact_control.config import merge, read_yaml
@@ -12,7 +12,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.law_report import write_preset
 from multicontact_control.experiment.overrides import overrides_of
 from multicontact_control.experiment.scenario import preset_values
-from multicontact_control.experiment.study.cells import Cell
+from multicontact_control.experiment.study.cells import Cell, seeded
 from multicontact_control.experiment.study.config import FactorConfig, StudyConfig
 from multicontact_control.experiment.study.study import Results, Study
 from multicontact_control.paths import config_dir
@@ -65,22 +65,20 @@ class TuneStudy(Study):
     def further(self, results: Results) -> list[Cell]:
         """Return the runs of the best combination on other seeds, none if it is not stable."""
         best, cells = self._best(results.frame), []
-        for cell in self.cells() if best else []:
-            if best == {name: cell.factors[name] for name in self.gains}:
-                jobs = {seed: replace(cell.job, seed=seed) for seed in JUDGED_ON}
-                cells += [Cell({**cell.factors, 'part': JUDGED, 'seed': seed}, job, job.key())
-                          for seed, job in jobs.items()]
+        for factors, job, _ in results.cells:
+            if best == {name: factors[name] for name in self.gains}:
+                cells += seeded({**factors, 'part': JUDGED}, job, JUDGED_ON)
         return cells
 
-    def write(self, results: Results) -> None:
+    def write(self, results: Results, folder: Path) -> None:
         """Write the best gains as a parameter file, beside the files of every study."""
-        super().write(results)
-        best, first, law = self._best(results.frame), self.cells()[0], self.config.law
+        super().write(results, folder)
+        best, first, law = self._best(results.frame), results.cells[0], self.config.law
         if best:
             plants = ', '.join(results.frame['plant'].unique())
             write_preset(
                 merge(preset_values(self.preset), overrides_of(best, first.job.setup(), 'gains.')),
-                results.folder / f'{law}.yaml',
+                folder / f'{law}.yaml',
                 f'{law}, tuned on seed {first.factors["seed"]} of {plants}')
 
     def findings(self, results: Results) -> list[str]:
