@@ -2,12 +2,15 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from multicontact_control.client import CommandRefusedError, MultiContactClient, NotReachedError
 from multicontact_control.errors import MessageError, RunError
-from multicontact_control.nodes import qos, topics
-from multicontact_control.nodes.graph import ignore, take
+from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes.graph import create_publisher, ignore, take
 from multicontact_control.nodes.link import CLEAN_UP, DEACTIVATE, GuestNode
+from multicontact_control.nodes.messages import ACCEPTED, ControllerStatus
 import numpy as np
 import pytest
 from ros_graph import obedient_graph, own_domain, PATIENCE, wait_for
@@ -28,6 +31,25 @@ def arm(domain_id, tmp_path_factory):
     with obedient_graph(tmp_path_factory.mktemp('graph'), domain_id), MultiContactClient(
             'arm', domain_id=domain_id, timeout=PATIENCE) as client:
         yield client
+
+
+def test_first_command_is_sent_again_to_a_recorder_that_is_connected_after_it(domain_id):
+    topic = topics.FORCE_COMMAND
+    command = messages.joint_state_message(0, ['table'], effort=[10.0])
+    with GuestNode('controller_node', domain_id, 'small') as controller, MultiContactClient(
+            'small', domain_id=domain_id, timeout=PATIENCE) as client, (
+            ThreadPoolExecutor(1)) as pool:
+        subscribe = partial(controller.node.create_subscription, topic.message, topic.name, ignore,
+                            topic.profile)
+        status, heard = create_publisher(controller.node, topics.STATUS), subscribe()
+        sending = pool.submit(client.command, topic, command)
+        first, _ = wait_for(lambda: take(heard), 'the command')
+        recorder = subscribe()
+        accepted = ControllerStatus(  # the controller knows of 2 readers
+            ACCEPTED, first.header.frame_id, 'ok', 'active', 'none', '', '', False, 0, 2, '', {})
+        message = accepted.message('status', DiagnosticStatus.OK)
+        wait_for(lambda: status.publish(message) or sending.done(), 'the client')
+        assert wait_for(lambda: take(recorder), 'the record')[0].effort.tolist() == [10.0]
 
 
 def reached(arm, **forces):

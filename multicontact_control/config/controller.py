@@ -69,10 +69,11 @@ class TransitionConfig(Config):
     """Torque from one law to another: at a start, a stop and a live change."""
 
     blend_time: float = parameter(
-        0.2, 'Shortest fade of the difference of two laws; time of a change of `tool`.',
-        unit='s', live=True, ge=0.0, le=10.0)
+        0.2, 'Shortest fade of the difference of two laws.', unit='s', live=True, ge=0.0, le=10.0)
     torque_rate: float = parameter(
         100.0, 'Largest rate at which it fades, in any joint.', unit='N m/s', live=True, gt=0.0)
+    slew_time: float = parameter(
+        0.2, 'Time of a change of `tool`.', unit='s', live=True, ge=0.0, le=10.0)
 
 
 class ControllerConfig(Config):

@@ -128,7 +128,7 @@ class Controller:
         self._slewed += 1
         elapsed = self._slewed * self.config.period
         self._carry(tool_between(self._last_tool, self.next_tool, quintic(
-            elapsed, self.config.transition.blend_time)[0]))
+            elapsed, self.config.transition.slew_time)[0]))
 
     def _design(self, config: ControllerConfig) -> Records:
         self._stiffnesses = loop_stiffnesses(config, self.arm.pose.rotation_world)
