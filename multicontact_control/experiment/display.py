@@ -88,12 +88,9 @@ def headline(summary: Mapping[str, Any]) -> str:
 
 def summary_rows(summary: Mapping[str, Any]) -> list[list[str]]:
     """Return the numbers of the contacts with their labels, as far as they are known."""
-    contacts, without = summary['contacts'].values(), summary['without_truth']
-    left_out = {'true_error_rms_n'} if len(without) == len(contacts) else set()
-    left_out |= set() if without else {'measured_error_rms_n'}
     rows = [[label, *(_number((contact[window] if window else contact)[key], digits)
-                      for contact in contacts)]
-            for window, key, label, digits in NUMBERS if key not in left_out]
+                      for contact in summary['contacts'].values())]
+            for window, key, label, digits in NUMBERS]
     return [row for row in rows if {*row[1:]} != {'-'}]
 
 
@@ -111,17 +108,21 @@ def print_summary(console: Console, summary: Mapping[str, Any], folder: object) 
         console.print(line)
 
 
+def arm_line(summary: Mapping[str, Any]) -> str:
+    """Return motion errors and torque of a run, as far as they are known, in one line."""
+    numbers = summary['motion'] | summary['torque']
+    return ', '.join(text.format(numbers[name]) for name, text in (
+        ('moving_position_rms_m', 'motion error {:.5f} m rms'),
+        ('orientation_max_rad', 'orientation error {:.4f} rad at most'),
+        ('max_fraction_of_limit', 'torque {:.0%} of its limit at most'))
+        if numbers[name] is not None)
+
+
 def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
     """Return the lines below the table: motion, torque, verdict, warnings, where results are."""
     timing, text = summary['timing'], judge.verdict_text(summary)
-    motion, share = summary['motion'], summary['torque']['max_fraction_of_limit']
     colour = COLOURS.get(summary['verdict'], 'yellow')
-    errors = [text.format(motion[key]) for key, text in (
-        ('moving_position_rms_m', '{:.5f} m rms'), ('orientation_max_rad', '{:.4f} rad at most'))
-        if motion[key] is not None]
-    parts = [f'motion error {", ".join(errors)}'] * bool(errors)
-    parts += [] if share is None else [f'torque at most {100.0 * share:.0f} % of its limit']
-    lines = ['; '.join(parts),
+    lines = [arm_line(summary),
              f'[{colour}]{escape(text)}[/{colour}] (judged: {escape(summary["judged"])})']
     if summary['mode'] == judge.REAL_TIME:
         p99 = (timing['latency_us'] or {}).get('p99')

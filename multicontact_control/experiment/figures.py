@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 import re
 from textwrap import shorten
@@ -194,16 +194,3 @@ def _draw_panel(
     if len(panel.traces) > 1:  # above, where it covers nothing
         axes.legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=len(panel.traces),
                     borderaxespad=0.1, frameon=False, fontsize=8)
-
-
-def draw_latency(summary: Mapping[str, Any], folder: Path) -> None:
-    """Draw how long the answers to samples took, from ``summary.json``, as latency.png."""
-    timing, sheet = summary['timing'], Figure(figsize=(9.0, 4.0), layout='constrained')
-    axes, (edges, counts) = sheet.subplots(), timing['latency_histogram'].values()
-    axes.stairs(counts, edges, fill=True, color=COLOURS[0])
-    marks = timing['latency_us'] | {'period': 1e6 / summary['rate_hz']}
-    for (name, value), colour in zip(marks.items(), COLOURS[1:]):
-        axes.axvline(value, color=colour, linestyle='--', label=f'{name} {value:.0f} us')
-    axes.legend(title=f'{timing["deadline_misses"]} of {summary["ticks"]} deadlines missed')
-    axes.set(xscale='log', xlabel='from a sample to its command [us]', ylabel='samples')
-    sheet.savefig(folder / 'latency.png', dpi=130)

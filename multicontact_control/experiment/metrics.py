@@ -237,7 +237,7 @@ class RunMetrics:
             'true_error_rms_n': error if known else None,
             'estimate_error_rms_n': rms_in(
                 window, self.data.alpha_est[:, i] - self.force[:, i]) if known else None,
-            **({} if self.truth.all() else {'measured_error_rms_n': None if known else error}),
+            'measured_error_rms_n': None if known else error,
             'noise_variance_median_n2': value_in(
                 window, self.data.noise_variance[:, i], np.median),
             'contact_loss_fraction': self.lost_share(i, window)}
@@ -266,7 +266,8 @@ class RunMetrics:
     @cached_property
     def least_torque_limit(self) -> Vector:
         """Return the smaller of controller's and drives' limits, shape (n,) [N m], or inf."""
-        return np.minimum(torque_limit(self.setup), self.setup.drive_limit or math.inf)
+        drives = self.setup.plant.torque_limit if self.setup.simulated else math.inf
+        return np.minimum(torque_limit(self.setup), drives)
 
     def torque_summary(self) -> dict[str, float | None]:
         """Return how much of the torque limits was used, None without any."""
@@ -341,4 +342,4 @@ def rms_in(window: Mask, values: Vector) -> float | None:
 def percentiles(values: Vector) -> dict[str, float]:
     """Return p50, p99, p99.9 and the largest of some times."""
     marks = np.percentile(values, [50.0, 99.0, 99.9, 100.0]) if len(values) else np.zeros(4)
-    return dict(zip(('p50', 'p99', 'p999', 'max'), marks.tolist()))
+    return dict(zip(('p50', 'p99', 'p999', 'max'), marks.round(3).tolist()))

@@ -11,17 +11,12 @@ from typing import Any
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment import figures, page
 from multicontact_control.experiment.claims import claims_of
-from multicontact_control.experiment.display import COLOURS, headline, summary_rows
+from multicontact_control.experiment.display import arm_line, COLOURS, headline, summary_rows
 from multicontact_control.experiment.judge import verdict_text
 from multicontact_control.experiment.results import FIGURE_FOLDER, LoadedRun, REPORT_FILE
 import yaml
 
 FORMATS = ('png', 'pdf')
-# Of `motion` and `torque` of a summary: label, unit, what the number is multiplied by.
-OF_THE_ARM = {
-    'moving_position_rms_m': ('moving: position error rms', 'mm', 1e3),
-    'orientation_max_rad': ('largest orientation error', 'rad', 1.0),
-    'max_fraction_of_limit': ('largest share of a torque limit', '%', 100.0)}
 
 
 def write_report(runs: Sequence[LoadedRun], out: Path) -> list[Path]:
@@ -69,38 +64,27 @@ def _run_section(run: LoadedRun, number: int) -> list[str]:
         *(f'<p class=note>{escape(text)}</p>' for text in summary.get('remarks', ())),
         _numbers(summary), figures.interactive_figures(run.data, setup, number), page.HELP,
         '<h3>Claims of the paper</h3>' + page.claims_table({'measured': claims}) if claims else '',
-        page.folded('Timing', page.table(('', '', 'unit'), [
-            (escape(name.removesuffix('_us').replace('_', ' ')), escape(_text(value)),
-             'us' if name.endswith('_us') else '') for name, value in summary['timing'].items()
-            if name != 'latency_histogram' and value is not None], numbers_from=9)),
-        _configuration(run),
-        f'<p class=note>Torques sha256 {summary["trajectory_sha256"][:16]}</p>']
+        page.folded('Timing', _yaml({
+            name: value for name, value in summary['timing'].items()
+            if name != 'latency_histogram'})),
+        _configuration(run)]
 
 
 def _numbers(summary: Mapping[str, Any]) -> str:
     """Return the numbers of the contacts and of the arm, as far as they are known."""
-    rows = [(label, unit.rstrip(']'), *values) for name, *values in summary_rows(summary)
-            for label, _, unit in [name.partition(' [')]]
-    numbers = summary['motion'] | summary['torque']
-    arm = [(label, unit, _text(scale * numbers[name]))
-           for name, (label, unit, scale) in OF_THE_ARM.items() if numbers[name] is not None]
-    tables = [page.table(('', 'unit', *map(escape, columns)), [
-        [escape(cell) for cell in row] for row in some], numbers_from=2)
-        for columns, some in ((summary['contacts'], rows), (('arm',), arm)) if some]
-    return f'<div class=numbers>{"".join(tables)}</div>'
+    rows = [list(map(escape, row)) for row in summary_rows(summary)]
+    table = page.table(('', *map(escape, summary['contacts'])), rows) if rows else ''
+    return f'{table}<p>{arm_line(summary)}</p>'
 
 
 def _configuration(run: LoadedRun) -> str:
     if not run.setup.controller.contacts:
         return '<p class=note>Not known: <code>--controller</code> takes the parameter file.</p>'
     names = ('scenario', 'controller', 'noise_estimator', 'plant')
-    return page.folded('Configuration', ''.join(page.folded(name, '<pre>' + escape(yaml.safe_dump(
-        getattr(run.setup, name).model_dump(mode='json'), sort_keys=False)) + '</pre>')
+    return page.folded('Configuration', ''.join(
+        page.folded(name, _yaml(getattr(run.setup, name).model_dump(mode='json')))
         for name in (names if run.setup.simulated else names[:2])))
 
 
-def _text(value: Any) -> str:
-    if isinstance(value, dict):
-        return ', '.join(f'{key} {_text(each)}' for key, each in value.items())
-    return f'{value:.3g}' if isinstance(value, float) and value < 1e3 else (
-        f'{value:.0f}' if isinstance(value, float) else str(value))
+def _yaml(values: Mapping[str, Any]) -> str:
+    return f'<pre>{escape(yaml.safe_dump(dict(values), sort_keys=False))}</pre>'

@@ -17,7 +17,7 @@ from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import print_summary, progress_bar
-from multicontact_control.experiment.figures import draw_figures, draw_latency
+from multicontact_control.experiment.figures import draw_figures
 from multicontact_control.experiment.metrics import percentiles
 from multicontact_control.experiment.recording import BagContent, read_bag, RunData
 from multicontact_control.experiment.scenario import dotted, External, Setup, SHORTEST
@@ -131,7 +131,7 @@ def _report_graph(result: GraphResult, spec: GraphSpec, setup: Setup) -> Ending:
         ended_early=result.ended or (judge.INTERRUPTED if interrupted else ''),
         events=result.timing[CONTROLLER].get('events', []) if (
             spec.extra_parameters[CONTROLLER]['supervised']) else None)
-    summary |= {'ros_domain_id': result.domain_id, 'remarks': list(content.remarks)}
+    summary['remarks'] = list(content.remarks)
     return _finish(data, setup, spec.out, summary), interrupted
 
 
@@ -189,8 +189,6 @@ def _finish(data: RunData, setup: Setup, folder: Path, summary: dict[str, Any]) 
     """Judge the claims, write figures and summary, show the table."""
     summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
     draw_figures(data, setup, folder / results.FIGURE_FOLDER, verdict=judge.verdict_text(summary))
-    if summary['timing'].get('latency_histogram'):
-        draw_latency(summary, folder / results.FIGURE_FOLDER)
     write_json(folder / results.SUMMARY_FILE, finite(summary))
     print_summary(CONSOLE, summary, folder)
     return summary

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
@@ -71,15 +70,6 @@ class Setup:
     def simulated(self) -> bool:
         """Whether the plant is one of this package."""
         return self.plant is not NO_PLANT
-
-    @property
-    def drive_limit(self) -> tuple[float, ...]:
-        """Largest joint torques of simulated drives [N m]; empty where they are not known."""
-        if not self.simulated:
-            return ()
-        with suppress(ConfigError):  # the robot's file may be gone when a run is read again
-            return self.plant.torque_limit or find_robot(self.plant.robot).arm.torque_limit
-        return ()
 
     @property
     def ticks(self) -> int:
@@ -205,6 +195,7 @@ def resolve(
             laid_over['noise_estimator'], config.noise_estimator, noise_estimator),
             'noise_estimator.yaml'),
         lambda: validate(PlantConfig, merged(
+            {'torque_limit': source.robot.arm.torque_limit},
             source.robot.plant_values(source.plant, contacts) if source.file is None else
             {'robot': source.robot.name, **read_parameters(source.file)},
             config.plant, plant_overrides),

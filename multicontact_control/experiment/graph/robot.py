@@ -12,7 +12,6 @@ from multicontact_control.nodes.graph import ignore, take
 from multicontact_control.nodes.link import GuestNode
 
 OURS = (topics.CONTROLLER, topics.ESTIMATOR, topics.RECORDER)
-SILENCE = 2.0  # s without a message, after which a robot that is waited for is silent
 UNNAMED = '_NODE_NAME_UNKNOWN_'  # of a topic's end, until its node is known, too
 
 
@@ -46,11 +45,6 @@ class _Stream:
                 self.other = taken[0]
                 continue
             self.newest, self.other, self.at = taken[0], None, time.monotonic()
-
-    @property
-    def age(self) -> float:
-        """Time since the newest message [s]."""
-        return time.monotonic() - self.at
 
 
 class RobotWatch(GuestNode):
@@ -96,8 +90,7 @@ class RobotWatch(GuestNode):
     def _missing_of(self, topic: topics.Topic, stream: _Stream) -> str:
         name = self._full(topic.name)
         if stream.newest is not None:
-            return '' if stream.age < SILENCE else (
-                f'{name}, silent for {stream.age:.0f} s, from {stream.publisher}')
+            return ''
         if stream.other is not None:
             return (f'the joints {", ".join(stream.lacking(stream.other))} in {name}, which has '
                     f'{", ".join(stream.other.name) or "no names"}')
@@ -109,10 +102,11 @@ class RobotWatch(GuestNode):
         """Return which topic has not come for the robot's `timeout`, and from whom, or empty."""
         self.poll()
         for topic, stream in self._streams.items():
-            if stream.age > self._robot.timeout:
+            age = time.monotonic() - stream.at
+            if age > self._robot.timeout:
                 of = '' if stream.other is None else ' of its joints'
                 return (f'{stream.publisher} has not published {self._full(topic.name)}{of} for '
-                        f'{stream.age:.1f} s')
+                        f'{age:.1f} s')
         return ''
 
     @property

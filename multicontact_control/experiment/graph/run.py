@@ -60,7 +60,6 @@ class GraphResult:
     controlled: bool  # whether any sample was answered
     signals: Sequence[int]  # that ended it early
     timing: Mapping[str, Mapping[str, Any]]  # counts and times that each node wrote at its end
-    domain_id: int | None = None  # that it ran in; None if a signal ended its start
     ended: str = ''  # what ended it early on the side of the user's own robot
 
 
@@ -221,7 +220,7 @@ def run_graph(
     graph.processes.check_running(stopped=True)
     return GraphResult(
         spec.bag, graph.progress.heard or not (signals or ended), signals,
-        graph.processes.timing(), graph.domain_id, ended)
+        graph.processes.timing(), ended)
 
 
 def _watch(
@@ -245,7 +244,7 @@ def _watch(
             due = time.monotonic() + PROGRESS_PERIOD
             if (progress := graph.progress.newest()) is not None:
                 if newest is None:
-                    tell(_first_steps(graph, progress))
+                    tell(_first_steps(graph))
                 newest = progress
                 on_progress(progress)
             elif newest is None and not signals:  # the controller says why it cannot answer
@@ -258,18 +257,14 @@ def _watch(
     return ''
 
 
-def _first_steps(graph: RunningGraph, progress: GraphProgress) -> str:
+def _first_steps(graph: RunningGraph) -> str:
     """Return two commands to try on a graph that answers samples."""
     domain, namespace = graph.domain_id, graph.spec.namespace
     topic = '/'.join(filter(None, (namespace, topics.MEASURED_FORCES.name)))
-    second = f'multicontact view --graph --domain-id {domain}'
-    second += f' --namespace {namespace}' * bool(namespace)
-    if graph.spec.reference_file is None:
-        second = ('python -c "from multicontact_control.client import MultiContactClient as Arm; '
-                  f"Arm('{namespace}', domain_id={domain}).set_forces("
-                  f"{{'{next(iter(progress.forces))}': 10.0}})\"")
+    of_the_arm = f' --namespace {namespace}' if namespace else ''
     return ('ready; try in another terminal:\n'
-            f'  multicontact topic echo /{topic} --domain-id {domain}\n  {second}')
+            f'  multicontact topic echo /{topic} --domain-id {domain}\n'
+            f'  multicontact view --graph --domain-id {domain}{of_the_arm}')
 
 
 @contextlib.contextmanager
