@@ -250,10 +250,9 @@ FILTER_STATE = np.dtype([('alpha', F), ('filtered', F)])  # [N]
 CONTACT_STATE = np.dtype([
     ('state', I),  # see `supervision.contacts`
     ('losses', I),  # how often it was lost since it was first wanted
-    ('searches', I),  # in vain, since it held last
     ('left', B),  # whether it is to be left, or was, for its force or for where it leads
     ('again', B),  # whether it is to be sought although it was given up
-    ('wanted', B), ('commanded', B),  # whether the task asks for it, or has asked
+    ('wanted', B),  # whether the task asks for it
     ('asked', F),  # force the task asks for [N]
     ('displacement', F),  # of the reference along the normal, relative to the task [m]
     ('speed', F), ('acceleration', F),  # of that displacement [m/s], [m/s^2]
@@ -289,7 +288,7 @@ TASK_LIMITS = np.dtype([
 PLAUSIBILITY = np.dtype([
     ('inertia', F),  # what a lost contact may read more: the tool's inertia [N]
     ('friction_bound', F),  # force across the normals, per force along them
-    ('force_ceiling', F),  # along them, of contacts that were never commanded [N]
+    ('force_ceiling', F),  # along them, of contacts that are not commanded [N]
     ('box', F, (2, 3)),  # where the operational point may be [m]
 ])
 
@@ -306,7 +305,6 @@ INPUT_SETTINGS = np.dtype([
     ('period', F),  # [s]
     ('shortest', F), ('longest', F),  # periods that are in order [s]
     ('max_age', F, 3),  # [s]
-    ('recovery_ticks', I),  # for which joints are refused after a jump
     ('frozen_joint_ticks', I), ('frozen_ticks', I),  # equal readings that are frozen, 0 for never
     ('by_command', B), ('adds_gravity', B),  # see `collision.command_delay`, `robot`
     ('full_scale', F, 6),  # from where on an axis is saturated [N, N m]
@@ -314,28 +312,24 @@ INPUT_SETTINGS = np.dtype([
     ('b', F, 3), ('a', F, 3),  # its coefficients, highest power of z first
 ], align=True)
 
-# What the input stage remembers; one.
+# What the input stage gets, remembers and finds; one.
 INPUT_STATE = np.dtype([
+    ('stamp', F, 5), ('content', I, 5),  # of joints, wrench, R, the tick and torques [s]
     ('time', F),  # of the newest tick, NaN before the first [s]
     ('seen', F, 3),  # newest stamp, NaN for none [s]
     ('valid', F, 3),  # stamp of the newest valid reading, NaN for none [s]
-    ('skipped', I), ('commands', I),  # samples missing before this tick; commands so far
+    ('skipped', I),  # samples missing before this tick
     ('odd_periods', I),  # in a row that are too long or too short
     ('known', np.uint8, 2),  # whether any joints and any wrench were valid
     ('blind_ticks', I), ('unknown', I),  # in a row without valid joints; without their torques
-    ('distrust', I),  # joint states to be refused after a jump
     ('states', I), ('contradicted', I),  # joint states in a row; of velocities that are wrong
-    ('agreeing', I),  # joint states of a moving arm since the last wrong velocity
-    ('silent', B), ('doubted', B), ('begins', B),  # no velocities come; not believed; not yet
+    ('unproven', I),  # joint states in motion until velocities are believed again
+    ('silent', B), ('estimated', B),  # whether no velocities come; whether positions give them
     ('equal_joints', I), ('equal_wrenches', I),  # readings in a row, the newest counted
-    ('fault', I), ('faults', I),  # of the newest wrench; frozen or saturated ones in a row
+    ('faults', I),  # frozen or saturated wrenches in a row
     ('raw', F, 6), ('last', F, 6),  # the newest wrench and the one before [N, N m]
     ('filtered', F, 6),  # behind the low-pass [N, N m]
     ('memory', F, (2, 6)),  # of the low-pass, NaN before its first wrench [N, N m]
-], align=True)
-
-# What the input stage finds at a tick; one.
-INPUT_VERDICT = np.dtype([
     ('problem', I, 4),  # what is wrong with each reading, and with the time
     ('stale', np.uint8, 4),  # whether the newest valid one is too old, or the time is wrong
     ('blind', B),  # whether joints were valid neither in this tick nor in the one before
@@ -343,5 +337,4 @@ INPUT_VERDICT = np.dtype([
     ('acts', B),  # whether the torques in their place say anything
 ], align=True)
 
-INPUT_STAGE = np.dtype([
-    ('settings', INPUT_SETTINGS), ('state', INPUT_STATE), ('verdict', INPUT_VERDICT)], align=True)
+INPUT_STAGE = np.dtype([('settings', INPUT_SETTINGS), ('state', INPUT_STATE)], align=True)

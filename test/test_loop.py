@@ -169,11 +169,9 @@ def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
     after = [bench.step() for _ in range(200)]
     np.testing.assert_array_equal(after[0], before)
     assert bench.states['table'] == 'holding'
-    for changes in ({'limits': {'operational_speed': 0.1}}, {'watchdog': {'rate_band': 3.0}},
-                    {'contact_state': {'preload': 1.0}}, {'rate': 400.0}):
-        with pytest.raises(ConfigError, match=f'^{next(iter(changes))}: .*cannot change'):
-            bench.loop.supervisor.reconfigure(still_config(**changes))
-        assert bench.loop.config is config
+    with pytest.raises(ConfigError, match='^rate: .*cannot change'):
+        bench.loop.supervisor.reconfigure(still_config(rate=400.0))
+    assert bench.loop.config is config
 
 
 def test_tool_of_an_impossible_mass_or_in_a_push_test_is_refused():
@@ -240,9 +238,7 @@ FAULTS = {
     'wrench NaN': (put('wrench', wrench=np.full(6, np.nan)), 'hold', 'wrench_invalid', 12),
     'wrench saturated': (
         put('wrench', wrench=100.0 * np.eye(6)[0]), 'hold', 'wrench_saturated', 1),
-    'wrench frozen': (put('wrench', wrench=np.ones(6)), 'hold', 'wrench_frozen', 3),
-    'clock NaN': (lambda bench: bench.step(
-        change=lambda inputs: inputs._replace(time=np.nan)), 'hold', 'clock_invalid', 0)}
+    'wrench frozen': (put('wrench', wrench=np.ones(6)), 'hold', 'wrench_frozen', 3)}
 
 
 @pytest.mark.parametrize('fault', FAULTS)

@@ -24,8 +24,8 @@ class ContactStateConfig(Config):
     release_threshold: float = parameter(
         0.5, 'Measured force below which a contact may be lost.', unit='N', ge=0.0, le=100.0)
     retry_time: float = parameter(
-        5.0, 'Time to the next search for a contact that was not found, doubled by each; 0 for '
-        'none. One left for its force waits for a command.', unit='s', ge=0.0, le=3600.0)
+        5.0, 'Time to the next search for a contact that was not found; 0 for none. One left for '
+        'its force waits for a command.', unit='s', ge=0.0, le=3600.0)
     smallest_force: float = parameter(
         3.0, 'Smallest commanded force; below, sliding looks like a loss.', unit='N', gt=0.0)
     preload: float = parameter(

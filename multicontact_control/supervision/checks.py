@@ -16,7 +16,7 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm import JOINT_SPEED, OPERATIONAL_SPEED
 from multicontact_control.control.controller import Controller
 from multicontact_control.records import PLAUSIBILITY, Records
-from multicontact_control.supervision.contacts import LOST
+from multicontact_control.supervision.contacts import FREE, LOST
 import numpy as np
 
 # What `check_plausibility` returns, added up.
@@ -52,8 +52,8 @@ def check_plausibility(
 
     Returns the sum of NOT_FINITE, PULL (a surface pulls; after the loss of a contact the inertia
     of the tool that is braked is allowed for), SIDEWAYS (more than friction can explain), STRAY
-    (a contact that was never commanded is beyond the force ceiling) and OUTSIDE (the operational
-    point is out of its box).
+    (a contact that is free is beyond the force ceiling) and OUTSIDE (the operational point is out
+    of its box).
     """
     bounds, control = limits[0], controls[0]
     frame, tool, flags = control.frame, control.tool, 0
@@ -72,7 +72,7 @@ def check_plausibility(
         allowance = bounds.inertia if states[i].state == LOST else 0.0
         if contact.alpha_meas < -(PULL_LIMIT + allowance):
             flags |= PULL
-        if contact.alpha_meas > bounds.force_ceiling and not states[i].commanded:
+        if contact.alpha_meas > bounds.force_ceiling and states[i].state == FREE:
             flags |= STRAY
     sideways = 0.0
     for k in range(3):

@@ -43,8 +43,8 @@ class ContactTask:
 
     Attributes
     ----------
-    states, state_names
-        Records of `CONTACT_STATE`, shape (r,), and the state of each contact's normal force.
+    states
+        Records of `CONTACT_STATE`, shape (r,).
     limited
         Whether a limit of the motion was enforced at the last tick.
     held, locked
@@ -101,7 +101,6 @@ class ContactTask:
             forces[pressed] = self._task.alpha_des[pressed]
         self._task: Task = Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces)
         self.states[~pressed] = contacts.FREE_CONTACT
-        self._name_states()
         self._limits['offset'] = self._limits['turned'] = 0.0
         self._kept: Mask | None = None  # contacts, from the end of a pause to the next tick
 
@@ -126,13 +125,11 @@ class ContactTask:
             if self._kept is not None:
                 self._return(self._kept)
             self.limited = _limit_task(self._limits, self._controls, self._columns, self.states)
-            if self._codes.tobytes() != self._named:
-                self._name_states()
 
-    def _name_states(self) -> None:
-        self._named = self._codes.tobytes()
-        codes = self._codes[self._leaders].tolist()
-        self.state_names = tuple(contacts.NAMES[code] for code in codes)
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Return the state of each contact's normal force."""
+        return tuple(contacts.NAMES[code] for code in self._codes[self._leaders].tolist())
 
     def hold(self, wanted: bool) -> None:
         """Stay where the arm is and press as it does, or go on from there."""

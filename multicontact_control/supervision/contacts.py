@@ -6,7 +6,8 @@ law before and after: there the tip advances by a displacement that is ramped, b
 
 free -> approaching -> impact -> holding -> lost -> approaching ..., given up once the tip has
 gone too far without a surface, until it is time for another search. Beyond the force ceiling, and
-where it leads out of the workspace: retracting, then given up until it is commanded again.
+where it leads out of the workspace: retracting, then given up until it is commanded again. It is
+free as long as the task does not ask for it.
 
 A `contact` is a record of `CONTACT_STATE`, changed, `settings` are one of `CONTACT_SETTINGS`;
 `alpha` is the measured force [N], `place` and `speed` are those of the tip along the normal,
@@ -41,7 +42,6 @@ TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right afte
 STEP_TIME = 0.02  # s, in which a force step may be taken
 REBOUND_SPEED = 2e-3  # m/s, away from the surface, from which on it is thrown back
 REBOUNDS_APART = 0.5  # s
-LONGEST_WAIT = 4  # doublings of the time between two searches
 LOSS_PERIODS, BOUNCE_PERIODS = 2, 3  # the same, at least: one sample says nothing
 POSITION_RATE = 20.0  # 1/s, of the way left: how a displacement settles
 
@@ -96,7 +96,6 @@ def _watch_search(contact: Any, settings: Any, alpha: float) -> None:
     elif contact.displacement - contact.start > (
             SEARCH_DISTANCE if met_before else settings.approach_distance):
         contact.target = contact.start
-        contact.searches += 1
         contact.state = GIVEN_UP
 
 
@@ -128,7 +127,6 @@ def _watch_hold(
     if contact.below > patience + 1e-9 or escape > fastest:
         let_go(contact, place, speed)
     elif contact.state == IMPACT and contact.below == 0.0 and contact.in_state >= IMPACT_TIME:
-        contact.searches = 0
         contact.state = HOLDING
 
 
@@ -138,38 +136,31 @@ def _switch_state(
 ) -> None:
     """Go to another state if it is time; see `advance_contact`."""
     met_before = not np.isnan(contact.origin)
-    has_retracted = abs(contact.target - contact.displacement) < 1e-4
-    # A contact that is left for its force although it is not asked for stays away: the motion
-    # would press it again, and again.
-    stays_away = contact.state == RETRACTING and not (met_before and has_retracted) or (
-        contact.state == GIVEN_UP and contact.left and not (met_before or contact.again))
-    beyond = contact.commanded and alpha > settings.force_ceiling and contact.state != RETRACTING
-    if beyond or (contact.left and is_active(contact)):
+    if not contact.wanted:
+        if is_active(contact):
+            let_go(contact, place, speed)
+        contact.state = FREE
+        contact.left = False
+        contact.losses = 0
+        contact.origin = np.nan
+        contact.target = 0.0
+    elif (alpha > settings.force_ceiling and contact.state != RETRACTING) or (
+            contact.left and is_active(contact)):
         contact.displacement = place
         contact.speed = speed
         contact.target = place - RETRACT_DISTANCE
         contact.left = True
         contact.state = RETRACTING
-    elif not contact.wanted and not stays_away:
-        if is_active(contact):
-            let_go(contact, place, speed)
-        contact.state = FREE
-        contact.left = False
-        contact.searches = 0
-        contact.losses = 0
-        contact.origin = np.nan
-        contact.target = 0.0
     elif contact.state == FREE:
         contact.start = contact.displacement
         contact.state = APPROACHING
     elif is_active(contact):
         _watch_hold(contact, settings, alpha, place, speed, escape)
     elif contact.state == RETRACTING:
-        if has_retracted:
+        if abs(contact.target - contact.displacement) < 1e-4:
             contact.state = GIVEN_UP
     elif contact.state == GIVEN_UP:
-        wait = settings.retry_time * 2.0 ** min(max(contact.searches - 1, 0), LONGEST_WAIT)
-        due = settings.retry_time > 0.0 and not contact.left and contact.in_state >= wait
+        due = 0.0 < settings.retry_time <= contact.in_state and not contact.left
         if due or contact.again:
             contact.left = False
             # As far as before, wherever the tip has come to meanwhile.
@@ -192,7 +183,6 @@ def advance_contact(
     h = settings.period
     contact.in_state += h
     contact.again = contact.again and contact.state == GIVEN_UP
-    contact.commanded = contact.commanded or contact.wanted
     before = contact.state
     _switch_state(contact, settings, alpha, place, speed, escape)
     if contact.state != before:

@@ -7,7 +7,7 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix
 from multicontact_control.control import arm
-from multicontact_control.control.arm import ACCELERATION, DIRECTION, SPEED, WRENCH
+from multicontact_control.control.arm import DIRECTION, WRENCH
 from multicontact_control.supervision.velocities import OFFSET
 import numpy as np
 
@@ -16,8 +16,8 @@ UNITS = {180.0 / np.pi: 'degrees per second', 30.0 / np.pi: 'revolutions per min
 CORRELATED = 0.8  # square of the correlation from which on two velocities differ by a factor
 FEWEST, SLOWEST = 8, 0.01  # joint states, and rad/s, that say something
 SIMILAR = 0.25  # difference from a factor, relative to it
+RIGHT = 2.5  # factor by which a velocity may seem wrong
 EXPLAINED = 0.7  # share of the residual's power, from which on what it follows is its cause
-CREEP = 0.05  # of that power, by which the speed must explain more than its sign
 MULTIPLE = 0.95  # the same over the joints at rest, from which on it is a multiple of gravity
 # What to say of a residual that follows each of `REGRESSORS`.
 FOLLOWED = (
@@ -57,12 +57,11 @@ def explain_velocities(
         unit = next((f': {name}?' for factor, name in UNITS.items()
                      if abs(abs(ratio) / factor - 1.0) < SIMILAR), '')
         sign = ', with the opposite sign' if ratio < 0.0 else ''
-        right = (1.0 - SIMILAR, 1.0 + SIMILAR) if doubt[j] > 1.0 else (0.4, 2.5)
-        return '' if right[0] < ratio < right[1] else (
-            f'{what} is {abs(ratio):.3g} times the rate of its position{sign}{unit}')
-    error = reading - rate
+        if not 1.0 / RIGHT < ratio < RIGHT:
+            return f'{what} is {abs(ratio):.3g} times the rate of its position{sign}{unit}'
     if doubt[j] <= 1.0:
         return ''
+    error = reading - rate
     if np.std(error) < SIMILAR * abs(np.mean(error)):
         return f'{what} is {np.mean(error):.3g} rad/s beyond the rate of its position: an offset?'
     return (f'{what} is up to {np.abs(error).max():.3g} rad/s off the rate of its position: a '
@@ -83,11 +82,6 @@ def explain_collision(joints: Any, momentum: Any, names: Sequence[str]) -> str:
                 + _explain_rest(residual / settled, joints['bias_torque'], len(loaded)))
     squares = np.maximum(evidence['square'], np.finfo(float).tiny)
     share, slope = evidence['product'] ** 2 / squares, evidence['product'] / squares
-    faster = share[SPEED] > share[DIRECTION] + CREEP * evidence['power']
-    share[DIRECTION if faster else SPEED] = 0.0
-    if slope[ACCELERATION] < 0.0 and share[ACCELERATION] > EXPLAINED * evidence['power']:
-        return (f'{name}: the residual is {slope[ACCELERATION]:.2g} kg m^2 times the acceleration'
-                ': noise or steps of its velocity')
     share[:WRENCH][slope[:WRENCH] < 0.0] = 0.0  # what pushes a joint moves it that way, too
     best = int(np.argmax(share))
     if share[best] > EXPLAINED * evidence['power']:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
@@ -12,7 +10,7 @@ from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import TaskSource
 from multicontact_control.control.tick import ControlOutput
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.errors import CommandError, ConfigError, SingularTaskError
+from multicontact_control.errors import CommandError, SingularTaskError
 from multicontact_control.force.force_law import continue_laws_at
 from multicontact_control.supervision import checks, reactions
 from multicontact_control.supervision.command_limits import outside_limits
@@ -20,7 +18,17 @@ from multicontact_control.supervision.contact_task import ContactTask
 from multicontact_control.supervision.findings import explain_collision, explain_velocities
 from multicontact_control.supervision.gate import TorqueGate
 from multicontact_control.supervision.inputs import Inputs, Seen, TickInputs
-from multicontact_control.supervision.reactions import DAMP, FLOAT, HOLD, INFLATE, NONE, SAFE
+from multicontact_control.supervision.reactions import (
+    DAMP,
+    FLOAT,
+    HOLD,
+    INFLATE,
+    LATCHED,
+    NONE,
+    RECOVERING,
+    SAFE,
+    SEVERITY,
+)
 from multicontact_control.supervision.report import no_answer, SupervisorStatus
 import numpy as np
 
@@ -28,10 +36,7 @@ CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wre
 STRAY_TORQUE = 0.5  # N m at the operational point that is worth a report
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
 CONTROLLED = (NONE, INFLATE)  # what the control law answers
-FIXED = ('torque_limit', 'sensor', 'contact_state', 'limits', 'watchdog', 'collision')
-LIVE_OF_CONTACTS = {
-    'friction_coefficient', 'normal_world', 'normal_turn_rate', 'normal_range', 'surface_speed',
-    'surface_speed_limit'}
+UNSEEN = ('joints', 'internal')  # parts without which the arm is not seen
 Answer = tuple[ControlOutput, SupervisorStatus | None]
 
 
@@ -79,9 +84,7 @@ class Supervisor:
         self.controller = controller = Controller(config, robot)
         self._joints, self._controls = controller.arm.joints, controller.controls
         self.task = ContactTask(config, source, controller, guarded=guarded)
-        self.inputs = Inputs(
-            config, controller.measured, self._joints, self._controls['momentum'],
-            robot.turning)
+        self.inputs = Inputs(config, controller)
         self.gate = TorqueGate(config, self._joints, guarded=guarded)
         self.reactions = reactions.Reactions(config, controller)
         self._recovery = reactions.Recovery(config.watchdog.recovery_time, config.period)
@@ -101,7 +104,6 @@ class Supervisor:
         self.findings: tuple[str, ...] = ()
         self._causes: tuple[str, ...] = ()  # that these explain
         self._arm: ArmState | None = None  # once it was seen
-        self._flags = 0  # of it; see `see_arm`
         self._touched = -1  # joint beyond which nothing is touched
         self._alarms: tuple[str, ...] = ()
         self._seen, self._wrench_known = Seen(), False
@@ -146,25 +148,19 @@ class Supervisor:
             Without guards, if a reading is missing or there is no torque for this posture.
 
         """
-        part, reaction = 'internal', NONE  # the part at work, for an error in it
+        part = 'internal'  # at work, for an error in it
         try:
             seen = self.inputs.validate(inputs, self.gate.last if self.gate.begun else None)
-            causes = self._see(inputs, seen)
-            resumes = self._paused or not self.started
-            if causes or self.safe or resumes:
-                reaction, causes = self._decide(causes)
-                if reaction not in CONTROLLED:
-                    return self._react(reaction, causes)
-            part = 'law'
+            reaction, causes = self._decide(self._see(inputs, seen))
+            if reaction not in CONTROLLED:
+                return self._react(reaction, causes)
+            part, resumes = 'law', self._paused or not self.started
             if resumes:
                 self._resume()
             self.task.ask(self._task_ticks * self._period)
             limited = self.controller.answer()
             part = 'internal'
-            doubts = self.guarded and checks.check_plausibility(*self._answered)
-            if not doubts:
-                self._contradictions = 0
-            elif refused := self._weigh(doubts):
+            if refused := self._check():
                 return self._refuse(refused)
             if resumes:
                 self._take_over()
@@ -192,12 +188,10 @@ class Supervisor:
             self.controller.change_tool()
         if seen.joints and arm.refresh():
             self._arm = arm
-            if arm.flags or self._flags:
-                self._alarms = checks.TOO_FAST[arm.flags] + self._touch(arm.flags)
+            self._alarms = checks.TOO_FAST[arm.flags] + self._touch(arm.flags)
             if self._adds_gravity:
                 self.gate.allow_for(self.controller.own_weight())
-            self._flags = arm.flags
-        self._wrench_known = seen.measured and not self._flags & AMBIGUOUS  # then it is older
+        self._wrench_known = seen.measured and not arm.flags & AMBIGUOUS  # then it is older
         self._controls['measured'] = self._wrench_known
         return seen.causes + self._alarms
 
@@ -229,50 +223,51 @@ class Supervisor:
         """Return what answers the tick, the law or a reaction, and why."""
         arm = self._arm
         if self.safe:
-            if arm is None or self._seen.blind:
-                return DAMP if arm is None else FLOAT, causes or ('joints_stale',)
-            return SAFE, causes
-        if self.guarded and not self.started:  # limits that are passed would move the arm at once
-            if arm is not None:
-                self.outside = outside_limits(self.config, arm.q, arm.pose.position_world)
+            if arm is not None and not self._seen.blind:
+                return SAFE, causes
+            return DAMP if arm is None else FLOAT, causes or ('joints_stale',)
+        if self.started and not self._paused:
+            return self._reaction_to(causes), causes
+        # Limits that are passed at the start would move the arm at once.
+        if self.guarded and not self.started and arm is not None:
+            self.outside = outside_limits(self.config, arm.q, arm.pose.position_world)
             causes += ('start_outside',) * bool(self.outside)
         reaction = self._reaction_to(causes)
-        if reaction in CONTROLLED:
+        if reaction in CONTROLLED and self._paused:
             self._good_ticks += 1
-            missing = self._recovery.missing(self._good_ticks) if self._paused else ()
-            if missing:  # joints that come and go are not held
+            if missing := self._recovery.missing(self._good_ticks):
+                # Joints that come and go are not held.
                 floats = self._reaction == FLOAT and self._good_ticks * self._period < SEEN_TIME
-                return FLOAT if self._seen.blind or floats else self._waiting_reaction, missing
-            if arm is None or not self._seen.wrench:
-                return DAMP, ('joints_stale',)
+                return FLOAT if floats else self._waiting_reaction, missing
         return reaction, causes
 
     def _reaction_to(self, causes: tuple[str, ...]) -> str:
+        if not causes:
+            return NONE
         to = checks.reactions_of(self.config)
         called_for = [to.get(cause, to[cause.split('_')[0]]) for cause in causes]
-        return max(called_for, key=reactions.SEVERITY.index, default=NONE)
+        return max(called_for, key=SEVERITY.index)
 
     def _resume(self) -> None:
         """Start the control law, or go on with it after a reaction."""
         controller = self.controller
-        if self._flags & AMBIGUOUS:
-            controller.refuse()
-        if self._paused and self.started:
+        if self.started:
             held = self.task.resume()
             continue_laws_at(controller.laws, held, controller.contacts['alpha_meas'])
-        elif self._paused:
-            controller.reset()  # the arm may have been moved since the first attempt
-        if not controller.started:
+        else:
+            controller.reset()  # the arm may have been moved since an attempt before
             self.task.start(controller.start())
 
-    def _weigh(self, doubts: int) -> str:
+    def _check(self) -> str:
         """Return the cause to refuse the answer of the law, nothing if it may be commanded."""
+        doubts = checks.check_plausibility(*self._answered) if self.guarded else 0
         if doubts & checks.NOT_FINITE:
             return 'law_not_finite'
-        contradicted = 0 if self.task.locked else doubts & sum(checks.WRONG_WRENCH)
-        self._contradictions = self._contradictions + 1 if contradicted else 0
-        if contradicted and (self._contradictions >= CONTRADICTIONS or self._paused):
-            return next(cause for bit, cause in checks.WRONG_WRENCH.items() if contradicted & bit)
+        wrong = [] if self.task.locked else [
+            cause for bit, cause in checks.WRONG_WRENCH.items() if doubts & bit]
+        self._contradictions = self._contradictions + 1 if wrong else 0
+        if wrong and (self._contradictions >= CONTRADICTIONS or self._paused):
+            return wrong[0]
         if doubts & checks.OUTSIDE:  # the contacts have led there
             self.task.lead_back()
         return ''
@@ -318,13 +313,13 @@ class Supervisor:
         arm, blind = self._arm, self._seen.blind
         if blind and arm is not None and reaction in (HOLD, DAMP):
             reaction = FLOAT  # what is not seen can be neither held nor slowed down
-        if causes not in ((reactions.RECOVERING,), (reactions.LATCHED,)):
+        if causes not in ((RECOVERING,), (LATCHED,)):
             self._good_ticks = 0
             # An arm that was not seen for a moment is held again, or waits as it did.
-            if not self._unseen(causes, reaction):
-                self._waiting_reaction = reaction
-            elif not self._paused:
-                self._waiting_reaction = HOLD
+            others = tuple(cause for cause in causes if not cause.startswith(UNSEEN))
+            if others or not self._paused:
+                self._waiting_reaction = max(
+                    HOLD, self._reaction_to(others), key=SEVERITY.index)
             if causes != self._causes or not self.findings:
                 self._causes = causes
                 self.findings = tuple(filter(None, map(self._explain, causes))) or self.findings
@@ -371,30 +366,18 @@ class Supervisor:
         return (f'{force:.1f} N and {torque:.2g} N m while no contact is commanded: if nothing '
                 'touches the tool, bias or tool weight (tare or calibrate)') if stray else ''
 
-    def _unseen(self, causes: tuple[str, ...], reaction: str) -> bool:
-        """Return whether the arm floats only because it is not seen, or a part has failed."""
-        others = tuple(cause for cause in causes
-                       if cause.split('_')[0] not in ('joints', 'internal'))
-        return reaction == FLOAT and self._reaction_to(others) != FLOAT
-
     def _survive(self, part: str, error: Exception) -> Answer:
         """Answer after an exception, in the law or in what is around it."""
+        cause = f'{part}_{type(error).__name__}'
         try:
             if part == 'law':
-                return self._refuse(f'law_{type(error).__name__}' if self.controller.arm.finite
-                                    else 'law_not_finite')
-        except Exception as another:
-            error = another
-        # What failed is not known: what is known of the arm is its past.
-        self._alarms, self._wrench_known, self._seen = (), False, Seen(blind=True)
-        reaction, causes = DAMP if self._arm is None else FLOAT, (
-            f'internal_{type(error).__name__}',)
-        try:
-            return self._react(reaction, causes)
+                return self._refuse(cause if self.controller.arm.finite else 'law_not_finite')
+            # What failed is not known: what is known of the arm is its past.
+            self._alarms, self._wrench_known, self._seen = (), False, Seen(blind=True)
+            return self._react(FLOAT, (cause,))
         except Exception:  # the torque that acts goes on
             self._paused, self._good_ticks = True, 0
-            return self._report(
-                self.gate.last.copy(), reaction, causes, (), controlled=False)
+            return self._report(self.gate.last.copy(), FLOAT, (cause,), (), controlled=False)
 
     def _report(
         self, torque: Vector, reaction: str, causes: tuple[str, ...], limits: tuple[str, ...], *,
@@ -415,12 +398,11 @@ class Supervisor:
             self._task_ticks * self._period) if self.guarded else None
 
     def reconfigure(self, config: ControllerConfig) -> None:
-        """Go on with another configuration, without a jump; or ConfigError, as it was before."""
-        if self.guarded:
-            then = _fixed_values(config)
-            for name, value in _fixed_values(self.config).items():
-                if then.get(name) != value:
-                    raise ConfigError(name, hint='it cannot change while in use')
+        """
+        Go on with other values of live parameters, without a jump; other values have no effect.
+
+        ConfigError, and all is as before, if the controller cannot go on with them.
+        """
         self.controller.check(config)
         self.controller.reconfigure(config)
         self._adopt(config)
@@ -441,13 +423,6 @@ class Supervisor:
         latched = self._recovery.latched
         self._recovery.allow()
         return self.task.seek_again() or latched
-
-
-def _fixed_values(config: ControllerConfig) -> dict[str, Any]:
-    """Return what does not change while an arm is controlled, by name."""
-    return {name: getattr(config, name) for name in FIXED} | {
-        f'contacts.{name}': contact.model_dump(exclude=LIVE_OF_CONTACTS)
-        for name, contact in config.contacts.items()}
 
 
 def not_supervised() -> CommandError:

@@ -24,7 +24,6 @@ MEMORY = 0.05  # s, in which evidence is forgotten
 OFFSET = 0.05  # rad/s by which a velocity may be wrong...
 SHARE = 0.25  # ...beside this share of it, which is that of a driver's low-pass, too
 LARGEST_UNREST = 2.5  # rad/s that velocities go up and down beside the estimate in `MEMORY`
-PROOF = 10  # joint states of an arm that moves, before velocities are believed (again)
 POLE = 0.5  # of the tracking filter, per period
 EVEN = 1.5  # periods between two joint states, up to which they are evidence
 
@@ -37,15 +36,14 @@ def check_velocities(
     Track positions, and return whether they contradict the velocities of a joint state.
 
     `joints` are rows as above; `span` is the time since the state before [s], which this one
-    `follows` unless it is the first or has jumped. `state.silent` says whether joints move without
-    velocities, `agreeing` counts states of joints that move.
+    `follows` unless it is the first or has jumped.
     """
     n, evident = joints.shape[1], follows and span < EVEN * period
     if not follows:
         state.states = 0
     row = history[state.states % history.shape[0]]
     state.states += 1
-    keep, contradicted, silent, fastest = np.exp(-span / MEMORY), False, True, 0.0
+    keep, contradicted, silent = np.exp(-span / MEMORY), False, True
     for j in range(n):
         q, v = joints[0, j], joints[1, j]
         row[j], row[n + j] = q, v
@@ -67,10 +65,6 @@ def check_velocities(
             if follows:
                 joints[V_TRACKED, j] = way / span
             joints[MISSED, j] = joints[WAY, j] = joints[UNREST, j] = 0.0
-        fastest = max(fastest, abs(joints[V_TRACKED, j]))
-    if fastest > OFFSET:
-        state.agreeing += 1
-    for j in range(n):
         joints[DOUBT, j] = max(joints[DOUBT, j], joints[UNREST, j] / LARGEST_UNREST, abs(
             joints[MISSED, j]) / (OFFSET * MEMORY + SHARE * joints[WAY, j]))
         contradicted = contradicted or joints[DOUBT, j] > 1.0
