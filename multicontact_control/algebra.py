@@ -68,43 +68,26 @@ def solve_cholesky(L: Matrix, x: Vector) -> None:
 
 
 @compiled
-def gram(X: Matrix, G: Matrix) -> None:
-    """Fill G, shape (m, m), with X^T X, X of shape (n, m)."""
-    rows, columns = X.shape
-    G[:] = 0.0
-    for k in range(rows):
-        for i in range(columns):
-            factor = X[k, i]
-            for j in range(columns):
-                G[i, j] += factor * X[k, j]
-
-
-@compiled
-def multiply(A: Matrix, x: Vector, y: Vector) -> None:
-    """Fill y, shape (n,), with A x."""
-    for i in range(A.shape[0]):
-        total = 0.0
-        for j in range(A.shape[1]):
-            total += A[i, j] * x[j]
-        y[i] = total
-
-
-@compiled
-def multiply_transposed(A: Matrix, x: Vector, y: Vector) -> None:
-    """Fill y, shape (n,), with A^T x."""
-    y[:] = 0.0
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            y[j] += A[i, j] * x[i]
-
-
-@compiled
 def dot(x: Vector, y: Vector) -> float:
     """Return x^T y, both of shape (n,)."""
     total = 0.0
     for i in range(x.shape[0]):
         total += x[i] * y[i]
     return total
+
+
+@compiled
+def multiply(A: Matrix, x: Vector, y: Vector) -> None:
+    """Fill y, shape (n,), with A x."""
+    for i in range(A.shape[0]):
+        y[i] = dot(A[i], x)
+
+
+@compiled
+def gram(X: Matrix, G: Matrix) -> None:
+    """Fill G, shape (m, m), with X^T X, X of shape (n, m)."""
+    for i in range(X.shape[1]):
+        multiply(X.T, X[:, i], G[i])
 
 
 @compiled

@@ -30,22 +30,20 @@ def cache_folder() -> Path | None:
     """
     Return the folder that keeps what is compiled of these sources, None where none can be written.
 
-    It lies in ``NUMBA_CACHE_DIR``, where that is set; otherwise beside the sources, or in the
-    user's cache folder. Its name is a hash over all modules with kernels and when they were
-    written: numba compares the time of a function's own file, not of those that it calls.
+    It lies in ``NUMBA_CACHE_DIR``, or else beside the sources or in the user's cache folder. Its
+    name is a hash over all modules with kernels and their times: numba compares the time of a
+    function's own file, not of those that it calls.
     """
     digest = hashlib.sha256()
     for module in sorted(path for folder in SOURCES for path in folder.rglob('*.py')):
         text = module.read_bytes()
         if b'@compiled' in text:
             digest.update(f'{module}\0{module.stat().st_mtime_ns}\0'.encode() + text)
-    # Where neither the environment nor the system knows a home, ~ stays.
-    user = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
+    user = os.environ.get('XDG_CACHE_HOME') or '~/.cache'
     chosen = os.environ.get('NUMBA_CACHE_DIR')
-    homes = [] if user.startswith('~') else [Path(user) / HERE.name / 'kernels']
-    for base in [Path(chosen)] if chosen else [HERE / '__pycache__' / 'kernels', *homes]:
-        folder = base / f'{HERE.name}-{digest.hexdigest()[:16]}'
-        with contextlib.suppress(OSError):  # the next one, then
+    for base in [chosen] if chosen else [f'{HERE}/__pycache__/kernels', f'{user}/{HERE.name}']:
+        with contextlib.suppress(OSError, RuntimeError):  # not writable, or there is no home
+            folder = Path(base).expanduser() / f'{HERE.name}-{digest.hexdigest()[:16]}'
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
             return folder

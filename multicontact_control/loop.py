@@ -57,8 +57,8 @@ class ControlLoop:
         the supervisor did, None if not supervised.
     events, time
         What it did since the last restart, and the time of the newest tick [s].
-    push_gate
-        What allows force control.
+    push_gate, warnings
+        What allows force control, and what is suspicious of the arm's model.
 
     """
 
@@ -72,6 +72,7 @@ class ControlLoop:
         source = scenario or CommandedTask(config.column_names, config.leader_of)
         self._commanded = source if isinstance(source, CommandedTask) else None
         robot = RobotModel(config.robot, base_dir)
+        self.warnings = robot.warnings(config.torque_limit)
         self.supervisor = Supervisor(config, robot, source, guarded=supervised)
         self.push_gate = PushGate(
             required=config.sensor.require_push_test,

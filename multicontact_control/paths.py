@@ -13,22 +13,21 @@ PACKAGE_DIR = Path(__file__).resolve().parent
 
 def config_dir(package_dir: Path = PACKAGE_DIR) -> Path:
     """
-    Return the folder of the configuration files; ConfigError with those looked in if none exists.
+    Return the folder of the configuration files; ConfigError if none exists.
 
     In a checkout it is ``config/``, so that edited files take effect. An installed package has it
     in the share folder of its prefix, of the environment, or of an ament workspace.
     """
-    checkout = package_dir.parent
-    candidates = [checkout / 'config'] if (checkout / 'package.xml').is_file() else []
+    if (package_dir.parent / 'package.xml').is_file():
+        return package_dir.parent / 'config'
     # <prefix>/lib/pythonX.Y/site-packages/multicontact_control
-    prefixes = [str(prefix) for prefix in package_dir.parents[3:4]] + [sys.prefix]
-    prefixes += filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep))
-    candidates += [
-        Path(prefix) / 'share' / 'multicontact_control' / 'config' for prefix in prefixes]
-    if folder := next(filter(Path.is_dir, candidates), None):
+    prefixes = [*map(str, package_dir.parents[3:4]), sys.prefix,
+                *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
+    folders = [Path(prefix, 'share/multicontact_control/config') for prefix in prefixes if prefix]
+    if folder := next(filter(Path.is_dir, folders), None):
         return folder
     raise ConfigError('config', 'the configuration folder of the package',
-                      f'none of {", ".join(dict.fromkeys(map(str, candidates)))}')
+                      f'none of {", ".join(map(str, folders))}')
 
 
 def named_file(kind: str, folder: str, name: str) -> Path:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 import contextlib
 import ctypes
 import gc
 import os
-from pathlib import Path
-import re
 
 # Read by numpy's libraries when they are loaded. Threads only delay products of 6 x 6 matrices.
 THREAD_VARIABLES = (
@@ -39,36 +38,27 @@ def claim_processor(
 
     Returns one line for each request that failed, with a remedy.
     """
-    def place() -> None:
-        for thread in map(int, os.listdir('/proc/self/task')):
-            with contextlib.suppress(ProcessLookupError):  # it has ended
-                os.sched_setaffinity(thread, cpus)
+    problems: list[str] = []
 
-    def lock() -> None:
-        if ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE) != 0:
-            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-
-    problems = []
-    for wish, claim, what, need in (
-            (cpus, place, f'processors {list(cpus)}', 'existing processors'),
-            (fifo_priority, lambda: os.sched_setscheduler(
-                0, os.SCHED_FIFO, os.sched_param(fifo_priority)), f'SCHED_FIFO {fifo_priority}',
-             'CAP_SYS_NICE or an rtprio limit (ulimit -r) of that size'),
-            (lock_memory, lock, 'locked memory',
-             'CAP_IPC_LOCK or a memlock limit (ulimit -l) of the size of the process')):
+    @contextlib.contextmanager
+    def asking(what: str, need: str) -> Iterator[None]:
         try:
-            if wish:
-                claim()
+            yield
         except (AttributeError, OSError, ValueError) as error:
             problems.append(f'{what}: not possible here ({error}); needs {need}')
+
+    if cpus:
+        with asking(f'processors {list(cpus)}', 'existing processors'):
+            for thread in map(int, os.listdir('/proc/self/task')):
+                with contextlib.suppress(ProcessLookupError):  # it has ended
+                    os.sched_setaffinity(thread, cpus)
+    if fifo_priority:
+        with asking(f'SCHED_FIFO {fifo_priority}',
+                    'CAP_SYS_NICE or an rtprio limit (ulimit -r) of that size'):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(fifo_priority))
+    if lock_memory:
+        with asking('locked memory',
+                    'CAP_IPC_LOCK or a memlock limit (ulimit -l) of the size of the process'):
+            if ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE):
+                raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
     return problems
-
-
-def describe_claim() -> str:
-    """Return scheduler and processors of this thread, and whether its memory is locked."""
-    fifo = os.sched_getscheduler(0) == os.SCHED_FIFO
-    priority = f'SCHED_FIFO {os.sched_getparam(0).sched_priority}' if fifo else 'normal priority'
-    cpus = ','.join(map(str, sorted(os.sched_getaffinity(0))))
-    status = Path('/proc/self/status').read_text(encoding='utf-8')
-    locked = re.search(r'^VmLck:\s*[1-9]', status, re.MULTILINE)
-    return f'{priority}, processors {cpus}, memory {"" if locked else "not "}locked'

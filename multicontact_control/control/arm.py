@@ -4,14 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import (
-    cross,
-    dot,
-    multiply,
-    multiply_transposed,
-    solve_lower,
-    velocity_at,
-)
+from multicontact_control.algebra import cross, dot, multiply, solve_lower, velocity_at
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.wrench import measure_contacts, operational_wrench
@@ -145,10 +138,10 @@ def wrench_of_residual(
         return
     reduced, acceleration, wrench = joints['residual'].copy(), np.empty(6), np.empty(6)
     solve_lower(L, reduced)
-    multiply_transposed(Y, reduced, acceleration)
+    multiply(Y.T, reduced, acceleration)
     multiply(Lambda, acceleration, wrench)
-    multiply_transposed(rotation, wrench[:3], control.wrench[:3])
-    multiply_transposed(rotation, wrench[3:], control.wrench[3:])
+    multiply(rotation.T, wrench[:3], control.wrench[:3])
+    multiply(rotation.T, wrench[3:], control.wrench[3:])
 
 
 @compiled

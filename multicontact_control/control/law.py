@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import multiply, multiply_transposed, solve_cholesky, solve_lower
+from multicontact_control.algebra import multiply, solve_cholesky, solve_lower
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.projections import compose_acceleration, factorise_contacts
@@ -64,7 +64,7 @@ def force_law(
         alpha_star[i] = inputs[i] - law.K_2 * alpha_star[i]
     if law.decoupled:
         solve_cholesky(factor, alpha_star)
-    multiply_transposed(rows, alpha_star, f_c)
+    multiply(rows.T, alpha_star, f_c)
 
 
 @compiled
@@ -178,7 +178,7 @@ def control_law(
     compose_acceleration(rows, weighted_rows, weighted_factor, f_t, f_c, acceleration)
     reduced = joints['bias_torque'].copy()  # mu + p = Lambda (J M^-1 (C v + g) - dJ/dt v)
     solve_lower(L, reduced)
-    multiply_transposed(Y, reduced, bias)
+    multiply(Y.T, reduced, bias)
     for i in range(6):
         for j in range(n):
             bias[i] -= jacobian_rate[i, j] * joints[j].velocity

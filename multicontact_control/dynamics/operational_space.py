@@ -9,7 +9,6 @@ from multicontact_control.algebra import (
     dot,
     gram,
     multiply,
-    multiply_transposed,
     solve_lower,
     solve_lower_columns,
 )
@@ -122,7 +121,7 @@ def add_nullspace_torque(
         joints[i].torque += free[i]
     solve_lower(L, free)
     acceleration, force = np.empty(6), np.empty(6)
-    multiply_transposed(Y, free, acceleration)
+    multiply(Y.T, free, acceleration)
     multiply(Lambda, acceleration, force)
     for j in range(n):
         for i in range(6):

@@ -146,9 +146,6 @@ def _show_graph(spec: GraphSpec, setup: Setup) -> GraphResult:
         result = run_graph(spec, lambda progress: show(*progress), tell)
         if duration is not None and not result.signals:
             show(duration, {})
-    if spec.realtime:
-        for name, node in result.timing.items():
-            tell(f'{name}: {node.get("scheduling", "not known")}')
     if result.ended:
         tell(f'ended: {result.ended}')
     return result
@@ -173,9 +170,7 @@ def graph_timing(
         'lost_messages': recorder['lost'] + never_came if 'lost' in recorder else None,
         'unanswered_samples': content.unanswered,
         'kernels_compiled': sum(node.get('kernels_compiled', 0) for node in timing.values()),
-        'tick_us': controller.get('tick_us'),
-        'scheduling': {name: node['scheduling'] for name, node in timing.items()
-                       if 'scheduling' in node}}
+        'tick_us': controller.get('tick_us')}
     if sim:
         result |= {name: sim[name] for name in (
             'deadline_misses', 'pace_slips', 'command_timeouts', 'latency_us',

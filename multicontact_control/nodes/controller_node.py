@@ -48,7 +48,7 @@ class ControllerNode(ManagedNode):
         self._loop = loop = ControlLoop(
             config, node_config.scenario(config), node_config.command, node_config.folder,
             supervised=node_config.supervised)
-        for text in loop.supervisor.controller.robot.warnings(config.torque_limit):
+        for text in loop.warnings:
             self.get_logger().warning(text)
         _warm_up(loop)
         self._timing = timing = SampleTiming(

@@ -15,7 +15,7 @@ from multicontact_control.files import write_json
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.runtime import loaded_kernels, one_line
 from multicontact_control.nodes.topics import Topic, TOPICS
-from multicontact_control.process import claim_processor, describe_claim
+from multicontact_control.process import claim_processor
 from rclpy.exceptions import NameValidationException
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -43,11 +43,11 @@ class StartupConfig(Config):
         False, 'Whether none of the memory of the process may be paged out.')
 
     def write_counts(self, counts: Mapping[str, Any]) -> None:
-        """Write the counts and times of a run, and what the process took for it, if asked to."""
+        """Write the counts and times of a run, if asked to."""
         if self.timing_file:
             kernels = loaded_kernels()
             write_json(Path(self.timing_file), {
-                **counts, 'cpu_s': time.process_time(), 'scheduling': describe_claim(),
+                **counts, 'cpu_s': time.process_time(),
                 'kernels_compiled': kernels.compiled_here() if kernels else 0})
 
 
