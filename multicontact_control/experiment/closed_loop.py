@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-import time
 
 from multicontact_control.arrays import Vector
 from multicontact_control.control.controller import ControlOutput
@@ -137,8 +136,6 @@ class LoopResult:
     """What a run in process leaves."""
 
     data: RunData
-    tick_us: Vector  # wall time of controller and estimator in each tick, shape (m,)
-    wall_time: float  # of the whole run [s]
     ended_early: str = ''  # why, if it did
     events: tuple[tuple[float, str], ...] = ()  # of the supervisor: time [s] and what changed
 
@@ -156,22 +153,17 @@ def run_in_process(
     """
     config = setup.controller
     data = empty_run_data(setup.ticks, config)
-    tick_us = np.zeros(setup.ticks)
-    ended_early = ''
-    done = setup.ticks
+    ended_early, done = '', setup.ticks
     loop = ClosedLoop(setup, supervised=supervised)
-    start = time.perf_counter()
     try:
         for k in range(setup.ticks):
             if disturb is not None:
                 disturb(loop)
-            before = time.perf_counter_ns()
             try:
                 output = loop.answer()
             except (SingularTaskError, ContactGeometryError, np.linalg.LinAlgError) as error:
                 ended_early, done = f'tick {k}: {error}', k
                 break
-            tick_us[k] = (time.perf_counter_ns() - before) * 1e-3
             _record(data, loop, output)
             if not np.isfinite(output.torque).all():
                 ended_early, done = f'tick {k}: the commanded torque is not finite', k + 1
@@ -182,10 +174,7 @@ def run_in_process(
                 on_progress(k * config.period, output.alpha_meas)
     finally:
         loop.close()
-    return LoopResult(
-        data=data.part(0, done), tick_us=tick_us[:done],
-        wall_time=time.perf_counter() - start, ended_early=ended_early,
-        events=tuple(loop.control.events.events))
+    return LoopResult(data.part(0, done), ended_early, tuple(loop.control.events.events))
 
 
 def _record(data: RunData, loop: ClosedLoop, output: ControlOutput) -> None:

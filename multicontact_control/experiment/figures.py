@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 import re
 from textwrap import shorten
@@ -12,9 +12,9 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from multicontact_control.arrays import Vector
-from multicontact_control.experiment.claims import of_the_paper
-from multicontact_control.experiment.judge import STABLE
-from multicontact_control.experiment.metrics import NO_TRUTH, RunMetrics, truth_lacking
+from multicontact_control.experiment.display import headline
+from multicontact_control.experiment.judge import STABLE, verdict_text
+from multicontact_control.experiment.metrics import NO_TRUTH, RunMetrics
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.page import (
     COLOURS,
@@ -40,7 +40,6 @@ STEP_SHOWN = (0.05, 0.35)  # s before and after a step
 LEAST_LABELLED = 0.06  # share of a run, from which on a window has room for its name
 # What a vertical axis spans at least.
 LEAST_FORCE, LEAST_MOTION, LEAST_ERROR = 1.0, 10.0, 1.0  # N, mm, mm
-PAPER_VARIANCE = ((0.6, 'paper, at rest'), (100.0, 'paper, moving'))  # N^2
 
 
 class RunFigure(NamedTuple):
@@ -53,18 +52,18 @@ class RunFigure(NamedTuple):
 
 def run_figures(data: RunData, setup: Setup) -> list[RunFigure]:
     """Return the figures of a run: contact forces, motion, noise variance, and the stiffness."""
-    run, levels = RunMetrics(data, setup), PAPER_VARIANCE if of_the_paper(setup) else ()
+    run = RunMetrics(data, setup)
     stiffness = np.where(data.stiffness_est > 0.0, data.stiffness_est, np.nan)
     drawn = [
         *(_force(data, i, truth) for i, truth in enumerate(run.truth)), _motion(data, run),
         RunFigure('fig6_noise_variance', 'Noise variance R found on-line', [Panel('R [N²]', [
-            Trace(name, data.noise_variance[:, i], COLOURS[i % len(COLOURS)], 0.7)
-            for i, name in enumerate(data.contact_names)], levels, True)]),
+            Trace(name, data.noise_variance[:, i], COLOURS[i % len(COLOURS)])
+            for i, name in enumerate(data.contact_names)], logarithmic=True)]),
         RunFigure('stiffness', 'Stiffness found on-line', [Panel(f'{name} [N/m]', (
-            Trace('model in use', data.stiffness[:, i], COMMANDED, 1.0, dashed=True),
-            Trace('estimated', stiffness[:, i], ESTIMATED, 1.0),
+            Trace('model in use', data.stiffness[:, i], COMMANDED, dashed=True),
+            Trace('estimated', stiffness[:, i], ESTIMATED),
             Trace('with 2 standard errors', stiffness[:, i] + 2.0 * data.stiffness_std[:, i],
-                  TRUE, 0.5, faint=True)), logarithmic=True)
+                  TRUE, faint=True)), logarithmic=True)
             for i, name in enumerate(data.contact_names)])]
     # What was not recorded is not drawn.
     figures = [each._replace(panels=[panel._replace(traces=known) for panel in each.panels if (
@@ -76,13 +75,13 @@ def run_figures(data: RunData, setup: Setup) -> list[RunFigure]:
 def _force(data: RunData, i: int, truth: bool) -> RunFigure:
     """Measured and estimated force of one contact (P04 Figs 3, 4)."""
     name, number = data.contact_names[i], 3 + i if i < 2 else f'3_{i + 1}'
-    commanded = Trace('commanded', data.alpha_des[:, i], COMMANDED, 1.0, dashed=True)
+    commanded = Trace('commanded', data.alpha_des[:, i], COMMANDED, dashed=True)
     label = 'force [N]' if truth else f'force [N], {NO_TRUTH}'
     return RunFigure(
         re.sub(r'[^\w.-]', '_', f'fig{number}_force_{name}'), f'Contact force: {name}', (
             Panel(label, (Trace('measured', data.alpha_meas[:, i]), commanded),
                   least=LEAST_FORCE),
-            Panel(label, (Trace('true', data.alpha_true[:, i], TRUE, 0.4, faint=True),
+            Panel(label, (Trace('true', data.alpha_true[:, i], TRUE, faint=True),
                           Trace('estimated', data.alpha_est[:, i], ESTIMATED), commanded),
                   least=LEAST_FORCE)))
 
@@ -94,10 +93,10 @@ def _motion(data: RunData, run: RunMetrics) -> RunFigure:
     axis = int(np.argmax(np.ptp(known, axis=0))) if len(known) else 0
     travelled, desired = 1e3 * data.position[:, axis], 1e3 * data.position_des[:, axis]
     return RunFigure('fig5_motion', f'Position of the wrist along {"xyz"[axis]}', (
-        Panel(f'{"xyz"[axis]} [mm]', (Trace('measured', travelled, width=1.2), Trace(
-            'commanded', desired, COMMANDED, 1.0, dashed=True)), least=LEAST_MOTION),
-        Panel('error [mm]', (Trace('error', travelled - desired, TRUE, 0.7),),
-              least=LEAST_ERROR)))
+        Panel(f'{"xyz"[axis]} [mm]', (
+            Trace('measured', travelled), Trace('commanded', desired, COMMANDED, dashed=True)),
+            least=LEAST_MOTION),
+        Panel('error [mm]', (Trace('error', travelled - desired, TRUE),), least=LEAST_ERROR)))
 
 
 def interactive_figures(data: RunData, setup: Setup, number: int) -> str:
@@ -109,14 +108,11 @@ def interactive_figures(data: RunData, setup: Setup, number: int) -> str:
 
 
 def draw_figures(
-    data: RunData, setup: Setup, folder: Path, *, verdict: str = STABLE,
+    data: RunData, setup: Setup, summary: Mapping[str, Any], folder: Path,
     formats: Sequence[str] = ('png',),
 ) -> list[Path]:
     """Draw the figures of a run into a folder in some formats, titled with a bad verdict."""
-    title = f'{setup.scenario.name}, {setup.plant_name}, {setup.noise_estimator.estimator}' + (
-        f', seed {setup.seed}' if setup.simulated else '')
-    unknown = truth_lacking(RunMetrics(data, setup).without_truth(), data.contact_names)
-    title += f', {unknown}: errors are of the measured forces' if unknown else ''
+    title, verdict = headline(summary), verdict_text(summary)
     if verdict != STABLE:
         title += '\n' + shorten(verdict, TITLE_WIDTH, placeholder=' ...')
     folder.mkdir(parents=True, exist_ok=True)
@@ -151,9 +147,9 @@ def draw_side_by_side(runs: Sequence[tuple[str, RunData, Setup]], path: Path) ->
         last = max((step.time_s for i in indices for step in run.step_responses(i)), default=0.0)
         shown = run.between(last - STEP_SHOWN[0], last + STEP_SHOWN[1])
         _draw_panel(column[count], Panel('force [N]', [
-            *(Trace(data.contact_names[i], run.force[shown, i], COLOURS[i % len(COLOURS)], 1.2)
+            *(Trace(data.contact_names[i], run.force[shown, i], COLOURS[i % len(COLOURS)])
               for i in indices),
-            Trace('commanded', data.alpha_des[shown, 0], COMMANDED, 1.0, dashed=True)]),
+            Trace('commanded', data.alpha_des[shown, 0], COMMANDED, dashed=True)]),
             1e3 * (data.time[shown] - last))
         column[count].set_xlabel('time after the last step at rest [ms]')
         column[count - 1].set_xlabel('time [s]')
@@ -167,7 +163,7 @@ def _judged(data: RunData, setup: Setup) -> list[Span]:
     closing = np.ones(round(PAUSE * data.rate), dtype=bool)
     return [Span(name, float(data.time[begin]), float(data.time[end - 1]))
             for name, mask in (('rest', judged.rest), ('moving', judged.moving))
-            for begin, end in zip(*stretches(binary_closing(mask, closing) | mask))]
+            for begin, end in stretches(binary_closing(mask, closing) | mask)]
 
 
 def _draw_panel(
@@ -180,12 +176,8 @@ def _draw_panel(
                           va='top', color='#555555', xytext=(2, -2), textcoords='offset points')
     for trace in panel.traces:
         style: dict[str, Any] = {'alpha': 0.6, 'zorder': 1.5} if trace.faint else {}
-        axes.plot(time, trace.values, color=trace.colour, linewidth=trace.width,
+        axes.plot(time, trace.values, color=trace.colour, linewidth=0.7,
                   linestyle='--' if trace.dashed else '-', label=trace.label, **style)
-    for level, text in panel.levels:
-        axes.axhline(level, color=COMMANDED, linewidth=0.7, linestyle=':')
-        axes.annotate(text, (1.0, level), xycoords=('axes fraction', 'data'), fontsize=7,
-                      ha='right', va='bottom')
     axes.set(ylabel=panel.label, yscale='log' if panel.logarithmic else 'linear')
     low, high = axes.get_ylim()
     more = max(panel.least - (high - low), 0.0) / 2.0

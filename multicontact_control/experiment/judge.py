@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import math
 from typing import Any, NamedTuple
 
-from multicontact_control.arrays import Mask, Vector
+from multicontact_control.arrays import Mask
 from multicontact_control.experiment.metrics import RunMetrics, torque_limit, truth_lacking
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.recording import RunData
@@ -110,12 +110,12 @@ def judge(
     """
     run = RunMetrics(data, setup)
     passed, helped = _findings(run, mode, ended_early), _interventions(run, events)
-    far = [Finding(f'{contact}: overshoots its largest step by {step.overshoot_percent:.0f} %')
+    far = [f'{contact}: overshoots its largest step by {step.overshoot_percent:.0f} %'
            for i, contact in enumerate(data.contact_names)
            if (step := run.largest_step(i)) and step.overshoot_percent > LARGEST_OVERSHOOT]
     error = run.motion_summary()['moving_position_rms_m']
     if error is not None and error > LARGEST_MOTION_ERROR:
-        far.append(Finding(f'motion error of {1e3 * error:.0f} mm rms'))
+        far.append(f'motion error of {1e3 * error:.0f} mm rms')
     silent = mode == EXTERNAL_RUN and ended_early not in ('', INTERRUPTED)  # the first that passed
     name = NOT_STABLE if passed[silent:] else SILENT if silent else HELD if helped else (
         POOR if far else STABLE)
@@ -123,7 +123,7 @@ def judge(
     times = [finding.time for finding in passed if finding.time is not None]
     return Verdict(
         UNJUDGED if unjudged else name,
-        tuple(finding.text for finding in (*passed, *helped, *far)),
+        (*(finding.text for finding in passed), *helped, *far),
         _judged(run), min(times, default=None), unjudged)
 
 
@@ -167,7 +167,7 @@ def _findings(run: RunMetrics, mode: str, ended_early: str) -> list[Finding]:
     of_drives = saturated & (run.least_torque_limit < torque_limit(setup))
     passed += _lasting(data, 'torque saturated' + (
         ' at the limit of the simulated drives' if of_drives.any() else ''),
-        *stretches(np.asarray(saturated.any(axis=1))))
+        stretches(np.asarray(saturated.any(axis=1))))
     for i, name in enumerate(data.contact_names):
         desired, pressed = data.alpha_des[:, i], run.pressing[:, i] > 0.0
         idle = setup.commanded_by_topic and not pressed.any()
@@ -185,11 +185,12 @@ def _findings(run: RunMetrics, mode: str, ended_early: str) -> list[Finding]:
 
 def _contact_findings(run: RunMetrics, i: int, loaded: Mask) -> list[Finding]:
     data, couple = run.data, run.couples[i]
-    begins, ends = run.losses(i, loaded)
-    lost = 'contact lost at one end' if couple else 'contact lost'
-    passed = _lasting(data, lost, begins, ends)
+    losses = run.losses(i, loaded)
+    passed = _lasting(data, 'contact lost at one end' if couple else 'contact lost', losses)
+    again = _again([float(data.time[begin]) for begin, _ in losses])
     # An end is near being lost wherever the centre of pressure is asked to be: noise will do.
-    passed += [] if couple else _again(f'{lost} {len(begins)} times', data.time[begins])
+    if again is not None and not couple:
+        passed.append(Finding(f'contact lost {len(losses)} times', again))
     oscillating = run.oscillations(i, loaded)
     if oscillating:
         worst = max(oscillating, key=lambda oscillation: oscillation.rms)
@@ -210,7 +211,7 @@ def _contact_findings(run: RunMetrics, i: int, loaded: Mask) -> list[Finding]:
     return passed
 
 
-def _interventions(run: RunMetrics, log: Sequence[tuple[float, str]]) -> list[Finding]:
+def _interventions(run: RunMetrics, log: Sequence[tuple[float, str]]) -> list[str]:
     """Return how often reactions, lost contacts and limits stood in for the law under load."""
     data, loaded = run.data, run.windows.loaded
     if not loaded.any():
@@ -225,19 +226,17 @@ def _interventions(run: RunMetrics, log: Sequence[tuple[float, str]]) -> list[Fi
         if place < data.ticks and loaded[place] and (begun := _begun(before, event)):
             times.append(event.time)
             names.update(begun)
-    passed = [Finding(
-        f'the supervisor changed something {CAPACITY} times: what it did later is not known',
-        events[-1].time)] if full else []
+    helped = [f'the supervisor changed something {CAPACITY} times: what it did later is not known'
+              ] if full else []
     commonest = ', '.join(f'{name} {count}' for name, count in names.most_common(3))
-    passed += _again(f'the supervisor stepped in {len(times)} times under load ({commonest})',
-                     np.array(times))
+    if _again(times) is not None:
+        helped.append(
+            f'the supervisor stepped in {len(times)} times under load ({commonest})')
     share = float(held[loaded].mean())
     if share > LARGEST_HELD_SHARE:
-        enough = np.cumsum(held & loaded) > LARGEST_HELD_SHARE * loaded.sum()
-        passed.append(Finding(
-            f'the supervisor held the arm for {100.0 * share:.0f} % of the time under load',
-            _first(data, enough)))
-    return passed
+        helped.append(
+            f'the supervisor held the arm for {100.0 * share:.0f} % of the time under load')
+    return helped
 
 
 def _begun(before: Event, event: Event) -> set[str]:
@@ -254,11 +253,10 @@ def _replaces(event: Event) -> bool:
     return event.reaction not in (NONE, INFLATE)
 
 
-def _again(what: str, times: Vector) -> list[Finding]:
-    """Return what happened more than 5 times within 10 s, and when it had."""
-    late = times[AGAIN:]
-    known = late[late - times[:len(late)] <= AGAIN_TIME]
-    return [Finding(what, float(known[0]))] if known.size else []
+def _again(times: Sequence[float]) -> float | None:
+    """Return the first of some times at which more than 5 are within 10 s, None without any."""
+    return next((late for early, late in zip(times, times[AGAIN:])
+                 if late - early <= AGAIN_TIME), None)
 
 
 def _first(data: RunData, mask: Mask) -> float:
@@ -266,12 +264,10 @@ def _first(data: RunData, mask: Mask) -> float:
     return float(data.time[np.argmax(mask)])
 
 
-def _lasting(
-    data: RunData, what: str, begins: Sequence[int], ends: Sequence[int],
-) -> list[Finding]:
+def _lasting(data: RunData, what: str, when: Sequence[tuple[int, int]]) -> list[Finding]:
     """Return what lasted for more than 0.1 s, at most, and when it first had."""
     lasting = math.floor(LONGEST_LOSS * data.rate) + 1
-    long = [(begin, end) for begin, end in zip(begins, ends) if end - begin >= lasting]
+    long = [(begin, end) for begin, end in when if end - begin >= lasting]
     if not long:
         return []
     longest = max(end - begin for begin, end in long) / data.rate

@@ -190,9 +190,9 @@ class RunMetrics:
                   *(force for _, force in steps)]
         return [(time, was, force) for was, (time, force) in zip(before, steps)]
 
-    def losses(self, i: int, judged: Mask) -> tuple[list[int], list[int]]:
+    def losses(self, i: int, judged: Mask) -> list[tuple[int, int]]:
         """
-        Return the first samples of every loss of a contact, and those after its last.
+        Return the first sample of every loss of a contact, and that after its last.
 
         A loss is a force of 0 N for `LOSS_TIME`, among the samples `judged`. A couple is lost
         while it is as large as the normal force of its contact: one end of an edge, or one side
@@ -205,9 +205,8 @@ class RunMetrics:
             # The loss of the whole contact is that of the normal force.
             gone = ~gone & (np.abs(couple) >= ALL_OF_IT * force)
         least = LOSS_TIME * self.data.rate - 1e-9
-        lost = [(begin, end) for begin, end in zip(*oscillation.stretches(judged & gone))
+        return [(begin, end) for begin, end in oscillation.stretches(judged & gone)
                 if end - begin >= least]
-        return [begin for begin, _ in lost], [end for _, end in lost]
 
     def lost_share(self, i: int, window: Mask) -> float | None:
         """Return in what share of a window a contact's force was 0 N; None for a couple."""
@@ -279,10 +278,10 @@ class RunMetrics:
         """
         Return the answers of one contact to the pushes of the plant.
 
-        Each has `duration` of the push [s], whether it comes `moving`, and until the next event:
-        `peak`, the largest error of the force [N]; `recovery`, the time until the error stays
-        within a band for 0.1 s [s], from the end of a short push, from the start of a lasting one.
-        0 if it never left the band, None if it did not come back, or the run was unstable by then.
+        Each has `duration` of the push [s], whether it comes `moving`, and until the next event
+        `peak`, the largest error of the force [N], and `recovery`, the time from its end, or from
+        the start of a lasting push, until the error stays within a band for 0.1 s [s]; None if it
+        did not, or the run was unstable by then.
         """
         last = float(self.data.time[-1])
         error, command = self.error[:, i], self.command[:, i]
@@ -298,8 +297,7 @@ class RunMetrics:
                 continue
             band = max(BAND_OF_COMMAND * float(command[judged][0]),
                        BAND_OF_NOISE * float(np.std(error[before])))
-            inside = oscillation.stretches(np.abs(error[judged]) <= band)
-            settled = [begin for begin, end in zip(*inside)
+            settled = [begin for begin, end in oscillation.stretches(np.abs(error[judged]) <= band)
                        if end - begin >= round(BAND_HELD * self.data.rate)]
             # The end of a run that ended before its time takes no recovery back.
             lost = unstable_at is not None and unstable_at < min(until, last)
@@ -335,11 +333,4 @@ def value_in(
 
 def rms_in(window: Mask, values: Vector) -> float | None:
     """Return the root mean square of a series within a window."""
-    square = value_in(window, values * values)
-    return None if square is None else math.sqrt(square)
-
-
-def percentiles(values: Vector) -> dict[str, float]:
-    """Return p50, p99, p99.9 and the largest of some times."""
-    marks = np.percentile(values, [50.0, 99.0, 99.9, 100.0]) if len(values) else np.zeros(4)
-    return dict(zip(('p50', 'p99', 'p999', 'max'), marks.round(3).tolist()))
+    return value_in(window, values, lambda known: math.sqrt((known * known).mean()))

@@ -68,7 +68,7 @@ def oscillations(
         _line(frequencies, power[begin:begin + STRETCH], limit[begin:begin + STRETCH])
         for begin in range(len(starts) - STRETCH + 1)]).T
     episodes = []
-    for begin, end in zip(*stretches(np.convolve(oscillates, np.ones(STRETCH)) > 0.0)):
+    for begin, end in stretches(np.convolve(oscillates, np.ones(STRETCH)) > 0.0):
         inside = begin + np.flatnonzero(oscillates[begin:end])
         episodes.append(Oscillation(
             (starts[begin + STRETCH - 1] + length - 1) / rate,
@@ -96,14 +96,14 @@ def bridged(values: Vector, rate: float) -> Vector:
         return values
     places = np.arange(len(values))
     filled = np.interp(places, places[~missing], values[~missing])
-    for begin, end in zip(*stretches(missing)):
+    for begin, end in stretches(missing):
         outside = begin == 0 or end == len(values)
         if outside or end - begin > LONGEST_BRIDGE * rate:
             filled[begin:end] = np.nan
     return filled
 
 
-def stretches(mask: Mask) -> tuple[list[int], list[int]]:
+def stretches(mask: Mask) -> list[tuple[int, int]]:
     """Return the first place of every run of True, and the place after its last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
-    return edges[::2].tolist(), edges[1::2].tolist()
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist()))

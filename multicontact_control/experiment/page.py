@@ -31,12 +31,11 @@ VERDICTS = {True: '<b class=green>as in the paper</b>', False: '<b class=yellow>
 
 
 class Trace(NamedTuple):
-    """A series as a line; a page has one width of lines."""
+    """A series as a line."""
 
     label: str
     values: Vector  # shape (m,)
     colour: str = MEASURED
-    width: float = 0.5
     dashed: bool = False
     faint: bool = False
 
@@ -46,7 +45,6 @@ class Panel(NamedTuple):
 
     label: str  # of the vertical axis
     traces: Sequence[Trace]
-    levels: Sequence[tuple[float, str]] = ()  # horizontal lines and what they stand for
     logarithmic: bool = False
     least: float = 0.0  # that the vertical axis spans, so that small noise looks small
 
@@ -82,7 +80,7 @@ def figure(
         least = 0.0 if panel.logarithmic else -np.inf
         plots.append({
             'heading': '' if plots else title, 'label': panel.label, 'height': HEIGHT,
-            'xlabel': 'time [s]', 'logarithmic': panel.logarithmic, 'levels': panel.levels,
+            'xlabel': 'time [s]', 'logarithmic': panel.logarithmic,
             'least': panel.least, 'shaded': shaded, 'shades': WINDOWS,
             'curves': [{'label': trace.label, 'colour': trace.colour, 'dashed': trace.dashed,
                         'faint': trace.faint} for trace in panel.traces],

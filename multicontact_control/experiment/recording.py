@@ -242,7 +242,7 @@ def _commands(
         begun[begins[named]] = forces[named]
         newest = np.where(np.isnan(begun), 0, np.arange(data.ticks + 1))
         asked = begun[np.maximum.accumulate(newest)][:-1]
-        for begin, end in zip(*stretches(asked > 0.0)):
+        for begin, end in stretches(asked > 0.0):
             reached = np.flatnonzero(desired[begin:end] >= REACHED * asked[begin:end])
             if reached.size:
                 asked[begin:begin + reached[0]] = 0.0

@@ -36,8 +36,8 @@ def write_report(runs: Sequence[LoadedRun], out: Path) -> list[Path]:
     names = [folder.relative_to(common).as_posix() for folder in folders]
     for number, (name, run) in enumerate(zip(names, runs)):
         paths += figures.draw_figures(
-            run.data, run.setup, out / FIGURE_FOLDER / (name if len(runs) > 1 else ''),
-            verdict=verdict_text(run.summary), formats=FORMATS)
+            run.data, run.setup, run.summary,
+            out / FIGURE_FOLDER / (name if len(runs) > 1 else ''), FORMATS)
         if len(runs) > 1:
             parts.append(f'<h2>{escape(name)}: {escape(headline(run.summary))}</h2>')
         parts += _run_section(run, number)

@@ -18,7 +18,6 @@ from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import print_summary, progress_bar
 from multicontact_control.experiment.figures import draw_figures
-from multicontact_control.experiment.metrics import percentiles
 from multicontact_control.experiment.recording import BagContent, read_bag, RunData
 from multicontact_control.experiment.scenario import dotted, External, Setup, SHORTEST
 from multicontact_control.files import finite, write_json
@@ -54,12 +53,9 @@ def run_simulate(setup: Setup, folder: Path, *, supervised: bool = True) -> dict
     if not result.data.ticks:
         raise RunError(f'the run ended at once: {result.ended_early}')
     result.data.save(folder)
-    timing = {
-        'tick_us': percentiles(result.tick_us), 'kernels_compiled': compiled_here(),
-        'realtime_factor': result.data.ticks / result.data.rate / result.wall_time}
     summary = results.summarise(
-        result.data, setup, mode='in_process', timing=timing, ended_early=result.ended_early,
-        events=result.events if supervised else None)
+        result.data, setup, mode='in_process', timing={'kernels_compiled': compiled_here()},
+        ended_early=result.ended_early, events=result.events if supervised else None)
     return _finish(result.data, setup, folder, summary)
 
 
@@ -183,7 +179,7 @@ def graph_timing(
 def _finish(data: RunData, setup: Setup, folder: Path, summary: dict[str, Any]) -> dict[str, Any]:
     """Judge the claims, write figures and summary, show the table."""
     summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
-    draw_figures(data, setup, folder / results.FIGURE_FOLDER, verdict=judge.verdict_text(summary))
+    draw_figures(data, setup, summary, folder / results.FIGURE_FOLDER)
     write_json(folder / results.SUMMARY_FILE, finite(summary))
     print_summary(CONSOLE, summary, folder)
     return summary

@@ -79,7 +79,7 @@ def find_rests(time: Vector, q: Matrix) -> list[tuple[float, float]]:
     # In a gap of the joint states the arm may have moved.
     still = (speed <= SPEED) & (np.diff(time, prepend=time[0]) <= LOOK)
     rests = [(float(time[begin]) + SETTLE_TIME, float(time[end - 1]))
-             for begin, end in zip(*stretches(still))]
+             for begin, end in stretches(still)]
     return [(start, stop) for start, stop in rests if stop - start >= AVERAGE_TIME]
 
 

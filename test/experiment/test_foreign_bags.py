@@ -97,7 +97,7 @@ def test_run_without_truth_is_not_judged_and_its_report_says_so(bag, tmp_path):
 def test_recording_that_lacks_a_topic_is_shown_as_far_as_it_goes(tmp_path, topic):
     run = load(write_bag(tmp_path / 'bag', without=(TRUTH, topic), seconds=2.5))
     assert verdict_shown(run)
-    draw_figures(run.data, run.setup, tmp_path, formats=())
+    draw_figures(run.data, run.setup, run.summary, tmp_path, formats=())
     assert (topic == COMMANDED) or any(topic in remark for remark in run.summary['remarks'])
     if topic == MEASURED:
         assert verdict_text(run.summary) == 'not judged: neither true nor measured forces'

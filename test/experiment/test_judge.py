@@ -196,14 +196,17 @@ def test_force_or_motion_far_off_its_command_makes_a_stable_run_poor(
     end_by_verdict(summary)
 
 
-@pytest.mark.parametrize('verdict', ['stable', 'not stable: face: oscillates at 42 Hz'])
+@pytest.mark.parametrize('verdict', ['stable', 'not stable'])
 def test_figures_have_legal_file_names_and_a_bad_verdict(verdict, tmp_path, monkeypatch):
     titles = {}
     monkeypatch.setattr(figures.Figure, 'savefig', lambda figure, path, **_: titles.update(
         {path.name: figure.get_suptitle()}))
     setup = resolve('plane', plant='rigid', duration=10.0)
-    figures.draw_figures(perfect_run(setup), setup, tmp_path, verdict=verdict)
+    data = perfect_run(setup)
+    summary = summarise(data, setup, mode='in_process', timing={}) | {
+        'verdict': verdict, 'instabilities': []}
+    figures.draw_figures(data, setup, summary, tmp_path)
     assert sorted(titles) == sorted(f'{name}.png' for name in (
         'fig3_force_face', 'fig4_force_face_along', 'fig3_3_force_face_across', 'fig5_motion',
         'fig6_noise_variance'))
-    assert all((verdict in title) == (verdict != 'stable') for title in titles.values())
+    assert all(('\nnot stable' in title) == (verdict != 'stable') for title in titles.values())

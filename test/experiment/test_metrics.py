@@ -33,9 +33,10 @@ def test_losses_are_counted_under_load(setup, data):
     for start, samples in ((1000, 50), (3000, 20), (4000, 2), (5000, 1)):
         data.alpha_true[start:start + samples, 1] = 0.0
     run = RunMetrics(data, setup)
-    assert run.losses(1, run.windows.loaded) == ([3000, 4000], [3020, 4002])
+    assert run.losses(1, run.windows.loaded) == [(3000, 3020), (4000, 4002)]
     data.alpha_true[3010, 1] = np.nan
-    assert RunMetrics(data, setup).losses(1, data.time >= 0.0)[0] == [1000, 3000, 4000]
+    lost = RunMetrics(data, setup).losses(1, data.time >= 0.0)
+    assert [begin for begin, _ in lost] == [1000, 3000, 4000]
 
 
 def test_contact_errors_are_root_mean_squares_in_their_window(setup, data):

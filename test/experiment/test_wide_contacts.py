@@ -25,7 +25,7 @@ def test_forces_and_couples_are_kept_at_rest_and_while_sliding(scenario, plant, 
         error = RunMetrics(data, setup).error[:, i]
         assert rms_in(window.rest, error) < 0.2, name
         assert rms_in(window.moving, error) < bound, name
-        assert RunMetrics(data, setup).losses(i, window.loaded) == ([], [])
+        assert RunMetrics(data, setup).losses(i, window.loaded) == []
     # the couple of 3 N has moved the centre of pressure: a fifth of the half length
     held = (data.time > 6.5) & (data.time < 7.5)
     assert data.alpha_true[held, 1].mean() == pytest.approx(3.0, abs=0.1)

@@ -147,7 +147,7 @@ def never_allowed(seen: Observation, setup: Setup) -> tuple[set[str], float]:
         problems.add('torque rate beyond its limit')
     above = seen.force > FORCE_MARGIN * config.contact_state.force_ceiling
     if any(seen.time[end - 1] - seen.time[begin] + config.period > RETRACT_TIME * (1.0 + TOLERANCE)
-           for begin, end in zip(*stretches(above))):
+           for begin, end in stretches(above)):
         problems.add('force beyond the ceiling for too long')
     return problems, fraction
 

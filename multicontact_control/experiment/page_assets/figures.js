@@ -22,10 +22,9 @@ function curve(style, values) {
 }
 
 function limits(plot) {
-  const levels = plot.levels.map(level => level[0]);
   if (plot.logarithmic) {
     return (_, low, high) => low === null || low === undefined ? [0.1, 10] :
-      uPlot.rangeLog(Math.min(low, ...levels), Math.max(high, ...levels), 10, false);
+      uPlot.rangeLog(low, high, 10, false);
   }
   return (_, low, high) => {
     if (low === null || low === undefined) return [0, 1];
@@ -53,37 +52,18 @@ function inside(u, shaded) {
 }
 
 function annotate(u, plot) {
-  const {left, top, width, height} = u.bbox, context = u.ctx;
-  const write = (text, x, y) => {
-    context.strokeText(text, x, y);
-    context.fillText(text, x, y);
-  };
+  const top = u.bbox.top, context = u.ctx;
   context.save();
   context.font = u.axes[0].font[0];
   context.fillStyle = '#555';
-  plot.levels.forEach(([level, name]) => {
-    const y = Math.round(u.valToPos(level, 'y', true)) + 0.5;
-    if (y < top || y > top + height) return;
-    context.strokeStyle = '#222';
-    context.lineWidth = 1;
-    context.setLineDash([2, 3]);
-    context.beginPath();
-    context.moveTo(left, y);
-    context.lineTo(left + width, y);
-    context.stroke();
-    context.setLineDash([]);
-    context.strokeStyle = '#fff';
-    context.lineWidth = 4;
-    context.textAlign = 'right';
-    context.textBaseline = 'bottom';
-    write(name, left + width - 4, y - 2);
-  });
   context.strokeStyle = '#fff';
   context.lineWidth = 4;
   context.textAlign = 'left';
   context.textBaseline = 'top';
   inside(u, plot.shaded).forEach(([name, from, to]) => {
-    if (context.measureText(name).width + 8 < to - from) write(name, from + 4, top + 4);
+    if (context.measureText(name).width + 8 > to - from) return;
+    context.strokeText(name, from + 4, top + 4);
+    context.fillText(name, from + 4, top + 4);
   });
   context.restore();
 }
