@@ -320,7 +320,7 @@ INPUT_STATE = np.dtype([
     ('valid', F, 3),  # stamp of the newest valid reading, NaN for none [s]
     ('skipped', I),  # samples missing before this tick
     ('odd_periods', I),  # in a row that are too long or too short
-    ('known', np.uint8, 2),  # whether any joints and any wrench were valid
+    ('known', B),  # whether any joints were valid
     ('blind_ticks', I), ('unknown', I),  # in a row without valid joints; without their torques
     ('states', I), ('contradicted', I),  # joint states in a row; of velocities that are wrong
     ('unproven', I),  # joint states in motion until velocities are believed again

@@ -16,8 +16,8 @@ from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.messages import ACCEPTED, ControllerStatus, REFUSED, STATE
 from multicontact_control.sampling import NANOSECONDS, SampleTiming
+from multicontact_control.supervision.checks import undeclared_friction
 from multicontact_control.supervision.contacts import GIVEN_UP, LOST, NAMES, RETRACTING
-from multicontact_control.supervision.findings import undeclared_friction
 from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
 from multicontact_control.supervision.report import SupervisorStatus
 import numpy as np
@@ -182,12 +182,11 @@ class ControllerReport:
     def _reaction(self) -> str:
         """Return what the supervisor does instead of control, and why; empty if nothing."""
         status, supervisor = self._loop.status or QUIET, self._loop.supervisor
-        causes, outside = ', '.join(status.causes), '; '.join(supervisor.outside)
+        causes = ', '.join(status.causes)
         if status.reaction in (NONE, INFLATE):
             return f'R is inflated: {causes}' if status.reaction == INFLATE else ''
-        return '; '.join((f'{status.reaction} instead of control: {causes}' + (
-            f', until the arm is inside its limits: {outside}' if outside else ''),
-            *supervisor.findings))
+        return '; '.join(
+            (f'{status.reaction} instead of control: {causes}', *supervisor.findings))
 
     def _contacts(self) -> Status:
         """Return the states of the contacts and R [N^2]; their forces are on topics."""

@@ -1,5 +1,5 @@
 """
-What an answer of the control law is checked for, and which residual is a collision.
+What an answer of the control law is checked for; which residual is a collision, and of what.
 
 Causes of the checks, as those of the inputs in `inputs`, are named `<part>_<what>`: `motion`
 (`operational_speed`, `joint_speed`), `wrench` (`pull`, `sideways`, `stray`), `law` (`not_finite`,
@@ -9,11 +9,13 @@ or the error it raises), `collision` (the joint that it loads last), `start` (`o
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
-from multicontact_control.control.arm import JOINT_SPEED, OPERATIONAL_SPEED
+from multicontact_control.control import arm
+from multicontact_control.control.arm import DIRECTION, JOINT_SPEED, OPERATIONAL_SPEED, WRENCH
 from multicontact_control.control.controller import Controller
 from multicontact_control.records import PLAUSIBILITY, Records
 from multicontact_control.supervision.contacts import FREE, LOST
@@ -33,6 +35,15 @@ SPEED_EXCESS = 1.1  # times a speed limit, beyond which gate and reference have 
 BOX_EXCESS = 0.01  # m beyond the workspace, where the reference has failed
 # The smallest threshold [N m], and the largest share of the limit that friction adds to it.
 LEAST_THRESHOLD, LEARNT_SHARE = 1.0, 0.1
+EXPLAINED = 0.7  # share of the residual's power, from which on what it follows is its cause
+MULTIPLE = 0.95  # the same over the joints at rest, from which on it is a multiple of gravity
+# What to say of a residual that follows each of `REGRESSORS`.
+FOLLOWED = (
+    'follows the sign of the speed: {} N m of friction that friction.coulomb does not declare',
+    'is {} N m s/rad times the speed: check friction.viscous and the scale of the velocities',
+    'is {} kg m^2 times the acceleration: check robot.armature and the scale of the effort',
+    'follows the wrench, of which the torques show {} times: check its sign, unit and frame '
+    '(robot.sensor_frame), and the scale of the effort')
 
 
 def reactions_of(config: ControllerConfig) -> dict[str, str]:
@@ -104,11 +115,11 @@ def plausibility_limits(config: ControllerConfig) -> Records:
 
 def watch_arm(config: ControllerConfig, controller: Controller) -> None:
     """Set the speeds beyond which an arm is too fast, and the residuals that are a collision."""
-    limits, collision, arm = config.limits, config.collision, controller.arm
-    momentum, joints = controller.controls['momentum'], arm.joints
+    limits, collision, joints = config.limits, config.collision, controller.arm.joints
+    momentum, frame = controller.controls['momentum'], controller.controls['frame']
     joints['speed_limit'] = SPEED_EXCESS * np.array(limits.joint_speed or np.inf)
-    arm.frames['speed_limit'] = SPEED_EXCESS * limits.operational_speed
-    arm.frames['turn_limit'] = SPEED_EXCESS * limits.operational_turn
+    frame['speed_limit'] = SPEED_EXCESS * limits.operational_speed
+    frame['turn_limit'] = SPEED_EXCESS * limits.operational_turn
     joints['evidence'] = joints['allowance'] = joints['learnt_limit'] = 0
     least = np.inf if config.wrench_input == 'momentum' else np.array(collision.threshold)
     if not np.size(least):
@@ -119,3 +130,50 @@ def watch_arm(config: ControllerConfig, controller: Controller) -> None:
     joints['least_threshold'], joints['threshold'] = least, least + joints['allowance']
     momentum['bandwidth'] = config.momentum_bandwidth
     momentum['dynamic_share'] = collision.dynamic_share
+
+
+@np.errstate(all='ignore')  # of impossible efforts
+def explain_collision(joints: Any, momentum: Any, names: Sequence[str]) -> str:
+    """Return what speaks for which cause of a collision, from the records of the observer."""
+    residual = joints['residual']
+    shares = np.abs(residual) / (joints['threshold'] + joints['slack'])
+    worst = int(np.argmax(shares))
+    name, evidence = names[worst], joints['evidence'][worst]
+    loaded = [joint for joint, share in zip(names, shares) if share > arm.RELEASE] or [name]
+    if evidence['rested'] < 0.5 * arm.REST_TIME or evidence['at_rest'] / residual[worst] > 0.5:
+        settled = 1.0 - np.exp(-momentum['bandwidth'] * evidence['rested'])
+        return (f'{name}: the residual is there from the first sample on'
+                + _explain_rest(residual / settled, joints['bias_torque'], len(loaded)))
+    squares = np.maximum(evidence['square'], np.finfo(float).tiny)
+    share, slope = evidence['product'] ** 2 / squares, evidence['product'] / squares
+    share[:WRENCH][slope[:WRENCH] < 0.0] = 0.0  # what pushes a joint moves it that way, too
+    best = int(np.argmax(share))
+    if share[best] > EXPLAINED * evidence['power']:
+        factor = f'{slope[best] + (best == WRENCH):.2g}' if best != DIRECTION else (
+            f'at least {max(abs(residual[worst]), evidence["friction"]):.2g}')
+        return f'{name}: the residual {FOLLOWED[best].format(factor)}'
+    return (f'the residual grew in {", ".join(loaded)}: something touches the arm at or before '
+            f'the link that {loaded[-1]} moves; if not, check robot.armature and the effort of '
+            f'{name}, the frame of the wrench, and that no other node commands the arm')
+
+
+def _explain_rest(residual: Any, gravity: Any, loaded: int) -> str:
+    product, square = residual @ gravity, gravity @ gravity
+    factor = product / square
+    if product ** 2 > MULTIPLE * square * (residual @ residual) and (
+            abs(factor + 1.0) < 0.2 or abs(factor) > 1.5):
+        return (f', {factor:.2g} times the torque of gravity: check unit and sign of the effort, '
+                'and whether it lacks gravity (robot.adds_gravity)')
+    if loaded == 1:
+        return ', in this joint alone: check scale, sign and offset of its effort'
+    return (': check the masses of tool and links, sign and offset of the wrench, the offsets of '
+            'the effort, and that no other node commands the arm')
+
+
+def undeclared_friction(joints: Any, names: Sequence[str]) -> Iterator[str]:
+    """Yield a sentence for each joint that has shown friction which is not declared."""
+    for joint, name in zip(joints, names):
+        friction = joint['evidence']['friction']
+        if joint['evidence']['moved'] > 0.5 * arm.LEARNING_TIME and (
+                friction > arm.RELEASE * joint['least_threshold']):
+            yield f'{name}: the residual {FOLLOWED[DIRECTION].format(f"{friction:.2g}")}'

@@ -12,7 +12,6 @@ from multicontact_control.errors import CommandError
 import numpy as np
 
 START_EXCESS = 1e-3  # m or rad beyond a limit, from where control may start all the same
-NOTHING: Mapping[str, float] = {}
 
 
 class CommandLimits(Config):
@@ -27,7 +26,7 @@ class CommandLimits(Config):
 
     def check_forces(
         self, config: ControllerConfig, forces: Mapping[str, float],
-        before: Mapping[str, float] = NOTHING, shares: Mapping[str, float] = NOTHING,
+        before: Mapping[str, float], shares: Mapping[str, float],
     ) -> None:
         """
         Refuse forces, couples and centres of pressure that are unknown or out of limits.

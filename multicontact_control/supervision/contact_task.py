@@ -29,17 +29,8 @@ class ContactTask:
     A task as far as contacts and limits allow it, written into the records of a controller.
 
     A hold keeps the arm where it is and pressing as it does, a lock keeps it where it is without
-    contact; the time of the source stands still meanwhile.
-
-    Parameters
-    ----------
-    config, source
-        Contacts, motion law and limits; what is to be done.
-    controller
-        Its records of the arm and the contacts are read, and the task is written into them.
-    guarded
-        Whether contact states and limits apply. If not, the source makes the contacts, and its
-        task is written as it is.
+    contact; the time of the source stands still meanwhile. If not `guarded`, neither contact
+    states nor limits apply: the source makes the contacts.
 
     Attributes
     ----------

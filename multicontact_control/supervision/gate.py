@@ -28,20 +28,20 @@ FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
 
 @compiled
 def gate_torque(
-    torque: Vector, joints: Any, limits: Any, known: bool, seen: bool, begun: bool,
+    torque: Vector, joints: Any, limits: Any, seen: bool, begun: bool,
 ) -> int:
     """
     Bring a torque, shape (n,), within its limits; return the sum of those that were enforced.
 
-    Of records of `JOINT_LIMITS` `last` is overwritten. `known` and `seen` say whether the joints
-    were ever known, and are known now, `begun` whether there was a torque before.
+    Of records of `JOINT_LIMITS` `last` is overwritten. `seen` says whether the joints are known
+    now, `begun` whether there was a torque before.
     """
     enforced, n = 0, torque.shape[0]
     if not np.isfinite(torque).all():
         enforced = NOT_FINITE
         for j in range(n):
             carried = joints[j].bias_torque
-            torque[j] = carried if known and np.isfinite(carried) else 0.0
+            torque[j] = carried if np.isfinite(carried) else 0.0
     for j in range(n):
         joint, limit = joints[j], limits[j]
         if seen:  # v <= sqrt(2 a d) at a distance d from a stop
@@ -80,23 +80,16 @@ class TorqueGate:
     contact that comes or goes, a reaction) fades with a time constant of 3 ms.
 
     Then a torque that is not finite is replaced by the one that carries the arm; near a stop, or
-    above its speed, a joint brakes; the torque is clipped to its limits and to their rate.
-
-    Parameters
-    ----------
-    config
-        Limits, and how fast commanded differences fade.
-    joints
-        The arm: records of `JOINT`, shape (n,), which keep the limit of a torque, and what the
-        drives add to it.
-    guarded
-        Whether stops, speeds and torque rates are limited, too.
+    above its speed, a joint brakes; the torque is clipped to its limits and to their rate. If not
+    `guarded`, stops, speeds and rates are not limited.
 
     Attributes
     ----------
     last, begun
         The torque that acts, shape (n,) [N m], and whether there is one, from `begin` or the
         first tick on.
+    pace
+        How fast commanded differences fade.
 
     """
 
@@ -112,14 +105,10 @@ class TorqueGate:
         self._limits, self.last = limits, limits['last']
         self._period = config.period
         self._keep = math.exp(-config.period / BLEND_TIME)
-        self.adopt(config)
+        self.pace = config.transition
         self.reset()
         self.apply(None, np.zeros(len(joints)))  # no tick is to wait for numba
         self.reset()
-
-    def adopt(self, config: ControllerConfig) -> None:
-        """Let commanded differences fade as another configuration says."""
-        self._pace = config.transition
 
     def reset(self) -> None:
         """Forget the torque that acts."""
@@ -143,11 +132,10 @@ class TorqueGate:
         """Let the next torque be the one that acts: what is commanded is about to jump."""
         self._pending, self._slow, self._fast = self.begun, None, None
 
-    def hurry(self, law: object = None) -> None:
-        """Leave what has still to fade slowly to the fast way; a law given acts at once."""
-        if self._pending or self._slow is not None or law is not None:
+    def hurry(self) -> None:
+        """Leave what has still to fade slowly to the fast way."""
+        if self._pending or self._slow is not None:
             self._end_blend()
-            self._law = law
 
     def allow_for(self, added: Vector) -> None:
         """Take in what the drives add to a command [N m], which changes the torque that acts."""
@@ -155,20 +143,19 @@ class TorqueGate:
         self._joints['added'] = added
 
     def apply(
-        self, law: object, torque: Vector, *, limited: bool = False, known: bool = True,
-        seen: bool = True,
+        self, law: object, torque: Vector, *, limited: bool = False, seen: bool = True,
     ) -> tuple[Vector, tuple[str, ...]]:
         """
         Let a torque through as far as continuity and the limits allow; name those enforced.
 
         The torque, shape (n,) [N m], is overwritten by a finite one within all limits. A `law` is
         anything that differs from others; `limited` says that it was brought within the torque
-        limits already, `known` and `seen` that the joints were ever known, and are known now.
+        limits already, `seen` that the joints are known now.
         """
         if self._pending or self._slow is not None or self._fast is not None or law != self._law:
             torque = self._blend(law, torque)
         enforced = gate_torque(
-            torque, self._joints, self._limits, known, seen and self._guarded, self.begun)
+            torque, self._joints, self._limits, seen and self._guarded, self.begun)
         self.begun = True
         return torque, ENFORCED[enforced | TORQUE if limited else enforced]
 
@@ -179,7 +166,7 @@ class TorqueGate:
         if self._pending:
             self._pending, self._slow = False, self.last - torque
             steepest = STEEPEST * float(np.abs(self._slow).max())
-            duration = max(self._pace.blend_time, steepest / self._pace.torque_rate)
+            duration = max(self.pace.blend_time, steepest / self.pace.torque_rate)
             self._tick, self._ticks = 0, np.ceil(duration / self._period)
             torque = self.last.copy()
         elif self._slow is not None:

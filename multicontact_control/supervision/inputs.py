@@ -35,7 +35,6 @@ PROBLEMS = (
 FINE, INVALID, JUMP, FROZEN, SATURATED, STAMP, BACKWARDS, RATE, VELOCITY = range(9)
 ABSENT = -1
 
-LONGEST_GAP = 0.1  # s between two wrenches, after which the low-pass begins anew
 SATURATED_SHARE = 0.99  # of full scale, from which on a reading is saturated
 FAULTS = 2  # wrong velocities, or frozen or saturated wrenches, in a row that are not bridged
 WRENCH_AGE = 1.501  # periods, up to which a wrench is that of its tick
@@ -97,7 +96,6 @@ class Seen(NamedTuple):
     causes: tuple[str, ...] = ()  # of a reaction
     rejected: tuple[str, ...] = ()  # what is wrong with the readings of this tick
     joints: bool = True  # whether any joint state was ever valid
-    wrench: bool = True  # whether any wrench was
     blind: bool = False  # whether the joint state is neither of this tick nor of the one before
     measured: bool = True  # whether the wrench is of this tick
     skipped: int = 0  # samples that are missing before this tick
@@ -133,12 +131,8 @@ def _check_stamp(part: int, state: Any, settings: Any) -> int:
     if not stamp <= state.time + 0.5 * settings.period or stamp < before:
         return STAMP
     state.seen[part] = stamp
-    if part == WRENCH:
-        if not stamp - before <= LONGEST_GAP:
-            state.memory[0, 0] = np.nan
-        if state.time - stamp > WRENCH_AGE * settings.period:
-            return STAMP
-    return FINE
+    late = part == WRENCH and state.time - stamp > WRENCH_AGE * settings.period
+    return STAMP if late else FINE
 
 
 @compiled
@@ -146,7 +140,7 @@ def _check_joints(
     joints: Matrix, motion: Matrix, history: Matrix, span: float, state: Any, settings: Any,
 ) -> int:
     """Check a joint state, `span` after the one before [s]; keep it if it is fine."""
-    known = state.known[JOINTS]
+    known = state.known
     limit = POSITION_JUMP * max(1.0, span / settings.period / 5.0)
     still, same, moves, early, jumped = True, True, False, False, False
     for j in range(motion.shape[1]):
@@ -263,7 +257,7 @@ def check_inputs(
             span = h * state.blind_ticks
         problem[JOINTS] = _check_joints(readings, motion, history, span, state, settings)
         if problem[JOINTS] == FINE or problem[JOINTS] == VELOCITY:
-            state.valid[JOINTS], state.known[JOINTS] = state.stamp[JOINTS], True
+            state.valid[JOINTS], state.known = state.stamp[JOINTS], True
             state.blind_ticks = 0
         elif problem[JOINTS] != JUMP:  # it says nothing of where the joints are now
             state.seen[JOINTS] = before
@@ -272,7 +266,7 @@ def check_inputs(
         problem[WRENCH] = _take_wrench(state, settings)
         if problem[WRENCH] == FINE:
             controls[0].wrench[:] = state.filtered
-            state.valid[WRENCH], state.known[WRENCH] = state.stamp[WRENCH], True
+            state.valid[WRENCH] = state.stamp[WRENCH]
     if problem[VARIANCE] == FINE:
         for i in range(new_variance.shape[0]):
             if not 0.0 < new_variance[i] < np.inf:
@@ -303,14 +297,7 @@ def check_inputs(
 
 class Inputs:
     """
-    The input stage of a controller.
-
-    Parameters
-    ----------
-    config
-        Limits, ages, low-pass.
-    controller
-        Where what is valid goes: its arm's motion and joints, its `controls` and `contacts`.
+    The input stage of a controller, into whose records goes what is valid.
 
     Attributes
     ----------
@@ -417,7 +404,7 @@ class Inputs:
         return Seen(
             tuple(f"{part}_{problem or 'stale'}" for part, problem, stale in problems if stale),
             tuple(f'{part}_{problem}' for part, problem, _ in problems[:CLOCK] if problem),
-            bool(state['known'][JOINTS]), bool(state['known'][WRENCH]), bool(state['blind']),
+            bool(state['known']), bool(state['blind']),
             bool(state['problem'][WRENCH] == FINE), int(state['skipped']))
 
 

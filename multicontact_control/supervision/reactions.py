@@ -52,12 +52,8 @@ class Reactions:
         self._robot, self._contacts = controller.robot, controller.contacts
         self._added: Vector = controller.arm.joints['added']
         self._release_threshold = config.contact_state.release_threshold
-        self.adopt(config)
+        self.safe_behaviour = config.safe_behaviour
         self.end()
-
-    def adopt(self, config: ControllerConfig) -> None:
-        """Take the safe behaviour of another configuration."""
-        self._safe = SAFE_BEHAVIOURS[config.safe_behaviour]
 
     def end(self) -> None:
         """Control has resumed: the next reaction begins anew."""
@@ -90,7 +86,7 @@ class Reactions:
         self._coasting = self._coasting + 1 if reaction == FLOAT else 0
         if arm is None:
             return np.zeros(self._robot.joint_count)
-        does = self._safe if reaction == SAFE else reaction
+        does = SAFE_BEHAVIOURS[self.safe_behaviour] if reaction == SAFE else reaction
         if does in (DAMP, SAFE):
             self.end()  # it may be moved away
             # Zero is what is commanded: what the drives add goes on acting.

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from multicontact_control.control.tick import ControlOutput
 from multicontact_control.records import CONTACT, CONTROL
 from multicontact_control.supervision.checks import COLLISION
+from multicontact_control.supervision.reactions import NONE
 import numpy as np
 
 CAPACITY = 1000  # events; a limit that comes and goes at every tick must not fill the memory
@@ -22,6 +23,9 @@ class SupervisorStatus(NamedTuple):
     limits: tuple[str, ...]  # that were enforced
     contact_states: tuple[str, ...]
     task_time: float  # which stands still during a reaction [s]
+
+
+QUIET = SupervisorStatus(NONE, (), (), (), (), 0.0)  # before the first tick
 
 
 def no_answer(joints: int, contacts: int) -> ControlOutput:
@@ -40,8 +44,7 @@ class EventLog:
         self.rejected: Counter[str] = Counter()  # ticks with each
         self.limited: Counter[str] = Counter()  # ticks with each
         self.collisions: Counter[str] = Counter()  # beginnings of them, by cause
-        self._before: tuple[object, ...] = ()
-        self._touched = False
+        self._before = QUIET
 
     def note(self, time: float, status: SupervisorStatus) -> None:
         """Take in the status of one tick, at a time [s]."""
@@ -50,13 +53,12 @@ class EventLog:
             self.rejected.update(status.rejected)
         if status.limits:
             self.limited.update(status.limits)
-        now = (status.reaction, status.causes, status.limits, status.contact_states)
-        if now == self._before:
+        before = self._before
+        self._before = now = status._replace(rejected=(), task_time=0.0)
+        if now == before:
             return
-        touched = [cause for cause in status.causes if cause.startswith(COLLISION)]
-        if touched and not self._touched:
-            self.collisions[touched[0]] += 1
-        self._before, self._touched = now, bool(touched)
+        self.collisions.update(cause for cause in status.causes if cause.startswith(COLLISION)
+                               and cause not in before.causes)
         if len(self.events) < CAPACITY:
             self.events.append((time, ' | '.join([
                 status.reaction, ' '.join(status.causes + status.limits),

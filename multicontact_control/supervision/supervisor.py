@@ -5,7 +5,7 @@ from __future__ import annotations
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
-from multicontact_control.control.arm import AMBIGUOUS, ArmState, TOUCHED
+from multicontact_control.control.arm import AMBIGUOUS, ArmState, RELEASE, TOUCHED
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import TaskSource
 from multicontact_control.control.tick import ControlOutput
@@ -15,7 +15,6 @@ from multicontact_control.force.force_law import continue_laws_at
 from multicontact_control.supervision import checks, reactions
 from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.contact_task import ContactTask
-from multicontact_control.supervision.findings import explain_collision, explain_velocities
 from multicontact_control.supervision.gate import TorqueGate
 from multicontact_control.supervision.inputs import Inputs, Seen, TickInputs
 from multicontact_control.supervision.reactions import (
@@ -30,13 +29,14 @@ from multicontact_control.supervision.reactions import (
     SEVERITY,
 )
 from multicontact_control.supervision.report import no_answer, SupervisorStatus
+from multicontact_control.supervision.velocities import explain_velocities
 import numpy as np
 
 CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
 STRAY_TORQUE = 0.5  # N m at the operational point that is worth a report
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
 CONTROLLED = (NONE, INFLATE)  # what the control law answers
-UNSEEN = ('joints', 'internal')  # parts without which the arm is not seen
+OUTSIDE = 'start_outside'
 Answer = tuple[ControlOutput, SupervisorStatus | None]
 
 
@@ -44,31 +44,16 @@ class Supervisor:
     """
     The control loop of a tick: inputs, controller, task, checks, gate.
 
-    The torque starts from the one that holds the arm: the measured effort, or gravity compensation
-    where the robot measures none (or only zeros). What is commanded afterwards goes over without a
-    jump. Reactions take the place of the law; see `Reactions`.
-
-    Parameters
-    ----------
-    config, robot, source
-        Everything tunable, the arm, and what to do.
-    guarded
-        Whether inputs, contacts, speeds and answers are supervised. If not, the law answers every
-        sample as it is, and `step` raises where it cannot; torques are still limited.
+    The torque starts from the measured effort, or from gravity compensation where the robot
+    measures none (or only zeros). Reactions take the place of the law; see `Reactions`. If not
+    `guarded`, the law answers every sample as it is, and `step` raises where it cannot; torques
+    are still limited.
 
     Attributes
     ----------
-    config
-        The configuration in force.
-    inputs, controller, task, reactions, gate
-        The input stage, the control law, what it is asked for, what takes its place, and the last
-        step of a tick.
-    safe
-        Whether ticks are answered by the declared safe behaviour, see `stop`.
-    started
-        Whether the control law has answered a sample since it was reset.
-    outside
-        Where the arm is beyond its limits, so that control cannot start, a line for each.
+    safe, started
+        Whether ticks are answered by the declared safe behaviour, see `stop`; whether the control
+        law has answered a sample since it was reset.
     findings
         What explains the reaction in force, a sentence for each cause that has one.
 
@@ -88,6 +73,7 @@ class Supervisor:
         self.gate = TorqueGate(config, self._joints, guarded=guarded)
         self.reactions = reactions.Reactions(config, controller)
         self._recovery = reactions.Recovery(config.watchdog.recovery_time, config.period)
+        self._reactions_to = checks.reactions_of(config)
         self._adopt(config)
         checks.check_plausibility(*self._answered)  # compiled here: no sample waits for it
         self.reset()
@@ -100,12 +86,9 @@ class Supervisor:
         self.inputs.reset()
         self.gate.reset()
         self.safe = False
-        self.outside: tuple[str, ...] = ()
         self.findings: tuple[str, ...] = ()
         self._causes: tuple[str, ...] = ()  # that these explain
         self._arm: ArmState | None = None  # once it was seen
-        self._touched = -1  # joint beyond which nothing is touched
-        self._alarms: tuple[str, ...] = ()
         self._seen, self._wrench_known = Seen(), False
         self._reaction = NONE
         self._output = no_answer(self._robot.joint_count, len(self.config.columns))
@@ -115,7 +98,6 @@ class Supervisor:
         self.task.reset()
         self._task_ticks = self._good_ticks = self._contradictions = 0
         self.started = self._paused = False
-        self._waiting_reaction = HOLD
         self._recovery.reset()
         self.reactions.end()
 
@@ -128,25 +110,9 @@ class Supervisor:
 
     def step(self, inputs: TickInputs) -> Answer:
         """
-        Answer one tick, whatever came in.
+        Answer the newest readings, whatever they are, by a torque that may be commanded.
 
-        Parameters
-        ----------
-        inputs
-            The newest readings, however old, not validated.
-
-        Returns
-        -------
-        output : ControlOutput
-            A torque that may be commanded, and how it came about.
-        status : SupervisorStatus or None
-            What was done, and why; None without guards.
-
-        Raises
-        ------
-        MulticontactError
-            Without guards, if a reading is missing or there is no torque for this posture.
-
+        Without guards there is no status, and MulticontactError says what is missing or singular.
         """
         part = 'internal'  # at work, for an error in it
         try:
@@ -184,16 +150,17 @@ class Supervisor:
         elif self.started and not self._paused:
             self._task_ticks += seen.skipped
         self._seen, arm = seen, self.controller.arm
+        alarms: tuple[str, ...] = ()
         if self.controller.tool is not self.controller.next_tool:
             self.controller.change_tool()
         if seen.joints and arm.refresh():
             self._arm = arm
-            self._alarms = checks.TOO_FAST[arm.flags] + self._touch(arm.flags)
+            alarms = checks.TOO_FAST[arm.flags] + self._touch(arm.flags)
             if self._adds_gravity:
                 self.gate.allow_for(self.controller.own_weight())
         self._wrench_known = seen.measured and not arm.flags & AMBIGUOUS  # then it is older
         self._controls['measured'] = self._wrench_known
-        return seen.causes + self._alarms
+        return seen.causes + alarms
 
     def _as_it_came(self, inputs: TickInputs) -> Seen:
         """Hand over the inputs of a tick, valid or not; raise if joints or wrench are missing."""
@@ -210,14 +177,12 @@ class Supervisor:
         return Seen()
 
     def _touch(self, flags: int) -> tuple[str, ...]:
-        """Name the last joint whose residual has been beyond its threshold since it began."""
-        if not flags & TOUCHED:
-            self._touched = -1
+        """Name the last joint whose residual counts, if any does."""
+        if not flags & TOUCHED or self.task.locked:
             return ()
-        beyond = np.flatnonzero(np.abs(self._joints['residual']) > self._joints['threshold'])
-        self._touched = max(self._touched, *beyond.tolist(), 0)
-        return () if self.task.locked else (
-            f'{checks.COLLISION}_{self.config.robot.joint_names[self._touched]}',)
+        joints = self._joints
+        last = np.flatnonzero(np.abs(joints['residual']) > RELEASE * joints['threshold'])[-1]
+        return (f'{checks.COLLISION}_{self.config.robot.joint_names[last]}',)
 
     def _decide(self, causes: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
         """Return what answers the tick, the law or a reaction, and why."""
@@ -228,25 +193,27 @@ class Supervisor:
             return DAMP if arm is None else FLOAT, causes or ('joints_stale',)
         if self.started and not self._paused:
             return self._reaction_to(causes), causes
-        # Limits that are passed at the start would move the arm at once.
-        if self.guarded and not self.started and arm is not None:
-            self.outside = outside_limits(self.config, arm.q, arm.pose.position_world)
-            causes += ('start_outside',) * bool(self.outside)
+        if self.guarded and not self.started and self._outside():  # it would be moved at once
+            causes += (OUTSIDE,)
         reaction = self._reaction_to(causes)
         if reaction in CONTROLLED and self._paused:
             self._good_ticks += 1
             if missing := self._recovery.missing(self._good_ticks):
                 # Joints that come and go are not held.
                 floats = self._reaction == FLOAT and self._good_ticks * self._period < SEEN_TIME
-                return FLOAT if floats else self._waiting_reaction, missing
+                return FLOAT if floats else HOLD, missing
         return reaction, causes
 
+    def _outside(self) -> tuple[str, ...]:
+        """Return where the arm is beyond its limits, a line each."""
+        arm = self._arm
+        return () if arm is None else outside_limits(
+            self.config, arm.q, arm.pose.position_world)
+
     def _reaction_to(self, causes: tuple[str, ...]) -> str:
-        if not causes:
-            return NONE
-        to = checks.reactions_of(self.config)
+        to = self._reactions_to
         called_for = [to.get(cause, to[cause.split('_')[0]]) for cause in causes]
-        return max(called_for, key=SEVERITY.index)
+        return max(called_for, key=SEVERITY.index, default=NONE)
 
     def _resume(self) -> None:
         """Start the control law, or go on with it after a reaction."""
@@ -315,11 +282,6 @@ class Supervisor:
             reaction = FLOAT  # what is not seen can be neither held nor slowed down
         if causes not in ((RECOVERING,), (LATCHED,)):
             self._good_ticks = 0
-            # An arm that was not seen for a moment is held again, or waits as it did.
-            others = tuple(cause for cause in causes if not cause.startswith(UNSEEN))
-            if others or not self._paused:
-                self._waiting_reaction = max(
-                    HOLD, self._reaction_to(others), key=SEVERITY.index)
             if causes != self._causes or not self.findings:
                 self._causes = causes
                 self.findings = tuple(filter(None, map(self._explain, causes))) or self.findings
@@ -329,20 +291,21 @@ class Supervisor:
         self._paused = True
         if not self.gate.begun:
             self._begin()
-        if reaction != SAFE:  # the torque before may come from wrong velocities
-            self.gate.hurry(reaction if checks.CONTRADICTED in causes else None)
+        if reaction != SAFE:
+            self.gate.hurry()
         with np.errstate(all='ignore'):  # the gate finds numbers that are not finite
             # What blocks the arm may be what the contacts' forces press it against: they fade.
-            felt = self._wrench_known and not any(
-                x.startswith(checks.COLLISION) for x in self._alarms)
+            felt = self._wrench_known and not self.controller.arm.flags & TOUCHED
             torque, limits = self.gate.apply(
-                reaction, self.reactions.torque(reaction, arm, felt).copy(), known=arm is not None,
+                reaction, self.reactions.torque(reaction, arm, felt).copy(),
                 seen=arm is not None and not blind)
         return self._report(
             torque, NONE if reaction == SAFE else reaction, causes, limits, controlled=False)
 
     def _explain(self, cause: str) -> str:
         """Return what the readings say about a cause that has just begun; empty if nothing."""
+        if cause == OUTSIDE:
+            return '; '.join(self._outside())
         if cause in checks.WRONG_WRENCH.values():
             return self.stray_force
         touched, names = cause.startswith(checks.COLLISION), self.config.robot.joint_names
@@ -350,7 +313,7 @@ class Supervisor:
             return ''
         text = explain_velocities(*self.inputs.history, names, self._period)
         if touched and not text:
-            residual = explain_collision(self._joints, self._controls['momentum'][0], names)
+            residual = checks.explain_collision(self._joints, self._controls['momentum'][0], names)
             text = '; '.join(filter(None, (residual, self.stray_force)))
         return text
 
@@ -373,7 +336,7 @@ class Supervisor:
             if part == 'law':
                 return self._refuse(cause if self.controller.arm.finite else 'law_not_finite')
             # What failed is not known: what is known of the arm is its past.
-            self._alarms, self._wrench_known, self._seen = (), False, Seen(blind=True)
+            self._wrench_known, self._seen = False, Seen(blind=True)
             return self._react(FLOAT, (cause,))
         except Exception:  # the torque that acts goes on
             self._paused, self._good_ticks = True, 0
@@ -411,8 +374,7 @@ class Supervisor:
     def _adopt(self, config: ControllerConfig) -> None:
         """Set what follows from the values that may change while the arm is controlled."""
         self.config = config
-        self.gate.adopt(config)
-        self.reactions.adopt(config)
+        self.gate.pace, self.reactions.safe_behaviour = config.transition, config.safe_behaviour
         self.task.retune(config)
         self._answered = (  # what an answer is checked by
             checks.plausibility_limits(config), self._controls, self._joints,

@@ -97,16 +97,16 @@ def test_arm_that_starts_outside_its_limits_is_held_until_it_is_moved_inside(lim
             'watchdog': {'frozen_joint_ticks': 0}}))) as loop:
         carried(loop, 500, sag=1e-4)
         assert (loop.status.reaction, loop.status.causes) == ('hold', ('start_outside',))
-        assert loop.control.supervisor.outside[0].startswith(place)
+        assert loop.control.supervisor.findings[0].startswith(place)
         assert loop.sample.contact_force.max() == 0.0
         for k in range(400 if place == 'joint3: ' else 0):
             q, qd = HOME - 0.05 * min(k / 300, 1.0) * third, -0.05 / 0.6 * (k < 300) * third
             inputs = loop.inputs()
             loop.control.step(inputs._replace(joints=inputs.joints._replace(q=q, qd=qd)))
-            assert loop.control.supervisor.outside or k > 100
+            assert loop.control.supervisor.findings or k > 100
             loop.tick += 1
         if q is not HOME:
-            assert loop.status.reaction == 'none' and not loop.control.supervisor.outside
+            assert loop.status.reaction == 'none' and not loop.control.supervisor.findings
 
 
 TOOL = ('ft_face', 'tool')  # links beyond the sensor

@@ -50,10 +50,10 @@ ANY = st.lists(st.floats(width=64), min_size=6, max_size=6)
 
 
 @settings(max_examples=100, deadline=None)
-@given(torques=st.lists(ANY, min_size=1, max_size=4), q=ANY, known=st.booleans(),
+@given(torques=st.lists(ANY, min_size=1, max_size=4), q=ANY, seen=st.booleans(),
        laws=st.lists(st.sampled_from('ab'), min_size=4, max_size=4), over=st.booleans())
 def test_gate_passes_finite_torques_within_limits_only(
-        torques, q, known, laws, over):
+        torques, q, seen, laws, over):
     gate, arm = make()
     arm.joints['q'] = q
     before = None
@@ -61,7 +61,7 @@ def test_gate_passes_finite_torques_within_limits_only(
         for law, torque in zip(laws, torques):
             if over:
                 gate.go_over()
-            out, _ = gate.apply(law, np.array(torque), known=known, seen=known)
+            out, _ = gate.apply(law, np.array(torque), seen=seen)
             assert np.isfinite(out).all()
             assert (np.abs(out) <= LIMIT).all()
             if before is not None:

@@ -7,7 +7,6 @@ from multicontact_control.config.robot import SensorFrontEndConfig
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.force_law import make_force_laws
 from multicontact_control.records import CONTACT, CONTROL, JOINT
-from multicontact_control.supervision.findings import explain_velocities
 from multicontact_control.supervision.inputs import (
     Inputs,
     JointInput,
@@ -15,6 +14,7 @@ from multicontact_control.supervision.inputs import (
     VarianceInput,
     WrenchInput,
 )
+from multicontact_control.supervision.velocities import explain_velocities
 import numpy as np
 import pytest
 from scipy.signal import butter, group_delay, lfilter
@@ -232,7 +232,7 @@ def sensed(wrenches, **sensor):
 
 @pytest.mark.parametrize('order', [1, 2])
 def test_low_pass_is_scipys_butterworth_from_a_settled_start(order):
-    """It settles anew after a gap and goes on behind a missing number."""
+    """It goes on behind a missing number."""
     wrench, sensor = np.arange(1.0, 7.0), {'filter_order': order, 'filter_cutoff': 40.0}
     signal = np.random.default_rng(0).standard_normal((200, 6))
     signal[0] = 0.0
@@ -245,12 +245,11 @@ def test_low_pass_is_scipys_butterworth_from_a_settled_start(order):
     assert np.isnan(passed[20]).all()
     np.testing.assert_allclose(np.delete(passed, 20, axis=0), [wrench] * 29, rtol=1e-12)
     filtered = []
-    for time, stamp in ((30 * H, 30 * H), (31 * H, 30 * H), (1.0, 1.0)):
+    for time, stamp in ((30 * H, 30 * H), (31 * H, 30 * H)):
         stage.validate(TickInputs(time, wrench=WrenchInput(stamp, -wrench)))
         filtered.append(stage.wrench.copy())
     assert (np.abs(filtered[0]) < wrench).all()
     np.testing.assert_array_equal(filtered[1], filtered[0])  # the same reading passes once
-    np.testing.assert_allclose(filtered[2], -wrench, rtol=1e-12)
 
 
 @pytest.mark.parametrize('order', [1, 2])

@@ -11,7 +11,7 @@ from multicontact_control.experiment.faults.in_process import with_obstacles
 from multicontact_control.experiment.faults.vocabulary import ELBOW_WALL, FAR
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.paths import config_dir
-from multicontact_control.supervision.findings import undeclared_friction
+from multicontact_control.supervision.checks import undeclared_friction
 from multicontact_control.supervision.reactions import RECOVERING, Recovery
 import numpy as np
 import pytest
