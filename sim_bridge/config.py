@@ -5,14 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
-from multicontact_control.config import (
-    Config,
-    cross_check,
-    parameter,
-    UnitVector3,
-    Vector,
-    Vector3,
-)
+from multicontact_control.config import Config, parameter, UnitVector3, Vector, Vector3
 from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import ConfigError, counted
 
@@ -80,8 +73,7 @@ class SensorConfig(Config):
     low_pass_cutoff: float = parameter(
         125.0, 'Cut-off of the last of the cascaded low-passes.', unit='Hz', gt=0.0)
 
-    @cross_check
-    def _check(self) -> Iterator[ConfigError]:
+    def _misfits(self) -> Iterator[ConfigError]:
         for name, counts in (('bias', (6,)), ('full_scale', (6,)), ('mounting', (0, 9))):
             if len(getattr(self, name)) not in counts:
                 yield ConfigError(
@@ -132,8 +124,7 @@ class PlantConfig(Config):
     tool_push_link: str = parameter(
         'tip_board', 'URDF link, carried by the last joint, at whose origin the tool is pushed.')
 
-    @cross_check
-    def _check(self) -> Iterator[ConfigError]:
+    def _misfits(self) -> Iterator[ConfigError]:
         for field, known in (('contact_names', set(self.contacts.values())),
                              ('obstacle_names', set(self.surfaces))):
             for name in getattr(self, field):

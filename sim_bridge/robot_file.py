@@ -5,14 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from multicontact_control.config import (
-    Config,
-    cross_check,
-    parameter,
-    UnitVector3,
-    Vector,
-    Vector3,
-)
+from multicontact_control.config import Config, parameter, UnitVector3, Vector, Vector3
 from multicontact_control.errors import ConfigError, counted
 from sim_bridge.arm import Body, Placement
 
@@ -115,8 +108,7 @@ class RobotFile(Config):
     plant_aliases: dict[str, str] = parameter({}, 'Other names of these.')
     default_plant: str = parameter('rigid', 'Which of them is taken if none is named.')
 
-    @cross_check
-    def _check(self) -> Iterator[ConfigError]:
+    def _misfits(self) -> Iterator[ConfigError]:
         for name in () if self.controller_file else ('home', 'contacts'):
             if not getattr(self, name):
                 yield ConfigError(name, 'a value, without a controller_file', 'nothing')

@@ -8,7 +8,6 @@ models validate, and both report a bad value in the same one line.
 
 from multicontact_control.config.base import (
     Config,
-    cross_check,
     merge,
     parameter,
     read_parameters,
@@ -30,5 +29,5 @@ from multicontact_control.config.supervision import (
 __all__ = [
     'Config', 'ContactStateConfig', 'ControllerConfig', 'FedForward', 'ForceConfig',
     'LimitsConfig', 'MAX_DELAY_PERIODS', 'NoiseEstimatorConfig', 'RobotConfig',
-    'ToolConfig', 'UnitVector3', 'Vector', 'Vector3', 'WatchdogConfig', 'cross_check', 'merge',
+    'ToolConfig', 'UnitVector3', 'Vector', 'Vector3', 'WatchdogConfig', 'merge',
     'parameter', 'read_parameters', 'read_yaml', 'validate']

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import math
 from pathlib import Path
 import re
-from typing import Annotated, Any, get_args, TypeVar
+from typing import Annotated, Any, get_args, Self, TypeVar
 
 from multicontact_control.errors import ConfigError
 from pydantic import (
@@ -64,22 +64,19 @@ class Config(BaseModel):
     model_config = ConfigDict(
         extra='forbid', frozen=True, validate_default=True, allow_inf_nan=False)
 
+    def _misfits(self) -> Iterator[ConfigError]:
+        """Yield an error for everything that does not fit together."""
+        yield from ()
 
-def cross_check(check: Callable[[ModelT], Iterable[ConfigError]]) -> Any:
-    """
-    Make a method that yields a `ConfigError` per misfit one of the checks of its configuration.
-
-    `validate` collects the errors of all models; a constructor raises those of its own.
-    """
-    def run(self: ModelT, info: ValidationInfo) -> ModelT:
-        errors = list(check(self))
-        if errors and isinstance(info.context, list):
+    @model_validator(mode='after')
+    def _check(self, info: ValidationInfo) -> Self:
+        """Let `validate` collect the misfits of all models; a constructor raises its own."""
+        errors = list(self._misfits())
+        if info.context is not None:
             info.context.extend(errors)
         elif errors:
             raise ConfigError.of(errors)
         return self
-
-    return model_validator(mode='after')(run)
 
 
 def validate(model: type[ModelT], values: Mapping[str, Any], source: str = '') -> ModelT:
@@ -89,16 +86,14 @@ def validate(model: type[ModelT], values: Mapping[str, Any], source: str = '') -
     ConfigError has a line for every field that is not acceptable, with the file name `source`.
     Checks across fields run where each field has a value of its kind.
     """
-    errors: list[ConfigError] = []
-    config = None
+    misfits: list[ConfigError] = []
     try:
-        config = model.model_validate(values, context=errors)
-    except ConfigError as error:
-        errors.append(error)
+        config = model.model_validate(values, context=misfits)
     except ValidationError as error:
-        errors[:0] = [_field_error(detail, model) for detail in error.errors(include_url=False)]
-    if config is None or errors:
-        raise ConfigError.of(errors, source) from None
+        fields = [_field_error(detail, model) for detail in error.errors(include_url=False)]
+        raise ConfigError.of([*fields, *misfits], source) from None
+    if misfits:
+        raise ConfigError.of(misfits, source)
     return config
 
 
@@ -169,12 +164,10 @@ def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str
     by_node: dict[str, dict[str, Any]] = {}
     for key, parameters in _sections(read_yaml(path)):
         name = key.rpartition('/')[2]
-        if name not in nodes or parameters is None:
-            names = ', '.join(x.replace(EVERY_NODE, f'/{EVERY_NODE}') for x in nodes)
-            raise ConfigError(f'{path}: {key}', f"a section of {names} holding 'ros__parameters'",
-                              'none' if parameters is None else f"'{name}'")
-        if name in by_node:
-            raise ConfigError(f'{path}: {key}', f'one section of {name}', 'another')
+        if parameters is None or name not in nodes or name in by_node:
+            raise ConfigError(
+                f'{path}: {key}', f"a section of {', '.join(nodes)} holding 'ros__parameters'",
+                'none' if parameters is None else f"'{name}' again" if name in by_node else name)
         by_node[name] = parameters
     return by_node
 

@@ -9,8 +9,7 @@ from multicontact_control.config.force import LawName
 
 ContactType = Literal['point', 'edge', 'plane']
 
-# Kinds of columns: a force along the normal, a couple by which it moves along the contact's
-# direction, and one by which it moves across it.
+# Kinds of columns: a force along the normal, and couples that move it along and across.
 FORCE, ALONG, ACROSS = range(3)
 KINDS: dict[str, tuple[int, ...]] = {
     'point': (FORCE,), 'edge': (FORCE, ALONG), 'plane': (FORCE, ALONG, ACROSS)}
@@ -23,9 +22,8 @@ class ContactConfig(Config):
     One contact: a point, an edge or a plane face of the tool on a surface.
 
     An edge is pressed with a force and a couple about the axis across it, a plane with a force
-    and two couples. Couples are counted in newtons: two forces at the ends of the contact,
-    half_length from its centre, that differ by 1 N are a couple of 1 N. The centre of pressure
-    is alpha_couple / alpha half lengths from the centre, and within the contact up to 1.
+    and two couples. Couples are counted in newtons: two forces at the ends of the contact that
+    differ by 1 N. The centre of pressure is alpha_couple / alpha half lengths from the centre.
     """
 
     type: ContactType = parameter(  # noqa: A003 - that is what it is called
@@ -44,17 +42,16 @@ class ContactConfig(Config):
         6000.0, 'Modelled stiffness k_env at the contact.', unit='N/m', gt=0.0)
     couple_stiffness: float = parameter(
         0.0, 'The same for couples, torque per angle and half length squared; 0 for a third of '
-        'stiffness, as of a contact that is equally stiff everywhere.', unit='N/m', ge=0.0)
+        'stiffness.', unit='N/m', ge=0.0)
     friction_std: float = parameter(
-        0.0, 'Standard deviation of the friction that is allowed for when contact forces are '
-        'found from the wrench; 0 for none.', unit='N', ge=0.0)
+        0.0, 'Standard deviation of the friction beyond friction_coefficient that is allowed for '
+        'when contact forces are found from the wrench; 0 for none.', unit='N', ge=0.0)
     friction_coefficient: float = parameter(
-        0.0, 'Expected Coulomb friction along the sliding velocity; friction_std is then the '
-        'standard deviation of the rest.', live=True, ge=0.0, le=2.0)
+        0.0, 'Expected Coulomb friction along the sliding velocity.', live=True, ge=0.0, le=2.0)
     normal_turn_rate: float = parameter(
         0.0, 'Largest rate at which the normal turns to the one that the force on a sliding '
-        'contact indicates; 0 to keep normal_world. A slip at the touch turns it as fast: no '
-        'more than is needed. Needs friction_std.', unit='rad/s', live=True, ge=0.0, le=10.0)
+        'contact indicates; 0 to keep normal_world. Needs friction_std.', unit='rad/s',
+        live=True, ge=0.0, le=10.0)
     normal_range: float = parameter(
         0.6, 'Largest angle of the normal to normal_world.', unit='rad', live=True, gt=0.0, le=1.5)
     surface_speed: float = parameter(

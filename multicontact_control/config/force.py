@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
-from multicontact_control.config.base import Config, cross_check, parameter
+from multicontact_control.config.base import Config, parameter
 from multicontact_control.errors import ConfigError
 
 LawName = Literal['aob', 'pi', 'dob', 'lqg', 'admittance', 'impedance', 'feedforward']
@@ -65,8 +65,7 @@ class AdaptiveStiffnessConfig(Config):
     highest: float = parameter(
         8e4, 'Largest stiffness of the model, at the first touch.', unit='N/m', gt=0.0)
 
-    @cross_check
-    def _check_order(self) -> Iterator[ConfigError]:
+    def _misfits(self) -> Iterator[ConfigError]:
         if self.highest <= self.lowest:
             yield ConfigError(
                 'adaptive.highest', f'above adaptive.lowest, {self.lowest:g} N/m', self.highest)
@@ -79,8 +78,7 @@ class ForceConfig(Config):
         'aob', 'Force law: the active observer, or one to compare it with.', live=True)
     fed_forward: FedForward = parameter(
         'mixed', 'Force fed forward in eq. 24: the estimate, as in the paper, the desired force, '
-        'as much of it as the stiffness lets act before the loop does, or the measured force.',
-        live=True)
+        'as much of that as acts before the loop does, or the measured force.', live=True)
     stiffness: Literal['configured', 'adaptive'] = parameter(
         'configured', 'Stiffness of the model: contacts.*.stiffness, or found on-line.')
     adaptive: AdaptiveStiffnessConfig = AdaptiveStiffnessConfig()
@@ -114,28 +112,25 @@ class NoiseEstimatorConfig(Config):
     estimator: Literal[
         'lead_window', 'hf_window', 'window', 'fixed', 'innovation', 'sage_husa',
         'variational_bayes'] = parameter(
-        'lead_window', 'Estimate of R_k: windowed variance of the force behind a lead filter of '
-        'unit gain at DC (eqs 42-44) or at high frequency, or without a filter; a fixed one; or '
-        'from the innovations of the observers.')
+        'lead_window', 'Estimate of R_k: variance in a window, of the force behind a lead filter '
+        '(eqs 42-44; hf: of unit gain at high frequency) or as it is; fixed; or of innovations.')
     contact_names: tuple[str, ...] = parameter(
         ..., 'Contacts in the order of every contact vector.', min_length=1)
     rate: float = parameter(500.0, 'Rate of the force samples.', unit='Hz', gt=0.0)
     window: int = parameter(
-        50, 'Samples in the window N of eq. 43, of forces or of innovations; `sage_husa` and '
-        '`variational_bayes` forget by 1 - 1/N.', ge=2, le=10000)
+        50, 'Samples N in the window of eq. 43; `sage_husa` and `variational_bayes` forget by '
+        '1 - 1/N.', ge=2, le=10000)
     zero_frequency: float = parameter(3.0, 'Zero of G_f, eq. 42.', unit='Hz', gt=0.0)
     pole_frequency: float = parameter(60.0, 'Pole of G_f, eq. 42.', unit='Hz', gt=0.0)
     variance_scale: float = parameter(
         1.0, 'Factor of an estimated R, e.g. to compare estimators of equal R at rest.', gt=0.0)
     slew_time: float = parameter(
-        0.0, 'Time in which R changes by a factor e at most; 0 for no bound, as in the paper. A '
-        'force step raises R, which with K_2 = 20 1/s slows the step: 0.03 s prevents that.',
-        unit='s', ge=0.0, le=10.0)
+        0.0, 'Time in which R changes by a factor e at most, so that a force step raises it less; '
+        '0 for no bound, as in the paper.', unit='s', ge=0.0, le=10.0)
     fixed_variance: float = parameter(
         0.6, 'R of the estimator `fixed`, and of others at first.', unit='N^2', gt=0.0)
 
-    @cross_check
-    def _check_across_fields(self) -> Iterator[ConfigError]:
+    def _misfits(self) -> Iterator[ConfigError]:
         for name in ('zero_frequency', 'pole_frequency'):
             if getattr(self, name) >= 0.5 * self.rate:
                 yield ConfigError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 import math
 
-from multicontact_control.config.base import Config, cross_check, parameter, Vector, Vector3
+from multicontact_control.config.base import Config, parameter, Vector, Vector3
 from multicontact_control.errors import ConfigError, counted
 
 
@@ -37,8 +37,7 @@ class RobotConfig(Config):
         True, 'Whether the effort in joint_states is a torque; false to ignore it, as of motor '
         'currents.')
 
-    @cross_check
-    def _check_locked(self) -> Iterator[ConfigError]:
+    def _misfits(self) -> Iterator[ConfigError]:
         count, positions = len(self.locked_joints), len(self.locked_positions)
         if positions not in (0, count):
             yield ConfigError('robot.locked_positions', counted(count, 'values')
@@ -84,8 +83,7 @@ class SensorFrontEndConfig(Config):
         True, 'Whether force control stays disabled until a push test has proved sign, frame '
         'and scale of the sensor; false in a simulation.')
 
-    @cross_check
-    def _check(self) -> Iterator[ConfigError]:
+    def _misfits(self) -> Iterator[ConfigError]:
         scales = list(self.full_scale)
         if len(scales) not in (0, 6) or min(scales, default=1.0) <= 0.0:
             yield ConfigError('sensor.full_scale', '6 values above 0, or none', scales)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
-from multicontact_control.config.base import Config, cross_check, parameter, PositiveVector, Vector
+from multicontact_control.config.base import Config, parameter, PositiveVector, Vector
 from multicontact_control.errors import ConfigError
 
 
@@ -13,8 +13,8 @@ class ContactStateConfig(Config):
     """Thresholds of the contact states, and the search for surfaces."""
 
     approach_speed: float = parameter(
-        0.02, 'Largest speed along a normal towards a surface that is not felt, where a scenario '
-        'sets none.', unit='m/s', gt=0.0, le=0.25)
+        0.02, 'Largest speed towards a surface that is not felt, where a scenario sets none.',
+        unit='m/s', gt=0.0, le=0.25)
     approach_ramp_time: float = parameter(
         0.5, 'Time to reach that speed.', unit='s', gt=0.0, le=10.0)
     approach_distance: float = parameter(
@@ -33,8 +33,7 @@ class ContactStateConfig(Config):
     force_ceiling: float = parameter(
         60.0, 'Measured force at which a contact is left.', unit='N', gt=0.0, le=1000.0)
 
-    @cross_check
-    def _check_across_fields(self) -> Iterator[ConfigError]:
+    def _misfits(self) -> Iterator[ConfigError]:
         for lower, upper in (
                 ('release_threshold', 'contact_threshold'), ('preload', 'force_ceiling'),
                 ('contact_threshold', 'smallest_force'), ('contact_threshold', 'force_ceiling')):
@@ -59,8 +58,7 @@ class LimitsConfig(Config):
         (), 'Lower corner of the box the operational point stays in.', unit='m')
     workspace_upper: Vector = parameter((), 'Upper corner of that box.', unit='m')
 
-    @cross_check
-    def _check_across_fields(self) -> Iterator[ConfigError]:
+    def _misfits(self) -> Iterator[ConfigError]:
         for kind in ('joint', 'workspace'):
             lower, upper = getattr(self, f'{kind}_lower'), getattr(self, f'{kind}_upper')
             if len(lower) != len(upper) or any(a >= b for a, b in zip(lower, upper)):
@@ -103,8 +101,7 @@ class WatchdogConfig(Config):
         12.5, 'Largest age of a wrench; up to it the observers predict what is not measured.',
         unit='periods', ge=1.0, le=1000.0)
     variance_max_age: float = parameter(
-        4.5, 'Largest age of R, which is one period old at best and three on a busy machine.',
-        unit='periods', ge=2.0, le=1e4)
+        4.5, 'Largest age of R, one period at best.', unit='periods', ge=2.0, le=1e4)
     rate_band: float = parameter(
         2.5, 'Twice in a row a period beyond 1 / rate_band to rate_band times the right one is '
         'a fault.', gt=1.0, le=100.0)

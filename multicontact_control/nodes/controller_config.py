@@ -6,13 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 import sys
 
-from multicontact_control.config import (
-    ControllerConfig,
-    cross_check,
-    parameter,
-    read_yaml,
-    validate,
-)
+from multicontact_control.config import ControllerConfig, parameter, read_yaml, validate
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.errors import ConfigError
 from multicontact_control.nodes.graph import StartupConfig
@@ -48,8 +42,7 @@ class ControllerNodeConfig(StartupConfig):
     command: CommandLimits = CommandLimits()
     push_test: PushTestConfig = PushTestConfig()
 
-    @cross_check
-    def _check(self) -> Iterator[ConfigError]:
+    def _misfits(self) -> Iterator[ConfigError]:
         if self.patience and self.patience < 1.0:
             yield ConfigError('patience', '0, or at least 1 period', self.patience)
 

@@ -21,7 +21,7 @@ from typing import Any, Literal
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from multicontact_control.arrays import Vector
-from multicontact_control.config import Config, cross_check, parameter
+from multicontact_control.config import Config, parameter
 from multicontact_control.config import Vector as Numbers
 from multicontact_control.errors import ConfigError, MulticontactError, RunError
 from multicontact_control.nodes import diagnostics, graph, messages, qos, streams, topics
@@ -83,8 +83,7 @@ class FrankaBridgeConfig(graph.StartupConfig):
         (50.0,) * 3 + (25.0,) * 3, 'External wrench at which it does.', unit='N, N m')
     late: LateConfig = LateConfig()
 
-    @cross_check
-    def _check(self) -> Iterator[ConfigError]:
+    def _misfits(self) -> Iterator[ConfigError]:
         late = self.late
         for name, values, count in (
                 ('joint_names', self.joint_names, JOINTS), ('late.damping', late.damping, JOINTS),

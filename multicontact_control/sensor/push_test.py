@@ -14,7 +14,7 @@ import math
 from typing import Any, Literal, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.config import Config, cross_check, parameter, ToolConfig
+from multicontact_control.config import Config, parameter, ToolConfig
 from multicontact_control.contact.wrench import contact_wrench
 from multicontact_control.errors import ConfigError
 import numpy as np
@@ -45,8 +45,7 @@ class PushTestConfig(Config):
     timeout: float = parameter(
         30.0, 'Longest wait for rest, for a push or for its end.', unit='s', gt=0.0)
 
-    @cross_check
-    def _check_across_fields(self) -> Iterator[ConfigError]:
+    def _misfits(self) -> Iterator[ConfigError]:
         if {direction[1] for direction in self.directions} != set('xyz'):
             yield ConfigError(
                 'push_test.directions', 'each of x, y and z at least once', list(self.directions))
