@@ -29,7 +29,6 @@ from multicontact_control.force.observer import (
     make_observers,
     observe,
     ObserverDesign,
-    same_states,
     steady_gain,
 )
 from multicontact_control.force.stiffness import (
@@ -38,9 +37,8 @@ from multicontact_control.force.stiffness import (
     INPUT_LIMIT,
     keep_stiffness,
     learn_stiffness,
-    model_stiffnesses,
 )
-from multicontact_control.records import FORCE_LAW, Records
+from multicontact_control.records import FORCE_LAW, LIMITS, Records
 import numpy as np
 
 ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
@@ -94,7 +92,8 @@ def make_force_laws(config: ControllerConfig, stiffnesses: Vector) -> Records:
     adaptive = force.stiffness == 'adaptive'
     limits = [
         largest_ratio(force, loop_model(config, k), config.initial_noise_variance)
-        for k in model_stiffnesses(force.adaptive).tolist()] if adaptive else []
+        for k in np.geomspace(force.adaptive.lowest, force.adaptive.highest, LIMITS).tolist()
+    ] if adaptive else []
     for law, column, stiffness in zip(laws, config.columns, stiffnesses.tolist()):
         name = config.law_of(column.contact)
         if adaptive:
@@ -144,17 +143,19 @@ def continue_laws(laws: Records, others: Records) -> None:
     """
     for i in range(len(laws)):
         law, other = laws[i:i + 1], others[i:i + 1]
-        same, taken = law['kind'][0] == other['kind'][0], known(other[0])
+        taken, part = known(other[0]), 'linear' if law['is_linear'][0] else 'observer'
+        same = law['kind'][0] == other['kind'][0] and (
+            law[part]['states'][0] == other[part]['states'][0])
         if law['is_linear'][0]:
             new, old = law['linear'], other['linear']
-            if same and new['states'][0] == old['states'][0]:
+            if same:
                 for name in ('x', 'extra', 'p_est', 'running'):
                     new[name] = old[name]
             elif taken is not None:
                 new['alpha'], new['p_est'], new['running'] = *taken, True
                 new['x'] = new['start_force'] * taken[0] + new['start_disturbance'] * taken[1]
-        elif same:
-            if law['stiffness']['adaptive'][0] and same_states(law['observer'], other['observer']):
+        elif same and law['observer']['order'][0] == other['observer']['order'][0]:
+            if law['stiffness']['adaptive'][0]:
                 keep_stiffness(law[0], other[0])  # before the state, which is of that model
             continue_from(law['observer'], other['observer'])
         elif taken is not None:
@@ -265,21 +266,15 @@ def answer_forces(
     """
     for i in range(contacts.shape[0]):
         contact, law, answer = contacts[i], laws[i], contacts[i].answer
-        answer.innovation = 0.0
-        answer.prior_variance = 0.0
-        answer.variance_used = 0.0
+        answer.innovation = answer.prior_variance = answer.variance_used = 0.0
         # Of the contact point into the surface, as far as it is known how that moves itself.
         speed = dot(contact.N, control.frame.twist) - (
             contact.config.surface_speed + contact.surface_speed_est)
         if law.stiffness.adaptive:
             learn_stiffness(laws, contacts, i, control, speed)
         if not answer.active:
-            law.observer.running = False
-            law.linear.running = False
-            answer.alpha_est = 0.0
-            answer.alpha_rate_est = 0.0
-            answer.alpha_fed = 0.0
-            inputs[i] = 0.0
+            law.observer.running = law.linear.running = False
+            answer.alpha_est = answer.alpha_rate_est = answer.alpha_fed = inputs[i] = 0.0
             continue
         stiffness, observer = law.stiffness, law.observer
         if law.is_linear:

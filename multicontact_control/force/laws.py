@@ -18,20 +18,12 @@ from scipy.linalg import solve, solve_discrete_are
 
 @dataclass(frozen=True, slots=True)
 class LoopModel:
-    """
-    What a force law is designed for (P04 eq. 32).
+    """What a force law is designed for (P04 eq. 32)."""
 
-    Attributes
-    ----------
-    stiffness, damping_rate, input_delay, period
-        k [N/m], K_2 [1/s], T_d [s] and h [s].
-
-    """
-
-    stiffness: float
-    damping_rate: float
-    input_delay: float
-    period: float
+    stiffness: float  # k [N/m]
+    damping_rate: float  # K_2 [1/s]
+    input_delay: float  # T_d [s]
+    period: float  # h [s]
 
     @property
     def plant(self) -> DelayedPlant:

@@ -28,28 +28,14 @@ class LinearArmPlant:
     d^2z/dt^2 = u(t - T) - K dz/dt - B alpha with alpha = k z + c dz/dt, where z are the ways of
     the contact points into their surfaces; measured is alpha + M_t d^2z/dt^2. With K = K_2 and
     without B, c and M_t each contact is G(s) of P04 eq. 32.
-
-    Attributes
-    ----------
-    mobility
-        B = N^T Lambda^-1 N, shape (r, r) [1/kg].
-    stiffness, damping
-        k and c, shape (r,) [N/m], [N s/m].
-    tool_inertia
-        M_t, shape (r, r) [kg].
-    delay
-        T, from a sample to the torque that answers it [s].
-    damping_rate
-        K, which is there without being commanded [1/s].
-
     """
 
-    mobility: Matrix
-    stiffness: Vector
-    damping: Vector
-    tool_inertia: Matrix
-    delay: float
-    damping_rate: float = 0.0
+    mobility: Matrix  # B = N^T Lambda^-1 N, shape (r, r) [1/kg]
+    stiffness: Vector  # k, shape (r,) [N/m]
+    damping: Vector  # c, shape (r,) [N s/m]
+    tool_inertia: Matrix  # M_t, shape (r, r) [kg]
+    delay: float  # T, from a sample to the torque that answers it [s]
+    damping_rate: float = 0.0  # K, which is there without being commanded [1/s]
 
 
 def closed_loop(

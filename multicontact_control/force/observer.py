@@ -14,6 +14,8 @@ from multicontact_control.records import MAX_STATES, OBSERVER, Records
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
+INITIAL_VARIANCE = 1e-3  # of every state
+
 
 @dataclass(frozen=True, slots=True)
 class ObserverDesign:
@@ -31,12 +33,10 @@ class ObserverDesign:
     Gamma: Vector  # input vector, shape (n,)
     feedback: Vector  # [L_r 1] of P04 eq. 36, shape (n,)
     Q: Vector  # diagonal of the process noise's covariance, shape (n,)
-    P_0: float  # initial variance of every state
 
 
 def design_observer(
     loop: ForceLoop, *, order: int = 1, process_noise: float = 1e-3,
-    initial_covariance: float = 1e-3,
 ) -> ObserverDesign:
     """
     Design an active observer (P04 eqs 34-37, 41).
@@ -50,8 +50,6 @@ def design_observer(
         placement on the Kalman estimate.
     process_noise
         Q = process_noise I over x_r and the newest p; older copies of p are exact.
-    initial_covariance
-        P_0 = initial_covariance I.
 
     """
     n = loop.plant.Phi.shape[0]
@@ -67,7 +65,7 @@ def design_observer(
     Q[:n + min(order, 1)] = process_noise
     return ObserverDesign(
         loop, order, Phi_n, Phi_c, np.concatenate([loop.plant.Gamma, np.zeros(order)]), feedback,
-        Q, float(initial_covariance))
+        Q)
 
 
 def steady_gain(observer: ObserverDesign, noise_variance: float) -> Vector:
@@ -90,11 +88,9 @@ def active_state_matrix(order: int) -> Matrix:
 
     p_k = sum_j (-1)^(j+1) binom(n, j) p_{k-j} + noise; `order` 1 is the random walk of P04 eq. 34.
     """
-    matrix = np.zeros((order, order))
+    matrix: Matrix = np.eye(order, k=-1)
     for j in range(1, order + 1):
         matrix[0, j - 1] = (-1.0) ** (j + 1) * comb(order, j)
-    for j in range(1, order):
-        matrix[j, j - 1] = 1.0
     return matrix
 
 
@@ -103,7 +99,7 @@ def make_observers(designs: Sequence[ObserverDesign]) -> Records:
     observers = np.zeros(len(designs), dtype=OBSERVER)
     for observer, design in zip(observers, designs):
         n = design.Gamma.shape[0]
-        observer['states'], observer['order'], observer['P_0'] = n, design.order, design.P_0
+        observer['states'], observer['order'], observer['P_0'] = n, design.order, INITIAL_VARIANCE
         for name in ('Phi_c', 'Phi_n'):
             observer[name][:n, :n] = getattr(design, name)
         for name in ('Gamma', 'feedback', 'Q'):
@@ -117,18 +113,11 @@ def continue_from(observers: Records, others: Records) -> None:
 
     The first prediction is that of the plant under the input that the others have commanded.
     """
-    if not same_states(observers, others):
-        return
     for name in ('x_est', 'P', 'running'):
         observers[name] = others[name]
     difference = _predicted_feedback(observers) - _predicted_feedback(others)
     observers['command'] = others['command'] + np.einsum(
         'ij,ij->i', difference, others['x_est'])
-
-
-def same_states(observers: Records, others: Records) -> bool:
-    """Return whether observers have as many states as others, records of `OBSERVER`."""
-    return all((observers[name] == others[name]).all() for name in ('states', 'order'))
 
 
 def _predicted_feedback(observers: Records) -> Matrix:
@@ -250,18 +239,10 @@ def rescale(observers: Records, factors: Vector) -> None:
 
 def continue_at(observers: Records, held: Mask, force: Vector) -> None:
     """
-    Go on after a pause.
+    Go on after a pause; records of `OBSERVER`, changed, and measured forces [N], shape (r,).
 
-    Parameters
-    ----------
-    observers
-        Records of `OBSERVER`, changed, shape (r,).
-    held
-        Contacts that stayed pressed, shape (r,): these go on from the measured force, at rest,
-        with the disturbance p from before. The others start anew.
-    force
-        Measured forces, shape (r,) [N].
-
+    Contacts that stayed pressed, `held`, go on from the measured force, at rest, with the
+    disturbance p from before. The others start anew.
     """
     observers['running'] &= held
     for observer, is_held, alpha in zip(observers, held, force):

@@ -24,10 +24,9 @@ from typing import Any
 from multicontact_control.algebra import cholesky, dot, multiply, solve_cholesky
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.config import ForceConfig
 from multicontact_control.config.contact import FORCE
-from multicontact_control.config.force import AdaptiveStiffnessConfig, ForceConfig
 from multicontact_control.force.plant import DelayedPlant
-from multicontact_control.records import LIMITS
 import numpy as np
 
 SLOW_BAND, FAST_BAND = (3.0, 20.0), (6.0, 30.0)  # Hz: of the high-pass, and of three low-passes
@@ -156,12 +155,11 @@ def adopt_stiffness(
     Fill in a record of `STIFFNESS` whose model starts from a stiffness [N/m] and its plant.
 
     Period h [s], mass beyond the sensor [kg], and the true over modelled stiffness up to which
-    the loop is stable, of `model_stiffnesses`.
+    the loop is stable, of `LIMITS` models from the softest to the stiffest, equal ratios apart.
     """
-    adaptive: AdaptiveStiffnessConfig = config.adaptive
     values = {
         'adaptive': True, 'period': period, 'tool_mass': tool_mass,
-        'lowest': adaptive.lowest, 'highest': adaptive.highest,
+        'lowest': config.adaptive.lowest, 'highest': config.adaptive.highest,
         'fastest_pole': 1.0 / config.time_constant, 'pole_ratio': config.second_pole_ratio,
         'ratio_limit': ratio_limits, 'k': stiffness, 'c': 0.0}
     for name, value in values.items():
@@ -171,11 +169,6 @@ def adopt_stiffness(
     record['delay_gain'][:len(gains)], record['input_gain'] = gains, input_gain
     adopt_band(record['slow'], SLOW_BAND, period, MEMORY)
     adopt_band(record['fast'], FAST_BAND, period, FAST_MEMORY)
-
-
-def model_stiffnesses(config: AdaptiveStiffnessConfig) -> Vector:
-    """Return some stiffnesses that a model may come to, from the lowest on [N/m]."""
-    return np.geomspace(config.lowest, config.highest, LIMITS)
 
 
 def predictor_gains(plant: DelayedPlant, stiffness: float) -> tuple[Matrix, Vector]:
@@ -355,8 +348,7 @@ def learn_stiffness(laws: Any, contacts: Any, which: int, control: Any, speed: f
     if stiffness.k_est > 0.0:
         contact.ratio_bound = (stiffness.k_est + 2.0 * stiffness.k_std) / stiffness.k
         limits = stiffness.ratio_limit
-        place = (limits.shape[0] - 1) * np.log(stiffness.k / stiffness.lowest) / np.log(
+        place = np.log(stiffness.k / stiffness.lowest) / np.log(
             stiffness.highest / stiffness.lowest)
-        i = min(int(place), limits.shape[0] - 2)
-        contact.margin = (limits[i] + (place - i) * (limits[i + 1] - limits[i])) / (
-            contact.ratio_bound)
+        contact.margin = np.interp(
+            place, np.linspace(0.0, 1.0, limits.shape[0]), limits) / contact.ratio_bound

@@ -14,12 +14,12 @@ from multicontact_control.force.observer import (
     predict,
     rescale,
 )
-from multicontact_control.force.plant import ackermann, delayed_plant
+from multicontact_control.force.plant import delayed_plant
 from multicontact_control.records import MAX_ORDER
 from numba import njit
 import numpy as np
 import pytest
-from scipy.signal import lsim, place_poles
+from scipy.signal import lsim
 
 K = 6000.0
 
@@ -42,12 +42,9 @@ def test_delayed_plant_agrees_with_the_continuous_one(k_2, delay):
         np.array(states)[:, :2], expected[::fine], rtol=1e-8, atol=1e-9)
 
 
-@pytest.mark.parametrize(('arguments', 'field'), [
-    ((0.0, 20.0, 0.006, H), 'stiffness'), ((K, -1.0, 0.006, H), 'damping_rate'),
-    ((K, 20.0, 0.0201, H), 'input_delay'), ((float('nan'), 20.0, 0.006, H), 'stiffness')])
-def test_delayed_plant_refuses_values_out_of_range(arguments, field):
-    with pytest.raises(ConfigError, match=f'^{field}: expected'):
-        delayed_plant(*arguments)
+def test_delayed_plant_refuses_more_than_ten_periods_of_delay():
+    with pytest.raises(ConfigError, match='^input_delay: expected'):
+        delayed_plant(K, 20.0, 0.0201, H)
 
 
 @pytest.mark.parametrize('delay', [0.0, 0.002, 0.006, 0.0125])
@@ -59,14 +56,6 @@ def test_place_poles_places_the_designed_poles(delay):
         np.poly(loop.closed_loop), np.poly([pole, pole] + [0.0] * (n - 2)), atol=1e-9)
     settled = np.linalg.solve(np.eye(n) - loop.closed_loop, loop.plant.Gamma * loop.L[0] * 10.0)
     assert settled[0] == pytest.approx(10.0, rel=1e-9)
-
-
-def test_ackermann_agrees_with_scipy_for_distinct_poles():
-    plant = delayed_plant(K, 20.0, 0.006, H)
-    poles = [0.9, 0.85, 0.1, 0.05, -0.1]
-    reference = place_poles(plant.Phi, plant.Gamma[:, None], poles).gain_matrix[0]
-    np.testing.assert_allclose(
-        ackermann(plant.Phi, plant.Gamma, poles), reference, rtol=1e-6)
 
 
 @pytest.fixture
@@ -87,9 +76,10 @@ def force_error(loop, order, disturbance):
 @pytest.mark.parametrize('order', [0, 1, 2, 3])
 def test_observer_is_equations_34_to_41_in_full_matrices(loop, order, every):
     """With a variance that jumps; a sample without a wrench has an infinite one."""
-    options = {'order': order, 'process_noise': 2e-3, 'initial_covariance': 5e-3}
+    options = {'order': order, 'process_noise': 2e-3}
     observer, random = ActiveObserver(loop, **options), np.random.default_rng(4)
-    literal = equations.Observer(loop.plant.Phi, loop.plant.Gamma, loop.L, **options)
+    literal = equations.Observer(
+        loop.plant.Phi, loop.plant.Gamma, loop.L, initial_covariance=1e-3, **options)
     literal.reset(1.0)
     for k in range(200):
         force, variance = random.normal(5.0) if k else 1.0, 10.0 ** random.uniform(-2, 2)

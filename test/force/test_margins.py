@@ -46,19 +46,6 @@ def test_steady_gain_is_where_the_observer_settles(order, variance):
         steady_gain(observer.design, variance), settled, rtol=1e-6, atol=1e-12)
 
 
-@pytest.mark.parametrize('order', range(4))
-def test_closed_loop_with_the_right_model_separates(order):
-    """Its eigenvalues are those of the feedback, of the filter, (1 - K C) Phi_n, and of y."""
-    observer = observer_of(order)
-    gain, matrix = steady_gain(observer.design, 0.6), loop_of(law_of(observer, 0.6))
-    n = observer.design.Phi_n.shape[0]
-    correction = np.eye(n) - np.outer(gain, np.eye(n)[0])
-    expected = np.polymul(
-        np.poly(observer.design.loop.closed_loop), np.poly(correction @ observer.design.Phi_n))
-    np.testing.assert_allclose(np.poly(matrix), np.append(expected, 0.0), atol=1e-6)
-    assert spectral_radius(matrix) < 1.0
-
-
 @pytest.mark.parametrize(('damping_rate', 'at_rest', 'in_motion'), [
     (20.0, 1.97, 3.16), (60.0, 2.41, 4.44), (100.0, 2.58, 5.44)])
 def test_stable_ratios_are_those_of_the_paper_notes(damping_rate, at_rest, in_motion):

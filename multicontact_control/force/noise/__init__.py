@@ -12,14 +12,12 @@ from multicontact_control.force.noise.innovation import (
 from multicontact_control.force.noise.window import (
     HfWindow,
     lead_filter,
-    LeadFilter,
     LeadWindow,
     Window,
 )
 
 __all__ = [
-    'ESTIMATORS', 'Innovation', 'LeadFilter', 'NoiseEstimator', 'lead_filter',
-    'make_noise_estimator']
+    'ESTIMATORS', 'Innovation', 'NoiseEstimator', 'lead_filter', 'make_noise_estimator']
 
 ESTIMATORS: Mapping[str, type[NoiseEstimator]] = {
     'lead_window': LeadWindow, 'hf_window': HfWindow, 'window': Window, 'fixed': Fixed,

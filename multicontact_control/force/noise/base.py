@@ -20,44 +20,17 @@ class Innovation:
     The innovations of one tick, one per contact.
 
     All entries are 0 of a contact without one: not force controlled, or its observer just started.
-
-    Attributes
-    ----------
-    innovation
-        r = alpha - C x_1, shape (r,) [N].
-    prior_variance
-        C P_1 C^T, the variance of r that the prediction accounts for, shape (r,) [N^2].
-    variance_used
-        R the observer worked with, shape (r,) [N^2].
-
     """
 
-    innovation: Vector
-    prior_variance: Vector
-    variance_used: Vector
+    innovation: Vector  # r = alpha - C x_1, shape (r,) [N]
+    prior_variance: Vector  # C P_1 C^T, what the prediction accounts for, shape (r,) [N^2]
+    variance_used: Vector  # R the observer worked with, shape (r,) [N^2]
 
     @property
     def valid(self) -> Mask:
         """Which contacts have an innovation, shape (r,)."""
         mask: Mask = self.variance_used > 0.0
         return mask
-
-    @property
-    def residual(self) -> Vector:
-        """Return what the correction leaves of r, e = r R / (C P_1 C^T + R), shape (r,) [N]."""
-        return self.innovation * self._share_of_noise()
-
-    @property
-    def posterior_variance(self) -> Vector:
-        """C P C^T = C P_1 C^T R / (C P_1 C^T + R), shape (r,) [N^2]."""
-        return self.prior_variance * self._share_of_noise()
-
-    def _share_of_noise(self) -> Vector:
-        """Return R / (C P_1 C^T + R), 0 where there is no innovation, shape (r,)."""
-        valid = self.valid
-        share: Vector = (np.where(valid, self.variance_used, 0.0)
-                         / np.where(valid, self.prior_variance + self.variance_used, 1.0))
-        return share
 
 
 class NoiseEstimator(ABC):
@@ -124,14 +97,11 @@ class NoiseEstimator(ABC):
             If an array is not of shape (r,).
 
         """
-        if alpha.shape != self._alpha.shape:
-            require_shape('alpha', alpha, self._alpha.shape)
+        require_shape('alpha', alpha, self._alpha.shape)
         self._alpha[:] = alpha  # whatever its layout: numba would compile anew for another one
         if not self._take(innovation):
             self.dropped += 1
         bounded: Vector = np.clip(self._variance, VARIANCE_FLOOR, VARIANCE_CEILING)
-        if self._largest_step == math.inf:
-            return bounded
         self._given = np.clip(
             bounded, self._given / self._largest_step, self._given * self._largest_step)
         return self._given.copy()

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 from abc import abstractmethod
 
-from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
+from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.force.noise import base
 from multicontact_control.force.noise.base import Innovation, NoiseEstimator, usable
 import numpy as np
 
 BAYES_ITERATIONS = 3  # per sample
+
+
+def corrected_square(innovation: Innovation, variance: Vector) -> Vector:
+    """
+    Return e^2 + C P C^T, what a correction with R, shape (r,) [N^2], leaves of an innovation.
+
+    e = r R / (C P_1 C^T + R), and C P C^T = C P_1 C^T R / (C P_1 C^T + R); 0 for R = 0.
+    """
+    share = variance / np.where(variance > 0.0, innovation.prior_variance + variance, 1.0)
+    square: Vector = (innovation.innovation * share) ** 2 + innovation.prior_variance * share
+    return square
 
 
 class InnovationEstimator(NoiseEstimator):
@@ -22,11 +33,8 @@ class InnovationEstimator(NoiseEstimator):
             return False
         if innovation is None:
             return True
-        parts = {name: getattr(innovation, name)
-                 for name in ('innovation', 'prior_variance', 'variance_used')}
-        for name, values in parts.items():
-            require_shape(name, values, self._alpha.shape)
-        if not all(usable(values) for values in parts.values()):
+        if not all(usable(values) for values in (
+                innovation.innovation, innovation.prior_variance, innovation.variance_used)):
             return False
         estimate, known = self._estimate_from(innovation)
         self._variance[:] = np.where(known, self.config.variance_scale * estimate, self._variance)
@@ -80,7 +88,7 @@ class SageHusa(InnovationEstimator):
         b = self._kept
         self._count = self._count + valid
         weight = (1.0 - b) / (1.0 - b ** np.maximum(self._count, 1.0))
-        term = innovation.residual ** 2 + innovation.posterior_variance
+        term = corrected_square(innovation, innovation.variance_used)
         # Without the bound one wild sample would be remembered for thousands of ticks.
         mean = np.minimum((1.0 - weight) * self._mean + weight * term,
                           base.VARIANCE_CEILING / self.config.variance_scale)
@@ -110,8 +118,7 @@ class VariationalBayes(InnovationEstimator):
         prior = rho * self._scale
         scale = self._scale
         for _ in range(BAYES_ITERATIONS):
-            share = Innovation(innovation.innovation, innovation.prior_variance, scale / shape)
-            scale = prior + 0.5 * (share.residual ** 2 + share.posterior_variance)
+            scale = prior + 0.5 * corrected_square(innovation, scale / shape)
         # Without the bound one wild sample would be remembered for thousands of ticks.
         scale = np.minimum(
             scale, shape * base.VARIANCE_CEILING / self.config.variance_scale)

@@ -23,11 +23,6 @@ class LeadFilter:
     zero: float  # c
     gain: float  # b
 
-    def variance_factor(self) -> float:
-        """Variance of the output for white noise of unit variance at the input."""
-        a, c, b = self.pole, self.zero, self.gain
-        return b * b * (1.0 + (a - c) ** 2 / (1.0 - a * a))
-
 
 def lead_filter(
     zero_frequency: float, pole_frequency: float, rate: float, normalisation: Normalisation = 'dc',
@@ -36,7 +31,7 @@ def lead_filter(
     Design G_f (P04 eq. 42).
 
     With a DC gain of 1, as the paper says, a zero below the pole makes it a lead, which amplifies
-    noise by `variance_factor`. With a gain of 1 at half the rate it is a high-pass filter.
+    noise. With a gain of 1 at half the rate it is a high-pass filter.
 
     Frequencies of the continuous filter [Hz] are mapped by z = exp(-2 pi f h), h = 1 / rate.
     """

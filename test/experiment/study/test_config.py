@@ -147,7 +147,8 @@ def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_fi
     assert labels == {*kinds, 'window rescaled', 'innovation matched'}
     usual = setups['active state', 'lead_window']
     config = usual.noise_estimator
-    gain = lead_filter(config.zero_frequency, config.pole_frequency, config.rate).variance_factor()
+    f = lead_filter(config.zero_frequency, config.pole_frequency, config.rate)
+    gain = f.gain ** 2 * (1.0 + (f.pole - f.zero) ** 2 / (1.0 - f.pole ** 2))  # of white noise
     rescaled, matched = (setups['active state', label]
                          for label in ('window rescaled', 'innovation matched'))
     assert rescaled.noise_estimator.variance_scale == pytest.approx(gain, rel=1e-12)
