@@ -3,6 +3,8 @@
 from importlib.util import find_spec
 
 from multicontact_control.errors import ConfigError
+import numpy as np
+import pinocchio as pin
 import pytest
 from sim_bridge.robots import find_robot, robot_names, urdf_path
 
@@ -30,3 +32,11 @@ def robot_parameters(names):
 
 ROBOTS = robot_parameters(robot_names())
 OTHERS = robot_parameters([name for name in robot_names() if name != 'puma'])
+
+
+def carried(arm):
+    """Return the inertia that hangs on the sensor, in its frame."""
+    com = arm.tool.com.se3
+    tool = pin.Inertia(arm.tool.mass, com.translation,
+                       com.rotation @ np.diag(arm.tool.inertia) @ com.rotation.T)
+    return tool + pin.Inertia(arm.face_mass, np.zeros(3), 1e-6 * np.eye(3))

@@ -4,7 +4,7 @@ from multicontact_control.config import validate
 import numpy as np
 import pinocchio as pin
 import pytest
-from robots import ENGINES, needs_mujoco, ROBOTS
+from robots import carried, ENGINES, needs_mujoco, ROBOTS
 from sim_bridge.arm import SENSOR_FRAME
 from sim_bridge.config import PlantConfig
 from sim_bridge.plant import make_engine, Plant
@@ -19,14 +19,6 @@ def plant_config(name, **changes):
     plant = validate(PlantConfig, find_robot(name).plant_values('rigid'))
     sensor = plant.sensor.model_copy(update=IDEAL)
     return plant.model_copy(update={'substep': STEP, 'sensor': sensor, **changes})
-
-
-def carried(arm):
-    """Return the inertia that hangs on the sensor, in its frame."""
-    com = arm.tool.com.se3
-    tool = pin.Inertia(arm.tool.mass, com.translation,
-                       com.rotation @ np.diag(arm.tool.inertia) @ com.rotation.T)
-    return tool + pin.Inertia(arm.face_mass, np.zeros(3), 1e-6 * np.eye(3))
 
 
 @pytest.mark.parametrize('engine', ENGINES)

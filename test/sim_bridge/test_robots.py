@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 import pybullet as bullet
 import pytest
-from robots import OTHERS, ROBOTS
+from robots import carried, OTHERS, ROBOTS
 from sim_bridge.config import PlantConfig
 from sim_bridge.new_robot import new_robot
 from sim_bridge.posture import condition, frame_pose
@@ -70,10 +70,7 @@ def test_urdf_that_is_written_gives_the_same_arm_back(tmp_path, name):
 def test_arm_moves_its_mount_and_its_masses_as_the_vendor_does(name, rng):
     """M = M_vendor + J^T I_tool J, but for the Panda, whose file has a hand there."""
     arm, own, file = find_robot(name).arm, vendor(name), find_robot(name).file
-    model, turn, com = arm.model(), pin.rpy.rpyToMatrix(*file.mount_rpy), arm.tool.com.se3
-    tool = pin.Inertia(arm.tool.mass, com.translation,
-                       com.rotation @ np.diag(arm.tool.inertia) @ com.rotation.T)
-    tool += pin.Inertia(arm.face_mass, np.zeros(3), 1e-6 * np.eye(3))
+    model, turn, tool = arm.model(), pin.rpy.rpyToMatrix(*file.mount_rpy), carried(arm)
     own.armature = np.zeros(own.nv)
     data, other = model.createData(), own.createData()
     for _ in range(3):

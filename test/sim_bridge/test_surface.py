@@ -6,12 +6,11 @@ import pytest
 from sim_bridge.config import SurfaceConfig
 from sim_bridge.surface import (
     build_surfaces,
-    mean_depth,
     POINTS_PER_LENGTH,
     press,
     roughness_profile,
 )
-from sim_bridge.surface_patch import surface_patch, SurfaceMarkers
+from sim_bridge.surface_patch import SurfaceMarkers
 
 NORMAL = np.array([0.0, 0.6, -0.8])
 
@@ -100,18 +99,6 @@ def test_curved_surface_is_pressed_towards_its_centre_or_axis(shape, radius, rng
         normal = np.sign(radius) * way / np.linalg.norm(way)
         np.testing.assert_allclose(
             record['force'], 6000.0 * max(0.0, depth) * normal, atol=1e-9)
-
-
-@pytest.mark.parametrize('normal', [(1.0, 0.0, 0.0), (0.6, 0.0, -0.8)])
-@pytest.mark.parametrize(('shape', 'radius'), [
-    ('plane', 0.0), ('cylinder', 1.0), ('cylinder', -0.5), ('sphere', 0.2), ('sphere', -1.0)])
-def test_patch_lies_on_the_mean_surface(normal, shape, radius):
-    patch = surface_patch(np.array(normal), radius, ball=shape == 'sphere')
-    front = patch.vertices[:len(patch.vertices) // 2]
-    (record,), _ = surface(normal_world=normal, shape=shape, radius=radius)
-    for vertex in front:
-        record['point'] = record['place'] + vertex
-        assert mean_depth(record) == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(('scenario', 'names', 'shown'), [
