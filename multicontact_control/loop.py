@@ -15,8 +15,8 @@ from pathlib import Path
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.geometry import offset_shares
+from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control.tasks import CommandedTask, MotionReading, TaskSource
-from multicontact_control.control.tick import ControlOutput
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sensor.push_test import PushGate, PushTestConfig
@@ -138,7 +138,7 @@ class ControlLoop:
         if self.config.wrench_input == 'momentum':
             raise CommandError(
                 'wrench_input', got='momentum', hint=f'a {purpose} needs a wrist sensor')
-        if self.output is not None and self.output.active.any():
+        if self.output is not None and self.output.answer['active'].any():
             raise CommandError('contacts', hint='let go of them first: command 0 N')
         if self.supervisor.reactions.presses:
             raise CommandError('contacts', hint='wait: a reaction still presses one')

@@ -117,7 +117,7 @@ def make_contact(bench, force=6.0):
     bench.press('table', force)
     bench.step(60)
     assert bench.states['table'] == 'holding'
-    assert bench.loop.output.alpha_des[0] == pytest.approx(force)
+    assert bench.loop.output.answer['alpha_des'][0] == pytest.approx(force)
 
 
 def test_loop_seeks_holds_and_releases_a_commanded_force_and_forgets_it_at_a_restart():
@@ -126,7 +126,7 @@ def test_loop_seeks_holds_and_releases_a_commanded_force_and_forgets_it_at_a_res
     bench.loop.set_forces({'table': 0.0})
     bench.step(2)
     assert bench.states['table'] == 'free'
-    assert not bench.loop.output.alpha_des.any()
+    assert not bench.loop.output.answer['alpha_des'].any()
     bench.push = np.zeros(6)
     make_contact(bench)
     bench.push = np.zeros(6)
@@ -212,7 +212,7 @@ def test_hold_keeps_pose_and_force_and_its_release_has_no_jump():
     bench.step(300)
     desired = bench.loop.output.pose_des.position_world
     assert bench.states == {'table': 'holding', 'board': 'free'}
-    assert bench.loop.output.alpha_des == pytest.approx([6.0, 0.0])
+    assert bench.loop.output.answer['alpha_des'] == pytest.approx([6.0, 0.0])
     np.testing.assert_allclose(desired, bench.state.pose.position_world, atol=1e-9)
     bench.assert_refused('~/hold: the arm is held', lambda: bench.loop.set_forces({'table': 1}))
     before = bench.step()
@@ -324,7 +324,8 @@ def test_loop_commands_finite_torques_within_limits_for_any_input(
                                   for i, (good, bad) in enumerate(zip(inputs, case))))
         torques.append(loop.step(inputs))
         output = loop.output
-        for values in (output.alpha_meas, output.alpha_est, output.alpha_des, *output.pose,
+        for values in (output.contacts['alpha_meas'], output.answer['alpha_est'],
+                       output.answer['alpha_des'], *output.pose,
                        *output.pose_des):
             assert np.isfinite(values).all()
     assert np.isfinite(torques).all()
@@ -406,7 +407,7 @@ def test_reaction_that_presses_can_be_turned_into_a_hold():
     bench.step(200)
     assert (bench.reaction, bench.loop.held) == ('none', True)
     assert bench.states == {'table': 'holding', 'board': 'free'}
-    np.testing.assert_allclose(bench.loop.output.alpha_des, [6.0, 0.0])
+    np.testing.assert_allclose(bench.loop.output.answer['alpha_des'], [6.0, 0.0])
 
 
 @pytest.mark.parametrize('missing', [None, np.zeros(6), np.full(6, np.nan)])
@@ -437,7 +438,7 @@ def test_commands_are_refused_before_control_begins(changes, message):
     bench.step(10)
     bench.assert_refused(message)
     bench.step(10)
-    assert not bench.loop.output.active.any()
+    assert not bench.loop.output.answer['active'].any()
 
 
 def test_stream_of_commands_does_not_seek_a_given_up_contact_again():

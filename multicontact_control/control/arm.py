@@ -11,7 +11,7 @@ from multicontact_control.contact.wrench import measure_contacts, operational_wr
 from multicontact_control.dynamics.operational_space import mobility_and_inertia
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
-from multicontact_control.records import CONTACT, CONTROL, JOINT
+from multicontact_control.records import JOINT
 import numpy as np
 
 # What `see_arm` returns: that the model gave no numbers, or what is unusual, added up.
@@ -34,21 +34,17 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
     dr/dt = K (Gamma - M dv/dt - C v - g - F_c tanh(v / v_0) - F_v v - J^T f - r), the
     generalised-momentum observer, one sample at a time. f is the wrench at the wrist sensor (0
     where the residual is the input), so that r is J_i^T f_i of the contacts before it. They count
-    from the threshold of a residual until it falls below half of that. What the residual follows
-    is summed up; its mean along the first motion of a joint, beyond that at rest, is friction
-    that is not compensated, and raises the threshold, less a standard deviation.
-    `control.momentum` and `joints` are changed.
+    from the threshold of a residual until it falls below half of that. `control.momentum` and
+    `joints` are changed.
     """
     momentum, law, frame, tool = control.momentum, control.law, control.frame, control.tool
     n = joints.shape[0]
     lever, velocity, moment = np.empty(3), np.empty(3), np.empty(3)
-    for i in range(3):  # to the tool's centre of mass
-        lever[i] = frame.sensor_position[i] - frame.position[i]
-        for j in range(3):
-            lever[i] += frame.sensor_rotation[i, j] * tool.com_sensor[j]
+    multiply(frame.sensor_rotation, tool.com_sensor, lever)
+    lever += frame.sensor_position - frame.position  # to the tool's centre of mass
     velocity_at(frame.twist, lever, velocity)
     if momentum.elapsed > 0.0:
-        wrench, taken, inertial, felt = np.zeros(6), np.empty(n), np.empty(n), np.zeros(n)
+        wrench, inertial, felt = np.zeros(6), np.zeros(n), np.empty(n)
         if not momentum.is_input:
             # Of what the sensor feels, the arm's model has the tool's inertia already.
             operational_wrench(control, wrench)
@@ -56,68 +52,75 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
             cross(lever, inertia, moment)
             wrench[:3] -= inertia
             wrench[3:] -= moment
-        finite = True
+        multiply(jacobian.T, wrench, felt)
+        speeds = joints['velocity']
+        change, direction = speeds - joints['last_velocity'], np.tanh(speeds / law.friction_speed)
         for i in range(n):
-            joint = joints[i]
-            inertial[i] = 0.0
             for j in range(n):
-                inertial[i] += mass_matrix[min(i, j), max(i, j)] * (
-                    joints[j].velocity - joints[j].last_velocity)
-            inertial[i] /= momentum.elapsed
-            taken[i] = joint.effort - inertial[i] - 0.5 * (joint.bias_torque + joint.last_bias)
-            taken[i] -= joint.coulomb * np.tanh(joint.velocity / law.friction_speed)
-            taken[i] -= joint.viscous * joint.velocity
-            for k in range(6):
-                felt[i] += jacobian[k, i] * wrench[k]
-            taken[i] -= felt[i]
-            finite = finite and np.isfinite(taken[i])
+                inertial[i] += mass_matrix[min(i, j), max(i, j)] * change[j]
+        inertial /= momentum.elapsed
+        taken = joints['effort'] - inertial - 0.5 * (joints['bias_torque'] + joints['last_bias'])
+        taken -= joints['coulomb'] * direction
+        taken -= joints['viscous'] * speeds
+        taken -= felt
         share = 1.0 - np.exp(-momentum.bandwidth * momentum.elapsed)
         touched, factor = False, RELEASE if momentum.collided else 1.0
-        fading = np.exp(-momentum.elapsed / FADING_TIME)
+        finite = np.isfinite(taken).all()
         for i in range(n):
-            joint, evidence = joints[i], joints[i].evidence
+            joint = joints[i]
             if finite:
                 joint.residual += share * (taken[i] - joint.residual)
                 joint.slack += share * (
                     momentum.dynamic_share * abs(inertial[i]) + joint.doubt - joint.slack)
-                direction = np.tanh(joint.velocity / law.friction_speed)
-                moving = direction ** 2 * momentum.elapsed
-                if evidence.rested < REST_TIME:
-                    evidence.rested += momentum.elapsed
-                    evidence.at_rest += (momentum.elapsed - moving) / evidence.rested * (
-                        joint.residual - evidence.at_rest)
-                beyond = joint.residual - evidence.at_rest
-                evidence.power = fading * evidence.power + momentum.elapsed * beyond ** 2
-                for k, value in enumerate((
-                        direction, joint.velocity,
-                        (joint.velocity - joint.last_velocity) / momentum.elapsed, felt[i])):
-                    value = evidence.regressor[k] + share * (value - evidence.regressor[k])
-                    evidence.regressor[k] = value
-                    for sums, other in ((evidence.square, value), (evidence.product, beyond)):
-                        sums[k] = fading * sums[k] + momentum.elapsed * value * other
-                if evidence.moved < LEARNING_TIME and not momentum.collided:
-                    evidence.moved += moving
-                    weight = moving / (evidence.moved + PRIOR_TIME)
-                    evidence.friction += weight * (
-                        beyond * np.sign(direction) - evidence.friction)
-                    evidence.mean_square += weight * (beyond ** 2 - evidence.mean_square)
-                if joint.learnt_limit > 0.0:
-                    least = joint.least_threshold
-                    if evidence.moved < LEARNING_TIME:
-                        least = max(least, min(UNPROVEN_THRESHOLD, joint.learnt_limit))
-                    # Of what touches the arm, which grows, the deviation is near the mean.
-                    learnt = evidence.friction - np.sqrt(
-                        max(evidence.mean_square - evidence.friction ** 2, 0.0))
-                    if learnt > joint.learnt_limit:
-                        learnt = joint.learnt_limit
-                    # No number, as after an impossible effort, is no friction.
-                    joint.threshold = least + (
-                        learnt if learnt > joint.allowance else joint.allowance)
+                learn_friction(
+                    momentum, joint, share, direction[i], change[i] / momentum.elapsed, felt[i])
             limit = joint.threshold + joint.slack
             touched = touched or abs(joint.residual) > factor * limit
         momentum.collided = touched
     momentum.com_velocity[:] = velocity
     return bool(momentum.collided)
+
+
+@compiled
+def learn_friction(
+    momentum: Any, joint: Any, share: float, direction: float, acceleration: float, felt: float,
+) -> None:
+    """
+    Sum up what the residual of a joint follows (`REGRESSORS`), and set its threshold.
+
+    The mean of the residual along the first motion of a joint, beyond that at rest, is friction
+    that is not compensated, and raises the threshold, less a standard deviation.
+    """
+    elapsed, evidence = momentum.elapsed, joint.evidence
+    moving = direction ** 2 * elapsed
+    if evidence.rested < REST_TIME:
+        evidence.rested += elapsed
+        evidence.at_rest += (elapsed - moving) / evidence.rested * (
+            joint.residual - evidence.at_rest)
+    beyond = joint.residual - evidence.at_rest
+    fading = np.exp(-elapsed / FADING_TIME)
+    evidence.power = fading * evidence.power + elapsed * beyond ** 2
+    for k, value in enumerate((direction, joint.velocity, acceleration, felt)):
+        value = evidence.regressor[k] + share * (value - evidence.regressor[k])
+        evidence.regressor[k] = value
+        for sums, other in ((evidence.square, value), (evidence.product, beyond)):
+            sums[k] = fading * sums[k] + elapsed * value * other
+    if evidence.moved < LEARNING_TIME and not momentum.collided:
+        evidence.moved += moving
+        weight = moving / (evidence.moved + PRIOR_TIME)
+        evidence.friction += weight * (beyond * np.sign(direction) - evidence.friction)
+        evidence.mean_square += weight * (beyond ** 2 - evidence.mean_square)
+    if joint.learnt_limit > 0.0:
+        least = joint.least_threshold
+        if evidence.moved < LEARNING_TIME:
+            least = max(least, min(UNPROVEN_THRESHOLD, joint.learnt_limit))
+        # Of what touches the arm, which grows, the deviation is near the mean.
+        learnt = evidence.friction - np.sqrt(
+            max(evidence.mean_square - evidence.friction ** 2, 0.0))
+        if learnt > joint.learnt_limit:
+            learnt = joint.learnt_limit
+        # No number, as after an impossible effort, is no friction.
+        joint.threshold = least + (learnt if learnt > joint.allowance else joint.allowance)
 
 
 @compiled
@@ -208,8 +211,7 @@ class ArmState:
     robot
         Its model.
     controls, contacts
-        One record of `CONTROL` and records of `CONTACT`, shape (r,), to be filled in; its own and
-        no contacts if not given.
+        One record of `CONTROL` and records of `CONTACT`, shape (r,), to be filled in.
 
     Attributes
     ----------
@@ -226,16 +228,13 @@ class ArmState:
 
     """
 
-    def __init__(
-        self, robot: RobotModel, controls: Any = None, contacts: Any = None,
-    ) -> None:
+    def __init__(self, robot: RobotModel, controls: Any, contacts: Any) -> None:
         self.robot = robot
         self.motion: Matrix = np.zeros((2, robot.joint_count))
         self.q, self.velocity = self.motion
         self.joints: Any = np.zeros(robot.joint_count, dtype=JOINT)
-        self._controls = np.zeros(1, dtype=CONTROL) if controls is None else controls
-        self._contacts = np.zeros(0, dtype=CONTACT) if contacts is None else contacts
-        self.frames: Any = self._controls['frame']
+        self._controls, self._contacts = controls, contacts
+        self.frames: Any = controls['frame']
         self.joints['speed_limit'] = np.inf
         self.frames['speed_limit'] = self.frames['turn_limit'] = np.inf
         self.inertia: Vector = self.joints['inertia']
@@ -248,15 +247,10 @@ class ArmState:
         """Whether the model gave finite numbers; if not, the arm is where it was before."""
         return self.flags != NO_NUMBERS
 
-    def update(self, q: Vector, velocity: Vector) -> bool:
-        """Take in joint positions [rad] and velocities [rad/s], shape (n,); see `refresh`."""
-        self.q[:], self.velocity[:] = q, velocity
-        return self.refresh()
-
     def refresh(self) -> bool:
         """Take in what has been written into `motion`; return whether the model is `finite`."""
         terms = self.robot.compute(self.q, self.velocity)
         self.flags = see_arm(
             self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
             terms.placements, self.joints, self._controls, self._contacts)
-        return self.flags != NO_NUMBERS
+        return self.finite

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
-from multicontact_control.arrays import Mask, require_shape, Vector
+from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import ControllerConfig, ToolConfig
 from multicontact_control.contact.geometry import check_columns, loop_stiffnesses, place_columns
 from multicontact_control.contact.wrench import tool_between, tool_record
 from multicontact_control.control.arm import AMBIGUOUS, ArmState
 from multicontact_control.control.law import control_law, DEPENDENT, LIMITED
 from multicontact_control.control.tasks import quintic
-from multicontact_control.control.tick import ControlOutput
-from multicontact_control.dynamics.operational_space import STOP_MARGIN, task_inertia
+from multicontact_control.dynamics.operational_space import MAX_CONDITION, STOP_MARGIN
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError, ContactGeometryError, SingularTaskError
@@ -22,11 +21,40 @@ from multicontact_control.force.observer import rescale
 from multicontact_control.records import CONTACT, CONTROL, LAW, Records
 import numpy as np
 
-TASK_SIZE = 6  # joints with which an arm has no null space
 STOP_RATIO = 4.0  # frequency by which joints are kept off their stops, over the posture's
 SINGULAR_MOBILITY = 0.004  # 1/kg, eigenvalue of J M^-1 J^T up to which Lambda is damped
 LEAST_TASK_SHARE = 0.5  # of the task at a torque limit; the rest is cut joint by joint
 LARGEST_DRIFT = 0.02  # of a stiffness, from which on an observer is redesigned
+
+
+class ControlOutput(NamedTuple):
+    """The answer to one sample; its records cannot be written to."""
+
+    torque: Vector  # Gamma, shape (n,) [N m]
+    contacts: Records  # of `CONTACT`: all that there is to say of every contact, shape (r,)
+    controls: Records  # one of `CONTROL`: the arm, and what it is asked for
+
+    @property
+    def pose(self) -> Pose:
+        """Return the pose of the operational frame."""
+        frame: Any = self.controls['frame'][0]
+        return Pose(frame['position'], frame['rotation'])
+
+    @property
+    def pose_des(self) -> Pose:
+        """Return the desired pose of the operational frame."""
+        task: Any = self.controls['task'][0]
+        return Pose(task['position'], task['rotation'])
+
+    @property
+    def answer(self) -> Any:
+        """
+        Return what the law makes of every contact, records of `FORCE_ANSWER`, shape (r,).
+
+        Estimates and desired forces are 0 where no force is controlled; `innovation`,
+        `prior_variance` and `variance_used` also for the sample with which control starts.
+        """
+        return self.contacts['answer']
 
 
 class Controller:
@@ -78,13 +106,9 @@ class Controller:
         self.contacts: Any = np.zeros(count, dtype=CONTACT)
         self.arm = ArmState(robot, self.controls, self.contacts)
         self.active: Mask = self.contacts['answer']['active']
-        joints = self.arm.joints
         self.measured = (self.arm.motion, self.controls['wrench'][0],
                          self.contacts['noise_variance'])
-        self.torque: Vector = joints['torque']
-        # numpy copies a structured array field by field, which takes five times as long.
-        self._contact_bytes = self.contacts.view(np.uint8)
-        self._control_bytes = self.controls.view(np.uint8)
+        self.torque: Vector = self.arm.joints['torque']
         self._adopt(config)
         check_columns(config.column_names, self.contacts)
         self.reset()
@@ -168,26 +192,13 @@ class Controller:
 
     def take(self, q: Vector, qd: Vector, wrench_sensor: Vector) -> None:
         """
-        Take in and see a sample that no input stage has written into `measured`.
+        See a sample that no input stage has written into `measured`.
 
-        Parameters
-        ----------
-        q, qd
-            Joint positions [rad] and velocities [rad/s], shape (n,).
-        wrench_sensor
-            Reading of the wrist sensor in its frame, force first, shape (6,) [N, N m].
-
-        Raises
-        ------
-        ShapeError
-            If an array is not of the robot's size.
-
+        Joint positions [rad] and velocities [rad/s], shape (n,), and what the wrist sensor reads
+        in its frame, force first, shape (6,) [N, N m].
         """
-        (own_q, own_qd), wrench, _ = self.measured
-        for name, values, place in (
-                ('q', q, own_q), ('qd', qd, own_qd), ('wrench_sensor', wrench_sensor, wrench)):
-            require_shape(name, values, place.shape)
-            place[:] = values
+        motion, wrench, _ = self.measured
+        motion[:], wrench[:] = (q, qd), wrench_sensor
         self.arm.refresh()
 
     def start(self) -> Pose:
@@ -239,9 +250,9 @@ class Controller:
 
     def output(self, torque: Vector) -> ControlOutput:
         """Return an answer to the sample that has been seen."""
-        return ControlOutput(
-            torque, np.frombuffer(self._contact_bytes.tobytes(), CONTACT),
-            np.frombuffer(self._control_bytes.tobytes(), CONTROL))
+        return ControlOutput(  # numpy copies a structured array field by field: slowly
+            torque, np.frombuffer(self.contacts.tobytes(), CONTACT),
+            np.frombuffer(self.controls.tobytes(), CONTROL))
 
     def own_weight(self) -> Vector:
         """Return the torque by which drives with `adds_gravity` carry the arm, (n,) [N m]."""
@@ -281,8 +292,11 @@ class Controller:
                 'N: expected independent columns, got normals and contact points of '
                 f'{", ".join(self.config.column_names)} that depend on each other')
         state = self.robot.update(self.arm.q, self.arm.velocity)
-        task_inertia(state.mass_matrix, state.jacobian)  # says what is wrong
-        raise SingularTaskError('J M^-1 J^T: expected a positive definite matrix')
+        eigenvalues = np.linalg.eigvalsh(
+            state.jacobian @ np.linalg.solve(state.mass_matrix, state.jacobian.T))
+        raise SingularTaskError(
+            f'J M^-1 J^T: expected a condition number below {MAX_CONDITION:g}, got eigenvalues '
+            f'from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}')
 
 
 def law_record(config: ControllerConfig) -> Records:
@@ -295,7 +309,7 @@ def law_record(config: ControllerConfig) -> Records:
     law['K_2'] = force.damping_rate
     law['friction_speed'] = config.friction.speed
     law['nullspace_damping'] = config.nullspace_damping
-    if len(config.robot.joint_names) > TASK_SIZE:
+    if len(config.robot.joint_names) > 6:  # which have no null space
         w = config.posture.natural_frequency
         law['nullspace_damping'] = max(config.nullspace_damping, 2.0 * w)
         law['posture_stiffness'], law['stop_stiffness'] = w ** 2, (STOP_RATIO * w) ** 2

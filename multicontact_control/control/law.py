@@ -135,8 +135,7 @@ def control_law(
     mass_matrix, jacobian, jacobian_rate
         M (upper triangle), J and dJ/dt.
     contacts, laws
-        Records of `CONTACT`, with `N` and `alpha_meas`, and of `FORCE_LAW`, both changed, shape
-        (r,).
+        Records of `CONTACT` and `FORCE_LAW`, both changed, shape (r,).
 
     Returns
     -------
@@ -145,30 +144,24 @@ def control_law(
 
     """
     law, frame, task = controls[0].law, controls[0].frame, controls[0].task
-    n = joints.shape[0]
-    count = contacts.shape[0]
-    L = np.empty((n, n))
-    Y = np.empty((n, 6))
-    mobility = np.empty((6, 6))
-    Lambda = np.empty((6, 6))
+    n, count = joints.shape[0], contacts.shape[0]
+    L, Y = np.empty((n, n)), np.empty((n, 6))
+    mobility, Lambda = np.empty((6, 6)), np.empty((6, 6))
     damping = mobility_and_inertia(
         mass_matrix, jacobian, law.singular_mobility, L, Y, mobility, Lambda)
     if damping < 0.0:
         return SINGULAR
     rows, factor = np.zeros((count, 6)), np.empty((count, count))
+    weighted_rows, weighted_factor = np.empty((count, 6)), np.empty((count, count))
     for i in range(count):
         if contacts[i].answer.active:
             rows[i] = contacts[i].N
-    if not factorise_contacts(contacts, False, rows, rows, factor):
-        return DEPENDENT
-    weighted_rows, weighted_factor = rows, factor
-    if law.inertia_metric:
-        weighted_rows = np.empty((count, 6))
-        weighted_factor = np.empty((count, count))
-        for i in range(count):
+        weighted_rows[i] = rows[i]
+        if law.inertia_metric:
             multiply(mobility, rows[i], weighted_rows[i])
-        if not factorise_contacts(contacts, False, rows, weighted_rows, weighted_factor):
-            return DEPENDENT
+    if not (factorise_contacts(contacts, False, rows, rows, factor) and factorise_contacts(
+            contacts, False, rows, weighted_rows, weighted_factor)):
+        return DEPENDENT
     f_t, f_c, acceleration = np.empty(6), np.empty(6), np.empty(6)
     bias, force, inputs = np.empty(6), np.empty(6), np.empty(count)
     motion_law(law, task, frame, f_t)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import math
 from typing import NamedTuple, Protocol
 
@@ -12,7 +12,6 @@ from multicontact_control.config import Config, parameter, UnitVector3
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
-from pydantic import model_validator
 
 STILL = np.zeros(6)  # twist and acceleration
 STILL.flags.writeable = False
@@ -89,12 +88,10 @@ class ReferenceConfig(Config):
     force_steps: tuple[ForceStepConfig, ...] = ()
     motion: SineConfig | None = None
 
-    @model_validator(mode='after')
-    def _check_order(self) -> ReferenceConfig:
+    def _misfits(self) -> Iterator[ConfigError]:
         times = [step.time for step in self.force_steps]
         if times != sorted(times):
-            raise ConfigError('reference.force_steps', 'times in rising order', times)
-        return self
+            yield ConfigError('reference.force_steps', 'times in rising order', times)
 
 
 def quintic(elapsed: float, duration: float) -> tuple[float, float, float]:

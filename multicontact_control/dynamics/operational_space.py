@@ -6,15 +6,13 @@ from typing import Any
 
 from multicontact_control.algebra import (
     cholesky,
-    dot,
     gram,
     multiply,
     solve_lower,
     solve_lower_columns,
 )
-from multicontact_control.arrays import Matrix, require_shape
+from multicontact_control.arrays import Matrix
 from multicontact_control.compiled import compiled
-from multicontact_control.errors import SingularTaskError
 import numpy as np
 
 MAX_CONDITION = 1e8  # of Lambda^-1, from which on a posture is singular
@@ -29,12 +27,10 @@ def mobility_and_inertia(
     """
     Work out Lambda = (J M^-1 J^T)^-1 (P04 eq. 23) and what leads to it.
 
-    M = L L^T, Y = L^-1 J^T, Lambda^-1 = Y^T Y. The condition number of Lambda^-1 is at most the
-    product of the Frobenius norms of the two; only where that is too large is it worked out.
-
-    Below an eigenvalue e_0 of Lambda^-1, d = e_0 / 2 (1 - e / e_0)^2 is added to its diagonal:
-    damped least squares in the metric of M. Lambda then has no eigenvalue above 2 / e_0 and
-    changes smoothly; away from singularities it is exact.
+    M = L L^T, Y = L^-1 J^T, Lambda^-1 = Y^T Y. Below an eigenvalue e_0 of Lambda^-1,
+    d = e_0 / 2 (1 - e / e_0)^2 is added to its diagonal: damped least squares in the metric of M.
+    Lambda then has no eigenvalue above 2 / e_0 and changes smoothly; away from singularities it
+    is exact.
 
     Parameters
     ----------
@@ -56,34 +52,19 @@ def mobility_and_inertia(
     Y[:] = jacobian.T
     solve_lower_columns(L, Y)
     gram(Y, mobility)
-    damping, squared = 0.0, _invert(mobility, Lambda)
-    # 1 / |Lambda| is at most the smallest eigenvalue: mostly that alone says enough.
-    if singular_mobility > 0.0 and not (
-            squared >= 0.0 and np.sqrt(squared) * singular_mobility <= 1.0):
-        smallest = np.linalg.eigvalsh(mobility)[0]
-        if smallest < singular_mobility:
-            damping = 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2
-            for i in range(6):
-                mobility[i, i] += damping
-            squared = _invert(mobility, Lambda)
-    if squared < 0.0:
+    eigenvalues, damping = np.linalg.eigvalsh(mobility), 0.0
+    smallest, largest = eigenvalues[0], eigenvalues[-1]
+    if singular_mobility > 0.0 and smallest < singular_mobility:
+        damping = 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2
+        for i in range(6):
+            mobility[i, i] += damping
+    if not (smallest + damping) * MAX_CONDITION > largest + damping:  # or it is not a number
         return -1.0
-    if np.sqrt(dot(mobility.ravel(), mobility.ravel()) * squared) < MAX_CONDITION:
-        return damping
-    eigenvalues = np.linalg.eigvalsh(mobility)
-    return damping if eigenvalues[0] * MAX_CONDITION > eigenvalues[-1] else -1.0
-
-
-@compiled
-def _invert(A: Matrix, inverse: Matrix) -> float:
-    """Fill in the inverse of a symmetric matrix; return its squared norm, < 0 for no inverse."""
-    factor = np.empty((6, 6))
-    if not cholesky(A, factor, 0.0):
-        return -1.0
-    root = np.eye(6)
+    factor, root = np.empty((6, 6)), np.eye(6)
+    cholesky(mobility, factor, 0.0)
     solve_lower_columns(factor, root)
-    gram(root, inverse)
-    return dot(inverse.ravel(), inverse.ravel())
+    gram(root, Lambda)
+    return damping
 
 
 @compiled
@@ -126,24 +107,3 @@ def add_nullspace_torque(
     for j in range(n):
         for i in range(6):
             joints[j].torque -= jacobian[i, j] * force[i]
-
-
-def task_inertia(mass_matrix: Matrix, jacobian: Matrix) -> Matrix:
-    """
-    Return Lambda = (J M^-1 J^T)^-1 (P04 eq. 23), shape (6, 6) [kg, kg m, kg m^2].
-
-    Of M, shape (n, n), and J, shape (6, n), world axes, linear rows first; SingularTaskError if
-    J M^-1 J^T is conditioned worse than `MAX_CONDITION`.
-    """
-    n = mass_matrix.shape[0]
-    require_shape('jacobian', jacobian, (6, n))
-    mobility, Lambda = np.empty((6, 6)), np.empty((6, 6))
-    damping = mobility_and_inertia(
-        np.asfortranarray(mass_matrix), np.asfortranarray(jacobian), 0.0, np.empty((n, n)),
-        np.empty((n, 6)), mobility, Lambda)
-    if damping < 0.0:
-        eigenvalues = np.linalg.eigvalsh(jacobian @ np.linalg.solve(mass_matrix, jacobian.T))
-        raise SingularTaskError(
-            f'J M^-1 J^T: expected a condition number below {MAX_CONDITION:g}, got '
-            f'eigenvalues from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}')
-    return Lambda

@@ -302,10 +302,5 @@ def check_torques(
         finding for each in figures for finding in model_check.check_torque(*each, heavy))
 
 
-def turn_between(rotation_des: Matrix, rotation: Matrix) -> Vector:
-    """Return log(R_des R^T) in world axes, shape (3,) [rad], of any arrays of shape (3, 3)."""
-    return np.asarray(pin.log3(rotation_des @ rotation.T))
-
-
 def _pose(placement: pin.SE3) -> Pose:
     return Pose(placement.translation.copy(), np.ascontiguousarray(placement.rotation))

@@ -69,20 +69,10 @@ def rotation_vector(rotation_des: Matrix, rotation: Matrix, vector: Vector) -> N
 
 
 class Pose(NamedTuple):
-    """
-    Position and orientation of a frame in the world.
+    """Position and orientation of a frame in the world."""
 
-    Attributes
-    ----------
-    position_world
-        Origin of the frame, shape (3,) [m].
-    rotation_world
-        Columns are the frame's axes in world axes, shape (3, 3).
-
-    """
-
-    position_world: Vector
-    rotation_world: Matrix
+    position_world: Vector  # origin of the frame, shape (3,) [m]
+    rotation_world: Matrix  # its axes as columns, in world axes, shape (3, 3)
 
     @property
     def quaternion_xyzw(self) -> Vector:

@@ -29,7 +29,7 @@ HISTORY = 65  # ticks
 PROGRESS_TICKS = 100
 # Of a recording, what the sample and the answer say.
 SAMPLED = ('q', 'qd', 'effort', 'wrench', 'wrench_filtered')
-ANSWERED = ('torque', 'alpha_meas', 'alpha_est', 'alpha_rate_est', 'alpha_des', 'innovation')
+ANSWERED = ('alpha_est', 'alpha_rate_est', 'alpha_des', 'innovation')
 
 Corruption = Callable[[TickInputs], TickInputs]
 
@@ -126,8 +126,9 @@ class ClosedLoop:
 
 def estimate_variance(estimator: NoiseEstimator, output: ControlOutput) -> Vector:
     """Return what an estimator makes of an answer: the R of the next tick, shape (r,) [N^2]."""
-    return estimator.update(output.alpha_meas, Innovation(
-        output.innovation, output.prior_variance, output.variance_used)
+    answer = output.answer
+    return estimator.update(output.contacts['alpha_meas'], Innovation(
+        answer['innovation'], answer['prior_variance'], answer['variance_used'])
         if estimator.uses_innovation else None)
 
 
@@ -171,7 +172,7 @@ def run_in_process(
             if k + 1 < setup.ticks:
                 loop.act()
             if on_progress is not None and k % PROGRESS_TICKS == 0:
-                on_progress(k * config.period, output.alpha_meas)
+                on_progress(k * config.period, output.contacts['alpha_meas'])
     finally:
         loop.close()
     return LoopResult(data.part(0, done), ended_early, tuple(loop.control.events.events))
@@ -179,9 +180,11 @@ def run_in_process(
 
 def _record(data: RunData, loop: ClosedLoop, output: ControlOutput) -> None:
     k = loop.tick
-    for names, source in ((SAMPLED, loop.sample), (ANSWERED, output)):
-        for name in names:
-            getattr(data, name)[k] = getattr(source, name)
+    for name in SAMPLED:
+        getattr(data, name)[k] = getattr(loop.sample, name)
+    for name in ANSWERED:
+        getattr(data, name)[k] = output.answer[name]
+    data.torque[k], data.alpha_meas[k] = output.torque, output.contacts['alpha_meas']
     if loop.setup.controller.force.stiffness == 'adaptive':
         for name in OF_STIFFNESS:
             getattr(data, name)[k] = output.contacts[name]

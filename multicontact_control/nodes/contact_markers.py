@@ -48,7 +48,8 @@ class ContactMarkers:
         """Return the arrows of a sample at a time [ns]; the next call changes them."""
         normals, pose = output.contacts['normal'][self._leaders], output.pose
         feet = pose.position_world + self._points_operational @ pose.rotation_world.T
-        forces = output.alpha_meas, output.alpha_est, output.alpha_des
+        answer = output.answer
+        forces = output.contacts['alpha_meas'], answer['alpha_est'], answer['alpha_des']
         alpha = np.array(forces)[:, self._leaders, None]
         # Beside each other in the surface: up, or along world -y where it is about level.
         axes = np.where(np.abs(normals[:, 2:]) >= 0.8, (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
@@ -65,7 +66,7 @@ class ContactMarkers:
             arrow.action = Marker.ADD if force > SMALLEST_FORCE else Marker.DELETE
             for point, values in zip(arrow.points, points):
                 point.x, point.y, point.z = values
-        for arrow, active in zip(self._arrows, output.active[self._leaders]):
+        for arrow, active in zip(self._arrows, answer['active'][self._leaders]):
             arrow.color = CONTROLLED if active else FELT
         return MarkerArray(markers=self._arrows)
 

@@ -199,7 +199,7 @@ class ControllerReport:
         values |= zip((f'{name} noise_variance_n2' for name in config.column_names),
                       variance.tolist())
         states = dict(zip(config.contact_names, loop.status.contact_states if loop.status else [
-            'force' if output.active[i] else 'motion' for i in config.leaders]))
+            'force' if output.answer['active'][i] else 'motion' for i in config.leaders]))
         trouble = [f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
                    f'contacts.{where}.friction_std' for where, what, gain in misread_friction(
                        config, output.contacts, output.pose.rotation_world)]

@@ -30,12 +30,14 @@ from std_srvs.srv import SetBool, Trigger
 # numbers in the order of the message's fields.
 Numbers = Callable[[ControlOutput], tuple[Vector, ...]]
 SHOWN: dict[topics.Topic, tuple[tuple[str, ...], Numbers]] = {
-    topics.MEASURED_FORCES: (('effort',), lambda output: (output.alpha_meas,)),
+    topics.MEASURED_FORCES: (('effort',), lambda output: (output.contacts['alpha_meas'],)),
     topics.ESTIMATED_FORCES: (
-        ('velocity', 'effort'), lambda output: (output.alpha_rate_est, output.alpha_est)),
-    topics.DESIRED_FORCES: (('effort',), lambda output: (output.alpha_des,)),
+        ('velocity', 'effort'),
+        lambda output: (output.answer['alpha_rate_est'], output.answer['alpha_est'])),
+    topics.DESIRED_FORCES: (('effort',), lambda output: (output.answer['alpha_des'],)),
     topics.INNOVATION: (JOINT_FIELDS, lambda output: (
-        output.variance_used, output.prior_variance, output.innovation)),
+        output.answer['variance_used'], output.answer['prior_variance'],
+        output.answer['innovation'])),
     topics.STIFFNESS: (JOINT_FIELDS, lambda output: (
         output.contacts['stiffness_est'], output.contacts['stiffness_std'],
         output.contacts['stiffness'])),

@@ -35,32 +35,16 @@ class PoseReading(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """
-    What hangs on the sensor and what it reads of itself.
+    """What hangs on the sensor and what it reads of itself."""
 
-    Attributes
-    ----------
-    mass, mass_std
-        Mass beyond the sensor and its standard error [kg].
-    com_sensor, com_std
-        Its centre of mass, sensor frame, and the standard error, shape (3,) [m]; 0 without mass.
-    bias_sensor
-        Reading under no load, force first, shape (6,) [N, N m].
-    force_residual, torque_residual
-        Rms per axis of what the fit leaves [N], [N m].
-    condition, poses
-        Condition number of the equations, gravity taken as 1, and the number of poses.
-
-    """
-
-    mass: float
-    mass_std: float
-    com_sensor: Vector
-    com_std: Vector
-    bias_sensor: Vector
-    force_residual: float
-    torque_residual: float
-    condition: float
+    mass: float  # beyond the sensor [kg]
+    mass_std: float  # its standard error [kg]
+    com_sensor: Vector  # centre of mass, sensor frame, 0 without mass, shape (3,) [m]
+    com_std: Vector  # its standard error, shape (3,) [m]
+    bias_sensor: Vector  # reading under no load, force first, shape (6,) [N, N m]
+    force_residual: float  # rms per axis of what the fit leaves [N]
+    torque_residual: float  # the same [N m]
+    condition: float  # number of the equations, gravity taken as 1
     poses: int
 
     def tool(self) -> ToolConfig:

@@ -11,11 +11,11 @@ from multicontact_control.config import ContactStateConfig, ControllerConfig, va
 from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import STILL, Task, TaskSource
-from multicontact_control.dynamics.robot import turn_between
 from multicontact_control.dynamics.rotations import Pose, rotation_vector
 from multicontact_control.records import CONTACT_STATE, TASK_LIMITS
 from multicontact_control.supervision import contacts
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 GUARD_SHARE = 0.3  # of the force held, below which the measured force is fed forward
 GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bounces
@@ -155,7 +155,8 @@ class ContactTask:
             else:
                 contacts.let_go(state, place, 0.0)
         self._limits['offset'] = gap - along @ normals
-        self._limits['turned'] = turn_between(self._frame['rotation'], pose.rotation_world)
+        self._limits['turned'] = Rotation.from_matrix(
+            self._frame['rotation'] @ pose.rotation_world.T).as_rotvec()
 
     def sought_normals(self) -> Matrix:
         """Return normals of what is sought or held, couples with 0, shape (k, 3)."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import NamedTuple
 
-from multicontact_control.control.tick import ControlOutput
+from multicontact_control.control.controller import ControlOutput
 from multicontact_control.records import CONTACT, CONTROL
 from multicontact_control.supervision.checks import COLLISION
 from multicontact_control.supervision.reactions import NONE

@@ -6,9 +6,8 @@ from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.control.arm import AMBIGUOUS, ArmState, RELEASE, TOUCHED
-from multicontact_control.control.controller import Controller
+from multicontact_control.control.controller import Controller, ControlOutput
 from multicontact_control.control.tasks import TaskSource
-from multicontact_control.control.tick import ControlOutput
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, SingularTaskError
 from multicontact_control.force.force_law import continue_laws_at

@@ -14,10 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from multicontact_control.control.law import finish_torque
 from multicontact_control.control.tasks import CommandedTask, MotionReading, Task
-from multicontact_control.dynamics.operational_space import mobility_and_inertia
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
-from multicontact_control.errors import ContactGeometryError, ShapeError, SingularTaskError
+from multicontact_control.errors import ContactGeometryError, SingularTaskError
 from multicontact_control.paths import config_dir
 from multicontact_control.records import JOINT, LAW
 from multicontact_control.sensor.tool import weight_reading
@@ -57,7 +56,7 @@ def test_motion_error_accelerates_no_contact(projection, allocation):
         state.pose.position_world + [0.01, 0.004, -0.003], state.pose.quaternion_xyzw, REST,
         np.array([0.5, 0, 0, 0, 0, 0.2])), np.zeros((0, 3)))
     output = law.step(sample(law, 0.002, table=10.0, board=5.0), np.full(2, 0.6))
-    np.testing.assert_allclose(output.alpha_meas, [10.0, 5.0], atol=1e-9)
+    np.testing.assert_allclose(output.contacts['alpha_meas'], [10.0, 5.0], atol=1e-9)
     contacts = [law.config.contacts[name] for name in ('table', 'board')]
     N = equations.contact_normals(
         np.array([each.normal_world for each in contacts]),
@@ -69,8 +68,8 @@ def test_motion_error_accelerates_no_contact(projection, allocation):
     assert np.abs(acceleration).max() > 1.0
 
 
-SERIES = ('torque', 'alpha_meas', 'alpha_est', 'alpha_rate_est', 'alpha_des', 'innovation',
-          'prior_variance', 'variance_used')
+SERIES = ('alpha_est', 'alpha_rate_est', 'alpha_des', 'innovation', 'prior_variance',
+          'variance_used')
 
 
 class RandomTask:
@@ -108,11 +107,11 @@ def assert_law_is_numpy(config, base_dir=None, home=HOME, tolerance=1e-12):
                              random.normal(size=home.shape), 10.0 * random.normal(size=6))
         variance = np.exp(random.normal(size=count))
         output, expected = (law.step(sample, variance) for law in (compiled, plain))
-        for name in SERIES:
+        results = {'torque': output.torque, 'alpha_meas': output.contacts['alpha_meas']}
+        for name, values in (results | {name: output.answer[name] for name in SERIES}).items():
             wanted = getattr(expected, name)
-            np.testing.assert_allclose(
-                getattr(output, name), wanted, rtol=0.0, err_msg=name,
-                atol=tolerance * max(1.0, np.abs(wanted).max()))
+            np.testing.assert_allclose(values, wanted, rtol=0.0, err_msg=name,
+                                       atol=tolerance * max(1.0, np.abs(wanted).max()))
 
 
 @pytest.mark.parametrize('order', [0, 1, 3])
@@ -121,6 +120,11 @@ def assert_law_is_numpy(config, base_dir=None, home=HOME, tolerance=1e-12):
 def test_law_equals_numpy_for_every_option(order, allocation, projection):
     assert_law_is_numpy(controller_config(force={
         'active_state_order': order, 'allocation': allocation, 'projection': projection}))
+
+
+def test_law_equals_numpy_where_lambda_is_damped():
+    """Around all joints at 0, which is singular."""
+    assert_law_is_numpy(controller_config(), home=np.zeros(6), tolerance=1e-9)
 
 
 @pytest.mark.parametrize('fed_forward', ['estimate', 'desired', 'mixed', 'measured'])
@@ -151,15 +155,14 @@ def test_law_equals_numpy_with_seven_joints_and_up_to_six_contacts(tmp_path, cou
 
 
 def test_controller_refuses_impossible_samples(monkeypatch):
-    def step(q=HOME, qd=REST, **changes):
-        make_law(**changes)[0].step(Measurement(0.0, q, qd, REST), np.ones(2))
+    def step(q=HOME, **changes):
+        make_law(**changes)[0].step(Measurement(0.0, q, REST, REST), np.ones(2))
 
     above = {'normal_world': [0.0, 0.0, -1.0], 'point_operational': [0.0, 0.0, 0.3]}
     for error, match, arguments in (
             (SingularTaskError, 'finite', {'q': np.full(6, np.nan)}),
             # The tool is upright: the board's point lies straight above the table's.
-            (ContactGeometryError, 'table, board', {'contacts': {'board': above}}),
-            (ShapeError, '6', {'q': np.zeros(5)}), (ShapeError, '6', {'qd': np.zeros(5)})):
+            (ContactGeometryError, 'table, board', {'contacts': {'board': above}})):
         with pytest.raises(error, match=match):
             step(**arguments)
     monkeypatch.setattr('multicontact_control.control.controller.SINGULAR_MOBILITY', 0.0)
@@ -201,20 +204,6 @@ def test_torques_have_no_spike_on_the_way_through_a_singularity(joint, start, en
     assert np.isfinite(shares).all()
     assert np.abs(shares - np.array(gravity) / limit).max() < 0.4
     assert np.abs(np.diff(shares, axis=0)).max() < 0.02
-
-
-def test_damping_is_smooth_bounded_and_absent_away_from_singularities():
-    """Lambda = 1 / (e + d): at most 2 / e_0; d and its slope go to zero at e_0."""
-    e = np.linspace(0.0, 0.02, 2001)
-    damped, room = np.empty_like(e), [np.empty((6, 6)) for _ in range(4)]
-    for i, smallest in enumerate(e):
-        J = np.diag(np.sqrt([smallest, 1.0, 1.0, 1.0, 1.0, 1.0]))
-        assert mobility_and_inertia(
-            np.asfortranarray(np.eye(6)), np.asfortranarray(J), 0.01, *room) >= 0.0
-        damped[i] = 1.0 / room[3][0, 0]
-    assert (1.0 / damped).max() <= 2.0 / 0.01 + 1e-9
-    np.testing.assert_allclose(damped[e >= 0.01], e[e >= 0.01], rtol=1e-12)
-    assert np.abs(np.diff(damped, 2)).max() < 2e-8
 
 
 def limited(torque, priority, limit, least_share=0.0, added=0.0):

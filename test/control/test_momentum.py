@@ -5,7 +5,7 @@ from multicontact_control.contact.wrench import tool_record
 from multicontact_control.control.arm import ArmState, TOUCHED
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir
-from multicontact_control.records import CONTROL
+from multicontact_control.records import CONTACT, CONTROL
 import numpy as np
 import pinocchio as pin
 from sim_bridge.plant import Plant
@@ -41,7 +41,7 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
     controls = np.zeros(1, dtype=CONTROL)
     controls['tool'] = tool_record(config.tool, np.array(config.robot.gravity_world))
     controls['law']['friction_speed'], controls['momentum']['bandwidth'] = 1.0, K
-    arm = ArmState(robot, controls)
+    arm = ArmState(robot, controls, np.zeros(0, dtype=CONTACT))
     arm.joints['threshold'] = 1.0
     plant = Plant(plant_config(
         'rigid', surfaces=FAR, substep=2.5e-4, push_start=[0.5], push_duration=[9.0],
@@ -54,7 +54,8 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
         for k in range(500):
             controls['wrench'], arm.joints['effort'] = sample.wrench, sample.effort
             controls['momentum']['elapsed'] = H if k else 0.0
-            arm.update(sample.q, sample.qd)
+            arm.motion[:] = sample.q, sample.qd
+            arm.refresh()
             state = robot.update(sample.q, sample.qd)
             felt = pin.computeFrameJacobian(
                 plant.model, plant.model.createData(), sample.q, tip,

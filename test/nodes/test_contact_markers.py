@@ -18,11 +18,10 @@ CONFIG = controller_config()
 
 def arrows_of(forces, active, markers, stamp=STAMP):
     output = no_answer(6, len(NORMALS))
-    for array, values in zip(
-            (output.alpha_meas, output.alpha_est, output.alpha_des, output.active,
-             output.contacts['normal'], output.pose.position_world, output.pose.rotation_world),
-            (*forces, active, NORMALS, *POSE)):
-        array[:] = values
+    contacts, answer, pose = output.contacts, output.answer, output.pose
+    contacts['alpha_meas'], answer['alpha_est'], answer['alpha_des'] = forces
+    answer['active'], contacts['normal'] = active, NORMALS
+    pose.position_world[:], pose.rotation_world[:] = POSE
     return markers.message(stamp, output).markers
 
 

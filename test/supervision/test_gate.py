@@ -7,6 +7,7 @@ from multicontact_control.control.arm import ArmState, JOINT_SPEED, OPERATIONAL_
 from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir
+from multicontact_control.records import CONTACT, CONTROL
 from multicontact_control.supervision.checks import (
     check_plausibility,
     NOT_FINITE,
@@ -32,8 +33,9 @@ TORQUE = np.array([3.0, -40.0, 0.0, 0.2, 0.5, -0.2])
 
 def make(q=HOME, velocity=REST, config=CONFIG, limit=LIMIT, guarded=True):
     """Return a gate, and its arm at a posture."""
-    arm = ArmState(ROBOT)
-    assert arm.update(q, velocity)
+    arm = ArmState(ROBOT, np.zeros(1, dtype=CONTROL), np.zeros(0, dtype=CONTACT))
+    arm.motion[:] = q, velocity
+    assert arm.refresh()
     arm.joints['torque_limit'] = limit
     return TorqueGate(config, arm.joints, guarded=guarded), arm
 
@@ -77,7 +79,8 @@ def test_gate_brakes_a_joint_before_its_stop():
     fastest = 0.0
     for _ in range(1500):
         state = ROBOT.update(q, v)
-        arm.update(q, v)
+        arm.motion[:] = q, v
+        arm.refresh()
         wanted = state.gravity + state.coriolis
         wanted[4] += 15.0
         torque, _ = gate.apply('law', wanted)
@@ -137,7 +140,8 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
     random = np.random.default_rng(seed)
     q, v = HOME + random.normal(size=6), scale * random.normal(size=6)
     arm, limits = SUPERVISOR.controller.arm, BIASED.limits
-    assert arm.update(q, v)
+    arm.motion[:] = q, v
+    assert arm.refresh()
     state = ROBOT.update(q, v)
     np.testing.assert_allclose(arm.frames['twist'][0], state.twist_world, atol=1e-12)
     np.testing.assert_allclose(arm.inertia, np.diagonal(state.mass_matrix), atol=1e-12)

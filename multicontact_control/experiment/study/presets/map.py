@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from multicontact_control.contact.geometry import loop_stiffnesses, normal_space
 from multicontact_control.control.controller import Controller
-from multicontact_control.dynamics.operational_space import task_inertia
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.law_report import contact_loop
@@ -141,7 +140,8 @@ class ArmLoop:
         if not isinstance(observer, ObserverDesign):
             raise ConfigError('force.law', 'aob, for the linear loops', config.force.law)
         self.observer, self.config = observer, config
-        self.mobility = N.T @ np.linalg.solve(task_inertia(state.mass_matrix, state.jacobian), N)
+        pushed = state.jacobian.T @ N
+        self.mobility = pushed.T @ np.linalg.solve(state.mass_matrix, pushed)
         self.tool_inertia = np.linalg.pinv(N) @ inertia @ N @ np.linalg.inv(N.T @ N)
         self.stiffness = np.array([config.contacts[name].stiffness for name in names])
         self.damping = np.array([setup.plant.surfaces[name].damping for name in names])
