@@ -31,7 +31,9 @@ def pytest_sessionstart(session):
 
 
 def pytest_configure(config):
-    """Keep the order of the files below with several workers, and let signals end processes."""
+    """Keep ROS on this machine, the files below in order, and let signals end processes."""
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    os.environ.setdefault('ROS_LOG_DIR', str(config.rootpath / '.pytest_cache/ros'))
     # What `nohup` or a shell in the background has ignored, all processes of the tests would.
     for number, handler in ((signal.SIGINT, signal.default_int_handler),
                             (signal.SIGHUP, signal.SIG_DFL)):

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
-import json
 import os
 from pathlib import Path
-import signal
 import subprocess
 import sys
-import tempfile
 import time
 from typing import Any, TypeVar
 
 from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.experiment.graph.node_process import start_node
-from multicontact_control.experiment.graph.spec import START_ORDER
+from multicontact_control.experiment.graph.run import running_graph
+from multicontact_control.experiment.graph.spec import GraphSpec, START_ORDER
+from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.recorder_node import Bag
 from multicontact_control.nodes.topics import Topic
@@ -31,57 +29,18 @@ T = TypeVar('T')
 ROOT = Path(__file__).resolve().parents[1]
 # s, that any test waits for anything: so long that only what never comes is missed.
 PATIENCE = float(os.environ.get('MULTICONTACT_TEST_PATIENCE', '180'))
-END_TIMEOUT = 10.0  # s, for a node that is terminated after its test
-
-GRAPH = """
-import json, sys
-from pathlib import Path
-from multicontact_control.experiment.graph.run import GraphSpec, run_graph
-from multicontact_control.experiment.scenario import resolve
-spec = json.loads(sys.argv[1])
-folder, ticks, rate = Path(spec.pop('out')), spec['ticks'], 500.0
-setup = resolve('quick', plant='rigid', seed=spec.get('seed', 0),
-                **({'duration': ticks / rate} if ticks else {}))
-config = folder / 'config'
-setup.write(config)
-run_graph(GraphSpec(
-    out=folder, rate=rate, **{'speed': 0.0, **spec},
-    reference_file=config / 'reference.yaml' if ticks else None,
-    parameter_files={'controller_node': config / 'controller.yaml',
-                     'sim_node': config / 'plant.yaml',
-                     'noise_estimator_node': config / 'noise_estimator.yaml'}))
-"""
 
 
-@contextmanager
-def own_domain() -> Iterator[int]:
-    """Reserve a domain that nothing else on this machine uses."""
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    with reserve_domain() as number:
-        yield number
-
-
-def start_graph(
-    folder: Path, domain_id: int, *, namespace: str = 'arm', ticks: int = 0, **spec: Any,
-) -> subprocess.Popen[str]:
-    """
-    Start the rigid plant's graph, as fast as it goes, in a process of its own.
-
-    With `ticks` it follows the scenario quick for so long; otherwise it obeys commands until it
-    is interrupted. `spec` is of `GraphSpec`, as far as json has it.
-    """
-    arguments = json.dumps({'out': str(folder), 'domain_id': domain_id, 'namespace': namespace,
-                            'ticks': ticks, **spec})
-    return subprocess.Popen(
-        [sys.executable, '-c', GRAPH, arguments], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+def start_python(*arguments: object, **options: Any) -> subprocess.Popen[str]:
+    """Start Python in a process of its own; what it writes goes to pipes."""
+    return subprocess.Popen([sys.executable, *map(str, arguments)], **{
+        'cwd': ROOT, 'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE, 'text': True,
+        **options})
 
 
 def start_command(*arguments: object, **options: Any) -> subprocess.Popen[str]:
-    """Start `multicontact` in a process of its own; what it writes goes to pipes."""
-    return subprocess.Popen(
-        [sys.executable, '-m', 'multicontact_control.cli', *map(str, arguments)], **{
-            'cwd': ROOT, 'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE, 'text': True,
-            **options})
+    """Start `multicontact` in a process of its own."""
+    return start_python('-m', 'multicontact_control.cli', *arguments, **options)
 
 
 def node_processes(folder: Path) -> dict[str, int]:
@@ -112,15 +71,13 @@ def write_bag(folder: Path, rows: Iterable[tuple[Topic, int, Any]]) -> None:
 
 
 @contextmanager
-def obedient_graph(folder: Path, domain_id: int, **spec: Any) -> Iterator[None]:
-    """Run a graph that obeys commands; it must end well when it is interrupted."""
-    run = start_graph(folder, domain_id, **spec)
-    try:
-        yield
-    finally:
-        run.send_signal(signal.SIGINT)
-        _, errors = end_of(run)
-    assert run.returncode == 0, errors
+def obedient_graph(folder: Path) -> Iterator[int]:
+    """Run the rigid plant's graph in `arm`, as fast as it goes; yield its domain."""
+    with reserve_domain() as domain_id, running_graph(GraphSpec(
+            out=folder, ticks=0, rate=500.0, speed=0.0, domain_id=domain_id, namespace='arm',
+            parameter_files=resolve('quick', plant='rigid').write(folder / 'config'))) as graph:
+        yield domain_id
+        graph.processes.check_running()
 
 
 def wait_for(
@@ -141,41 +98,9 @@ def wait_for(
     return value
 
 
-def end_of(process: subprocess.Popen[str] | StartedNode) -> tuple[str, str]:
+def end_of(process: subprocess.Popen[str]) -> tuple[str, str]:
     """Wait for the end of a process; return what it wrote to its two pipes."""
     return process.communicate(timeout=PATIENCE)
-
-
-class StartedNode:
-    """A node in a process of its own, as `subprocess.Popen` has it, with what it writes."""
-
-    def __init__(self, module: str, arguments: list[str]) -> None:
-        file, name = tempfile.mkstemp()
-        os.close(file)
-        self.args, self._log = [module, *arguments], Path(name)
-        self._process = start_node(module, arguments, os.environ, self._log)
-        self.pid = self._process.pid
-        self.terminate, self.kill = self._process.terminate, self._process.kill
-
-    def poll(self) -> int | None:
-        return self._process.exitcode
-
-    returncode = property(poll)
-
-    def send_signal(self, number: int) -> None:
-        if self.poll() is None:
-            os.kill(self.pid, number)
-
-    def wait(self, timeout: float | None = None) -> None:
-        self._process.join(timeout)
-        if self.poll() is None:
-            raise subprocess.TimeoutExpired(self.args, timeout)
-
-    def communicate(self, timeout: float | None = None) -> tuple[str, str]:
-        """Wait for its end; return what it wrote to stdout and stderr, twice."""
-        self.wait(timeout)
-        text = self._log.read_text(encoding='utf-8')
-        return text, text
 
 
 class Middleware:
@@ -188,7 +113,8 @@ class Middleware:
     def __init__(self, domain_id: int) -> None:
         self._guest = GuestNode('sim_node', domain_id)
         self.node = self._guest.node
-        self._processes: list[StartedNode] = []
+        self._processes: list[subprocess.Popen[str]] = []
+        self._environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
 
     def __enter__(self) -> Middleware:
         return self
@@ -197,28 +123,22 @@ class Middleware:
         for process in self._processes:
             process.terminate()  # nothing to one that has ended
         for process in self._processes:
-            try:
-                output = process.communicate(timeout=END_TIMEOUT)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                output = process.communicate()
             # pytest shows it where the test has failed.
-            print(*process.args, f'-> {process.returncode}', *output, sep='\n')
+            print(*process.args, *end_of(process), f'-> {process.returncode}', sep='\n')
         self._guest.close()
 
     def start(
         self, module: str, *parameters: str, files: tuple[Path, ...] = (),
         flags: tuple[str, ...] = (),
-    ):
+    ) -> subprocess.Popen[str]:
         """Start a node of the project in a process of its own."""
         arguments = [*flags, '--ros-args']
         for path in files:
             arguments += ['--params-file', str(path)]
         for parameter in parameters:
             arguments += ['-p', parameter]
-        process = StartedNode(module, arguments)
-        self._processes.append(process)
-        return process
+        self._processes.append(start_python('-m', module, *arguments, env=self._environment))
+        return self._processes[-1]
 
     def pause(self, duration: float = 0.002) -> None:
         """Give the others some time."""

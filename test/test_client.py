@@ -13,23 +13,22 @@ from multicontact_control.nodes.link import CLEAN_UP, DEACTIVATE, GuestNode
 from multicontact_control.nodes.messages import ACCEPTED, ControllerStatus
 import numpy as np
 import pytest
-from ros_graph import obedient_graph, own_domain, PATIENCE, wait_for
+from ros_graph import obedient_graph, PATIENCE, wait_for
 from sensor_msgs.msg import JointState
 
 pytestmark = pytest.mark.ros
 
 
 @pytest.fixture(scope='module')
-def domain_id():
-    with own_domain() as number:
+def domain_id(tmp_path_factory):
+    """Return the domain of a graph in lockstep that obeys commands."""
+    with obedient_graph(tmp_path_factory.mktemp('graph')) as number:
         yield number
 
 
 @pytest.fixture(scope='module')
-def arm(domain_id, tmp_path_factory):
-    """Return a client of a graph in lockstep that obeys commands."""
-    with obedient_graph(tmp_path_factory.mktemp('graph'), domain_id), MultiContactClient(
-            'arm', domain_id=domain_id, timeout=PATIENCE) as client:
+def arm(domain_id):
+    with MultiContactClient('arm', domain_id=domain_id, timeout=PATIENCE) as client:
         yield client
 
 

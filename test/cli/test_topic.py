@@ -7,10 +7,11 @@ import threading
 from geometry_msgs.msg import PoseStamped
 from multicontact_control.cli.topic import document
 from multicontact_control.errors import ConfigError
+from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import messages, qos
 from multicontact_control.nodes.link import GuestNode
 import pytest
-from ros_graph import end_of, own_domain, PATIENCE, start_command
+from ros_graph import end_of, PATIENCE, start_command
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 import yaml
@@ -48,7 +49,7 @@ def test_document_is_what_ros2_prints():
 @pytest.fixture(scope='module')
 def start():
     """Return what starts the command beside a node that publishes numbered forces."""
-    with own_domain() as domain_id, GuestNode('guest', domain_id) as guest:
+    with reserve_domain() as domain_id, GuestNode('guest', domain_id) as guest:
         forces = guest.node.create_publisher(JointState, '/left/forces', qos.STREAM)
         latched = guest.node.create_publisher(String, '/description', qos.LATCHED)
         hidden = guest.node.create_publisher(String, '/_hidden/topic', qos.LATCHED)

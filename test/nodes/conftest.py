@@ -1,7 +1,5 @@
 """Real middleware for the tests of the nodes, in a ROS domain of their own."""
 
-from contextlib import contextmanager
-
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import diagnostics, lifecycle
 from multicontact_control.nodes.controller_node import ControllerNode
@@ -9,35 +7,25 @@ from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.runtime import Spinner
 from multicontact_control.paths import config_dir
 import pytest
-from ros_graph import Middleware, own_domain
+from ros_graph import Middleware
 
 
 @pytest.fixture(scope='session')
 def domain_id():
     """Reserve a domain that nothing else on this machine uses."""
-    with own_domain() as number, GuestNode('keeper', number):  # one participant for all tests
+    with reserve_domain() as number, GuestNode('keeper', number):  # one participant for all tests
         yield number
 
 
-@contextmanager
-def environment(domain_id, folder):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv('ROS_DOMAIN_ID', str(domain_id))
-        patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-        patch.setenv('ROS_LOG_DIR', str(folder / 'ros'))
-        yield patch
-
-
 @pytest.fixture
-def middleware(domain_id, tmp_path):
-    with environment(domain_id, tmp_path), Middleware(domain_id) as handle:
+def middleware(domain_id):
+    with Middleware(domain_id) as handle:
         yield handle
 
 
 @pytest.fixture(scope='module')
-def module_middleware(domain_id, tmp_path_factory):
-    with environment(domain_id, tmp_path_factory.mktemp('nodes')), (
-            Middleware(domain_id)) as handle:
+def module_middleware(domain_id):
+    with Middleware(domain_id) as handle:
         yield handle
 
 
@@ -88,13 +76,13 @@ class Host(Middleware):
 
 
 @pytest.fixture(scope='module')
-def host_domain(tmp_path_factory):
+def host_domain():
     """Reserve a domain for hosted nodes: what is left of them answers no other test."""
-    with reserve_domain() as number, environment(number, tmp_path_factory.mktemp('host')) as patch:
+    with reserve_domain() as number, GuestNode('keeper', number), (
+            pytest.MonkeyPatch.context()) as patch:
         patch.setattr(lifecycle, 'SPIN_TIMEOUT', 0.001)
         patch.setattr(diagnostics, 'PERIOD', 200_000_000)
-        with GuestNode('keeper', number):
-            yield number
+        yield number
 
 
 @pytest.fixture(scope='module')

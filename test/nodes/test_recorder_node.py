@@ -117,7 +117,7 @@ def test_recorder_whose_disk_is_full_ends_in_a_line_and_leaves_a_bag_that_is_rea
         publish(publishers, first, 50)
     assert process.returncode == errno.EFBIG
     errors = process.communicate()[1]
-    assert 'recorder_node: [Errno 27] File too large\n' in errors and 'Traceback' not in errors
+    assert ': [Errno 27] File too large\n' in errors and 'Traceback' not in errors
     assert 0 < read_bag(tmp_path / 'bag', CONTROLLER).data.ticks < first
 
 

@@ -4,11 +4,12 @@ from contextlib import closing, ExitStack
 import threading
 
 from browser import Tab
+from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.view.run import started
 import numpy as np
 import pytest
-from ros_graph import own_domain, wait_for
+from ros_graph import wait_for
 
 pytest.importorskip('viser', reason='viser is not installed (extra [view])')
 pytestmark = [pytest.mark.nightly, pytest.mark.browser, pytest.mark.ros]
@@ -24,7 +25,7 @@ def page():
     """Show a graph that was started for it on a page."""
     from multicontact_control.view.page import Page
 
-    with own_domain() as domain_id, ExitStack() as stack:
+    with reserve_domain() as domain_id, ExitStack() as stack:
         shown = stack.enter_context(closing(started(
             resolve('paper', plant='rigid'), None, domain_id, stack, (), print)))
         page = stack.enter_context(closing(Page(shown, 8481)))

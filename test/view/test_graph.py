@@ -1,6 +1,6 @@
 """The page's view of a graph that runs: what it hears, what it commands, what is refused."""
 
-from contextlib import closing, suppress
+from contextlib import closing
 
 from multicontact_control.client import CommandRefusedError, MultiContactClient
 from multicontact_control.errors import MulticontactError, RunError
@@ -12,7 +12,7 @@ from multicontact_control.view.graph import GraphSource
 import numpy as np
 import pytest
 from robots import robot_parameters
-from ros_graph import obedient_graph, own_domain, PATIENCE, wait_for
+from ros_graph import obedient_graph, PATIENCE, wait_for
 from sim_bridge.surface_patch import patch_of
 
 pytestmark = pytest.mark.ros
@@ -21,19 +21,13 @@ pytestmark = pytest.mark.ros
 @pytest.fixture(scope='module')
 def domain(tmp_path_factory):
     """Return the domain of a graph in lockstep that obeys commands."""
-    with own_domain() as domain_id, obedient_graph(
-            tmp_path_factory.mktemp('graph'), domain_id):
+    with obedient_graph(tmp_path_factory.mktemp('graph')) as domain_id:
         yield domain_id
 
 
 @pytest.fixture(scope='module')
 def shown(domain):
-    """Return what joins that graph, as soon as its nodes are up."""
-    def join():
-        with suppress(RunError):
-            return GraphSource(resolve('paper'), namespace='arm', domain_id=domain)
-
-    with closing(wait_for(join, 'an active controller')) as joined:
+    with closing(GraphSource(resolve('paper'), namespace='arm', domain_id=domain)) as joined:
         yield joined
 
 

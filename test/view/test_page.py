@@ -10,11 +10,12 @@ from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
 from multicontact_control.errors import CommandError, RunError
+from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.view import source
 from multicontact_control.view.source import Scene, surfaces_of
 import pytest
-from ros_graph import own_domain, start_command
+from ros_graph import start_command
 
 pytest.importorskip('viser', reason='viser is not installed (extra [view])')
 from multicontact_control.view.page import Page  # noqa: E402, I100
@@ -87,7 +88,7 @@ def test_view_without_viser_exits_with_two_and_one_line():
 @pytest.mark.ros
 def test_view_serves_a_page_and_ends_with_the_graph_it_started(tmp_path):
     environment = {**os.environ, 'TMPDIR': str(tmp_path)}
-    with own_domain() as domain_id, start_command(
+    with reserve_domain() as domain_id, start_command(
             'view', '--port', PORT + 1, '--plant', 'rigid', '--domain-id', domain_id,
             stderr=None, start_new_session=True, env=environment) as process:
         try:
