@@ -273,7 +273,7 @@ def test_delay_of_the_low_pass_is_in_the_controllers_model():
         for changes in ({'sensor': sensor}, {'force': {'input_delay': 0.012}}))
     assert filtered['states'].tolist() == [2 + 6 + 1] * 2
     np.testing.assert_allclose(filtered['feedback'], delayed['feedback'], rtol=1e-6)
-    with pytest.raises(ConfigError, match='force.input_delay: .* filter_cutoff .* got 0.051'):
+    with pytest.raises(ConfigError, match='force.input_delay: .*filter_cutoff .* got 0.051'):
         controller_config(sensor={'filter_order': 2, 'filter_cutoff': 5.0})
 
 
