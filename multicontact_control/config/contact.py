@@ -41,8 +41,8 @@ class ContactConfig(Config):
     stiffness: float = parameter(
         6000.0, 'Modelled stiffness k_env at the contact.', unit='N/m', gt=0.0)
     couple_stiffness: float = parameter(
-        0.0, 'The same for couples, torque per angle and half length squared; 0 for a third of '
-        'stiffness.', unit='N/m', ge=0.0)
+        0.0, 'The same for couples, torque per angle and half length squared; 0: stiffness / 3.',
+        unit='N/m', ge=0.0)
     friction_std: float = parameter(
         0.0, 'Standard deviation of the friction beyond friction_coefficient that is allowed for '
         'when contact forces are found from the wrench; 0 for none.', unit='N', ge=0.0)
@@ -55,8 +55,8 @@ class ContactConfig(Config):
     normal_range: float = parameter(
         0.6, 'Largest angle of the normal to normal_world.', unit='rad', live=True, gt=0.0, le=1.5)
     surface_speed: float = parameter(
-        0.0, 'Speed of the surface along its normal, away from the robot if positive; K_2 damps '
-        'the motion relative to it.', unit='m/s', live=True, ge=-0.5, le=0.5)
+        0.0, 'Speed of the surface along its normal, away from the robot if positive.',
+        unit='m/s', live=True, ge=-0.5, le=0.5)
     surface_speed_limit: float = parameter(
         0.0, 'Largest estimated speed of the surface beyond that; 0 for no estimate.',
         unit='m/s', live=True, ge=0.0, le=0.5)

@@ -30,7 +30,6 @@ PER_JOINT = (
     'torque_limit', 'limits.joint_lower', 'limits.joint_speed', 'limits.torque_rate',
     'collision.threshold', 'friction.coulomb', 'friction.viscous', 'robot.armature',
     'posture.joints')
-SafeBehaviour = Literal['gravity_compensation', 'zero_torque', 'hold_position']
 
 
 class MotionConfig(Config):
@@ -46,8 +45,8 @@ class PostureConfig(Config):
     """Motion of the joints that the operational point does not see, of an arm with more than 6."""
 
     natural_frequency: float = parameter(
-        5.0, 'Natural frequency, critically damped, by which joints go to the posture; 0 to damp '
-        'them only (nullspace_damping).', unit='rad/s', live=True, ge=0.0, le=50.0)
+        5.0, 'Natural frequency, critically damped; 0 for nullspace_damping alone.', unit='rad/s',
+        live=True, ge=0.0, le=50.0)
     joints: Vector = parameter(
         (), 'The posture; empty for the one the arm starts in.', unit='rad')
 
@@ -60,8 +59,7 @@ class FrictionConfig(Config):
     viscous: NonNegativeVector = parameter(
         (), 'Viscous friction added per joint; empty for none.', unit='N m s/rad')
     speed: float = parameter(
-        0.02, 'Joint speed at which tanh(v / speed) lets most of the Coulomb friction in.',
-        unit='rad/s', live=True, gt=0.0)
+        0.02, 'Coulomb friction goes with tanh(v / speed).', unit='rad/s', live=True, gt=0.0)
 
 
 class TransitionConfig(Config):
@@ -87,9 +85,8 @@ class ControllerConfig(Config):
     force: ForceConfig = ForceConfig()
     friction: FrictionConfig = FrictionConfig()
     transition: TransitionConfig = TransitionConfig()
-    safe_behaviour: SafeBehaviour = parameter(
-        'gravity_compensation', 'Command after a deactivation: gravity compensation with '
-        'damping, no torque at all, or the posture held.', live=True)
+    safe_behaviour: Literal['gravity_compensation', 'zero_torque', 'hold_position'] = parameter(
+        'gravity_compensation', 'Command after a deactivation, the first with damping.', live=True)
     contact_names: tuple[str, ...] = parameter(
         ..., 'Contacts in the order of every contact vector.', min_length=1)
     contacts: dict[str, ContactConfig]
@@ -105,8 +102,8 @@ class ControllerConfig(Config):
     torque_limit: PositiveVector = parameter(
         (), 'Largest commanded torque per joint; empty for none.', unit='N m')
     nullspace_damping: float = parameter(
-        2.0, 'Least joint damping in the null space, of arms with more than six joints and near '
-        'singularities.', unit='1/s', ge=0.0)
+        2.0, 'Least joint damping in the null space, of redundant arms and at singularities.',
+        unit='1/s', ge=0.0)
 
     def _misfits(self) -> Iterator[ConfigError]:
         joints = len(self.robot.joint_names)
@@ -143,9 +140,8 @@ class ControllerConfig(Config):
                     f'contacts.{name}.friction_std', 'above 0 N with normal_turn_rate', 0.0)
             if contact.surface_speed_limit and self.law_of(name) != 'aob':
                 # The estimate takes the rate of the force from the observer.
-                yield ConfigError(
-                    f'contacts.{name}.surface_speed_limit', '0 m/s unless force.law is aob',
-                    f'{contact.surface_speed_limit:g} m/s with {self.law_of(name)}')
+                yield ConfigError(f'contacts.{name}.surface_speed_limit',
+                                  '0 m/s unless force.law is aob', contact.surface_speed_limit)
         if decoupled and force.allocation != 'decoupled':
             yield ConfigError(
                 'force.allocation', f'decoupled with {", ".join(decoupled)}', force.allocation)

@@ -92,8 +92,7 @@ class ForceConfig(Config):
     second_pole_ratio: float = parameter(
         1.0, 'Second pole relative to the first, 1 for two equal ones.', live=True, ge=1.0)
     damping_rate: float = parameter(
-        100.0, 'K_2 of eq. 32, damping of the contact motion; the paper leaves it open.',
-        unit='1/s', live=True, ge=0.0)
+        100.0, 'K_2 of eq. 32, damping of the contact motion.', unit='1/s', live=True, ge=0.0)
     input_delay: float = parameter(
         0.006, 'T_d of eq. 32, from commanded to acting input.', unit='s', ge=0.0)
     process_noise: float = parameter(
@@ -118,8 +117,7 @@ class NoiseEstimatorConfig(Config):
         ..., 'Contacts in the order of every contact vector.', min_length=1)
     rate: float = parameter(500.0, 'Rate of the force samples.', unit='Hz', gt=0.0)
     window: int = parameter(
-        50, 'Samples N in the window of eq. 43; `sage_husa` and `variational_bayes` forget by '
-        '1 - 1/N.', ge=2, le=10000)
+        50, 'Samples N in the window of eq. 43; others forget by 1 - 1/N.', ge=2, le=10000)
     zero_frequency: float = parameter(3.0, 'Zero of G_f, eq. 42.', unit='Hz', gt=0.0)
     pole_frequency: float = parameter(60.0, 'Pole of G_f, eq. 42.', unit='Hz', gt=0.0)
     variance_scale: float = parameter(

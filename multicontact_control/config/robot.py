@@ -34,8 +34,7 @@ class RobotConfig(Config):
     adds_tool_gravity: bool = parameter(
         True, "Whether that torque carries `tool`, too, as the arm's own controller knows of it.")
     measures_torque: bool = parameter(
-        True, 'Whether the effort in joint_states is a torque; false to ignore it, as of motor '
-        'currents.')
+        True, 'Whether the effort in joint_states is a torque, and not a motor current.')
 
     def _misfits(self) -> Iterator[ConfigError]:
         count, positions = len(self.locked_joints), len(self.locked_positions)
@@ -69,8 +68,8 @@ class SensorFrontEndConfig(Config):
     filter_cutoff: float = parameter(
         125.0, 'Its cut-off; its delay is added to force.input_delay.', unit='Hz', gt=0.0)
     full_scale: Vector = parameter(
-        (), 'Largest reading of each axis, force first; 99 % of it are saturated. Empty if '
-        'unknown.', unit='N, N m')
+        (), 'Largest reading of each axis, force first, saturated from 99 % on; empty if unknown.',
+        unit='N, N m')
     force_noise_std: float = parameter(
         0.05, 'Noise of a force axis: the weight of a reading with contacts.*.friction_std.',
         unit='N', gt=0.0)
@@ -87,8 +86,6 @@ class SensorFrontEndConfig(Config):
         scales = list(self.full_scale)
         if len(scales) not in (0, 6) or min(scales, default=1.0) <= 0.0:
             yield ConfigError('sensor.full_scale', '6 values above 0, or none', scales)
-        if self.frozen_ticks == 1:
-            yield ConfigError('sensor.frozen_ticks', '0 or at least 2', 1)
 
     def filter_delay(self, rate: float) -> float:
         """

@@ -24,8 +24,8 @@ class ContactStateConfig(Config):
     release_threshold: float = parameter(
         0.5, 'Measured force below which a contact may be lost.', unit='N', ge=0.0, le=100.0)
     retry_time: float = parameter(
-        5.0, 'Time to the next search for a contact that was not found; 0 for none. One left for '
-        'its force waits for a command.', unit='s', ge=0.0, le=3600.0)
+        5.0, 'Time to the next search for a contact that was not found; 0 for none.', unit='s',
+        ge=0.0, le=3600.0)
     smallest_force: float = parameter(
         3.0, 'Smallest commanded force; below, sliding looks like a loss.', unit='N', gt=0.0)
     preload: float = parameter(
@@ -78,11 +78,10 @@ class CollisionConfig(Config):
         200.0, 'K of the observer, whose time constant is 1 / K, at least 2.5 periods.',
         unit='1/s', gt=0.0, le=2000.0)
     threshold: PositiveVector = parameter(
-        (), 'Least external torque in each joint that is a collision, at rest; empty for the '
-        'shares below.', unit='N m')
+        (), 'External torque in each joint that is a collision, at rest; empty for the shares.',
+        unit='N m')
     limit_share: float = parameter(
-        0.03, "That torque over the joint's limit (torque_limit, or that of the URDF), at least "
-        '1 N m...', ge=0.0, le=1.0)
+        0.03, "That torque over the joint's torque limit, at least 1 N m...", ge=0.0, le=1.0)
     friction_share: float = parameter(
         1.0, '...and over its Coulomb friction (friction.coulomb), added to it.', ge=0.0, le=10.0)
     dynamic_share: float = parameter(
@@ -103,13 +102,12 @@ class WatchdogConfig(Config):
     variance_max_age: float = parameter(
         4.5, 'Largest age of R, one period at best.', unit='periods', ge=2.0, le=1e4)
     rate_band: float = parameter(
-        2.5, 'Twice in a row a period beyond 1 / rate_band to rate_band times the right one is '
-        'a fault.', gt=1.0, le=100.0)
+        2.5, 'Factor by which two periods in a row must not be off.', gt=1.0, le=100.0)
     frozen_joint_ticks: int = parameter(
         0, 'Identical joint states in a row, while a joint moves, that mean frozen joints; 0 for '
         'encoders with steps near the motion in a period.', ge=0, le=1000)
     friction_bound: float = parameter(
         0.8, 'Largest accepted ratio of sideways to normal forces, beyond 5 N.', gt=0.0, le=10.0)
     recovery_time: float = parameter(
-        0.05, 'How long all inputs must be good before control resumes; after each relapse three '
-        'times as long.', unit='s', ge=0.0, le=60.0)
+        0.05, 'How long all inputs must be good before control resumes, tripled by each relapse.',
+        unit='s', ge=0.0, le=60.0)

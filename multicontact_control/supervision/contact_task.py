@@ -7,8 +7,9 @@ from typing import Any
 from multicontact_control.algebra import dot, rotate_by
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.config import ContactStateConfig, ControllerConfig, validate
+from multicontact_control.config import ControllerConfig, validate
 from multicontact_control.config.contact import LARGEST_OFFSET
+from multicontact_control.config.supervision import ContactStateConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import STILL, Task, TaskSource
 from multicontact_control.dynamics.rotations import Pose, rotation_vector

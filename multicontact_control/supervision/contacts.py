@@ -19,7 +19,7 @@ from __future__ import annotations
 from typing import Any
 
 from multicontact_control.compiled import compiled
-from multicontact_control.config import ContactStateConfig
+from multicontact_control.config.supervision import ContactStateConfig
 from multicontact_control.records import CONTACT_SETTINGS, CONTACT_STATE, Records
 import numpy as np
 

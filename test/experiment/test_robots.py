@@ -2,7 +2,7 @@
 
 import itertools
 
-from multicontact_control.config import WatchdogConfig
+from multicontact_control.config.supervision import WatchdogConfig
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.sensor.push_test import PHASE_TIME, PushTestConfig

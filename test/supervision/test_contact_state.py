@@ -6,7 +6,7 @@ from arms import controller_config
 from equations import rotation_error
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from multicontact_control.config import ContactStateConfig
+from multicontact_control.config.supervision import ContactStateConfig
 from multicontact_control.contact.geometry import place_columns
 from multicontact_control.control.tasks import (
     ApproachConfig,

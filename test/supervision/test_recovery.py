@@ -3,7 +3,7 @@
 from contextlib import closing
 
 from campaign.velocities import Cell, FARTHEST, FASTER, LARGEST_FORCE, run
-from multicontact_control.config import WatchdogConfig
+from multicontact_control.config.supervision import WatchdogConfig
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment.closed_loop import ClosedLoop
