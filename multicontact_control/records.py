@@ -306,7 +306,7 @@ INPUT_SETTINGS = np.dtype([
     ('shortest', F), ('longest', F),  # periods that are in order [s]
     ('max_age', F, 3),  # [s]
     ('frozen_joint_ticks', I), ('frozen_ticks', I),  # equal readings that are frozen, 0 for never
-    ('by_command', B), ('adds_gravity', B),  # see `collision.command_delay`, `robot`
+    ('adds_gravity', B),  # see `robot`
     ('full_scale', F, 6),  # from where on an axis is saturated [N, N m]
     ('order', I),  # of the low-pass, 0 for none
     ('b', F, 3), ('a', F, 3),  # its coefficients, highest power of z first
@@ -333,7 +333,6 @@ INPUT_STATE = np.dtype([
     ('problem', I, 4),  # what is wrong with each reading, and with the time
     ('stale', np.uint8, 4),  # whether the newest valid one is too old, or the time is wrong
     ('blind', B),  # whether joints were valid neither in this tick nor in the one before
-    ('fresh', B),  # whether a wrench came
     ('acts', B),  # whether the torques in their place say anything
 ], align=True)
 

@@ -12,13 +12,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from multicontact_control.algebra import dot
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
+from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.control import arm
 from multicontact_control.control.arm import DIRECTION, JOINT_SPEED, OPERATIONAL_SPEED, WRENCH
 from multicontact_control.control.controller import Controller
 from multicontact_control.records import PLAUSIBILITY, Records
 from multicontact_control.supervision.contacts import FREE, LOST
+from multicontact_control.supervision.reactions import NONE, SEVERITY
 import numpy as np
 
 # What `check_plausibility` returns, added up.
@@ -46,12 +49,14 @@ FOLLOWED = (
     '(robot.sensor_frame), and the scale of the effort')
 
 
-def reactions_of(config: ControllerConfig) -> dict[str, str]:
-    """Return the reaction to each part that has failed, by what the causes begin with."""
-    return {
-        'joints': 'float', 'wrench': 'hold', CONTRADICTED: 'hold', 'variance': 'inflate',
+def reaction_to(causes: tuple[str, ...], config: ControllerConfig) -> str:
+    """Return the severest reaction that causes call for, each by its name or its part's."""
+    to = {
+        'joints': 'float', CONTRADICTED: 'hold', 'wrench': 'hold', 'variance': 'inflate',
         'clock': 'hold', 'motion': 'hold', 'law': 'hold', 'start': 'hold',
         COLLISION: config.collision.reaction}
+    called_for = [to.get(cause, to[cause.split('_')[0]]) for cause in causes]
+    return max(called_for, key=SEVERITY.index, default=NONE)
 
 
 @compiled
@@ -66,11 +71,12 @@ def check_plausibility(
     (a contact that is free is beyond the force ceiling) and OUTSIDE (the operational point is out
     of its box).
     """
-    bounds, control = limits[0], controls[0]
-    frame, tool, flags = control.frame, control.tool, 0
+    bounds, control, flags = limits[0], controls[0], 0
     if not np.isfinite(joints['torque']).all():
         flags = NOT_FINITE
-    pressed = 0.0
+    wrench, pressed = np.zeros(6), 0.0
+    operational_wrench(control, wrench)
+    sideways = wrench[:3]
     for i in range(contacts.shape[0]):
         contact, answer = contacts[i], contacts[i].answer
         if not np.isfinite(
@@ -80,24 +86,17 @@ def check_plausibility(
         if contact.config.leader != i:
             continue
         pressed += abs(contact.alpha_meas)
+        sideways -= contact.alpha_meas * contact.normal
         allowance = bounds.inertia if states[i].state == LOST else 0.0
         if contact.alpha_meas < -(PULL_LIMIT + allowance):
             flags |= PULL
         if contact.alpha_meas > bounds.force_ceiling and states[i].state == FREE:
             flags |= STRAY
-    sideways = 0.0
-    for k in range(3):
-        force = tool.weight[k]
-        for j in range(3):
-            force += frame.sensor_rotation[k, j] * (control.wrench[j] - tool.bias[j])
-        for i in range(contacts.shape[0]):
-            force -= contacts[i].alpha_meas * contacts[i].normal[k]
-        sideways += force * force
-        if frame.position[k] < bounds.box[0, k] or frame.position[k] > bounds.box[1, k]:
-            flags |= OUTSIDE
-    bound = SIDEWAYS_LIMIT + bounds.friction_bound * pressed
-    if sideways > bound * bound:
+    if np.sqrt(dot(sideways, sideways)) > SIDEWAYS_LIMIT + bounds.friction_bound * pressed:
         flags |= SIDEWAYS
+    place, box = control.frame.position, bounds.box
+    if (place < box[0]).any() or (place > box[1]).any():
+        flags |= OUTSIDE
     return flags
 
 

@@ -11,6 +11,7 @@ from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError
 import numpy as np
 
+AXES = 'position x', 'position y', 'position z'
 START_EXCESS = 1e-3  # m or rad beyond a limit, from where control may start all the same
 
 
@@ -29,10 +30,9 @@ class CommandLimits(Config):
         before: Mapping[str, float], shares: Mapping[str, float],
     ) -> None:
         """
-        Refuse forces, couples and centres of pressure that are unknown or out of limits.
+        Refuse, by CommandError, new forces and couples in place of those `before` [N], by name.
 
-        All are by name: new forces and couples, in place of those `before` [N], and `shares`:
-        couples relative to the force of their contact. CommandError names the first refused.
+        `shares` are couples relative to the force of their contact.
         """
         ceiling, columns = self.force_ceiling, dict(zip(config.column_names, config.columns))
         for name, force in forces.items():
@@ -66,25 +66,22 @@ def check_motion(motion: MotionReading, limits: LimitsConfig) -> None:
 
 def check_position(position_world: Vector, limits: LimitsConfig) -> None:
     """Refuse a position outside the workspace box, if any: CommandError names the axis."""
-    for axis, x, lower, upper in zip(
-            'xyz', position_world, limits.workspace_lower, limits.workspace_upper):
+    for name, x, lower, upper in zip(
+            AXES, position_world, limits.workspace_lower, limits.workspace_upper):
         if not lower <= x <= upper:
-            raise CommandError(f'position {axis}', f'{lower:g} to {upper:g} m', f'{x:g} m')
+            raise CommandError(name, f'{lower:g} to {upper:g} m', f'{x:g} m')
 
 
 def outside_limits(
     config: ControllerConfig, q: Vector, position_world: Vector,
 ) -> tuple[str, ...]:
     """Return where joints q [rad] and the operational point [m] are beyond limits, a line each."""
-    limits = config.limits
-    bounds = [
-        (f'operational point: expected {axis} in', x, lower, upper, 'm', 'workspace')
-        for axis, x, lower, upper in zip(
-            'xyz', position_world, limits.workspace_lower, limits.workspace_upper)]
-    bounds += [
-        (f'{name}: expected', x, lower, upper, 'rad', 'joint') for name, x, lower, upper in zip(
-            config.robot.joint_names, q, limits.joint_lower, limits.joint_upper)]
     return tuple(
-        f'{what} {lower:g} to {upper:g} {unit} (limits.{kind}_lower, limits.{kind}_upper), got '
-        f'{x:.4g} {unit}' for what, x, lower, upper, unit, kind in bounds
+        f'{name}: expected {lower:g} to {upper:g} {unit} (limits.{kind}_lower, '
+        f'limits.{kind}_upper), got {x:.4g} {unit}' for kind, names, values, unit in (
+            ('workspace', AXES, position_world, 'm'),
+            ('joint', config.robot.joint_names, q, 'rad'))
+        for name, x, lower, upper in zip(
+            names, values, getattr(config.limits, f'{kind}_lower'),
+            getattr(config.limits, f'{kind}_upper'))
         if not lower - START_EXCESS <= x <= upper + START_EXCESS)

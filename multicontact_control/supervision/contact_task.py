@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from multicontact_control.algebra import dot, rotate_by
-from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.arrays import Mask, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig, validate
 from multicontact_control.config.contact import LARGEST_OFFSET
@@ -31,17 +31,8 @@ class ContactTask:
 
     A hold keeps the arm where it is and pressing as it does, a lock keeps it where it is without
     contact; the time of the source stands still meanwhile. If not `guarded`, neither contact
-    states nor limits apply: the source makes the contacts.
-
-    Attributes
-    ----------
-    states
-        Records of `CONTACT_STATE`, shape (r,).
-    limited
-        Whether a limit of the motion was enforced at the last tick.
-    held, locked
-        Whether it is held, and whether it is locked: at first where a push test is required.
-
+    states nor limits apply: the source makes the contacts. `states` are records of
+    `CONTACT_STATE`, shape (r,); `limited` is whether a limit was enforced at the last tick.
     """
 
     def __init__(
@@ -50,10 +41,7 @@ class ContactTask:
     ) -> None:
         self._source, self._guarded = source, guarded
         self._controls, self._columns = controller.controls, controller.contacts
-        self._frame, task = self._controls['frame'][0], self._controls['task'][0]
-        self._position, self._rotation = task['position'], task['rotation']
-        self._twist, self._acceleration = task['twist'], task['acceleration']
-        answer = self._columns['answer']
+        self._frame, answer = self._controls['frame'][0], self._columns['answer']
         self._active, self._alpha_des = answer['active'], answer['alpha_des']
         self.states: Any = np.zeros(len(config.columns), dtype=CONTACT_STATE)
         self._codes, self._leaders = self.states['state'], np.array(config.leaders)
@@ -64,7 +52,7 @@ class ContactTask:
         self._limits['box'] = [config.limits.workspace_lower or [-np.inf] * 3,
                                config.limits.workspace_upper or [np.inf] * 3]
         self.retune(config)
-        self.locked = config.sensor.require_push_test
+        self.locked = config.sensor.require_push_test  # at first
         contacts.let_go(self.states[0], 0.0, 0.0)  # no tick waits for numba
         _limit_task(self._limits, self._controls, self._columns, self.states)
         self.reset()
@@ -100,7 +88,6 @@ class ContactTask:
         """Begin from a pose at rest; a hold ends, a lock does not."""
         self.reset()
         self._source.start(pose, self._columns['normal'].copy())
-        self._task = self._task._replace(pose_des=pose)
 
     def ask(self, time: float) -> None:
         """Write what is wanted at a time since the start [s] into the controller's records."""
@@ -109,9 +96,9 @@ class ContactTask:
         else:
             self._task = self._source.task(
                 time - self._lost_time, None if self._guarded else self._columns['alpha_meas'])
-        self._time, task = time, self._task
-        self._position[:], self._rotation[:] = task.pose_des
-        self._twist[:], self._acceleration[:] = task.twist_des, task.acceleration_des
+        self._time, task, record = time, self._task, self._controls['task'][0]
+        record['position'], record['rotation'] = task.pose_des
+        record['twist'], record['acceleration'] = task.twist_des, task.acceleration_des
         self._active[:], self._alpha_des[:] = task.active, task.alpha_des
         if self._guarded:
             if self._kept is not None:
@@ -159,20 +146,9 @@ class ContactTask:
         self._limits['turned'] = Rotation.from_matrix(
             self._frame['rotation'] @ pose.rotation_world.T).as_rotvec()
 
-    def sought_normals(self) -> Matrix:
+    def sought_normals(self) -> Any:
         """Return normals of what is sought or held, couples with 0, shape (k, 3)."""
-        normals: Matrix = self._columns['normal'][self._codes != contacts.FREE]
-        return normals
-
-    def seek_again(self) -> bool:
-        """Seek the contacts that were given up; return whether there are any."""
-        given_up = self._codes == contacts.GIVEN_UP
-        self.states['again'] |= given_up
-        return bool(given_up.any())
-
-    def lead_back(self) -> None:
-        """Leave the contacts that are pressed: they lead the arm out of its workspace."""
-        self.states['left'] |= self._active
+        return self._columns['normal'][self._codes != contacts.FREE]
 
 
 @compiled

@@ -177,8 +177,7 @@ def advance_contact(
     """
     Take one tick into the state machine of a contact, and bound the force or the way it goes.
 
-    `wanted` and `asked` of the contact say what the task wants; `escape` is the speed into the
-    surface, less that of the surface, by which a contact is known to be lost [m/s].
+    `escape` is the speed into the surface, less that of the surface, of a lost contact [m/s].
     """
     h = settings.period
     contact.in_state += h

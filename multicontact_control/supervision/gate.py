@@ -33,8 +33,7 @@ def gate_torque(
     """
     Bring a torque, shape (n,), within its limits; return the sum of those that were enforced.
 
-    Of records of `JOINT_LIMITS` `last` is overwritten. `seen` says whether the joints are known
-    now, `begun` whether there was a torque before.
+    `seen`: the joints are known now; `begun`: there was a torque before, which is overwritten.
     """
     enforced, n = 0, torque.shape[0]
     if not np.isfinite(torque).all():
@@ -81,16 +80,8 @@ class TorqueGate:
 
     Then a torque that is not finite is replaced by the one that carries the arm; near a stop, or
     above its speed, a joint brakes; the torque is clipped to its limits and to their rate. If not
-    `guarded`, stops, speeds and rates are not limited.
-
-    Attributes
-    ----------
-    last, begun
-        The torque that acts, shape (n,) [N m], and whether there is one, from `begin` or the
-        first tick on.
-    pace
-        How fast commanded differences fade.
-
+    `guarded`, stops, speeds and rates are not limited. `last` is the torque that acts, shape (n,)
+    [N m], `begun` whether there is one.
     """
 
     def __init__(self, config: ControllerConfig, joints: Records, *, guarded: bool = True) -> None:
@@ -123,10 +114,11 @@ class TorqueGate:
         self._fast: Vector | None = None  # what is left of any other difference
 
     def begin(self, torque: Vector) -> None:
-        """Take a torque, shape (n,) [N m], for the one that acts before the first tick."""
+        """Go over from a torque, shape (n,) [N m], that acts before the first tick."""
         limit, added = self._joints['torque_limit'], self._joints['added']
         self.last[:] = np.clip(torque, added - limit, added + limit)
         self.begun = True
+        self.go_over()
 
     def go_over(self) -> None:
         """Let the next torque be the one that acts: what is commanded is about to jump."""

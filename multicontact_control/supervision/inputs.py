@@ -3,7 +3,7 @@ The input stage: what has come in at a tick, made valid, by one compiled call.
 
 A reading of joints, wrench or R is checked for its stamp, its shape, its numbers and the reading
 before it; a wrench is low-passed, too. A reading that fails counts as not received: the newest
-valid one stands in for it, and calls for a reaction (`checks.reactions_of`) once it is too old.
+valid one stands in for it, and calls for a reaction (`checks.reaction_to`) once it is too old.
 
 A fault is called ``<part>_<problem>``; the parts are `joints`, `wrench`, `variance` and `clock`:
 `invalid` (no number, or one that no arm, sensor or estimator gives), `jump` (a joint is not where
@@ -44,7 +44,6 @@ SPEED_EXCESS = 3.0  # times the speed limit of a joint; no joint is faster
 STILL = 1e-4  # rad/s; below it a joint state may repeat itself
 PROOF = 10  # joint states, from the first on or in motion after wrong ones, that prove velocities
 POSITION_JUMP = 0.01  # rad between a joint position and the one its speed leads to
-LONGEST_STEP = 0.1  # s, over which speeds are extrapolated
 VARIANCE_FLOOR, VARIANCE_CEILING = 0.1, 1e3  # N^2; with less the observer outruns the drives
 VARIANCE_GROWTH = 1.1  # per period, of an R that is not renewed
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
@@ -153,7 +152,7 @@ def _check_joints(
         still, same = still and speed <= STILL, same and way == 0.0
         moves = moves or abs(tracked) > velocities.OFFSET
         early = early or (speed > velocities.OFFSET and state.states < PROOF)
-        jumped = jumped or (known and abs(way - tracked * min(span, LONGEST_STEP)) > limit)
+        jumped = jumped or (known and abs(way - tracked * span) > limit)
     contradicted = velocities.check_velocities(
         joints, history, span, known and not jumped, state, settings.period)
     joints[2:4] = joints[:2]
@@ -207,7 +206,7 @@ def _supply_torques(
     settings: Any,
 ) -> None:
     """Give the momentum observer the torques, measured or commanded, that acted in a period."""
-    by_command = settings.by_command and np.isfinite(commands[0, 0])
+    by_command = np.isfinite(commands[0, 0])
     moved, total = False, 0.0  # a driver that measures no torque may say 0, or NaN
     for j in range(joints.shape[0]):
         moved = moved or joints[j].effort != 0.0
@@ -238,12 +237,7 @@ def check_inputs(
     stages: Any, readings: Matrix, history: Matrix, new_variance: Vector, commands: Matrix,
     motion: Matrix, joints: Any, controls: Any, contacts: Any,
 ) -> bool:
-    """
-    Check the inputs of a tick, and keep what is valid in its places; return whether all is well.
-
-    Stamps and contents (FINE, INVALID if it cannot be read, ABSENT) are in the state of the stage;
-    `readings` are rows as in `velocities`.
-    """
+    """Check a tick's inputs (`readings` as in `velocities`), keep them; return if all is well."""
     settings, state = stages[0].settings, stages[0].state
     momentum, problem, stale, h = controls[0].momentum, state.problem, state.stale, settings.period
     problem[CLOCK] = _check_clock(state.stamp[CLOCK], state, settings)
@@ -261,8 +255,7 @@ def check_inputs(
             state.blind_ticks = 0
         elif problem[JOINTS] != JUMP:  # it says nothing of where the joints are now
             state.seen[JOINTS] = before
-    state.fresh = problem[WRENCH] == FINE
-    if state.fresh:
+    if problem[WRENCH] == FINE:
         problem[WRENCH] = _take_wrench(state, settings)
         if problem[WRENCH] == FINE:
             controls[0].wrench[:] = state.filtered
@@ -320,6 +313,7 @@ class Inputs:
         self._stage: Any = np.zeros(1, dtype=INPUT_STAGE)
         self._readings, self._new_variance = readings.copy(), np.zeros(len(contacts))
         self._history: Matrix = np.zeros((velocities.HISTORY, 2 * n))
+        self._by_command = config.collision.command_delay >= 0
         self._commands: Matrix = np.zeros((max(config.collision.command_delay, 0) + 2, n))
         self._arguments = (self._stage, self._readings, self._history, self._new_variance,
                            self._commands, motion, joints, controls, contacts)
@@ -351,7 +345,7 @@ class Inputs:
     @property
     def fresh(self) -> bool:
         """Whether a wrench came with this tick, valid or not."""
-        return bool(self._state['fresh'])
+        return self._state['problem'][WRENCH] not in (ABSENT, STAMP)
 
     @property
     def sensor_fault(self) -> str:
@@ -381,7 +375,7 @@ class Inputs:
         if joints is not None and joints.qd is None:
             joints = joints._replace(qd=self._none)
             state['silent'] = True
-        if command is not None:
+        if self._by_command and command is not None:
             self._commands[:-1], self._commands[-1] = self._commands[1:], command
         self._stamps[:], self._contents[:] = math.nan, ABSENT
         for part, reading in enumerate((joints, wrench, variance, (time,), effort)):
@@ -418,7 +412,6 @@ def _stage_record(config: ControllerConfig) -> Records:
     settings['max_age'] = h * (AGE_TOLERANCE + np.array(
         [watch.joint_max_age, watch.wrench_max_age, watch.variance_max_age]))
     settings['frozen_joint_ticks'] = watch.frozen_joint_ticks
-    settings['by_command'] = config.collision.command_delay >= 0
     settings['adds_gravity'] = config.robot.adds_gravity
     settings['full_scale'] = np.inf
     if config.wrench_input != 'momentum':

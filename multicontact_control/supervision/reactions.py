@@ -23,6 +23,7 @@ DROP_TIME = 0.02  # s, in which the force on a surface that has gone is dropped
 DROPPED = 1e-3  # N m in every joint, below which that counts as done
 
 RECOVERING, LATCHED = 'recovering', 'latched'
+WAITING = (RECOVERING,), (LATCHED,)  # causes of a control that has not resumed yet
 RELAPSE_TIME = 5.0  # s after control has resumed, in which a reaction is a relapse
 SOON = 1.0  # s, the same where readings are missing, which come and go by chance
 RELAPSES = 3  # in a row, of what the arm does or meets, after which control waits for an operator
@@ -77,12 +78,7 @@ class Reactions:
         return self._pressing is not None and bool((np.abs(self._pressing) > DROPPED).any())
 
     def torque(self, reaction: str, arm: ArmState | None, wrench_known: bool) -> Vector:
-        """
-        Return what `HOLD`, `FLOAT`, `DAMP` or `SAFE` answer instead of the law, shape (n,) [N m].
-
-        The arm is at its last valid state, None if there was none; a wrench that is known is of
-        this tick, and says which contacts are felt.
-        """
+        """Return what answers instead of the law, shape (n,) [N m]; `wrench_known` as of now."""
         self._coasting = self._coasting + 1 if reaction == FLOAT else 0
         if arm is None:
             return np.zeros(self._robot.joint_count)
@@ -129,11 +125,9 @@ class Recovery:
     """
     Counts relapses, so that holding and resuming do not alternate for ever.
 
-    Control resumes once all inputs have been good for `recovery_time` [s]. A reaction within 5 s
-    after that (within 1 s if readings are missing) is a relapse, as is a law that cannot resume:
-    each makes the time three times as long, up to 2 s. After three in a row of what the arm does
-    or meets (a side wall, a collision, a speed, a posture without a torque) it is `latched`: the
-    posture is held until an operator resumes it. Missing readings are never latched.
+    A reaction soon after control has resumed is a relapse, as is a law that cannot resume: each
+    makes the time that all must be well three times as long. After three in a row of what the arm
+    does or meets control is `latched`: the posture is held until an operator resumes it.
     """
 
     def __init__(self, recovery_time: float, period: float) -> None:
@@ -143,7 +137,7 @@ class Recovery:
     def reset(self) -> None:
         """Forget the past."""
         self._wait = self._shortest
-        self.resumed_at: int | None = None  # tick of control's own count
+        self.resumed_at = -math.inf  # tick of control's own count
         self.allow()
 
     def allow(self) -> None:
@@ -153,8 +147,8 @@ class Recovery:
     def stopped(self, causes: tuple[str, ...], tick: int) -> None:
         """Take note that a reaction has begun at a tick of control's count."""
         self.latched = self.latched or 'wrench_stray' in causes  # it presses on what is there
-        since, soon = self.resumed_at, RELAPSE_TIME if _is_physical(causes) else SOON
-        if since is None or (tick - since) * self._period > soon:
+        soon = RELAPSE_TIME if _is_physical(causes) else SOON
+        if (tick - self.resumed_at) * self._period > soon:
             self._relapses, self._wait = 0, self._shortest
         else:
             self.relapsed(causes)

@@ -49,10 +49,8 @@ class EventLog:
     def note(self, time: float, status: SupervisorStatus) -> None:
         """Take in the status of one tick, at a time [s]."""
         self.reactions[status.reaction] += 1
-        if status.rejected:
-            self.rejected.update(status.rejected)
-        if status.limits:
-            self.limited.update(status.limits)
+        self.rejected.update(status.rejected)
+        self.limited.update(status.limits)
         before = self._before
         self._before = now = status._replace(rejected=(), task_time=0.0)
         if now == before:

@@ -14,19 +14,10 @@ from multicontact_control.force.force_law import continue_laws_at
 from multicontact_control.supervision import checks, reactions
 from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.contact_task import ContactTask
+from multicontact_control.supervision.contacts import GIVEN_UP
 from multicontact_control.supervision.gate import TorqueGate
 from multicontact_control.supervision.inputs import Inputs, Seen, TickInputs
-from multicontact_control.supervision.reactions import (
-    DAMP,
-    FLOAT,
-    HOLD,
-    INFLATE,
-    LATCHED,
-    NONE,
-    RECOVERING,
-    SAFE,
-    SEVERITY,
-)
+from multicontact_control.supervision.reactions import FLOAT, HOLD, NONE, SAFE
 from multicontact_control.supervision.report import no_answer, SupervisorStatus
 from multicontact_control.supervision.velocities import explain_velocities
 import numpy as np
@@ -34,8 +25,7 @@ import numpy as np
 CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
 STRAY_TORQUE = 0.5  # N m at the operational point that is worth a report
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
-CONTROLLED = (NONE, INFLATE)  # what the control law answers
-OUTSIDE = 'start_outside'
+CONTROLLED = (NONE, reactions.INFLATE)  # what the control law answers
 Answer = tuple[ControlOutput, SupervisorStatus | None]
 
 
@@ -72,7 +62,6 @@ class Supervisor:
         self.gate = TorqueGate(config, self._joints, guarded=guarded)
         self.reactions = reactions.Reactions(config, controller)
         self._recovery = reactions.Recovery(config.watchdog.recovery_time, config.period)
-        self._reactions_to = checks.reactions_of(config)
         self._adopt(config)
         checks.check_plausibility(*self._answered)  # compiled here: no sample waits for it
         self.reset()
@@ -132,8 +121,9 @@ class Supervisor:
             torque, limits = self.gate.apply(
                 self.controller.active.tobytes() if self.guarded else None,
                 self.controller.torque.copy(), limited=limited)
-            if limits:
-                self._account_for(torque, limits)
+            # A blend passes in a moment, and a limited rate is caught up with: they are left out.
+            if self.guarded and ('torque' in limits or 'joint' in limits):
+                self.controller.account_for(torque)
             self._task_ticks += 1
             return self._report(
                 torque, reaction, causes, ('reference', *limits) if self.task.limited else limits)
@@ -187,14 +177,14 @@ class Supervisor:
         """Return what answers the tick, the law or a reaction, and why."""
         arm = self._arm
         if self.safe:
-            if arm is not None and not self._seen.blind:
-                return SAFE, causes
-            return DAMP if arm is None else FLOAT, causes or ('joints_stale',)
+            return SAFE, causes
         if self.started and not self._paused:
-            return self._reaction_to(causes), causes
-        if self.guarded and not self.started and self._outside():  # it would be moved at once
-            causes += (OUTSIDE,)
-        reaction = self._reaction_to(causes)
+            return checks.reaction_to(causes, self.config) if causes else NONE, causes
+        if self.guarded and not self.started and arm is not None:
+            outside = outside_limits(self.config, arm.q, arm.pose.position_world)
+            if outside:  # the limits would move it at once
+                causes, self.findings = (*causes, 'start_outside'), self.findings or outside
+        reaction = checks.reaction_to(causes, self.config)
         if reaction in CONTROLLED and self._paused:
             self._good_ticks += 1
             if missing := self._recovery.missing(self._good_ticks):
@@ -202,17 +192,6 @@ class Supervisor:
                 floats = self._reaction == FLOAT and self._good_ticks * self._period < SEEN_TIME
                 return FLOAT if floats else HOLD, missing
         return reaction, causes
-
-    def _outside(self) -> tuple[str, ...]:
-        """Return where the arm is beyond its limits, a line each."""
-        arm = self._arm
-        return () if arm is None else outside_limits(
-            self.config, arm.q, arm.pose.position_world)
-
-    def _reaction_to(self, causes: tuple[str, ...]) -> str:
-        to = self._reactions_to
-        called_for = [to.get(cause, to[cause.split('_')[0]]) for cause in causes]
-        return max(called_for, key=SEVERITY.index, default=NONE)
 
     def _resume(self) -> None:
         """Start the control law, or go on with it after a reaction."""
@@ -226,22 +205,21 @@ class Supervisor:
 
     def _check(self) -> str:
         """Return the cause to refuse the answer of the law, nothing if it may be commanded."""
-        doubts = checks.check_plausibility(*self._answered) if self.guarded else 0
+        doubts = checks.check_plausibility(*self._answered)
         if doubts & checks.NOT_FINITE:
             return 'law_not_finite'
-        wrong = [] if self.task.locked else [
+        wrong = [] if self.task.locked or not self.guarded else [
             cause for bit, cause in checks.WRONG_WRENCH.items() if doubts & bit]
         self._contradictions = self._contradictions + 1 if wrong else 0
         if wrong and (self._contradictions >= CONTRADICTIONS or self._paused):
             return wrong[0]
-        if doubts & checks.OUTSIDE:  # the contacts have led there
-            self.task.lead_back()
+        if doubts & checks.OUTSIDE:  # the contacts that are pressed have led there
+            self.task.states['left'] |= self.controller.active
         return ''
 
     def _take_over(self) -> None:
         """Let the law act from now on."""
-        if not self.gate.begun:
-            self._begin()
+        self._begin()
         if self._paused:
             self.reactions.end()
             self._causes = self.findings = ()
@@ -249,37 +227,31 @@ class Supervisor:
                 self._recovery.resumed_at = self._task_ticks
         self.started, self._paused = True, False
 
-    def _account_for(self, torque: Vector, limits: tuple[str, ...]) -> None:
-        """Tell the law what acts in place of its answer."""
-        if not self.guarded:
-            if 'not_finite' in limits:
-                raise SingularTaskError('the torque: expected finite numbers, got NaN or infinity')
-        # A blend passes in a moment, and a limited rate is caught up with: they are left out.
-        elif 'torque' in limits or 'joint' in limits:
-            self.controller.account_for(torque)
-
     def _begin(self) -> None:
         """Let the torque start from the one that acts before any command."""
+        if self.gate.begun:
+            return
         effort, acting = self.inputs.effort, np.zeros(self._robot.joint_count)
         if effort is not None:
             acting = effort + self._joints['added']
         elif self._arm is not None:
             acting = self._robot.update(self._arm.q, acting).gravity
         self.gate.begin(acting)
-        self.gate.go_over()
 
     def _refuse(self, cause: str) -> Answer:
-        """Answer without the control law because of what it says."""
+        """Answer without the control law because of what it says, or raise without guards."""
+        if not self.guarded:
+            raise SingularTaskError('the torque: expected finite numbers, got NaN or infinity')
         if self._paused:
             self._recovery.relapsed((cause,))
-        return self._react(self._reaction_to((cause,)), (cause,))
+        return self._react(checks.reaction_to((cause,), self.config), (cause,))
 
     def _react(self, reaction: str, causes: tuple[str, ...]) -> Answer:
         """Answer without the control law."""
         arm, blind = self._arm, self._seen.blind
-        if blind and arm is not None and reaction in (HOLD, DAMP):
+        if blind and arm is not None:
             reaction = FLOAT  # what is not seen can be neither held nor slowed down
-        if causes not in ((RECOVERING,), (LATCHED,)):
+        if causes not in reactions.WAITING:
             self._good_ticks = 0
             if causes != self._causes or not self.findings:
                 self._causes = causes
@@ -288,8 +260,7 @@ class Supervisor:
             self._recovery.stopped(causes, self._task_ticks)
             self.reactions.begin(self._output)
         self._paused = True
-        if not self.gate.begun:
-            self._begin()
+        self._begin()
         if reaction != SAFE:
             self.gate.hurry()
         with np.errstate(all='ignore'):  # the gate finds numbers that are not finite
@@ -303,8 +274,6 @@ class Supervisor:
 
     def _explain(self, cause: str) -> str:
         """Return what the readings say about a cause that has just begun; empty if nothing."""
-        if cause == OUTSIDE:
-            return '; '.join(self._outside())
         if cause in checks.WRONG_WRENCH.values():
             return self.stray_force
         touched, names = cause.startswith(checks.COLLISION), self.config.robot.joint_names
@@ -360,11 +329,7 @@ class Supervisor:
             self._task_ticks * self._period) if self.guarded else None
 
     def reconfigure(self, config: ControllerConfig) -> None:
-        """
-        Go on with other values of live parameters, without a jump; other values have no effect.
-
-        ConfigError, and all is as before, if the controller cannot go on with them.
-        """
+        """Go on with other live parameters, without a jump; or ConfigError, as it was before."""
         self.controller.check(config)
         self.controller.reconfigure(config)
         self._adopt(config)
@@ -381,9 +346,10 @@ class Supervisor:
 
     def try_again(self) -> bool:
         """Resume control that is latched, seek contacts given up; return if there was any."""
-        latched = self._recovery.latched
+        given_up, latched = self.task.states['state'] == GIVEN_UP, self._recovery.latched
+        self.task.states['again'] |= given_up
         self._recovery.allow()
-        return self.task.seek_again() or latched
+        return bool(given_up.any()) or latched
 
 
 def not_supervised() -> CommandError:

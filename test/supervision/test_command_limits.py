@@ -1,11 +1,9 @@
 """Commands beyond the limits are refused by name."""
 
 from arms import controller_config
-from multicontact_control.config import LimitsConfig
 from multicontact_control.contact.geometry import offset_shares
 from multicontact_control.errors import CommandError
-from multicontact_control.supervision.command_limits import check_position, CommandLimits
-import numpy as np
+from multicontact_control.supervision.command_limits import CommandLimits
 import pytest
 
 EDGE = controller_config(contacts={'table': {
@@ -40,12 +38,3 @@ def test_offset_shares_refuses_what_is_no_centre_of_pressure():
                              ({'table/along': float('nan')}, 'nan m')):
         with pytest.raises(CommandError, match=message):
             offset_shares(EDGE, centres)
-
-
-def test_check_position_names_the_axis():
-    limits = LimitsConfig(workspace_lower=(-1.0,) * 3, workspace_upper=(1.0, 1.0, 1.5))
-    check_position(np.array([0.5, -0.5, 1.0]), limits)
-    check_position(np.array([50.0, 0.0, 1.0]), LimitsConfig())  # no box
-    for bad in (-1.1, float('nan')):
-        with pytest.raises(CommandError, match='position y: expected -1 to 1 m'):
-            check_position(np.array([0.5, bad, 1.0]), limits)

@@ -23,16 +23,15 @@ CONFIG = controller_config()
 H = CONFIG.period
 CONTACTS = len(CONFIG.contact_names)
 RATE = CONFIG.rate
-FULL_SCALE = (100.0, 100.0, 200.0, 5.0, 5.0, 5.0)
 SOURCES = ('joints', 'wrench', 'variance')
 
 
-def make(config=CONFIG, turning=False):
+def make(config=CONFIG):
     """Return a stage whose places are its attributes."""
     arm = SimpleNamespace(motion=np.zeros((2, 6)), joints=np.zeros(6, JOINT))
     controls, contacts = np.zeros(1, CONTROL), np.zeros(CONTACTS, CONTACT)
     stage = Inputs(config, SimpleNamespace(
-        arm=arm, controls=controls, contacts=contacts, robot=SimpleNamespace(turning=turning)))
+        arm=arm, controls=controls, contacts=contacts, robot=SimpleNamespace(turning=False)))
     (stage.q, stage.qd), stage.wrench = arm.motion, controls['wrench'][0]
     stage.variance = contacts['noise_variance']
     return stage
@@ -97,16 +96,6 @@ def test_fault_of_a_reading_is_named_and_its_numbers_are_not_used(source, change
         np.testing.assert_array_equal(stage.q, inputs.joints.q)
 
 
-@pytest.mark.parametrize(('source', 'bridged'), [('joints', 1), ('wrench', 12), ('variance', 3)])
-def test_missing_reading_is_bridged_for_its_largest_age_and_then_a_cause(source, bridged):
-    """R is a period old when all is well."""
-    stage, random = warm()
-    causes = [stage.validate(good(k, random)._replace(**{source: None})).causes
-              for k in range(20, 40)]
-    assert causes == [()] * bridged + [(f'{source}_stale',)] * (20 - bridged)
-    assert stage.validate(good(40, random)).causes == ()
-
-
 def test_variance_keeps_to_its_limits_and_grows_while_it_is_not_renewed():
     stage, random = warm()
     for k, (given_r, used) in enumerate(
@@ -133,11 +122,7 @@ def test_third_identical_reading_is_frozen_and_a_wrench_is_bridged_for_one():
     assert [seen.rejected for seen in results] == [()] * 2 + [frozen] * 3
     assert [seen.causes for seen in results] == [()] * 2 + [frozen[:1]] + [frozen] * 2
     assert stage.sensor_fault == 'frozen'
-    almost = np.ones(6) + 1e-9 * (np.arange(6) == 5)
-    signal = [np.ones(6)] * 8 + [almost] * 5
-    assert sensed(signal, frozen_ticks=5)[2] == [()] * 4 + [frozen[1:]] * 4 + [()] * 4 + [
-        frozen[1:]]
-    assert sensed(signal, frozen_ticks=0)[2] == [()] * 13
+    assert sensed([np.ones(6)] * 6, frozen_ticks=5)[2] == [()] * 4 + [frozen[1:]] * 2
 
 
 def swing(k):
@@ -195,17 +180,6 @@ def test_positions_make_up_for_velocities_that_do_not_come(silent):
     assert stage.estimates
 
 
-def test_angle_goes_on_where_it_wraps():
-    stage, speed = make(turning=np.arange(6) == 5), 1.0
-    for k in range(4000):
-        q = HOME + speed * k * H * (np.arange(6) == 5)
-        wrapped = np.append(q[:5], np.angle(np.exp(1j * q[5])))
-        seen = stage.validate(TickInputs(k * H, JointInput(
-            k * H, wrapped, speed * (np.arange(6) == 5.0))))
-        assert k < 20 or seen.causes == ('wrench_stale',)
-        np.testing.assert_allclose(stage.q - stage.q[0] - (q - q[0]), 0.0, atol=1e-9)
-
-
 @pytest.mark.parametrize(('times', 'causes'), [
     ((20, 19), ('clock_backwards',)),
     ((20, 23), ()), ((20, 23, 26), ('clock_rate',)), ((20, 20.3, 20.6), ('clock_rate',)),
@@ -244,24 +218,15 @@ def test_low_pass_is_scipys_butterworth_from_a_settled_start(order):
     stage, passed, _ = sensed(signal, frozen_ticks=0, **sensor)
     assert np.isnan(passed[20]).all()
     np.testing.assert_allclose(np.delete(passed, 20, axis=0), [wrench] * 29, rtol=1e-12)
-    filtered = []
-    for time, stamp in ((30 * H, 30 * H), (31 * H, 30 * H)):
-        stage.validate(TickInputs(time, wrench=WrenchInput(stamp, -wrench)))
-        filtered.append(stage.wrench.copy())
-    assert (np.abs(filtered[0]) < wrench).all()
-    np.testing.assert_array_equal(filtered[1], filtered[0])  # the same reading passes once
 
 
 @pytest.mark.parametrize('order', [1, 2])
 @pytest.mark.parametrize('cutoff', [15.0, 125.0, 240.0])
-def test_filter_delay_is_the_group_delay_at_rest_and_that_of_a_ramp(order, cutoff):
-    sensor = {'filter_order': order, 'filter_cutoff': cutoff}
-    delay = SensorFrontEndConfig(**sensor).filter_delay(RATE)
+def test_filter_delay_is_the_group_delay_at_rest(order, cutoff):
+    delay = SensorFrontEndConfig(filter_order=order, filter_cutoff=cutoff).filter_delay(RATE)
     # scipy cannot divide where a zero of the filter lies; 0 Hz is far from it.
     _, samples = group_delay(butter(order, cutoff, fs=RATE), w=[1e-3], fs=RATE)
     assert delay == pytest.approx(samples[0] / RATE, rel=1e-4)
-    passed = sensed(np.tile(np.arange(1000)[:, None] / RATE, 6), **sensor)[1]
-    assert 999 / RATE - passed[-1, 0] == pytest.approx(delay, rel=1e-9)
 
 
 def test_delay_of_the_low_pass_is_in_the_controllers_model():
@@ -275,17 +240,3 @@ def test_delay_of_the_low_pass_is_in_the_controllers_model():
     np.testing.assert_allclose(filtered['feedback'], delayed['feedback'], rtol=1e-6)
     with pytest.raises(ConfigError, match='force.input_delay: .*filter_cutoff .* got 0.051'):
         controller_config(sensor={'filter_order': 2, 'filter_cutoff': 5.0})
-
-
-@pytest.mark.parametrize('axis', range(6))
-@pytest.mark.parametrize('sign', [-1.0, 1.0])
-def test_saturation_is_of_the_raw_wrench_where_the_full_scale_is_known(axis, sign):
-    wrench = sign * np.array(FULL_SCALE) * (np.arange(6) == axis)
-    saturated = ('wrench_saturated',)
-    assert sensed([1e3 * wrench])[2] == [()]
-    stage, passed, rejected = sensed([0.0 * wrench, 0.98 * wrench, wrench, wrench],
-                                     full_scale=FULL_SCALE, filter_order=1, filter_cutoff=10.0)
-    assert rejected == [()] * 2 + [saturated] * 2
-    assert stage.sensor_fault == 'saturated' and (np.abs(passed[1]) < 0.5 * np.abs(wrench)).any()
-    np.testing.assert_array_equal(stage.wrench, passed[1])
-    np.testing.assert_array_equal(stage.raw, wrench)

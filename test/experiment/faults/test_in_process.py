@@ -23,7 +23,10 @@ def world():
     (('delayed', 'variance'), 'inflate'), (('duplicated', 'wrench'), 'none'),
     (('restarted', 'clock'), 'hold'), (('surface_gone', 'plant'), 'none'),
     (('wrapped_q', 'joints'), 'none'), (('second_publisher', 'plant'), 'none'),
-    (('constant_qd', 'joints'), 'hold'), (('like_position_qd', 'joints'), 'hold')])
+    (('constant_qd', 'joints'), 'hold'), (('like_position_qd', 'joints'), 'hold'),
+    *((('raises', part), reaction) for part, reaction in (
+        ('inputs.validate', 'float'), ('task.ask', 'hold'), ('controller.answer', 'hold'),
+        ('gate.apply', 'float')))])
 def test_fault_is_answered_as_declared(world, kind, reaction):
     row = in_fork(world, FAULTS[kind], 1, 'approach')
     assert (row.reaction, row.safe, row.problems) == (reaction, True, '')
