@@ -7,14 +7,13 @@ from functools import partial
 from diagnostic_msgs.msg import DiagnosticStatus
 from multicontact_control.client import CommandRefusedError, MultiContactClient, NotReachedError
 from multicontact_control.errors import MessageError, RunError
-from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph import create_publisher, ignore, take
 from multicontact_control.nodes.link import CLEAN_UP, DEACTIVATE, GuestNode
 from multicontact_control.nodes.messages import ACCEPTED, ControllerStatus
 import numpy as np
 import pytest
 from ros_graph import obedient_graph, PATIENCE, wait_for
-from sensor_msgs.msg import JointState
 
 pytestmark = pytest.mark.ros
 
@@ -140,20 +139,6 @@ def test_each_of_two_clients_learns_what_becomes_of_its_own_commands(arm, domain
         moving.result()
     assert reached(arm).forces_desired == {'table': 10.0, 'board': 4.0}
     assert abs(arm.read().position_desired[0] - start[0] - 0.03) < 1e-6
-
-
-def test_pressing_arm_with_an_announced_payload_presses_as_before(arm):
-    reached(arm, table=10.0, board=5.0)
-    truth = arm.node.create_subscription(JointState, topics.TRUE_FORCES.name, ignore, qos.GLANCE)
-    for payload in (1.2, 0.0):
-        arm.set_parameters('sim_node', {'payload': payload})
-        arm.set_parameters('controller_node', {
-            'tool.mass': 0.491 + payload, 'tool.com_sensor': [0.0, 0.0229, 0.0789]})
-        reached(arm)
-        wait_for(lambda: (taken := take(truth)) and np.allclose(
-            taken[0].effort, [10.0, 5.0], atol=1.0), 'the true forces')
-    with pytest.raises(RunError, match='tool.mass: expected greater than or equal to 0, got -1'):
-        arm.set_parameters('controller_node', {'tool.mass': -1.0})
 
 
 def test_client_deactivates_and_activates_a_real_controller(arm, domain_id):

@@ -22,10 +22,10 @@ def test_trajectory_is_pinned(name):
 @pytest.mark.slow
 @pytest.mark.parametrize('name', SUMMARIES)
 def test_summary_is_pinned(name):
-    assert differences(PINNED['summaries'][name], summary(name), 1e-6) == []
+    assert differences(PINNED['summaries'][name], summary(name)) == []
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize('name', STUDIES)
 def test_study_table_is_pinned(name):
-    assert differences(PINNED['studies'][name], study(name), 1e-6) == []
+    assert differences(PINNED['studies'][name], study(name)) == []
