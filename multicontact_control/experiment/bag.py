@@ -136,9 +136,9 @@ def read_messages(
     """
     Read the messages of some topics of an MCAP file or a folder, as far as the files go.
 
-    `types` has the type of each topic, one of `READERS`, by its name without namespace;
-    `namespace` is that of the graph; if not given, the only one that such topics are in. Raises
-    RunError if there is no file, or it holds the topics of several graphs.
+    `types` has the type of each topic, one of `READERS`, by its name within the `namespace` of
+    the graph. Raises RunError if there is no file, or it holds several graphs and no namespace is
+    given.
     """
     columns: dict[tuple[str, str], BagColumns] = {}  # by namespace and topic
     names: set[str] = set()  # full names of all topics

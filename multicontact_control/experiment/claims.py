@@ -1,8 +1,4 @@
-"""
-The paper's claims (P04 sec. 4.1, 4.2, 5.2): a table of measures and bounds, and one loop.
-
-A claim is measured on the evidence of a run and of the runs of a comparison on the same plant.
-"""
+"""The paper's claims (P04 sec. 4.1, 4.2, 5.2): a table of measures and bounds, and one loop."""
 
 from __future__ import annotations
 

@@ -39,22 +39,9 @@ class ClosedLoop:
     The loop of the graph in one process: what a scenario, a fault or a push is tried on.
 
     The controller at tick k works with the R of tick k - 1, and its command acts on the plant
-    from k + actuator delay on, as in the graph.
-
-    If `supervised`, contact states, watchdogs and limits are around the control law; if
-    `commanded`, `control` obeys commands instead of the scenario.
-
-    Attributes
-    ----------
-    control, plant
-        What turns samples into torques, and the simulated arm.
-    tick, sample
-        Number and content of the sample that is answered next, or has been and not acted on.
-    variance, command
-        The newest R, shape (r,) [N^2], and the newest torque, shape (n,) [N m].
-    history
-        What was known at the last ticks if nothing was wrong with it, newest last.
-
+    from k + actuator delay on, as in the graph. If `supervised`, contact states, watchdogs and
+    limits are around the control law; if `commanded`, `control` obeys commands instead of the
+    scenario.
     """
 
     def __init__(
@@ -68,11 +55,13 @@ class ClosedLoop:
         self._estimator = make_noise_estimator(setup.noise_estimator)
         self.plant = Plant(setup.plant, rate=config.rate, seed=setup.seed)
         self._delay = ActuatorDelay(setup.plant.actuator_delay_ticks, self.plant.initial_torque)
+        # The sample that is answered next, or has been and not acted on.
         self.tick = 0
         self.sample: Sample = self.plant.reset()
+        # The newest R, shape (r,) [N^2], and torque, shape (n,) [N m].
         self.variance: Vector = np.full(len(config.columns), config.initial_noise_variance)
         self.command: Vector = self.plant.initial_torque
-        self.history: deque[TickInputs] = deque(maxlen=HISTORY)
+        self.history: deque[TickInputs] = deque(maxlen=HISTORY)  # of `inputs`, newest last
 
     @property
     def status(self) -> SupervisorStatus:
@@ -94,9 +83,9 @@ class ClosedLoop:
         """
         Let the control loop answer the sample, and the estimator find the next R.
 
-        `corrupt` changes the readings on their way from the sensors. `command` is the torque of
-        the answer. Raises MulticontactError without supervisor, if there is no torque for this
-        posture, and RunError in the safe behaviour, which has no answer to estimate R from.
+        `corrupt` changes the readings on their way from the sensors. Raises MulticontactError
+        without supervisor, if there is no torque for this posture, and RunError in the safe
+        behaviour.
         """
         inputs = self.inputs()
         self.history.append(inputs)
@@ -149,11 +138,9 @@ def run_in_process(
     Run a scenario as fast as it goes, up to where the arm can no longer be controlled.
 
     `on_progress` is called every 100 ticks with the time [s] and the measured forces [N],
-    `disturb` with the loop before each tick. Without supervision the law runs bare but for its
-    start.
+    `disturb` with the loop before each tick.
     """
-    config = setup.controller
-    data = empty_run_data(setup.ticks, config)
+    data = empty_run_data(setup.ticks, setup.controller)
     ended_early, done = '', setup.ticks
     loop = ClosedLoop(setup, supervised=supervised)
     try:
@@ -172,7 +159,7 @@ def run_in_process(
             if k + 1 < setup.ticks:
                 loop.act()
             if on_progress is not None and k % PROGRESS_TICKS == 0:
-                on_progress(k * config.period, output.contacts['alpha_meas'])
+                on_progress(data.time[k], output.contacts['alpha_meas'])
     finally:
         loop.close()
     return LoopResult(data.part(0, done), ended_early, tuple(loop.control.events.events))
@@ -190,7 +177,7 @@ def _record(data: RunData, loop: ClosedLoop, output: ControlOutput) -> None:
             getattr(data, name)[k] = output.contacts[name]
     data.alpha_true[k] = loop.sample.contact_force
     data.noise_variance[k] = loop.variance
-    pose, pose_des = output.pose, output.pose_des
-    data.position[k], data.quaternion[k] = pose.position_world, pose.quaternion_xyzw
-    data.position_des[k] = pose_des.position_world
-    data.quaternion_des[k] = pose_des.quaternion_xyzw
+    data.position[k] = output.pose.position_world
+    data.quaternion[k] = output.pose.quaternion_xyzw
+    data.position_des[k] = output.pose_des.position_world
+    data.quaternion_des[k] = output.pose_des.quaternion_xyzw

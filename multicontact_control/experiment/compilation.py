@@ -30,11 +30,7 @@ KEPT = 5  # folders, each for one state of the sources
 
 
 def ensure_compiled() -> int:
-    """
-    Compile every kernel that the cache on disk lacks, and return how many that were.
-
-    A second process that wants the same waits for the first.
-    """
+    """Compile every kernel that the cache lacks, one process at a time; return how many."""
     folder = cache_folder()
     if folder is not None and _marker(folder).is_file():
         return 0

@@ -43,11 +43,7 @@ def read_settings(settings: Sequence[str]) -> dict[str, Any]:
 
 
 def paths_of(name: str, setup: Setup, field: str) -> list[tuple[str, ...]]:
-    """
-    Return where a parameter is, several places if there is a ``*`` in its name.
-
-    ConfigError if there is none in the setup; `field` says what it belongs to.
-    """
+    """Return the places of a parameter, several for a ``*``; ConfigError of a `field` if none."""
     section, *inner = name.split('.')
     if section not in ARGUMENTS or not inner:
         raise ConfigError(field, f'a dotted name that begins with {", ".join(ARGUMENTS)}',
@@ -80,11 +76,7 @@ def _value_at(setup: Setup, place: tuple[str, ...]) -> Any:
 
 
 def value_of(name: str, setup: Setup) -> Any:
-    """
-    Return the value of a parameter in a setup as a scalar.
-
-    Lists and mappings as JSON text; None for a ``*`` whose values differ.
-    """
+    """Return a parameter, a list or mapping as JSON; None for a ``*`` whose values differ."""
     values = [_value_at(setup, place) for place in paths_of(name, setup, name)]
     if any(value != values[0] for value in values):
         return None
@@ -102,11 +94,7 @@ def unit_of(name: str, setup: Setup) -> str:
 
 
 def overrides_of(values: Mapping[str, Any], setup: Setup, field: str) -> dict[str, Any]:
-    """
-    Return the values of parameters as nested overrides, by section.
-
-    Of two that fit the same place the later one holds; `field` stands before their names.
-    """
+    """Return the values of parameters by section, later ones over earlier; see `paths_of`."""
     nested: dict[str, Any] = {}
     for name, value in values.items():
         for place in paths_of(name, setup, field + name):
@@ -120,11 +108,7 @@ def overrides_of(values: Mapping[str, Any], setup: Setup, field: str) -> dict[st
 def resolve_with(
     resolver: Callable[..., T], arguments: Mapping[str, Any], settings: Sequence[str],
 ) -> T:
-    """
-    Return what `resolve` or `resolve_external` does, ``KEY=VALUE`` texts laid over its files.
-
-    ConfigError if a text, or a name in what the arguments resolve to, is not acceptable.
-    """
+    """Return what a function of `scenario` resolves, ``KEY=VALUE`` over its files; ConfigError."""
     resolved = resolver(**arguments)
     if not settings:
         return resolved

@@ -191,11 +191,7 @@ def load_setup(folder: Path) -> Setup:
 
 
 def load_run(folder: Path) -> LoadedRun:
-    """
-    Read a run, from its bag if it has one, from ``samples.npz`` otherwise.
-
-    Raises ConfigError if it is not the folder of a run, RunError if the recording cannot be read.
-    """
+    """Read the folder of a run; ConfigError if it is none, RunError if it cannot be read."""
     setup = load_setup(folder)
     if (folder / BAG_FOLDER).is_dir():
         data = recording.read_bag(

@@ -37,9 +37,8 @@ CONSOLE = Console(highlight=False, soft_wrap=True)
 
 def run_simulate(setup: Setup, folder: Path, *, supervised: bool = True) -> dict[str, Any]:
     """
-    Run a scenario in this process and leave its results in a folder.
+    Run a scenario in this process, leave its results in a folder, and return its summary.
 
-    They are the series, ``summary.json``, whose content is returned, figures and configuration.
     Without supervision there are no contact states, watchdogs and limits around the control law.
     """
     refuse_push_test(setup)
@@ -66,14 +65,12 @@ def run_on_graph(
     """
     Run a scenario, or commands, on the ROS 2 graph, and leave recording and results in a folder.
 
-    An `endless` run is ended by a signal, whatever the scenario says. With `external`, whose setup
-    this is, the user's own robot is behind the topics, which counts as gone after `robot_timeout`
-    [s] without a message. `options` are fields of `GraphSpec`, the other parameters those of
-    `run_simulate`. Returns the content of ``summary.json``, None if no sample was answered or the
-    report was skipped by a Ctrl-C, and the signal that ended the run early, if one did. Raises
+    An `endless` run is ended by a signal. With `external`, whose setup this is, the user's own
+    robot is behind the topics, which counts as gone after `robot_timeout` [s] without a message.
+    `options` are fields of `GraphSpec`. Returns the summary, None if no sample was answered or a
+    Ctrl-C skipped the report, and the signal that ended the run early, if one did. Raises
     ConfigError if the scenario cannot begin by itself or a parameter of the node is not
-    acceptable, RunError if ROS cannot be loaded or a node dies; what was recorded stays in the
-    folder.
+    acceptable, RunError if ROS cannot be loaded or a node dies.
     """
     from multicontact_control.experiment.graph.robot import Robot
     from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec

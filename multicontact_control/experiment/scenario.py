@@ -82,11 +82,7 @@ class Setup:
                             self.controller.column_names, self.controller.leader_of)
 
     def commanded(self, time: Vector) -> Matrix:
-        """
-        Return the forces that the scenario asks for at some times [s], shape (m, r) [N].
-
-        Before the first force step that is the preload, also while approaching.
-        """
+        """Return the scenario's forces at some times [s], first its preload, shape (m, r) [N]."""
         steps = [step.time for step in self.scenario.reference.force_steps]
         commanded: Matrix = self.reference().forces[
             np.searchsorted(steps, time + 1e-9, side='right')]
@@ -139,8 +135,8 @@ def plant_source(name: str = '', robot: str = '') -> PlantSource:
     """
     Return what a plant's name stands for; ConfigError if there is no such robot or plant.
 
-    The name is ``PLANT``, ``ROBOT/PLANT``, or the path of a parameter file; empty for the robot's
-    default plant. The robot is a name or path; empty for that in the name, or the default robot.
+    The name is ``PLANT``, ``ROBOT/PLANT``, the path of a parameter file, or empty for the robot's
+    default; the robot is a name, a path, or empty for that in the plant's name, or the default.
     """
     chosen = find_robot(robot or DEFAULT)
     if plant := chosen.plant_name(name):
@@ -172,11 +168,10 @@ def resolve(
     """
     Read and check everything a run needs.
 
-    `scenario` is its name or path, `plant` and `robot` are as for `plant_source`, `seed` is that
-    of the plant's noise and roughness, `duration` the length instead of the scenario's [s], and
-    `preset` the name or path of what is laid over the files of controller and estimator first.
-    `scenario_overrides` are laid over the scenario's file, the others over the files' and the
-    scenario's values. Raises ConfigError with every value that is not acceptable.
+    `scenario` and `preset`, of controller and estimator, are names or paths, `plant` and `robot`
+    are as for `plant_source`, `seed` is that of the plant's noise and roughness, `duration` the
+    length instead of the scenario's [s]. `scenario_overrides` are laid over the scenario's file,
+    the others over all values. Raises ConfigError with every value that is not acceptable.
     """
     if seed < 0:
         raise ConfigError('seed', 'a whole number >= 0', seed)
@@ -303,10 +298,9 @@ def resolve_external(
     """
     Read and check everything for a run on the user's own robot; ConfigError.
 
-    Parameter `files` are those of the controller. Without a `scenario` it obeys the command
-    topics; `duration` is the length of the run [s], by default that of the scenario. The noise
-    estimator's section lies over the file of the package, with the controller's contacts and rate.
-    The other arguments are laid over all these files, as by `resolve`.
+    Parameter `files` are those of the controller; the noise estimator has its contacts and rate.
+    Without a `scenario` it obeys the command topics; `duration` is the length of the run [s], by
+    default that of the scenario. The other arguments are as for `resolve`.
     """
     read, laid_over = read_controller_files(files), preset_values(preset)
     path, values = Path(COMMANDS), {'name': COMMANDS, 'duration': UNTIL_STOPPED}

@@ -12,7 +12,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, ToolConfig
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, ConfigError, RunError
-from multicontact_control.experiment.bag import JOINT_STATE, read_messages, WRENCH
+from multicontact_control.experiment.bag import BagColumns, JOINT_STATE, read_messages, WRENCH
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.experiment.scenario import read_controller_files
@@ -39,19 +39,25 @@ Tell = Callable[[str], None]
 
 
 def weigh(
-    robot: RobotModel, gravity_world: Sequence[float], joints: tuple[Vector, Matrix],
-    wrenches: tuple[Vector, Matrix], tell: Tell,
+    source: object, joints: BagColumns, felt: BagColumns, controller: ControllerConfig,
+    robot: RobotModel, tell: Tell,
 ) -> tool.Identification:
     """
-    Identify a tool from samples of an arm that is at rest in at least four poses.
+    Identify a tool from messages of an arm that is at rest in at least four poses.
 
-    Joints are times [s] and angles, shapes (m,) and (m, n) [rad]; wrenches are times of the same
-    clock and readings of the sensor, shape (m, 6) [N, N m]; gravity is in world axes [m/s^2].
     `tell` is called with each rest; one whose readings vary is left out. Raises CalibrationError
-    if there are too few rests, or the readings do not tell.
+    if there are too few rests, or the readings do not tell; RunError, naming the `source`, if a
+    joint is missing.
     """
-    (q_time, q), (f_time, readings) = joints, wrenches
-    gravity, poses = np.array(gravity_world), []
+    names, gravity = controller.robot.joint_names, np.array(controller.robot.gravity_world)
+    q, readings = joints.values('position', names), felt.values('wrench')
+    if not np.isfinite(q).all():
+        raise RunError(f'{source}: joint_states: expected positions of the joints '
+                       f'{", ".join(names)}, got {", ".join(joints.names) or "none"}')
+    q_time, f_time = (1e-9 * x.stamps.astype(np.float64) for x in (joints, felt))
+    if f_time[0] > q_time[-1] or q_time[0] > f_time[-1]:  # clocks of their own
+        q_time, f_time = (1e-9 * x.published.astype(np.float64) for x in (joints, felt))
+    poses = []
     for begin, end in find_rests(q_time, q):
         mean = q[(q_time >= begin) & (q_time <= end)].mean(axis=0)
         rotation = robot.update(mean, np.zeros(robot.joint_count)).sensor_pose.rotation_world
@@ -104,21 +110,13 @@ def weigh_recording(
     raises ConfigError or RunError if a file or the recording lacks something.
     """
     controller, robot = _arm(files)
-    wrench, names = f'ft_sensor/{controller.wrench_series}', controller.robot.joint_names
+    wrench = f'ft_sensor/{controller.wrench_series}'
     messages = read_messages(path, {JOINTS: JOINT_STATE, wrench: WRENCH}, namespace)
     for topic in (JOINTS, wrench):
         if topic not in messages.by_topic:
             raise RunError(f'{path}: expected messages on {topic}, got {messages}')
     joints, felt = messages.by_topic[JOINTS], messages.by_topic[wrench]
-    q = joints.values('position', names)
-    if not np.isfinite(q).all():
-        raise RunError(f'{path}: joint_states: expected positions of the joints '
-                       f'{", ".join(names)}, got {", ".join(joints.names) or "none"}')
-    q_time, f_time = (1e-9 * x.stamps.astype(np.float64) for x in (joints, felt))
-    if f_time[0] > q_time[-1] or q_time[0] > f_time[-1]:  # clocks of their own
-        q_time, f_time = (1e-9 * x.published.astype(np.float64) for x in (joints, felt))
-    return weigh(robot, controller.robot.gravity_world, (q_time, q),
-                 (f_time, felt.values('wrench')), tell)
+    return weigh(path, joints, felt, controller, robot, tell)
 
 
 def weigh_running(
@@ -140,7 +138,7 @@ def weigh_running(
     controller, robot = _arm(files)
     where: dict[str, Any] = {'namespace': namespace, 'domain_id': domain_id, 'timeout': TIMEOUT}
     heard = (topics.JOINT_STATES, topics.WRENCHES[controller.wrench_input])
-    samples: list[Vector] = []  # time, angles and wrench
+    joints, felt = BagColumns(JOINT_STATE), BagColumns(WRENCH)
     with MultiContactClient(**where) as arm, ControllerLink(heard, **where) as link:
         start = arm.read()
         if pressed := [name for name, force in start.forces_desired.items() if force > 0.0]:
@@ -156,14 +154,13 @@ def weigh_running(
             tilted = Rotation.from_rotvec([tilt * x, tilt * y, 0.0]) * home
             _turn(arm, start.position_desired, duration, tilted)
             end = arm.read().time + REST_TIME
-            while not samples or samples[-1][0] < end:
-                samples.append(_sample(link.fresh(*heard), controller.robot.joint_names))
+            while not len(joints) or 1e-9 * joints.stamps[-1] < end:
+                for columns, message in zip((joints, felt), link.fresh(*heard)):
+                    columns.take(message, time.time_ns())
         tell('back to the first pose')
         arm.move(start.position_desired, duration, quaternion_xyzw=start.quaternion_desired)
         tell('the running controller keeps its tare; the result is for the next run')
-    series = np.array(samples)
-    return weigh(robot, controller.robot.gravity_world, (series[:, 0], series[:, 1:-6]),
-                 (series[:, 0], series[:, -6:]), tell)
+    return weigh('calibrate', joints, felt, controller, robot, tell)
 
 
 def _await_control(arm: Any) -> None:
@@ -199,17 +196,6 @@ def _turn(arm: Any, position: Vector, duration: float, pose: Rotation) -> None:
         f'calibrate: expected a tilted tool, got one {np.rad2deg(off):.0f} deg off; it may be '
         'beyond a limit, or too heavy to lift unknown: start from another pose, tilt less, or '
         'weigh it --from-bag')
-
-
-def _sample(messages: Sequence[Any], names: Sequence[str]) -> Vector:
-    """Return stamp [s], joint angles and wrench in a row; RunError if a joint is not there."""
-    joints, felt = messages
-    angles, stamp, w = dict(zip(joints.name, joints.position)), joints.header.stamp, felt.wrench
-    if lacking := [name for name in names if name not in angles]:
-        raise RunError(f'joint_states: expected the joints {", ".join(lacking)}, got '
-                       f'{", ".join(joints.name) or "none"}')
-    return np.array([stamp.sec + 1e-9 * stamp.nanosec, *(angles[name] for name in names),
-                     w.force.x, w.force.y, w.force.z, w.torque.x, w.torque.y, w.torque.z])
 
 
 def describe(result: tool.Identification) -> list[str]:

@@ -14,16 +14,19 @@ MOTION = 9.0  # s, its start in the scenario
 FIXED = {'noise_estimator': {'estimator': 'fixed'}}
 
 
-def claim_of(data, setup, words, rows=(), **summarised):
-    summary = summarise(data, setup, **{'mode': 'in_process', 'timing': {}, **summarised})
-    judged = claims.judge_claims(claims.evidence_of(data, setup, summary), rows)
+def evidence(data, setup, **changes):
+    summary = summarise(data, setup, mode='in_process', timing={}, **changes)
+    return claims.evidence_of(data, setup, summary)
+
+
+def claim_of(data, setup, words, rows=(), **changes):
+    judged = claims.judge_claims(evidence(data, setup, **changes), rows)
     (claim,) = [claim for claim in judged if words in claim.claim]
     return claim
 
 
 def row(label, data, setup):
-    summary = summarise(data, setup, mode='in_process', timing={})
-    return {**claims.evidence_of(data, setup, summary), 'estimator': label}
+    return {**evidence(data, setup), 'estimator': label}
 
 
 def changed(data, name, window, values):
@@ -113,18 +116,18 @@ def pushed(setup, duration):
 
 
 @pytest.mark.parametrize('lead, slow, holds', [
-    (0.2, 0.5, True), (0.2, 0.3, False), (0.2, 60.0, True), (60.0, 60.0, None)])
+    (0.2, 0.5, True), (0.2, 0.3, False), (60.0, 60.0, None)])
 def test_filter_claim_compares_the_recoveries(data, setup, lead, slow, holds):
     rows = [row('lead_window', pushed(setup, lead), setup),
             row('window rescaled', pushed(setup, slow), setup)]
     assert claim_of(data, setup, 'Without the high-pass filter', rows).holds is holds
 
 
-@pytest.mark.parametrize('peak, holds', [(60.0, True), (1.2, False)])
-def test_maybeck_claim_compares_the_reactions_of_the_estimates(data, setup, peak, holds):
-    jumping = changed(data, 'noise_variance', (data.time > 5.0) & (data.time < 5.3), peak)
-    rows = [row('lead_window', data, setup), row('innovation', jumping, setup)]
-    assert claim_of(data, setup, 'Maybeck', rows).holds is holds
+def test_maybeck_claim_compares_the_reactions_of_the_estimates(data, setup):
+    for peak, holds in ((60.0, True), (1.2, False)):
+        jumping = changed(data, 'noise_variance', (data.time > 5.0) & (data.time < 5.3), peak)
+        rows = [row('lead_window', data, setup), row('innovation', jumping, setup)]
+        assert claim_of(data, setup, 'Maybeck', rows).holds is holds
 
 
 def test_stiffness_claims_need_a_wrong_stiffness():
@@ -143,13 +146,3 @@ def test_designed_rise_of_two_equal_poles_is_2_146_time_constants(setup):
     assert claims.designed_rise(force) == pytest.approx(0.006 + 2.1462 * 0.02, abs=1e-5)
     fast = force.model_copy(update={'second_pole_ratio': 1e4})
     assert claims.designed_rise(fast) == pytest.approx(0.026, abs=1e-4)
-
-
-def test_statement_tells_nothing_relative_to_a_median_of_zero():
-    """As of a push that the base recovers from while it lasts."""
-    statement = claims.Statement('', '', lambda runs: runs[:1], lambda run: [('', run['s'])], '',
-                                 over='window')
-    for seconds, numbers in ((0.0, []), (0.5, [('', 2.0)])):
-        assert statement.numbers([{'estimator': 'fixed', 's': 1.0}, {
-            'estimator': 'window', 's': seconds, 'active_state_order': 1,
-            'contacts': {}}]) == numbers

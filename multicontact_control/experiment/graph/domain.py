@@ -20,12 +20,7 @@ PARTICIPANTS, PORTS_PER_PARTICIPANT = 32, 2
 
 @contextlib.contextmanager
 def reserve_domain(domain_id: int | None = None) -> Iterator[int]:
-    """
-    Hold a ROS domain for the time of a run, and yield it.
-
-    Without a number it is the first domain without a participant, so that runs side by side do not
-    hear each other. Raises RunError if no domain is free.
-    """
+    """Hold a ROS domain and yield it: without a number the first that is free; RunError."""
     if domain_id is not None:
         yield domain_id
         return

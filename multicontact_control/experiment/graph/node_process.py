@@ -48,10 +48,9 @@ def start_node(
     title: str = '',
 ) -> BaseProcess:
     """
-    Start the node whose `main` a module has in a process of its own, and return that.
+    Start the `main` of a node's module in a process of its own, and return that.
 
-    `arguments` are its command line without its name, `environment` are all its variables, `log`
-    is the file that its output goes to. It is listed by its name and a `title`.
+    `environment` are all its variables, `log` takes its output, `title` follows its name in lists.
     """
     prepare_nodes()
     process = CONTEXT.Process(

@@ -50,11 +50,7 @@ class NodeProcesses:
         return name in self.running and self.running[name].exitcode is not None
 
     def check_running(self, *, stopped: bool = False) -> None:
-        """
-        Check that every node runs, but for a simulator at its end, or one `stopped` as asked.
-
-        Raises RunError if one has ended otherwise: its name, how, and the end of its log.
-        """
+        """Check that no node has ended but a simulator at its end, or as asked; RunError."""
         for name, process in self.running.items():
             code = process.exitcode
             if code is not None and (name, code) != (SIM, 0) and not (stopped and code in STOPPED):
@@ -93,10 +89,9 @@ class NodeProcesses:
 
     def stop(self, *, hurry: bool = False) -> None:
         """
-        Stop what runs, from the source downwards.
+        Stop what runs, from the source downwards to the recorder.
 
-        The recorder is last, so that every message that was sent is in the bag; with `hurry` no
-        node waits until its messages have arrived.
+        With `hurry` no node waits until its messages have arrived.
         """
         for name in (x for x in reversed(START_ORDER) if x in self.running):
             process = self.running[name]

@@ -89,12 +89,7 @@ class ProgressListener(link.GuestNode):
 
 
 class RunningGraph:
-    """
-    A graph that is up; see `running_graph`.
-
-    Its nodes are `processes`, `progress` says where it is, `robot` whether the user's own robot is
-    there; None with a simulated plant.
-    """
+    """A graph that is up, of `running_graph`; its `robot` is None with a simulated plant."""
 
     def __init__(
         self, spec: GraphSpec, domain_id: int, keep_waiting: Callable[[str], None],
@@ -152,10 +147,9 @@ def running_graph(
     """
     Start a graph and activate it, yield it, and stop it afterwards.
 
-    Without a `reference_file` the graph obeys the command topics, e.g. of a `ControllerLink` with
-    its `domain_id`. Start it in the main thread. `keep_waiting` is called many times a second
-    during the start with what is waited for, and may raise. Raises RunError if a node cannot be
-    started: its name and the end of its log; if another graph has its names.
+    Start it in the main thread. `keep_waiting` is called many times a second during the start with
+    what is waited for, and may raise. Raises RunError if a node cannot be started, with the end of
+    its log, or if another graph has its names.
     """
     with reserve_domain(spec.domain_id) as domain_id:
         _require_free_names(spec, domain_id)
@@ -186,14 +180,11 @@ def run_graph(
     tell: Tell = lambda text: None,
 ) -> GraphResult:
     """
-    Run a graph to its end.
+    Run a graph to its end, or until SIGINT, SIGTERM or SIGHUP; call it in the main thread.
 
-    SIGINT, SIGTERM and SIGHUP end it early and cleanly; call it in the main thread for that.
-
-    `on_progress` is called about 5 times a second once samples are answered, `tell` every few
-    seconds with what is waited for, with what was found of a robot, once with commands to try, and
-    at most once a second with what nodes warn of. Raises RunError if a node cannot be started or
-    dies: its name, how it ended and the end of its log.
+    `on_progress` is called about 5 times a second once samples are answered, `tell` with what is
+    waited for, the robot's nodes, commands to try, and at most once a second with what nodes warn
+    of. Raises RunError if a node cannot be started or dies, with the end of its log.
     """
     start = time.monotonic()
     due = start + TELL_PERIOD
