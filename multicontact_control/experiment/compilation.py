@@ -1,8 +1,7 @@
 """
 Compiling is a step of its own: every kernel a command or node may need, before any of them runs.
 
-All that is to be compiled is called once, in short: every estimator, both kinds of drives, with
-the supervisor and without. A file in the cache says that all of it is there, for these sources,
+All of it is called once, in short. A file in the cache says that it is there, for these sources,
 libraries and processor; a command that finds none compiles first.
 """
 

@@ -3,11 +3,10 @@ What recorded force steps say of the contacts: stiffness, damping, friction, too
 
 The signals pass the band-pass of the on-line estimate (`force.stiffness`), whose regression is
 done at once over all samples that it would accept, with the tool's inertia as one more unknown,
-and every unknown within its physical range. Encoders on the motors see surface and arm in series.
-The standard errors are those of the scatter, and of what changes if any one step is left out
-(jackknife), where a spring, a damper and a mass do not explain all.
-The delay is that at which the acceleration of a contact point by the commanded torque fits best
-what is measured, less what felt forces and gravity do.
+and every unknown within its physical range. The standard errors are those of the scatter, and of
+what changes if any one step is left out (jackknife). The delay is that at which the acceleration
+of a contact point by the commanded torque fits best what is measured, less what felt forces and
+gravity do.
 """
 
 from __future__ import annotations
@@ -27,6 +26,7 @@ from multicontact_control.experiment.scenario import Setup
 from multicontact_control.force import stiffness
 from multicontact_control.records import STIFFNESS
 import numpy as np
+from scipy import linalg
 from scipy.optimize import lsq_linear
 from scipy.stats import linregress, median_abs_deviation
 
@@ -66,12 +66,10 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
     """
     Identify the contacts of a recording; the true forces are not used.
 
-    Returns by contact: `stiffness_n_m`, `damping_n_s_m`, `friction` of the other surfaces,
-    `tool_mass_kg`, `noise_variance_n2` of the measured force at rest and `delay_s`, each a mapping
-    of `value` and `std`, its standard error, infinite from a single step; None where the data
-    cannot tell. `samples` is their number, `explained` the share of their variance. Raises
-    ConfigError if the arm is not known or has no wrist sensor, RunError if no contact has a step
-    of its command.
+    Returns by contact the unknowns of `TEXTS`, each a mapping of `value` and `std`, its standard
+    error, infinite from a single step, or None where the data cannot tell; `samples`, their
+    number, and `explained`, the share of their variance. Raises ConfigError if the arm is not
+    known or has no wrist sensor, RunError if no contact has a step of its command.
     """
     config = setup.controller
     if not config.robot.urdf:
@@ -115,10 +113,10 @@ def contact_signals(
 def _reactions(controller: Controller, torque: Vector) -> Matrix:
     """Return how torque, and all else, accelerates the contact points."""
     terms, contacts = controller.robot.terms, controller.contacts
-    M = np.triu(terms.mass_matrix)
-    M += np.triu(M, 1).T
     felt = terms.jacobian.T @ (contacts['N'].T @ contacts['alpha_meas'])
-    both = np.linalg.solve(M, np.column_stack([torque, controller.arm.bias_torque + felt]))
+    torques = np.column_stack([torque, controller.arm.bias_torque + felt])
+    # Of the mass matrix the upper half is known.
+    both = linalg.solve(terms.mass_matrix, torques, assume_a='pos')
     reactions: Matrix = (contacts['N'] @ terms.jacobian @ both).T
     return reactions
 

@@ -161,7 +161,7 @@ def _judged(data: RunData, setup: Setup) -> list[Span]:
     """Return the windows that the summary is of, without the pauses between setpoints."""
     judged = RunMetrics(data, setup).windows
     closing = np.ones(round(PAUSE * data.rate), dtype=bool)
-    return [Span(name, float(data.time[begin]), float(data.time[end - 1]))
+    return [(name, float(data.time[begin]), float(data.time[end - 1]))
             for name, mask in (('rest', judged.rest), ('moving', judged.moving))
             for begin, end in stretches(binary_closing(mask, closing) | mask)]
 

@@ -127,10 +127,9 @@ def design_for_range(
     """
     Return the fastest gains with a gain margin of 2 and a period's delay left on every surface.
 
-    `name` is one of `LAWS`; `input_delay` and `period` are T_d and h [s], `softest` and `stiffest`
-    the range of the true stiffness [N/m], of which the model is the middle by ratio;
-    `noise_variance` is R of `aob` and `lqg` [N^2], `damping_rate` K_2 [1/s]. Raises ConfigError if
-    a value is out of range, or no gains have these margins.
+    `name` is one of `LAWS`; `input_delay` and `period` are T_d and h [s]; the true stiffness is
+    from `softest` to `stiffest` [N/m], and modelled as their geometric mean; `noise_variance` is
+    R [N^2], `damping_rate` K_2 [1/s]. Raises ConfigError if no gains have these margins.
     """
     given = {'law': name, 'damping_rate': damping_rate}
     usual = validate(ForceConfig, given)

@@ -46,12 +46,7 @@ class StepResponse(NamedTuple):
 
 
 class RunMetrics:
-    """
-    A run with what is judged of it: its forces, their commands and its windows.
-
-    Forces are the true ones where these are known, else those measured. The task's command
-    counts, and not what a supervisor makes of it.
-    """
+    """A run with what is judged of it: forces, the task's commands, windows."""
 
     def __init__(self, data: RunData, setup: Setup) -> None:
         self.data, self.setup = data, setup
@@ -119,7 +114,7 @@ class RunMetrics:
 
     @cached_property
     def force(self) -> Matrix:
-        """Return the forces that errors are taken of, shape (m, r) [N]."""
+        """Return the true forces where they are known, else those measured, shape (m, r) [N]."""
         return np.where(self.truth, self.data.alpha_true, self.data.alpha_meas)
 
     @cached_property
@@ -245,8 +240,8 @@ class RunMetrics:
         """
         Return how well the commanded motion was followed: position in `moving`, turn under load.
 
-        The position error counts along the directions that no contact constrains: by the normals
-        of simulated surfaces, by those that the controller is given of others.
+        The position error counts along the directions that no contact constrains, by the normals
+        of simulated surfaces, or those of the controller.
         """
         data, judged, config = self.data, self.windows, self.setup.controller
         if not (judged.loaded.any() and config.robot.urdf):  # a recording tells no normals

@@ -48,8 +48,6 @@ def paths_of(name: str, setup: Setup, field: str) -> list[tuple[str, ...]]:
     if section not in ARGUMENTS or not inner:
         raise ConfigError(field, f'a dotted name that begins with {", ".join(ARGUMENTS)}',
                           f"'{name}'")
-    if section == 'scenario' and inner[0] in ARGUMENTS:
-        raise ConfigError(field, f"the parameter's own name, {'.'.join(inner)}", f"'{name}'")
     places: list[tuple[str, ...]] = [(section,)]
     for part in inner:
         places = [(*place, key) for place in places for key in _keys(setup, place, part, field)]

@@ -28,6 +28,7 @@ MEASURED, TRUE, ESTIMATED, COMMANDED = '#56b4e9', '#d55e00', '#0072b2', '#222222
 WINDOWS = {'rest': '#eef1f4', 'moving': '#faf3e0'}
 VERDICTS = {True: '<b class=green>as in the paper</b>', False: '<b class=yellow>differs</b>',
             None: '<span class=note>not judged</span>'}
+Span = tuple[str, float, float]  # name, start and end [s] of a stretch of a run that is shaded
 
 
 class Trace(NamedTuple):
@@ -47,14 +48,6 @@ class Panel(NamedTuple):
     traces: Sequence[Trace]
     logarithmic: bool = False
     least: float = 0.0  # that the vertical axis spans, so that small noise looks small
-
-
-class Span(NamedTuple):
-    """A stretch of a run that is shaded."""
-
-    name: str
-    start: float  # s
-    end: float
 
 
 def envelope(

@@ -10,12 +10,7 @@ TIMEOUT = 10.0  # s, for an answer or a command of the controller
 
 
 def push_running(tell: Callable[[str], None], namespace: str, domain_id: int | None) -> bool:
-    """
-    Lead the user through the push test of a running controller; return whether it was passed.
-
-    `tell` is called with each instruction, and with the verdict. Raises RunError if no controller
-    answers, or it is not active.
-    """
+    """Lead through the push test of a running controller; return whether it passed; RunError."""
     from multicontact_control.nodes import topics
     from multicontact_control.nodes.link import ControllerLink
     from std_srvs.srv import Trigger

@@ -157,11 +157,10 @@ def read_bag(
     """
     Read a recording of the graph: a bag's folder, or its MCAP file, up to its last whole chunk.
 
-    `controller` gives rate, contacts and joints; `namespace` is that of the graph, if not given
-    the only one in the bag; if `answered`, what lies before the first and behind the last sample
-    that was answered is left out. Returns one row per sample of ``joint_states``, without these of
-    the topic with the most messages; NaN where another message is missing. Raises RunError if the
-    bag cannot be read or holds no samples.
+    `controller` gives rate, contacts and joints; `namespace` is that of the graph, by default the
+    only one; if `answered`, the samples before the first answer and behind the last are left out.
+    There is a row for each sample of ``joint_states``, or else of the topic with most messages.
+    Raises RunError if the bag cannot be read or holds no samples.
     """
     return content_of(path, read_graph(path, namespace), controller, answered=answered)
 

@@ -74,9 +74,8 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
     """
     Make and return the folder of a run, empty of any earlier run.
 
-    Without `out` it is ``runs/<date>-<time>-<scenario>``, numbered if that is taken. With
-    `overwrite` a run that is already in `out` is deleted. Raises ConfigError if the folder holds
-    something else, or cannot be made.
+    Without `out` it is ``runs/<date>-<time>-<scenario>``, numbered if that is taken. ConfigError
+    if it cannot be made, or `out` holds anything but a run that `overwrite` lets it delete.
     """
     folder = out or Path('runs') / f'{now:%Y%m%d-%H%M%S}-{scenario}'
     try:
@@ -124,9 +123,8 @@ def summarise(
     """
     Return the content of ``summary.json`` (schema 1).
 
-    `mode` is ``in_process``, ``lockstep``, ``free_running``, ``external`` or ``recorded``;
-    `timing` has deadline misses, tick times and latencies. `ended_early` is as for `judge`.
-    `events` of the supervisor are times [s] and what changed; None if there was no supervisor.
+    `mode` is ``in_process`` or one of `judge`, `ended_early` is as for `judge`, `events` of the
+    supervisor are times [s] and what changed; None if there was no supervisor.
     """
     # What the supervisor did after the run is not part of it.
     during = [(time, what) for time, what in events or () if time < data.ticks / data.rate]
@@ -268,8 +266,8 @@ def load(path: Path, files: Sequence[Path] = (), namespace: str | None = None) -
     Read the folder of a run, or a recording of a controller: a bag's folder, or an MCAP file.
 
     Of a recording `files` are the parameter files of the controller; without any, names and rate
-    are those of the messages. `namespace` is that of the graph; if not given, the only one in the
-    recording. Raises ConfigError or RunError if there is nothing, or it cannot be read.
+    are those of the messages. `namespace` is that of the graph, by default the only one. Raises
+    ConfigError or RunError if there is nothing, or it cannot be read.
     """
     own, bag = path / CONFIG_FOLDER / 'controller.yaml', path / BAG_FOLDER
     if not path.exists():

@@ -134,8 +134,8 @@ def _show_graph(spec: GraphSpec, setup: Setup) -> GraphResult:
 
     tell = partial(CONSOLE.print, markup=False)
     duration = setup.scenario.duration if spec.ticks else None
-    title = f'run {setup.scenario.name}'
-    with progress_bar(title, duration, CONSOLE, 'starting the nodes') as show:
+    with progress_bar(f'run {setup.scenario.name}', duration, CONSOLE,
+                      'starting the nodes') as show:
         result = run_graph(spec, lambda progress: show(*progress), tell)
         if duration is not None and not result.signals:
             show(duration, {})
@@ -155,19 +155,15 @@ def graph_timing(
     timing: Mapping[str, Mapping[str, Any]], content: BagContent,
 ) -> dict[str, Any]:
     """Return the `timing` of ``summary.json`` from what the nodes and the bag say."""
-    sim, controller = timing.get('sim_node', {}), timing.get('controller_node', {})
-    recorder, data = timing.get('recorder_node', {}), content.data
-    # What the simulator took along when it ended is in no gap that the recorder could count.
-    never_came = max(0, sim.get('ticks', 0) - data.ticks)
+    sim, data = timing.get('sim_node', {}), content.data
     result = {
-        'lost_messages': recorder['lost'] + never_came if 'lost' in recorder else None,
+        'lost_messages': timing.get('recorder_node', {}).get('lost'),
         'unanswered_samples': content.unanswered,
         'kernels_compiled': sum(node.get('kernels_compiled', 0) for node in timing.values()),
-        'tick_us': controller.get('tick_us')}
+        'tick_us': timing.get('controller_node', {}).get('tick_us')}
     if sim:
         result |= {name: sim[name] for name in (
-            'deadline_misses', 'pace_slips', 'command_timeouts', 'latency_us',
-            'latency_histogram', 'plant_us')}
+            'deadline_misses', 'latency_us', 'latency_histogram')}
         result['realtime_factor'] = data.ticks / data.rate / sim['wall_s'] if (
             sim['wall_s']) else None
     return result

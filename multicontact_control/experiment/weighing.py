@@ -105,9 +105,8 @@ def weigh_recording(
     """
     Identify a tool from a recording, whose joint states and wrenches may have clocks of their own.
 
-    `files` are the parameter files of the controller, for the arm and the sensor's frame;
-    `namespace` is that of the topics, the only one in the recording by default. As `weigh`, and
-    raises ConfigError or RunError if a file or the recording lacks something.
+    `files` are the controller's; `namespace` is that of the topics, the only one by default. As
+    `weigh`, and raises ConfigError or RunError if a file or the recording lacks something.
     """
     controller, robot = _arm(files)
     wrench = f'ft_sensor/{controller.wrench_series}'
@@ -126,10 +125,9 @@ def weigh_running(
     """
     Identify the tool of a robot by a controller that runs: it tilts the tool, and turns it back.
 
-    The operational point stays where it is. No contact may be pressed meanwhile. `tilt` is the
-    angle about world x and y, to either side [rad]; `move_time` the least time from pose to pose
-    [s]; `tell` is called with each step. As `weigh_recording`, and raises RunError if no
-    controller answers, a contact is pressed, or a pose is not reached.
+    The operational point stays where it is. `tilt` is the angle about world x and y, to either
+    side [rad]; `move_time` the least time from pose to pose [s]. As `weigh_recording`, and raises
+    RunError if no controller answers, a contact is pressed, or a pose is not reached.
     """
     from multicontact_control.client import MultiContactClient
     from multicontact_control.nodes import topics

@@ -2,8 +2,7 @@
 Nodes as processes, forked from one that has loaded their modules already.
 
 Loading its modules takes a node one to three seconds of a processor; the fork server of
-`multiprocessing` loads them once. A process runs the `main` of its node's module, as the node's
-own command does.
+`multiprocessing` loads them once.
 """
 
 from __future__ import annotations

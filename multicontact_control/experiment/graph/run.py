@@ -1,10 +1,10 @@
 """
 Running a graph: its nodes are started in order, watched, and stopped together.
 
-With a simulated plant the end of the simulator ends the run. The user's own robot is waited for
-before the controller is activated; the run ends after its time, or when the robot is silent, and
-the controller is then deactivated first, so that the robot gets the declared safe behaviour before
-it gets nothing. If this process is killed, the controller does that by itself.
+The end of the simulator ends the run. The user's own robot is waited for before the controller is
+activated; the run ends after its time, or when the robot is silent, and the controller is then
+deactivated first, so that the robot gets the declared safe behaviour before it gets nothing. If
+this process is killed, the controller does that by itself.
 """
 
 from __future__ import annotations
