@@ -18,8 +18,7 @@ from types import NoneType, UnionType
 import typing
 from typing import Any, Literal, NamedTuple, Union
 
-from multicontact_control.cli import app
-from multicontact_control.cli.application import FOLDERS
+from multicontact_control.cli.application import app, FOLDERS
 from multicontact_control.cli.options import described
 from multicontact_control.config import Config, ControllerConfig, NoiseEstimatorConfig
 from multicontact_control.experiment.scenario import ScenarioConfig

@@ -13,7 +13,7 @@ from pathlib import Path
 import re
 import shlex
 
-from multicontact_control import cli
+from multicontact_control.cli.application import app
 from multicontact_control.cli.options import RunOptions
 from multicontact_control.client import ArmState, MultiContactClient
 from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, RECORDER, SIM
@@ -64,7 +64,7 @@ def commands(document):
 def known_commands():
     """Return the commands of `multicontact` by their names, as typer has them."""
     known = {}
-    for name, command in typer.main.get_command(cli.app).commands.items():
+    for name, command in typer.main.get_command(app).commands.items():
         inner = getattr(command, 'commands', None)
         known |= {f'{name} {key}': x for key, x in inner.items()} if inner else {name: command}
     return known
@@ -181,7 +181,7 @@ def test_tutorial_can_be_followed(tmp_path, monkeypatch, capsys):
                     write_bag(folder / 'bag', forces_of(load_run(FIRST)))
                 if not line.startswith(NOT_FOLLOWED):
                     with pytest.raises(SystemExit) as end:
-                        cli.app(words[1:], prog_name='multicontact')
+                        app(words[1:], prog_name='multicontact')
                     assert end.value.code == int('exit code 1' in line), line
                     followed += 1
             output = capsys.readouterr().out

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import errno
+from inspect import getdoc
 import os
 import sys
 from typing import Annotated, Any
 
 from multicontact_control import __version__
 from multicontact_control.cli import options
-from multicontact_control.cli.calibrate import calibrate, push_test
 from multicontact_control.cli.design import design
-from multicontact_control.cli.new_robot import new_robot
 from multicontact_control.cli.report import identify, report
-from multicontact_control.cli.run import run, simulate
+from multicontact_control.cli.robot import calibrate, new_robot, push_test
+from multicontact_control.cli.run import run, simulate, view
 from multicontact_control.cli.study import study
 from multicontact_control.cli.topic import echo, list_topics
-from multicontact_control.cli.view import view
 from multicontact_control.errors import ConfigError, MulticontactError
 from multicontact_control.process import limit_threads
 import typer
@@ -56,11 +54,7 @@ def _root(
 
 
 def compile_kernels() -> None:
-    """
-    Compile the numerical kernels now, in half a minute, instead of at the first run.
-
-    NUMBA_CACHE_DIR names the folder that keeps them.
-    """
+    """Compile the numerical kernels now, in half a minute, instead of at the first run."""
     from multicontact_control.experiment.compilation import ensure_compiled
 
     typer.echo(f'{ensure_compiled()} kernels compiled')
@@ -83,9 +77,9 @@ class Command(TyperCommand):
         except ConfigError as error:
             typer.echo(f'multicontact: {self._blame_options(ctx, error)}', err=True)
             raise typer.Exit(options.EXIT_USAGE) from None
+        except BrokenPipeError:  # what reads the output has ended
+            raise
         except (MulticontactError, OSError) as error:
-            if isinstance(error, OSError) and error.errno != errno.ENOSPC:
-                raise
             typer.echo(f'multicontact: {error}', err=True)
             raise typer.Exit(options.EXIT_FAILED) from None
 
@@ -94,16 +88,17 @@ class Command(TyperCommand):
         names: dict[str, str] = {}
         for each in self.params:
             if options.is_given(ctx, each.name):
-                name, spelled = str(each.name), each.opts[0]
-                spelled = spelled if spelled.startswith('-') else str(each.metavar)
+                name = str(each.name)
+                spelled = each.opts[0] if each.param_type_name == 'option' else str(each.metavar)
                 names |= dict.fromkeys((name, name.removesuffix('s'), spelled.lower()), spelled)
-        return ConfigError.of(x if x.source else x.moved(names.get(x.field, ''))
-                              for x in error.errors or (error,))
+        return ConfigError.of(
+            x if x.source else x.moved(names.get(x.field, '')) for x in error.errors)
 
 
 for function in COMMANDS:
-    app.command(cls=Command, no_args_is_help=function in WITH_ARGUMENTS)(
-        options.flattened(function))
+    # Click keeps the lines of a paragraph after a backspace, which a raw docstring spells.
+    app.command(cls=Command, no_args_is_help=function in WITH_ARGUMENTS,
+                help=(getdoc(function) or '').replace(r'\b', '\b'))(function)
 app.command('compile', cls=Command, hidden=True)(compile_kernels)
 topic = typer.Typer(help='List or print the topics of a running graph.', no_args_is_help=True,
                     rich_markup_mode=None)

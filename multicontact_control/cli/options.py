@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, fields, is_dataclass
-from datetime import datetime
+from dataclasses import dataclass, fields
 from functools import wraps
 import inspect
 from pathlib import Path
@@ -33,9 +31,12 @@ ControllerFiles = Annotated[list[Path] | None, typer.Option(
     'each laid over those before. A relative URDF is looked for beside its file.')]
 DomainId = Annotated[int | None, typer.Option(
     envvar='ROS_DOMAIN_ID', min=0, max=232,
-    help='ROS_DOMAIN_ID of the graph; that of the environment, or 0, if not given.')]
+    help='ROS_DOMAIN_ID of the graph; that of the environment if not given, else 0, or, for a '
+    'simulated graph that is started, the first one that is free on this machine.')]
 Namespace = Annotated[str | None, typer.Option(
-    help='Namespace of the controller; of a recording, the only one in it if not given.')]
+    help='Namespace of the graph; of a recording, the only one in it if not given.')]
+
+Overwrite = Annotated[bool, typer.Option('--overwrite', help='Replace what is there.')]
 
 
 @dataclass(frozen=True)
@@ -44,9 +45,8 @@ class SetupOptions:
 
     robot: Robot = ''
     plant: Annotated[str, typer.Option(
-        help='How the robot is simulated: rigid (ideal drives), flexible (drives with springs '
-        "and friction), ROBOT/PLANT, or a parameter file; the robot's default if not given.",
-        )] = ''
+        help="Plant: rigid (ideal drives), flexible (drives with springs and friction), "
+        "ROBOT/PLANT, or a parameter file; the robot's default if not given.")] = ''
     seed: Annotated[int, typer.Option(help='Seed of sensor noise and surface roughness.')] = 0
     scenario: Annotated[str, typer.Option(
         help='Scenario: one of those below, or a YAML file.')] = 'paper'
@@ -57,8 +57,7 @@ class SetupOptions:
         '--set', metavar='KEY=VALUE', help='A value laid over all files, in SI units, e.g. '
         'plant.surfaces.*.stiffness=60000; may be repeated.')] = None
     engine: Annotated[Literal['pybullet', 'mujoco'] | None, typer.Option(
-        help='Physics engine; that of the plant, pybullet, if not given. MuJoCo is an extra: '
-        'pip install mujoco.')] = None
+        help='Physics engine; that of the plant, pybullet, if not given.')] = None
 
     def values(self) -> list[str]:
         """Return all that is laid over the files, as for ``--set``."""
@@ -83,20 +82,16 @@ class RunOptions(SetupOptions):
     duration: Annotated[float | None, typer.Option(
         help="Length of the run [s]; the scenario's own if not given.")] = None
     noise_estimator: Annotated[Estimator | None, typer.Option(
-        metavar='NAME', help='How R, the variance of the force noise, is estimated: lead_window '
-        '(the paper), hf_window, window, fixed (0.6 N^2), innovation, sage_husa or '
-        'variational_bayes; that of the preset if not given.')] = None
+        help='How R, the variance of the force noise, is estimated, in the paper by lead_window; '
+        'that of the preset if not given.')] = None
     law: Annotated[Law | None, typer.Option(
-        metavar='NAME', help='Force law of all contacts: aob (the active observer of the paper), '
-        'pi, dob, lqg, admittance, impedance or feedforward; that of the preset if not '
+        help='Force law of all contacts, aob in the paper; that of the preset if not '
         'given.')] = None
     out: Annotated[Path | None, typer.Option(
         help='Folder for the results; runs/<date>-<time>-<scenario> if not given.')] = None
-    overwrite: Annotated[bool, typer.Option(
-        '--overwrite', help='Replace the run in that folder.')] = False
+    overwrite: Overwrite = False
     bare: Annotated[bool, typer.Option(
-        '--bare', help='The control law alone, without the contact states, checks, limits and '
-        'gate of the supervisor.')] = False
+        '--bare', help='The control law alone, without its supervisor.')] = False
 
     def external(self, files: Sequence[Path], context: typer.Context) -> External:
         """Return that of a robot behind the topics; scenario and preset count if given."""
@@ -108,37 +103,21 @@ class RunOptions(SetupOptions):
             'scenario': self.scenario if is_given(context, 'scenario') else None,
             'preset': self.preset if is_given(context, 'preset') else ''}, self.values())
 
-    def folder(self, setup: Setup) -> AbstractContextManager[Path]:
-        """Return what makes the folder of the run; ConfigError if there is a run in it."""
-        from multicontact_control.experiment.results import run_folder
-
-        return run_folder(
-            self.out, setup.scenario.name, overwrite=self.overwrite, now=datetime.now())
-
 
 def flattened(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command that has the fields of each of its dataclass parameters as options."""
-    groups: dict[str, Any] = {}
-    parameters: list[inspect.Parameter] = []
-    for parameter in inspect.signature(command, eval_str=True).parameters.values():
-        if is_dataclass(parameter.annotation):
-            kind: Any = parameter.annotation
-            groups[parameter.name] = kind
-            parameters += inspect.signature(kind, eval_str=True).parameters.values()
-        else:
-            parameters.append(parameter)
+    """Return a command that has the fields of a dataclass parameter, `chosen`, as options."""
+    own = dict(inspect.signature(command, eval_str=True).parameters)
+    kind: Any = own.pop('chosen').annotation
+    parameters = {**inspect.signature(kind, eval_str=True).parameters, **own}
 
     @wraps(command)
     def flat(**values: Any) -> None:
-        for name, group in groups.items():
-            values[name] = group(**{field.name: values.pop(field.name) for field in fields(group)})
-        command(**values)
+        chosen = kind(**{field.name: values.pop(field.name) for field in fields(kind)})
+        command(chosen=chosen, **values)
 
-    ordered = [parameter.replace(kind=parameter.KEYWORD_ONLY) for parameter in parameters]
-    flat.__signature__ = inspect.Signature(ordered)  # type: ignore[attr-defined]
-    # Click keeps the lines of a paragraph after a backspace, which a raw docstring spells.
-    flat.__doc__ = (command.__doc__ or '').replace(r'\b', '\b')
-    flat.__annotations__ = {each.name: each.annotation for each in ordered}
+    flat.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [each.replace(kind=each.KEYWORD_ONLY) for each in parameters.values()])
+    flat.__annotations__ = {name: each.annotation for name, each in parameters.items()}
     return flat
 
 
@@ -170,5 +149,4 @@ def refuse_options(context: typer.Context, names: Sequence[str], where: str) -> 
     """Refuse options that have no meaning; ConfigError naming the first."""
     for name in names:
         if is_given(context, name):
-            option = 'set' if name == 'settings' else name.replace('_', '-')
-            raise ConfigError(f'--{option}', hint=f'leave it out {where}')
+            raise ConfigError(name, hint=f'leave it out {where}')

@@ -45,7 +45,6 @@ def identify(
         metavar='RUN', help='Folder of `run` or `simulate`, or a bag (folder or .mcap file) with '
         '--controller.')],
     controller: options.ControllerFiles = None,
-    out: Annotated[Path | None, typer.Option(help='JSON file to write.')] = None,
 ) -> None:
     """
     Identify the contacts of a run from its force steps.
@@ -56,11 +55,6 @@ def identify(
     """
     from multicontact_control.experiment.contact_identification import identify_contacts, show
     from multicontact_control.experiment.results import load
-    from multicontact_control.files import finite, write_json
 
     loaded = load(run, controller or ())
-    result = identify_contacts(loaded.data, loaded.setup)
-    typer.echo(show(result))
-    if out is not None:
-        write_json(out, finite(result))
-        typer.echo(f'written to {out}')
+    typer.echo(show(identify_contacts(loaded.data, loaded.setup)))

@@ -17,15 +17,14 @@ def study(
     plants: Annotated[str, typer.Option(
         help="Plants, with commas between: names, ROBOT/PLANT, or paths; the study's own if not "
         'given.')] = '',
-    seeds: Annotated[str, typer.Option(
-        help="How many seeds, from the study's first one, or a list with commas; the study's own "
-        'if not given.')] = '',
+    seeds: Annotated[int | None, typer.Option(
+        min=1, help="How many seeds, from the study's first one on; the study's own if not "
+        'given.')] = None,
     settings: Annotated[list[str] | None, typer.Option(
         '--set', metavar='FACTOR=VALUES', help='Values, or labels, with commas between, of a '
         'factor of the study, or of a parameter that becomes one; may be repeated.')] = None,
     law: Annotated[options.Law | None, typer.Option(
-        metavar='NAME', help='Force law whose gains the study `tune` tries: aob, pi, dob, lqg, '
-        'admittance, impedance or feedforward.')] = None,
+        help='Force law whose gains the study `tune` tries.')] = None,
     quick: Annotated[bool, typer.Option(
         '--quick', help='The reduced form of the study, with one seed.')] = False,
     jobs: Annotated[int, typer.Option(
@@ -38,8 +37,7 @@ def study(
         'there is not run again.')] = None,
     dry_run: Annotated[bool, typer.Option(
         '--dry-run', help='List the factors, and how much of the study is finished.')] = False,
-    overwrite: Annotated[bool, typer.Option(
-        '--overwrite', help='Run everything again.')] = False,
+    overwrite: options.Overwrite = False,
 ) -> None:
     r"""
     Run a study: factors x plants x seeds, in one table.
@@ -66,25 +64,17 @@ def study(
     from multicontact_control.experiment.study.presets import study_of
     from multicontact_control.experiment.study.study import run_study
 
-    config, numbers, choices = check_all(
-        lambda: files.read_study(name), lambda: _seeds(seeds),
-        lambda: files.read_choices([*([f'plant={plants}'] if plants else []), *(settings or ())]))
+    texts = [*([f'plant={plants}'] if plants else []), *(settings or ())]
+    config, choices = check_all(
+        lambda: files.read_study(name), lambda: files.read_choices(texts))
     if law and config.kind != 'tune':
         raise ConfigError('--law', hint='leave it out: only the study tune has it')
     first = config.seeds[0]
     short = {'seed': [first], **config.quick} if quick else {}
-    if numbers:
-        short['seed'] = numbers if ',' in seeds else range(first, first + numbers[0])
+    if seeds:
+        short['seed'] = range(first, first + seeds)
     one = study_of(files.select(
         config.model_copy(update={'law': law or ''}), {**short, **choices}, robot=robot))
     results = run_study(one, out, jobs=jobs, dask=dask, dry_run=dry_run, overwrite=overwrite)
     if config.kind == 'faults' and results and not results.frame[config.truth].all():
         raise typer.Exit(options.EXIT_FAILED)
-
-
-def _seeds(text: str) -> list[int]:
-    """Return a number of seeds, or the seeds of a list; nothing for nothing."""
-    numbers = [int(part) if part.strip().isdigit() else -1 for part in text.split(',') if text]
-    if numbers and (min(numbers) < 0 or text == '0'):
-        raise ConfigError('seeds', 'a number of seeds, or seeds with commas between', f"'{text}'")
-    return numbers

@@ -43,19 +43,17 @@ def echo(
     domain_id: DomainId = None,
 ) -> None:
     """Print the messages of a topic as YAML documents, until Ctrl-C."""
-    from multicontact_control.nodes import graph, qos
+    from multicontact_control.nodes import graph
     from multicontact_control.nodes.link import GuestNode
     from multicontact_control.nodes.runtime import stop_signals
-    from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+    from rclpy.qos import QoSProfile
 
     stop = stop_signals()
     name = graph.full_topic_name('topic', f'/{topic.strip("/")}')
     end = time.monotonic() + timeout
     with GuestNode(NODE, domain_id) as guest:
         while not (publishers := guest.node.get_publishers_info_by_topic(name)):
-            if stop:
-                return
-            if time.monotonic() > end:
+            if stop or time.monotonic() > end:
                 raise RunError(f'{name}: expected a publisher within {timeout:g} s, got none '
                                '(`multicontact topic list` shows the topics)')
             time.sleep(POLL_PERIOD)
@@ -65,17 +63,16 @@ def echo(
         except (ImportError, AttributeError):
             raise RunError(f'{package}/msg/{kind}: this message type is not installed') from None
         document(message(), field)  # refuses a wrong field before the first message
-        offers = [publisher.qos_profile for publisher in publishers]
-        subscription = guest.node.create_subscription(message, name, graph.ignore, qos.profile(
-            100, reliable=all(x.reliability == ReliabilityPolicy.RELIABLE for x in offers),
-            latched=all(x.durability == DurabilityPolicy.TRANSIENT_LOCAL for x in offers)))
+        offered = publishers[0].qos_profile
+        subscription = guest.node.create_subscription(message, name, graph.ignore, QoSProfile(
+            depth=100, reliability=offered.reliability, durability=offered.durability))
         while not stop:
-            if (taken := graph.take(subscription)) is None:
+            if taken := graph.take(subscription):
+                print(document(taken[0], field), flush=True)
+                if once:
+                    return
+            else:
                 time.sleep(POLL_PERIOD)
-                continue
-            print(document(taken[0], field), flush=True)
-            if once:
-                return
 
 
 def document(message: Any, field: str = '') -> str:
@@ -85,7 +82,7 @@ def document(message: Any, field: str = '') -> str:
         known = list(value) if isinstance(value, dict) else []
         if name not in known:
             raise ConfigError(
-                '--field', f'one of {", ".join(known) or "no further fields"}', f"'{name}'")
+                'field', f'one of {", ".join(known) or "no further fields"}', f"'{name}'")
         value = value[name]
     text = yaml.safe_dump(value, allow_unicode=True, width=sys.maxsize, sort_keys=False)
     return text.removesuffix('...\n') + '---'

@@ -60,17 +60,16 @@ def run_simulate(setup: Setup, folder: Path, *, supervised: bool = True) -> dict
 
 def run_on_graph(
     setup: Setup, folder: Path, *, endless: bool = False, external: External | None = None,
-    robot_timeout: float = 5.0, supervised: bool = True, **options: Any,
+    supervised: bool = True, **options: Any,
 ) -> Ending:
     """
     Run a scenario, or commands, on the ROS 2 graph, and leave recording and results in a folder.
 
     An `endless` run is ended by a signal. With `external`, whose setup this is, the user's own
-    robot is behind the topics, which counts as gone after `robot_timeout` [s] without a message.
-    `options` are fields of `GraphSpec`. Returns the summary, None if no sample was answered or a
-    Ctrl-C skipped the report, and the signal that ended the run early, if one did. Raises
-    ConfigError if the scenario cannot begin by itself or a parameter of the node is not
-    acceptable, RunError if ROS cannot be loaded or a node dies.
+    robot is behind the topics. `options` are fields of `GraphSpec`. Returns the summary, None if
+    no sample was answered or a Ctrl-C skipped the report, and the signal that ended the run early,
+    if one did. Raises ConfigError if the scenario cannot begin by itself or a parameter of the
+    node is not acceptable, RunError if ROS cannot be loaded or a node dies.
     """
     from multicontact_control.experiment.graph.robot import Robot
     from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
@@ -85,7 +84,7 @@ def run_on_graph(
         node = validate(ControllerNodeConfig, external.node, 'controller_node')
         options |= {'domain_id': options.get('domain_id') or 0, 'robot': Robot(
             setup.controller.robot.joint_names, setup.controller.wrench_input,
-            node.effort_output_topic, robot_timeout, external.duration)}
+            node.effort_output_topic, duration=external.duration)}
     ensure_compiled()
     spec = GraphSpec(
         out=folder, ticks=0 if endless else setup.ticks, rate=setup.controller.rate,

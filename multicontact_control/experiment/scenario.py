@@ -173,7 +173,7 @@ def resolve(
     length instead of the scenario's [s]. `scenario_overrides` are laid over the scenario's file,
     the others over all values. Raises ConfigError with every value that is not acceptable.
     """
-    if seed < 0:
+    if not isinstance(seed, int) or seed < 0:
         raise ConfigError('seed', 'a whole number >= 0', seed)
     path, source = named_file('scenario', 'scenarios', scenario), plant_source(plant, robot)
     config = scenario_with(read_yaml(path), scenario_overrides or {}, duration, path)

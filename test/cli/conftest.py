@@ -2,7 +2,7 @@
 
 import subprocess
 
-from multicontact_control.cli import app
+from multicontact_control.cli.application import app
 import pytest
 
 

@@ -19,9 +19,9 @@ factors: {noise_estimator.estimator: [fixed, lead_window]}
 
 
 @pytest.mark.parametrize(('arguments', 'fields'), [
-    (('compare', '--plants', 'ur5'), ['--plants']), (('compare', '--seeds', '0'), ['--seeds']),
+    (('compare', '--plants', 'ur5'), ['--plants']), (('delay', '--set', 'seed=x'), ['seed']),
     (('map', '--set', 'estimator=kalman'), ['estimator']),
-    (('stifness', '--seeds', 'x', '--set', 'x'), ['STUDY', '--seeds', '--set']),
+    (('stifness', '--set', 'x'), ['STUDY', '--set']),
     (('laws', '--law', 'pi'), ['--law']), (('robots', '--set', 'robot=robbie'), ['robot']),
     (('faults', '--dask', 'nowhere'), ['--dask'])])
 def test_bad_options_are_all_named_and_leave_nothing(multicontact, tmp_path, arguments, fields):

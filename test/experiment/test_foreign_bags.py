@@ -20,7 +20,7 @@ from foreign_bag import (
 )
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from multicontact_control.cli import app
+from multicontact_control.cli.application import app
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.display import print_summary
 from multicontact_control.experiment.figures import draw_figures, interactive_figures, run_figures

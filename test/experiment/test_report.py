@@ -4,7 +4,7 @@ import json
 import re
 
 from browser import Tab
-from multicontact_control.cli import app
+from multicontact_control.cli.application import app
 from multicontact_control.experiment import report
 from multicontact_control.experiment.page import envelope, figure, Panel, Trace, write_page
 from multicontact_control.experiment.results import load_run, summarise

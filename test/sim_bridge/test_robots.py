@@ -5,7 +5,7 @@ from pathlib import Path
 import re
 
 from arms import seven_joint_urdf
-from multicontact_control.cli.new_robot import new_robot as command
+from multicontact_control.cli.robot import new_robot as command
 from multicontact_control.config import ControllerConfig, read_yaml, validate
 from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.errors import ConfigError

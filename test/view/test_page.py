@@ -77,9 +77,8 @@ def test_page_gives_the_last_command_of_an_element_and_shows_refusals_and_the_en
 
 
 def test_view_without_viser_exits_with_two_and_one_line():
-    code = ("import sys; sys.modules['viser'] = None; from multicontact_control.cli import app; "
-            "app(['view'])")
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+    code = "import sys; sys.modules['viser'] = None; import multicontact_control.cli.__main__"
+    done = subprocess.run([sys.executable, '-c', code, 'view'], capture_output=True, text=True)
     assert done.returncode == 2 and done.stderr.count('\n') == 1
     assert 'pip install viser' in done.stderr
 

@@ -195,7 +195,7 @@ def test_robot_that_is_gone_ends_the_run_and_is_named(shell, tmp_path):
     arm = shell.start(*ARM, '--ros-args', '-r', '__ns:=/left', log='arm')
     running = shell.multicontact(
         'run', '--external', '--controller', 'controller.yaml', '--namespace', 'left',
-        '--robot-timeout', '3', '--out', 'run', log='left')
+        '--out', 'run', log='left')
     shell.wait_for_line(running, 'left', 'found /left/joint_states from ')
     with Listener(shell.domain_id, 'left') as listener:
         wait_for(lambda: listener.poll() and listener.stamps[0] > 1_000_000_000, 'commands',
