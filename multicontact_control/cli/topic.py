@@ -82,7 +82,7 @@ def document(message: Any, field: str = '') -> str:
         known = list(value) if isinstance(value, dict) else []
         if name not in known:
             raise ConfigError(
-                'field', f'one of {", ".join(known) or "no further fields"}', f"'{name}'")
+                '--field', f'one of {", ".join(known) or "no further fields"}', f"'{name}'")
         value = value[name]
     text = yaml.safe_dump(value, allow_unicode=True, width=sys.maxsize, sort_keys=False)
     return text.removesuffix('...\n') + '---'
