@@ -100,23 +100,11 @@ class MultiContactClient(ControllerLink):
         self, forces: Mapping[str, float], centres: Mapping[str, float] | None = None,
     ) -> None:
         """
-        Command contact forces, then centres, and return when they are accepted.
+        Command forces by contact or couple, e.g. ``blade/along`` [N], then centres of pressure.
 
-        Parameters
-        ----------
-        forces
-            Desired force by contact name, or couple, e.g. ``blade/along`` [N, N m]; 0 gives the
-            contact back to motion control, and contacts that are not named keep their force.
-        centres
-            Centre of pressure by the couple's name, from the middle of the contact [m].
-
-        Raises
-        ------
-        CommandRefusedError
-            If the controller refuses; nothing changes.
-        MessageError
-            If a force is not finite.
-
+        Returns when they are accepted. A force of 0 gives the contact back to motion control;
+        contacts that are not named keep theirs. Centres are by couple, from the middle of the
+        contact [m]. CommandRefusedError if the controller refuses: then nothing changes.
         """
         self.fresh(topics.DESIRED_FORCES)  # before its first sample it refuses
         if forces:
@@ -133,23 +121,10 @@ class MultiContactClient(ControllerLink):
         """
         Move the desired operational point to a goal, and return when it has got there.
 
-        Along a straight line with a quintic in time, at rest at both ends; without effect along
-        the normals of controlled contacts.
-
-        Parameters
-        ----------
-        position_world, quaternion_xyzw
-            Goal, shape (3,) [m], and orientation to turn to, the present one by default.
-        duration
-            Time to get there [s].
-
-        Raises
-        ------
-        CommandRefusedError
-            If the goal is out of the workspace or not obeyed; the arm stays where it got to.
-        MessageError
-            If a number is not finite, or the duration is not above 0.
-
+        Along a straight line to a position, shape (3,) [m], with a quintic in time over a duration
+        [s], at rest at both ends; the orientation is the present one by default. Without effect
+        along the normals of controlled contacts. CommandRefusedError if the goal is out of the
+        workspace or not obeyed: the arm stays where it got to.
         """
         if not 0.0 < duration < np.inf:
             raise messages.MessageError('duration', 'above 0 s', f'{duration:g} s')
@@ -197,21 +172,9 @@ class MultiContactClient(ControllerLink):
         """
         Wait until the controller holds the commanded forces; return the state then.
 
-        The mean measured forces of all pressed contacts are near their commands, these contacts
-        are held, and no reaction takes the place of control.
-
-        Parameters
-        ----------
-        force_tolerance
-            Largest difference between a command and the mean measured force [N].
-        timeout, settle_time
-            Longest wait, and the time of the samples that the mean is taken over [s].
-
-        Raises
-        ------
-        NotReachedError
-            Naming the contacts that are still off, and what the controller does instead.
-
+        The mean measured forces of all pressed contacts, over a `settle_time` of the samples [s],
+        are within a tolerance [N] of their commands, these contacts are held, and no reaction
+        takes the place of control. NotReachedError after a timeout [s] names what is still off.
         """
         give_up = time.monotonic() + timeout
         while missing := self._missing(force_tolerance, settle_time):

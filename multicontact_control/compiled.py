@@ -1,8 +1,8 @@
 """
 How the numerical kernels are compiled: once, and again when any of their sources changes.
 
-`compiled` is the only door to numba. What it makes is kept on disk, in one folder, and taken from
-there by every later process; `multicontact compile` (`experiment/compilation.py`) fills it.
+`compiled` is the only door to numba. What it makes is kept on disk, in one folder, which
+`multicontact compile` (`experiment/compilation.py`) fills.
 """
 
 from __future__ import annotations
@@ -28,12 +28,11 @@ _kernels: list[Any] = []
 @cache
 def cache_folder() -> Path | None:
     """
-    Return the folder that keeps what is compiled of these sources, None where none can be written.
+    Return the folder of what is compiled of these sources, None where none can be written.
 
-    It lies in ``NUMBA_CACHE_DIR``, or else beside the sources or in the user's cache folder. Its
-    name is a hash over all modules with kernels and their times: numba compares the time of a
-    function's own file, not of those that it calls.
+    It lies in ``NUMBA_CACHE_DIR``, or else beside the sources or in the user's cache folder.
     """
+    # Its name is a hash over all kernels: numba compares a function's own file alone.
     digest = hashlib.sha256()
     for module in sorted(path for folder in SOURCES for path in folder.rglob('*.py')):
         text = module.read_bytes()

@@ -14,9 +14,8 @@ class FieldError(MulticontactError):
     """
     A value is not acceptable.
 
-    Named are its dotted field, e.g. ``contacts.table.normal_world``, the file it came from, if
-    any, what was expected, with its unit, what was given (`got`), and what to do (`hint`): each
-    part where it says something.
+    Named are its dotted field, e.g. ``contacts.table.normal_world``, its file (`source`), what was
+    expected, with its unit, what was given, and what to do: each part where it says something.
     """
 
     def __init__(

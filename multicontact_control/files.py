@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 import json
 import math
 from pathlib import Path
@@ -12,18 +10,11 @@ from typing import Any
 from multicontact_control.errors import ConfigError
 
 
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a path to write to; at the end that file replaces `path`."""
-    partial = path.with_suffix('.partial')
-    yield partial
-    partial.replace(path)
-
-
 def write_text(path: Path, text: str) -> None:
     """Replace a file by text in UTF-8."""
-    with replacing(path) as partial:
-        partial.write_text(text, encoding='utf-8')
+    partial = path.with_suffix('.partial')
+    partial.write_text(text, encoding='utf-8')
+    partial.replace(path)
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -1,8 +1,7 @@
 """
 The records that compiled code works on: every field with its shape and unit.
 
-Records are handed over as arrays, one element per joint or contact, or a single element: numba
-takes an array of records in a tenth of the time of a lone record.
+They are handed over as arrays, also of one element: numba takes a lone record ten times slower.
 """
 
 from multicontact_control.config import MAX_DELAY_PERIODS
@@ -33,8 +32,7 @@ LAW = np.dtype([
     ('force_noise', F), ('torque_noise', F),  # of the wrist sensor, per axis [N], [N m]
 ], align=True)
 
-# What the residual of a joint has followed; its regressors, as in `REGRESSORS` of `control.arm`,
-# pass the same low-pass. Sums fade with a time constant of 1 s.
+# What the residual of a joint has followed: `REGRESSORS` of `control.arm`; sums fade within 1 s.
 EVIDENCE = np.dtype([
     ('regressor', F, 4), ('square', F, 4),  # the newest, and the sum of their squares
     ('product', F, 4),  # sum of each times what the residual is beyond `at_rest`
@@ -177,8 +175,7 @@ OBSERVER = np.dtype([
     ('x_1', F, MAX_STATES),  # prediction of the state
 ], align=True)
 
-# A linear force law; of matrices as above. Inputs: alpha_meas, alpha_des and the speed of the
-# contact point; outputs: u, alpha_est and p_est.
+# A linear force law, from alpha_meas, alpha_des and the contact's speed to u, alpha_est and p_est.
 LINEAR_LAW = np.dtype([
     ('states', I),  # n
     ('A', F, (MAX_STATES, MAX_STATES)), ('B', F, (MAX_STATES, 3)),  # x_(k+1) = A x_k + B y_k

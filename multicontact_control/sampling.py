@@ -82,8 +82,7 @@ class SampleTiming:
         Of the newest sample, and of the one that should have come by now [ns], -1 for none; its
         number, from 0.
     variance, due
-        The newest R, shape (r,) [N^2], or None; when to ask `late`, monotonic time [ns], 0 for
-        never.
+        The newest R, shape (r,) [N^2], or None; the monotonic time of `late` [ns], 0 for never.
     unpaired, skipped, apart, tolerance
         Readings without their other half; samples that never came or were overtaken; by how much
         the stamps of the newest two readings differ if they are no pair, may if they are [ns].
