@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 import os
 import shutil
 from typing import Any
@@ -27,9 +26,13 @@ canvas => {
 """
 
 
-@contextmanager
-def chromium_browser() -> Iterator[Any]:
-    """Start Chromium without a window; without one skip, or fail if one is required."""
+@pytest.fixture(scope='module')
+def chromium() -> Iterator[Any]:
+    """
+    Start Chromium for one file; without it skip, or fail if it is required.
+
+    While playwright is there, no other event loop can run.
+    """
     path = next(filter(None, map(shutil.which, (os.environ.get('CHROMIUM', ''), *NAMES))), None)
     if path is None:
         give_up = pytest.fail if os.environ.get('MULTICONTACT_BROWSER') == REQUIRED else (

@@ -3,7 +3,7 @@
 import os
 import signal
 
-from browser import chromium_browser
+from browser import chromium  # noqa: F401 - a fixture
 from hypothesis import settings
 from multicontact_control.experiment.compilation import ensure_compiled
 import pytest
@@ -15,13 +15,6 @@ REAL_TIME = ('test/campaign/test_campaign.py', 'test/experiment/graph/test_exter
 # A machine that is busy for a moment makes no example wrong.
 settings.register_profile('no deadline', deadline=None)
 settings.load_profile('no deadline')
-
-
-@pytest.fixture(scope='module')
-def chromium():
-    """Start Chromium for one file: while playwright is there, no other event loop can run."""
-    with chromium_browser() as browser:
-        yield browser
 
 
 def pytest_sessionstart(session):

@@ -1,9 +1,7 @@
 """
 Runs that many tests look at: each is computed once, whichever worker asks for it first.
 
-Runs are kept in ``.pytest_cache/runs`` by a hash of all that decides their outcome: the resolved
-configuration, the seed and the sources. So the workers of one session share them, and a later
-session with the same sources takes them over.
+They are kept in ``.pytest_cache/runs`` by a hash of their configuration, seed and sources.
 """
 
 from __future__ import annotations

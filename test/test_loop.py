@@ -201,27 +201,6 @@ def test_stop_leads_from_the_last_command_to_the_declared_behaviour(kind, superv
         assert (bench.step(qd=sixth)[5] < -0.1) != zero
 
 
-def test_hold_keeps_pose_and_force_and_its_release_has_no_jump():
-    bench = Bench()
-    make_contact(bench)
-    bench.loop.set_forces({'board': 4.0})  # sought, never found
-    bench.step(30)
-    before = bench.step()
-    bench.loop.hold(True)
-    np.testing.assert_array_equal(bench.step(), before)
-    bench.step(300)
-    desired = bench.loop.output.pose_des.position_world
-    assert bench.states == {'table': 'holding', 'board': 'free'}
-    assert bench.loop.output.answer['alpha_des'] == pytest.approx([6.0, 0.0])
-    np.testing.assert_allclose(desired, bench.state.pose.position_world, atol=1e-9)
-    bench.assert_refused('~/hold: the arm is held', lambda: bench.loop.set_forces({'table': 1}))
-    before = bench.step()
-    bench.loop.hold(False)
-    np.testing.assert_array_equal(bench.step(), before)
-    bench.step(100)
-    assert bench.states == {'table': 'holding', 'board': 'approaching'}
-
-
 def put(source, **values):
     """Return a step whose sample has other values in one reading."""
     return lambda bench: bench.step(change=lambda inputs: inputs._replace(
