@@ -31,7 +31,7 @@ class ContactConfig(Config):
     normal_world: UnitVector3 = parameter(
         ..., 'Unit surface normal INTO the surface, in world axes.', live=True)
     point_operational: Vector3 = parameter(
-        ..., 'Point, or centre of an edge or plane, in the operational frame.', unit='m')
+        ..., 'Contact point, or centre of an edge or plane, in the operational frame.', unit='m')
     direction_operational: UnitVector3 = parameter(
         (1.0, 0.0, 0.0), 'Edge, or first side of a plane, in the operational frame.')
     half_length: float = parameter(

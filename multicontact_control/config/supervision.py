@@ -97,8 +97,7 @@ class WatchdogConfig(Config):
     joint_max_age: float = parameter(
         1.5, 'Largest age of a joint state.', unit='periods', ge=1.0, le=1000.0)
     wrench_max_age: float = parameter(
-        12.5, 'Largest age of a wrench; up to it the observers predict what is not measured.',
-        unit='periods', ge=1.0, le=1000.0)
+        12.5, 'Largest age of a wrench, bridged by prediction.', unit='periods', ge=1.0, le=1e3)
     variance_max_age: float = parameter(
         4.5, 'Largest age of R, one period at best.', unit='periods', ge=2.0, le=1e4)
     rate_band: float = parameter(
