@@ -16,7 +16,6 @@ import shlex
 from multicontact_control.cli.application import app
 from multicontact_control.cli.options import RunOptions
 from multicontact_control.client import ArmState, MultiContactClient
-from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, RECORDER, SIM
 from multicontact_control.experiment.results import load_run
 from multicontact_control.experiment.study.config import read_choices, read_study, select
 from multicontact_control.nodes import messages, topics
@@ -28,7 +27,6 @@ import typer
 
 DOCUMENTS = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
 TUTORIAL, FIRST = ROOT / 'docs/tutorial.md', Path('runs/first')
-NODES = {CONTROLLER, ESTIMATOR, RECORDER, SIM}
 # Files that are the reader's own.
 YOURS = {'my_arm.urdf', 'arm.urdf', 'ur5e.urdf', 'my_arm.yaml', 'controller.yaml', 'tool.yaml',
          'ur.yaml'}
@@ -116,13 +114,11 @@ def test_options_in_the_text_are_those_of_commands(document):
         words = span.split()
         if words[0] == 'make':
             make(shlex.split(span))
-        elif words[:2] == ['ros2', 'run']:
-            assert words[2] == 'multicontact_control' and words[3] in NODES, span
         elif words[0] == 'multicontact' and words[1:2] != ['COMMAND']:
             name = ' '.join(words[1:3]) if words[1:2] == ['topic'] else ' '.join(words[1:2])
             assert name in known or not name or name.startswith('-'), span
             words = [name, *words[2:]]
-        if words[0] in known or words[0].startswith('--') or words[0] in NODES:
+        if words[0] in known or words[0].startswith('--'):
             asked = {word.split('=')[0] for word in words if word.startswith('--')}
             assert asked <= known.get(words[0], every), span
 

@@ -47,6 +47,9 @@ def test_both_packages_are_installed_with_all_files(keywords):
               and path.suffix != '.py' and '__pycache__' not in path.parts]
     patterns = keywords['package_data']['multicontact_control']
     assert beside and all(any(map(path.match, patterns)) for path in beside)
+    for script in keywords['entry_points']['console_scripts']:
+        module, function = script.split(' = ')[1].split(':')
+        assert function in Path(find_spec(module).origin).read_text(encoding='utf-8')
 
 
 def test_every_import_is_declared(keywords):
@@ -62,32 +65,21 @@ def test_every_import_is_declared(keywords):
         element.text for element in MANIFEST.iter('exec_depend')}
 
 
-def test_console_scripts_exist(keywords):
-    for line in keywords['entry_points']['console_scripts']:
-        module, function = line.split(' = ')[1].split(':')
-        assert function in Path(find_spec(module).origin).read_text(encoding='utf-8')
-
-
 @pytest.mark.ros
 @pytest.mark.nightly
 def test_installed_commands_compile_once_and_run_from_any_folder(tmp_path):
     """From the wheel, without its clone, in a venv that has the dependencies of this one."""
-    folder = tmp_path / 'wheel'
-    source = shutil.copytree(ROOT, folder / 'source', ignore=shutil.ignore_patterns(
+    source, venv = tmp_path / 'source', tmp_path / 'venv'
+    shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(
         '.*', 'build', '*.egg-info', '__pycache__', 'runs', 'test'))
-    venv = folder / 'venv'
-
-    def pip(*arguments):
-        subprocess.run([sys.executable, '-m', 'pip', '--quiet', '--disable-pip-version-check',
-                        *arguments], check=True, capture_output=True)
-
-    pip('wheel', '--no-deps', '--no-build-isolation', '--wheel-dir', folder, source)
     subprocess.run([sys.executable, '-m', 'venv', '--without-pip', venv], check=True)
-    pip('--python', venv / 'bin/python', 'install', '--no-deps', '--no-index', '--no-compile',
-        '--ignore-installed', *folder.glob('*.whl'))
     (packages,) = venv.glob('lib/python*/site-packages')
     (packages / 'dependencies.pth').write_text(''.join(
         f'import site; site.addsitedir({path!r})\n' for path in site.getsitepackages()))
+    subprocess.run([
+        sys.executable, '-m', 'pip', '--python', venv / 'bin/python', 'install', '--no-deps',
+        '--no-index', '--no-build-isolation', '--no-compile', '--ignore-installed', source],
+        check=True, capture_output=True)
     # Root may write everywhere: a file where the folder would be has the same effect.
     (packages / 'multicontact_control/__pycache__').write_text('')
     environment = {name: value for name, value in os.environ.items() if name not in (

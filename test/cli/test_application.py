@@ -10,7 +10,6 @@ import pytest
     (('simulate', '--scenario', 'papper'), '--scenario: expected one of'),
     (('simulate', '--duration', '-3'), '--duration: expected 1 to 1e+06 s, got -3'),
     (('simulate', '--set', 'scenario.duration=0.9'), 'paper.yaml: duration: expected'),
-    (('identify', 'nowhere'), 'RUN: expected a folder of `multicontact run` or `simulate`'),
     (('simulate', '--plant', 'x'), "--plant: expected one of rigid, puma, or a path, got 'x'"),
     (('view', 'nowhere'), 'RUN: expected a folder of `multicontact run` or `simulate`'),
     (('view', '.'), 'RUN: expected bag/*.mcap or samples.npz in it, got .'),
@@ -23,9 +22,11 @@ import pytest
     (('calibrate', '--from-bag', 'x'), '--controller: expected the parameter file'),
     (('calibrate', '--from-bag', 'x', '--tilt', '30'), '--tilt: leave it out with --from-bag'),
     (('design', 'pi', '--stiffness', '9', '1'), '--stiffness: expected softest and stiffest')])
-def test_bad_input_exits_with_two_and_one_line(multicontact, tmp_path, arguments, message):
-    done = multicontact(*arguments, cwd=tmp_path)
-    assert done.returncode == 2
+def test_bad_input_exits_with_two_and_one_line(
+        multicontact, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    done = multicontact(*arguments)
+    assert done.exit_code == 2
     assert message in done.stderr and done.stderr.count('\n') == 1
     assert list(tmp_path.iterdir()) == []
 
@@ -41,7 +42,7 @@ def test_options_that_a_run_knows_itself_are_refused(
     (tmp_path / 'config').mkdir()
     (tmp_path / 'summary.json').write_text('{}')
     done = multicontact(command, str(tmp_path), option, value)
-    assert done.returncode == 2
+    assert done.exit_code == 2
     assert f'{option}: leave it out with ' in done.stderr and done.stderr.count('\n') == 1
 
 
@@ -51,20 +52,20 @@ def test_simulate_leaves_a_run_folder(multicontact, tmp_path):
     out = str(tmp_path / 'run')
     options = ('--scenario', 'quick', '--plant', 'rigid', '--out', out)
     done = multicontact('simulate', *options, '--duration', '3.0', '--seed', '5')
-    assert done.returncode == 0, done.stderr
+    assert done.exit_code == 0, done.stderr
     summary = json.loads((tmp_path / 'run/summary.json').read_text())
     assert (summary['scenario'], summary['plant'], summary['seed']) == ('quick', 'rigid', 5)
     assert (summary['mode'], summary['ticks']) == ('in_process', 1500)
     assert len(list((tmp_path / 'run/figures').glob('*.png'))) == 4
     assert summary['verdict'] == 'stable' and '\nstable (judged: ' in done.stdout
-    assert multicontact('report', out).returncode == 0
+    assert multicontact('report', out).exit_code == 0
     again = multicontact('simulate', *options)
-    assert again.returncode == 2
+    assert again.exit_code == 2
     assert '--overwrite' in again.stderr and again.stderr.count('\n') == 1
     replaced = multicontact('simulate', *options, '--duration', '1', '--overwrite')
-    assert replaced.returncode == 0 and 'not judged: ' in replaced.stdout
+    assert replaced.exit_code == 0 and 'not judged: ' in replaced.stdout
     assert not (tmp_path / 'run/report.html').exists()
     for text in ('{"sch', '[]', '{}'):
         (tmp_path / 'run/summary.json').write_text(text)
         done = multicontact('report', out)
-        assert done.returncode == 2 and 'run/summary.json: expected' in done.stderr
+        assert done.exit_code == 2 and 'run/summary.json: expected' in done.stderr

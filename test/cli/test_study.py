@@ -24,9 +24,11 @@ factors: {noise_estimator.estimator: [fixed, lead_window]}
     (('stifness', '--set', 'x'), ['STUDY', '--set']),
     (('laws', '--law', 'pi'), ['--law']), (('robots', '--set', 'robot=robbie'), ['robot']),
     (('faults', '--dask', 'nowhere'), ['--dask'])])
-def test_bad_options_are_all_named_and_leave_nothing(multicontact, tmp_path, arguments, fields):
-    done = multicontact('study', *arguments, cwd=tmp_path)
-    assert done.returncode == 2
+def test_bad_options_are_all_named_and_leave_nothing(
+        multicontact, tmp_path, monkeypatch, arguments, fields):
+    monkeypatch.chdir(tmp_path)
+    done = multicontact('study', *arguments)
+    assert done.exit_code == 2
     lines = done.stderr.removeprefix('multicontact: ').splitlines()
     assert {line.split(': ')[0] for line in lines} == {*fields}
     assert list(tmp_path.iterdir()) == []
@@ -54,7 +56,7 @@ def test_ended_study_goes_on_where_it_was(multicontact, tmp_path, end, code):
     assert 2 <= len(finished) < 8
     assert not (out / 'study.parquet').exists()
     again = multicontact('study', str(study), '--jobs', '1', '--out', str(out))
-    assert again.returncode == 0, again.stderr
+    assert again.exit_code == 0, again.stderr
     assert f'8 jobs, {len(finished)} of them' in ' '.join(again.stdout.split())
     assert all(path.stat().st_mtime_ns == age for path, age in finished.items())
     assert len(pd.read_parquet(out / 'study.parquet')) == 8

@@ -98,4 +98,4 @@ def test_list_and_echo_show_a_running_graph(start):
 def test_domain_that_is_none_is_refused(multicontact, monkeypatch, domain):
     monkeypatch.setenv('ROS_DOMAIN_ID', domain)
     done = multicontact('topic', 'list')
-    assert done.returncode == 2 and 'ROS_DOMAIN_ID' in done.stderr
+    assert done.exit_code == 2 and 'ROS_DOMAIN_ID' in done.stderr

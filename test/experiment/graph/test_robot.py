@@ -5,7 +5,8 @@ from contextlib import closing
 from fake_arm import wrench_message
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.robot import Robot, RobotWatch
-from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes import messages, topics
+from multicontact_control.nodes.graph import create_publisher, ignore
 from multicontact_control.nodes.link import GuestNode
 import pytest
 from ros_graph import wait_for
@@ -21,13 +22,12 @@ class Publisher(GuestNode):
     def __init__(self, domain_id):
         super().__init__('their_robot', domain_id)
         self._joints, self._wrench = (
-            self.node.create_publisher(topic.message, topic.name, qos.STREAM)
-            for topic in (topics.JOINT_STATES, topics.WRENCH))
+            create_publisher(self.node, topic) for topic in (topics.JOINT_STATES, topics.WRENCH))
         self._k = 0
 
     def listen(self):
         self.node.create_subscription(
-            topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, lambda _: None, 10)
+            topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, ignore, 10)
 
     def publish(self, *, names=JOINTS):
         self._k += 1

@@ -2,9 +2,13 @@
 
 import math
 
+from multicontact_control.cli.options import described
+from multicontact_control.config import NoiseEstimatorConfig, read_yaml
+from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.closed_loop import run_in_process
 from multicontact_control.experiment.faults.vocabulary import FAULTS
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.experiment.study.cells import run_cells
 from multicontact_control.experiment.study.config import read_study, select
 from multicontact_control.experiment.study.measure import measure_run, metrics_row
 from multicontact_control.experiment.study.presets import study_of
@@ -13,6 +17,9 @@ from multicontact_control.experiment.study.presets.faults import FaultJob
 from multicontact_control.experiment.study.presets.map import ArmLoop
 from multicontact_control.experiment.study.presets.tune import cost, SCALES
 from multicontact_control.experiment.study.study import run_study
+from multicontact_control.force.laws import LAWS
+from multicontact_control.force.noise import lead_filter
+from multicontact_control.paths import config_dir
 import pytest
 from rich.console import Console
 
@@ -22,6 +29,48 @@ QUIET = Console(quiet=True)
 def study(name, law='', **choices):
     config = read_study(name).model_copy(update={'law': law})
     return study_of(select(config, choices))
+
+
+def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter():
+    names = described('studies')
+    assert {'compare', 'laws', 'map', 'robots', 'tune', 'faults', 'delay', 'stiffness'} <= {*names}
+    for name in names:
+        assert read_study(name).name == name
+    for name, count in {'compare': 18, 'laws': 45, 'map': 64, 'delay': 14, 'faults': 12}.items():
+        file = read_study(name)
+        cells = study(name, **{'seed': file.seeds[:1], **file.quick, 'plant': ('rigid',)}).cells()
+        assert len({cell.key for cell in cells}) == count
+    with pytest.raises(ConfigError, match=rf"^study: expected one of {', '.join(names)}"):
+        read_study('stifness')
+
+
+def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_filter():
+    cells = study('compare', plant=('puma',), seed=(0,)).cells()
+    setups = {(cell.factors['part'], cell.factors['estimator']): cell.job.setup()
+              for cell in cells}
+    labels = {label for part, label in setups if part == 'active state'}
+    kinds = NoiseEstimatorConfig.model_fields['estimator'].annotation.__args__
+    assert labels == {*kinds, 'window rescaled', 'innovation matched'}
+    usual = setups['active state', 'lead_window']
+    config = usual.noise_estimator
+    f = lead_filter(config.zero_frequency, config.pole_frequency, config.rate)
+    gain = f.gain ** 2 * (1.0 + (f.pole - f.zero) ** 2 / (1.0 - f.pole ** 2))  # of white noise
+    rescaled, matched = (setups['active state', label]
+                         for label in ('window rescaled', 'innovation matched'))
+    assert rescaled.noise_estimator.variance_scale == pytest.approx(gain, rel=1e-12)
+    assert matched.controller.force.process_noise == pytest.approx(
+        usual.controller.force.process_noise / gain, rel=1e-12)
+
+
+def test_every_law_has_ranges_whose_ends_are_acceptable():
+    declared = read_yaml(config_dir() / 'tuning.yaml')
+    assert set(declared) == set(LAWS)
+    for law, ranges in declared.items():
+        ends = {name: [values[0], values[-1]] for name, values in ranges.items()}
+        cells = run_cells(select(study('tune', law).config, ends))
+        assert 2 <= len(cells) <= 2 ** len(ranges)
+        assert {cell.factors['seed'] for cell in cells} == {0}
+        assert cells[0].job.setup().controller.force.law == law
 
 
 @pytest.mark.slow
