@@ -9,7 +9,7 @@ from multicontact_control.client import CommandRefusedError, MultiContactClient,
 from multicontact_control.errors import MessageError, RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph import create_publisher, ignore, take
-from multicontact_control.nodes.link import CLEAN_UP, DEACTIVATE, GuestNode
+from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.messages import ACCEPTED, ControllerStatus
 import numpy as np
 import pytest
@@ -120,7 +120,6 @@ def test_refused_forces_and_motions_change_no_target(arm):
 
 def test_each_of_two_clients_learns_what_becomes_of_its_own_commands(arm, domain_id):
     arm.set_forces({'table': 8.0, 'board': 4.0})
-    start = arm.read().position_desired
 
     def press():
         for force in range(1, 21):
@@ -133,12 +132,7 @@ def test_each_of_two_clients_learns_what_becomes_of_its_own_commands(arm, domain
             with pytest.raises(CommandRefusedError, match=f'board: .* got {force} N'):
                 other.set_forces({'board': float(force)})
         pressing.result()
-        moving = pool.submit(arm.move, start + [0.03, 0.0, 0.0], 2.0)
-        with pytest.raises(CommandRefusedError, match='position x'):
-            other.move(start + [2.0, 0.0, 0.0], duration=0.2)
-        moving.result()
     assert reached(arm).forces_desired == {'table': 10.0, 'board': 4.0}
-    assert abs(arm.read().position_desired[0] - start[0] - 0.03) < 1e-6
 
 
 def test_client_deactivates_and_activates_a_real_controller(arm, domain_id):
@@ -159,11 +153,6 @@ def test_client_deactivates_and_activates_a_real_controller(arm, domain_id):
         # What was commanded before is forgotten, by both.
         assert arm.read().forces_desired == {'table': 0.0, 'board': 0.0}
         assert reached(arm, table=6.0).forces_desired == {'table': 6.0, 'board': 0.0}
-        for name in ('controller_node', 'noise_estimator_node'):
-            for transition in (DEACTIVATE, CLEAN_UP):
-                driver.change(name, transition)
-    arm.activate()
-    assert set(reached(arm, table=5.0, board=5.0).noise_variance) == {'table', 'board'}
 
 
 def test_missing_controller_is_named(domain_id):

@@ -1,10 +1,9 @@
 """A control loop between activation and deactivation, with its supervisor, without middleware."""
 
-from arms import HOME, Law, Measurement, pressed_wrench, still_config
+from arms import HOME, pressed_wrench, still_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from multicontact_control.compiled import compiled_here
-from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.errors import CalibrationError, CommandError, ConfigError
 from multicontact_control.loop import ControlLoop
 from multicontact_control.paths import config_dir
@@ -142,16 +141,6 @@ def test_first_command_is_the_measured_effort_or_gravity_compensation(effort, su
     torque = Bench(supervised=supervised).step(effort=effort)
     expected = EFFORT if effort is EFFORT else Bench().state.gravity
     np.testing.assert_allclose(torque, expected, rtol=0.0, atol=1e-9)
-
-
-def test_bare_torque_is_that_of_the_law_after_the_blend():
-    bench = Bench(supervised=False, transition={'blend_time': 0.02, 'torque_rate': 1e5})
-    law = Law(bench.config, CommandedTask(bench.config.contact_names))
-    for k in range(12):
-        expected = law.step(Measurement(k * H, HOME, REST, bench.weight), np.full(2, 0.6)).torque
-        assert np.array_equal(bench.step(wrench=bench.weight), expected) == (k >= 10)
-    bench.assert_refused(
-        'control: it needs the supervisor', lambda: bench.loop.step(TickInputs(bench.k * H)))
 
 
 def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
