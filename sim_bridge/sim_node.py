@@ -26,11 +26,12 @@ from multicontact_control.nodes import diagnostics, messages, qos, topics
 from multicontact_control.nodes.graph import create_publisher, Refusals, StartupConfig, StartupGate
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.streams import named_reader, NamedReading, StreamPublisher
+from multicontact_control.nodes.streams import StreamPublisher
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.arm import SENSOR_FRAME
 from sim_bridge.config import PlantConfig, PUSH_TIME
@@ -107,12 +108,17 @@ class SimNode(Node):
         description = create_publisher(self, topics.ROBOT_DESCRIPTION)
         self._surfaces = SurfaceMarkers(plant_config, rate=config.rate)
         self._surface_publisher = create_publisher(self, topics.SURFACE_MARKERS)
-        self.streams = {topic: StreamPublisher(self, topic, example)
-                        for topic, example in self._examples().items()}
-        self._reader = named_reader(self._plant.joint_names, ('effort',), NamedReading)
+        joints, contacts = self._plant.joint_names, self._plant.contact_names
+        zeros, wrench = np.zeros(len(joints)), WrenchStamped(header=Header(frame_id=SENSOR_FRAME))
+        self._streams = {topic: StreamPublisher(self, topic, pattern) for topic, pattern in (
+            (topics.WRENCH, wrench), (topics.WRENCH_FILTERED, wrench),
+            (topics.JOINT_STATES, messages.joint_state_message(
+                0, joints, position=zeros, velocity=zeros, effort=zeros)),
+            (topics.TRUE_FORCES, messages.joint_state_message(
+                0, contacts, effort=np.zeros(len(contacts)))))}
+        self._clock_publisher = create_publisher(self, topics.CLOCK) if config.lockstep else None
         self.create_subscription(
-            topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, self._on_command, qos.INPUT,
-            raw=True)
+            topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, self._on_command, qos.INPUT)
         self.create_subscription(
             topics.PUSH.message, topics.PUSH.name, self._on_push, topics.PUSH.profile)
         self._watch = diagnostics.LoopStatistics(config.rate)
@@ -121,17 +127,6 @@ class SimNode(Node):
         description.publish(String(data=self._plant.description.urdf))
         self._gate = StartupGate(self, config)
         self._origin = 0  # stamp of sample 0 [ns]
-
-    def _examples(self) -> dict[topics.Topic, Any]:
-        """Return a message of each topic at the control rate."""
-        joints, contacts = self._plant.joint_names, self._plant.contact_names
-        build, n = messages.joint_state_message, np.zeros(len(joints))
-        wrench = WrenchStamped(header=Header(frame_id=SENSOR_FRAME))
-        return {
-            topics.WRENCH: wrench, topics.WRENCH_FILTERED: wrench,
-            topics.JOINT_STATES: build(0, joints, position=n, velocity=n, effort=n),
-            topics.TRUE_FORCES: build(0, contacts, effort=np.zeros(len(contacts))),
-            **({topics.CLOCK: Clock()} if self._config.lockstep else {})}
 
     def run(self, spinner: Spinner) -> None:
         """Run the plant until the last tick or a signal; RunError if a command does not come."""
@@ -280,9 +275,9 @@ class SimNode(Node):
 
     def _publish(self) -> None:
         """Publish what the controller works with; the clock of the latency starts here."""
-        sample, streams, stamp = self._sample, self.streams, self._stamp(self._tick)
-        if self._config.lockstep:
-            streams[topics.CLOCK].send(stamp)
+        sample, streams, stamp = self._sample, self._streams, self._stamp(self._tick)
+        if self._clock_publisher is not None:
+            self._clock_publisher.publish(Clock(clock=messages.ns_to_stamp(stamp)))
         now = time.monotonic_ns()
         self._published[self._tick % REMEMBERED] = now
         self._watch.add_period(now)
@@ -292,7 +287,7 @@ class SimNode(Node):
 
     def _publish_truth(self) -> None:
         """Publish what only an observer may know."""
-        self.streams[topics.TRUE_FORCES].send(
+        self._streams[topics.TRUE_FORCES].send(
             self._stamp(self._tick), self._sample.contact_force)
         if self._surfaces.due(self._tick):
             self._publish_surfaces()
@@ -304,20 +299,19 @@ class SimNode(Node):
     def _stamp(self, tick: int) -> int:
         return self._origin + stamp_of(tick, self._config.rate)
 
-    def _on_command(self, data: bytes) -> None:
+    def _on_command(self, message: JointState) -> None:
         received = self._inputs.last[topics.EFFORT_COMMAND] = time.monotonic_ns()
         with self._refusals.guard(topics.EFFORT_COMMAND):
-            command = self._reader.read(data)
-            tick = round((command.stamp - self._origin) * 1e-9 * self._config.rate)
-            if not (tick >= 0 and self._stamp(tick) == command.stamp):
-                raise MessageError(
-                    'stamp', 'that of a sample', f'{command.stamp} ns')
+            stamp, torque = messages.read_named(message, self._plant.joint_names, ['effort'])
+            tick = round((stamp - self._origin) * 1e-9 * self._config.rate)
+            if not (tick >= 0 and self._stamp(tick) == stamp):
+                raise MessageError('stamp', 'that of a sample', f'{stamp} ns')
             # A controller that has waited for a sample in vain may have counted on.
             tick = min(tick, self._tick)
             if tick < self._answered:
                 return
             # The same sample may get another answer, from a controller that hears of no newer.
-            self._delay.command(tick, command.values)
+            self._delay.command(tick, torque)
             self._commanded = self._tick
             if tick > self._answered:
                 self._answered = tick
@@ -365,7 +359,7 @@ class SimNode(Node):
             diagnostics.Status('contacts', {
                 name: f'touching with {force:.4g} N' if force > 0.0 else 'free'
                 for name, force in forces}),
-            diagnostics.message_status(self._refusals, slow=self._reader.slow)]
+            diagnostics.message_status(self._refusals)]
 
 
 def histogram(microseconds: Vector) -> dict[str, list[float] | list[int]]:

@@ -2,7 +2,6 @@
 
 from arms import controller_config, HOME, pressed_wrench
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import WrenchStamped
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph import create_publisher, ignore, take
@@ -12,7 +11,6 @@ import numpy as np
 from rclpy.qos import QoSProfile
 from ros_graph import wait_for
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
 
 PERIOD = 2_000_000
 UNFELT = f'collision.threshold:={[1e9] * 6}'  # its torques mean nothing
@@ -20,14 +18,6 @@ UNFELT = f'collision.threshold:={[1e9] * 6}'  # its torques mean nothing
 PARAMETERS = ('patience:=0.0', 'sensor.frozen_ticks:=0', UNFELT)
 EFFORT = np.array([1.0, 29.0, 7.0, 0.5, 0.5, 0.1])  # not quite what gravity wants
 DEPTH = QoSProfile(depth=1000)
-
-
-def wrench_message(stamp, wrench, frame_id):
-    """Build a wrench, force first."""
-    message = WrenchStamped(header=Header(stamp=messages.ns_to_stamp(stamp), frame_id=frame_id))
-    for part, numbers in ((message.wrench.force, wrench[:3]), (message.wrench.torque, wrench[3:])):
-        part.x, part.y, part.z = map(float, numbers)
-    return message
 
 
 class FakeArm:
@@ -64,7 +54,8 @@ class FakeArm:
 
     def send_parts(self, stamp, parts):
         if 'wrench' in parts:
-            self._wrench.publish(wrench_message(stamp, self.wrench, 'ft_face'))
+            self._wrench.publish(messages.wrench_message(
+                stamp, 'ft_face', self.wrench))
         if 'joints' in parts:
             self._joints.publish(messages.joint_state_message(
                 stamp, self.config.robot.joint_names, position=HOME, velocity=np.zeros(6),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import contextlib
 from functools import partial
 import sys
@@ -13,7 +13,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.errors import MessageError, MulticontactError
 from multicontact_control.loop import ControlLoop
-from multicontact_control.nodes import qos, streams, topics
+from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_config import ControllerNodeConfig, SAFE_TIME
 from multicontact_control.nodes.controller_report import ControllerReport
 from multicontact_control.nodes.controller_topics import ControllerOutputs, serve_commands
@@ -21,7 +21,12 @@ from multicontact_control.nodes.diagnostics import Status
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.sampling import Action, Decision, SampleTiming
-from multicontact_control.supervision.inputs import JointInput, TickInputs, WrenchInput
+from multicontact_control.supervision.inputs import (
+    JointInput,
+    TickInputs,
+    VarianceInput,
+    WrenchInput,
+)
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
@@ -55,22 +60,25 @@ class ControllerNode(ManagedNode):
             config.rate, supervised=node_config.supervised, lockstep=node_config.lockstep,
             feels=config.wrench_input != 'momentum', patience=node_config.patience,
             pair_tolerance=node_config.pair_tolerance)
-        wrench = topics.WRENCHES.get(config.wrench_input)
-        self._inputs: dict[topics.Topic, tuple[streams.MessageReader, Any]] = {
-            topics.NOISE_VARIANCE: (streams.variance_reader(config.column_names),
-                                    lambda reading: timing.add_variance(*reading)),
-            topics.JOINT_STATES: (streams.named_reader(  # robots need not measure all of them
-                config.robot.joint_names, streams.JOINT_FIELDS[:2 + config.robot.measures_torque],
-                JointInput, ('velocity', 'effort')), timing.add)}
+        robot, wrench = config.robot, topics.WRENCHES.get(config.wrench_input)
+        optional = ('velocity', 'effort')[:1 + robot.measures_torque]
+        # Of each input: from a message to numbers, these as a reading, and where it goes.
+        self._inputs: dict[topics.Topic, tuple[Callable[..., Any], ...]] = {
+            topics.NOISE_VARIANCE: (partial(messages.read_variance, names=config.column_names),
+                                    VarianceInput, lambda reading: timing.add_variance(*reading)),
+            topics.JOINT_STATES: (partial(messages.read_named, names=robot.joint_names,
+                                          fields=('position',), optional=optional),
+                                  JointInput, timing.add)}
         if wrench is not None:
-            self._inputs[wrench] = streams.wrench_reader(config.robot.sensor_frame), timing.add
+            self._inputs[wrench] = (partial(messages.read_wrench, frame=robot.sensor_frame),
+                                    WrenchInput, timing.add)
         self._outputs = ControllerOutputs(self, config, node_config)
         self._report = ControllerReport(self, loop, timing, [*self._inputs])
         serve_commands(self, loop, self._report.answer, lambda: self._node_config)
         for topic in self._inputs:
             self.create_subscription(
                 topic.message, topic.name, partial(self._on_message, topic),
-                qos.INPUT if node_config.lockstep else qos.SENSOR, raw=True)
+                qos.INPUT if node_config.lockstep else qos.SENSOR)
         self._node_config = node_config
         self._command: tuple[bytes, Vector] | None = None  # the last one
 
@@ -116,17 +124,17 @@ class ControllerNode(ManagedNode):
 
     def statuses(self) -> list[Status]:
         """Return what diagnostics report."""
-        return self._report.statuses(sum(reader.slow for reader, _ in self._inputs.values()))
+        return self._report.statuses()
 
-    def _on_message(self, topic: topics.Topic, data: bytes) -> None:
+    def _on_message(self, topic: topics.Topic, message: Any) -> None:
         """Take in a message, and do what it leads to."""
         if self.state not in (ACTIVE, INACTIVE):
             return  # it was on its way when the end of its topic was destroyed
         start = time.monotonic_ns()
         self._heard += 1
-        reader, take_in = self._inputs[topic]
+        read, reading, take_in = self._inputs[topic]
         try:
-            take_in(reader.read(data))
+            take_in(reading(*read(message)))
             safe = self._loop.supervisor.safe
             if self.working or safe:
                 self._do(self._timing.what_now(start, safe=safe), start)

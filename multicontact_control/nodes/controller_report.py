@@ -113,8 +113,8 @@ class ControllerReport:
                 f'{self._node.get_name()}: status',
                 DiagnosticStatus.WARN if refusal or reaction else DiagnosticStatus.OK))
 
-    def statuses(self, slow: int) -> list[Status]:
-        """Return what diagnostics report; `slow` is how many messages were read slowly."""
+    def statuses(self) -> list[Status]:
+        """Return what diagnostics report."""
         loop, timing, active = self._loop, self._timing, self._node.state == ACTIVE
         self._publish(STATE)
         self.watch.missed, timing.skipped = timing.skipped, 0
@@ -130,7 +130,7 @@ class ControllerReport:
             self.inputs.status(
                 needed=active, consequence=': the last R is held' if held else ''),
             self._publishers(), self._contacts(), self._sensor(),
-            message_status(self._node.refusals, unpaired=timing.unpaired, slow=slow),
+            message_status(self._node.refusals, unpaired=timing.unpaired),
             *([self._supervisor()] if loop.supervisor.guarded else [])]
 
     def _odd_samples(self) -> Iterator[str]:

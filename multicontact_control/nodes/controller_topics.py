@@ -10,16 +10,15 @@ from geometry_msgs.msg import PoseStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import ControlOutput
-from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import MulticontactError
 from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.contact_markers import ContactMarkers
+from multicontact_control.nodes.contact_markers import contact_arrows, RATE
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph import create_publisher, full_topic_name
 from multicontact_control.nodes.lifecycle import ManagedNode
-from multicontact_control.nodes.messages import identifier_of
-from multicontact_control.nodes.streams import JOINT_FIELDS, StreamPublisher
+from multicontact_control.nodes.messages import identifier_of, JOINT_FIELDS
+from multicontact_control.nodes.streams import StreamPublisher
 import numpy as np
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -43,13 +42,11 @@ SHOWN: dict[topics.Topic, tuple[tuple[str, ...], Numbers]] = {
         output.contacts['stiffness'])),
     topics.STABILITY_MARGIN: (('position', 'effort'), lambda output: (
         output.contacts['ratio_bound'], output.contacts['margin'])),
-    topics.POSE: ((), lambda output: (_seven(output.pose),)),
-    topics.POSE_DESIRED: ((), lambda output: (_seven(output.pose_des),))}
+    topics.POSE: ((), lambda output: (
+        output.pose.position_world, output.pose.quaternion_xyzw)),
+    topics.POSE_DESIRED: ((), lambda output: (
+        output.pose_des.position_world, output.pose_des.quaternion_xyzw))}
 OF_STIFFNESS = (topics.STIFFNESS, topics.STABILITY_MARGIN)
-
-
-def _seven(pose: Pose) -> Vector:
-    return np.concatenate((pose.position_world, pose.quaternion_xyzw))
 
 
 class ControllerOutputs:
@@ -64,32 +61,31 @@ class ControllerOutputs:
     def __init__(
         self, node: Node, config: ControllerConfig, node_config: ControllerNodeConfig,
     ) -> None:
-        bare = node_config.effort_output_topic
-        name = full_topic_name('effort_output_topic', bare, node) if bare else ''
+        self._config, bare = config, node_config.effort_output_topic
         joints, contacts = config.robot.joint_names, config.column_names
-        zeros, build = np.zeros(len(contacts)), messages.joint_state_message
+        build = messages.joint_state_message
         commands = StreamPublisher(
             node, topics.EFFORT_COMMAND, build(0, joints, effort=np.zeros(len(joints))))
         self.command, self.publish = commands.write, commands.publish
         self.publish_bare = node.create_publisher(
-            Float64MultiArray, name, qos.STREAM).publish if bare else None
+            Float64MultiArray, full_topic_name('effort_output_topic', bare, node),
+            qos.STREAM).publish if bare else None
         self._shown: list[tuple[StreamPublisher, Numbers]] = []
         for topic, (fields, numbers) in SHOWN.items():
-            values: Any = dict.fromkeys(fields, zeros)
             publisher = StreamPublisher(node, topic, build(
-                0, contacts, **values) if fields else PoseStamped(
-                    header=Header(frame_id=topics.WORLD_FRAME)))
+                0, contacts, **dict.fromkeys(fields, np.zeros(len(contacts)))) if fields else (
+                    PoseStamped(header=Header(frame_id=topics.WORLD_FRAME))))
             if config.force.stiffness == 'adaptive' or topic not in OF_STIFFNESS:
                 self._shown.append((publisher, numbers))
-        self._markers_publisher = create_publisher(node, topics.CONTACT_MARKERS)
-        self._markers = ContactMarkers(config)
+        self._markers = create_publisher(node, topics.CONTACT_MARKERS)
+        self._marker_ticks = max(1, round(config.rate / RATE))
 
     def show(self, stamp: int, tick: int, output: ControlOutput) -> None:
         """Publish forces, innovations, poses and markers of a tick with a stamp [ns]."""
         for publisher, numbers in self._shown:
             publisher.send(stamp, *numbers(output))
-        if self._markers.due(tick):
-            self._markers_publisher.publish(self._markers.message(stamp, output))
+        if tick % self._marker_ticks == 0:
+            self._markers.publish(contact_arrows(self._config, stamp, output))
 
 
 # The services of the controller's node: class, and content for the reference.

@@ -16,7 +16,7 @@ from dataclasses import replace
 import sys
 from threading import Event, Thread
 import time
-from typing import Any, Literal
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
@@ -24,9 +24,10 @@ from multicontact_control.arrays import Vector
 from multicontact_control.config import Config, parameter
 from multicontact_control.config import Vector as Numbers
 from multicontact_control.errors import ConfigError, MulticontactError, RunError
-from multicontact_control.nodes import diagnostics, graph, messages, qos, streams, topics
+from multicontact_control.nodes import diagnostics, graph, messages, qos, topics
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import one_line, run_node, Spinner
+from multicontact_control.nodes.streams import StreamPublisher
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from rclpy.node import Node
@@ -68,13 +69,6 @@ class FrankaBridgeConfig(graph.StartupConfig):
         2, 'States of the robot, at 1 kHz, for each sample: 2 for 500 Hz.', ge=1, le=10)
     joint_names: tuple[str, ...] = parameter(
         tuple(f'joint{i + 1}' for i in range(JOINTS)), 'Joints, base to wrist.')
-    effort: Literal['measured', 'commanded', 'none'] = parameter(
-        'measured', 'Effort of the samples, without gravity: the torque sensors less the gravity '
-        "of libfranka's model, or the torque that was sent last. `measured` is left out where "
-        'the robot reports no direction of gravity.')
-    wrench_topic: str = parameter(
-        '~/wrench', 'Topic of the wrist sensor (geometry_msgs/WrenchStamped); empty for the '
-        "robot's own estimate, K_F_ext_hat_K, in its stiffness frame.")
     wrench_age: float = parameter(
         0.005, 'Age from which a wrench is published no more.', unit='s', gt=0.0)
     collision_torque: Numbers = parameter(
@@ -147,30 +141,24 @@ class FrankaBridge(Node):
         self._figures = self._rule.figures
         self._torques = self._library.Torques([0.0] * JOINTS)  # the last
         self._time = self._origin = self._sample = 0  # of the robot [ms], its stamp at 0 [ns]
-        self._command = streams.NamedReading(0, np.zeros(JOINTS))
+        self._command, self._command_stamp = np.zeros(JOINTS), 0
         self._wrench, self._wrench_stamp = np.zeros(6), 0  # and when it came
-        names, zeros = self._config.joint_names, np.zeros(JOINTS)
         self._refusals = graph.Refusals(self.get_logger())
         self._refused: deque[tuple[str, Exception]] = deque(maxlen=100)
-        self._publish_sample = graph.create_publisher(self, topics.JOINT_STATES).publish
-        self._samples = {count: streams.MessageTemplate(messages.joint_state_message(
-            0, names, **dict.fromkeys(streams.JOINT_FIELDS[:count], zeros))).write
-            for count in (2, 3)}  # without and with efforts
-        self._wrenches = streams.StreamPublisher(self, topics.WRENCH, WrenchStamped())
-        readers = {topics.EFFORT_COMMAND: streams.named_reader(
-            names, ('effort',), streams.NamedReading)}
-        sensor = [replace(topics.WRENCH, publisher='the driver of the wrist sensor', name=(
-            graph.full_topic_name('wrench_topic', name, self)))
-            for name in [self._config.wrench_topic] if name]
-        readers |= dict.fromkeys(sensor, streams.wrench_reader())
+        self._samples = StreamPublisher(self, topics.JOINT_STATES, messages.joint_state_message(
+            0, self._config.joint_names,
+            **dict.fromkeys(messages.JOINT_FIELDS, np.zeros(JOINTS))))
+        self._wrenches = StreamPublisher(self, topics.WRENCH, WrenchStamped())
+        sensor = replace(topics.WRENCH, publisher='the driver of the wrist sensor',
+                         name=self.resolve_topic_name('~/wrench'))
         # Taken in by the control thread: an executor would empty the subscriptions of its node.
         self._listener = Node(
             f'{NAME}_inputs', context=self.context, start_parameter_services=False)
-        self._readers = {topic: (self._listener.create_subscription(
-            topic.message, topic.name, graph.ignore, qos.SENSOR, raw=True), reader)
-            for topic, reader in readers.items()}
+        self._heard = {topic: self._listener.create_subscription(
+            topic.message, topic.name, graph.ignore, qos.SENSOR)
+            for topic in (topics.EFFORT_COMMAND, sensor)}
         self._watch = diagnostics.LoopStatistics(1.0 / CYCLE)
-        self._inputs = diagnostics.Inputs(self, 1.0 / (CYCLE * self._config.divider), *sensor)
+        self._inputs = diagnostics.Inputs(self, 1.0 / (CYCLE * self._config.divider), sensor)
         self._diagnostics = diagnostics.Diagnostics(self, self._statuses)
         self._status_publisher = self.create_publisher(DiagnosticStatus, '~/status', qos.EVENT)
         self._reported: tuple[float, tuple[str, ...]] = (0.0, (self._problem,))
@@ -234,7 +222,7 @@ class FrankaBridge(Node):
             self._figures['lost_cycles'] += now - self._time - 1
         self._time, stamp = now, self._origin + now * MILLISECOND
         self._take_inputs(stamp)
-        speed, age = np.array(state.dq), abs(1e-9 * (stamp - self._command.stamp))
+        speed, age = np.array(state.dq), abs(1e-9 * (stamp - self._command_stamp))
         if self._active is not None:
             self._answer(state, age, speed)
             self._watch.latencies.add(time.monotonic_ns() - received)
@@ -251,22 +239,22 @@ class FrankaBridge(Node):
 
     def _take_inputs(self, stamp: int) -> None:
         """Take in the newest command and wrench."""
-        for topic, (subscription, reader) in self._readers.items():
+        for topic, subscription in self._heard.items():
             while (taken := graph.take(subscription)) is not None:
                 try:
-                    reading = reader.read(taken[0])
+                    if topic is topics.EFFORT_COMMAND:
+                        self._command_stamp, self._command = messages.read_named(
+                            taken[0], self._config.joint_names, ('effort',))
+                    else:
+                        _, self._wrench = messages.read_wrench(taken[0])
+                        self._wrench_stamp = stamp
+                        self._inputs.last[topic] = time.monotonic_ns()
                 except MulticontactError as error:
                     self._refused.append((topic.name, error))
-                    continue
-                if topic is topics.EFFORT_COMMAND:
-                    self._command = reading
-                else:
-                    self._wrench, self._wrench_stamp = reading.wrench, stamp
-                    self._inputs.last[topic] = time.monotonic_ns()
 
     def _answer(self, state: Any, age: float, speed: Vector) -> None:
         """Send a torque, or end torque control."""
-        torque = self._rule.answer(age, self._command.values, speed, np.array(state.tau_J_d))
+        torque = self._rule.answer(age, self._command, speed, np.array(state.tau_J_d))
         if torque is None:
             self._finish()
         else:
@@ -283,18 +271,13 @@ class FrankaBridge(Node):
 
     def _publish(self, stamp: int, state: Any, speed: Vector) -> None:
         """Publish a sample."""
-        if not self._config.wrench_topic:
-            self._wrench, self._wrench_stamp = np.array(state.K_F_ext_hat_K), stamp
         if 1e-9 * (stamp - self._wrench_stamp) <= self._config.wrench_age:
             self._wrenches.send(stamp, self._wrench)
         else:
             self._figures['wrench_late'] += 1
-        runs = [np.array(state.q), speed]
-        if self._config.effort == 'commanded':
-            runs.append(np.array(state.tau_J_d))
-        elif self._model is not None and any(state.O_ddP_O):
-            runs.append(np.array(state.tau_J) - np.array(self._model.gravity(state)))
-        self._publish_sample(self._samples[len(runs)](stamp, *runs))
+        effort = np.array(state.tau_J_d) if self._model is None else (
+            np.array(state.tau_J) - np.array(self._model.gravity(state)))
+        self._samples.send(stamp, state.q, speed, effort)
 
     def _fail(self, error: Exception) -> None:
         """Take note of what ended torque control or the connection."""
@@ -316,7 +299,8 @@ class FrankaBridge(Node):
                 config.address, kinds.kEnforce if config.enforce_realtime else kinds.kIgnore)
             robot.set_collision_behavior(*[list(config.collision_torque)] * 2,
                                          *[list(config.collision_force)] * 2)
-            self._model = robot.load_model() if config.effort == 'measured' else None
+            measures = any(robot.read_once().O_ddP_O)  # simulators know no direction of gravity
+            self._model = robot.load_model() if measures else None
             self._robot, self._origin = robot, 0
             self._inputs.restart()
         elif self._mode == 'UserStopped':

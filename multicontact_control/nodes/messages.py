@@ -1,8 +1,8 @@
 """
-Messages from arrays, commands and status from messages: the only place that builds messages.
+Messages from arrays, and arrays from messages: the only place that builds and reads messages.
 
 Numbers that are not finite, not named as expected or not of the right length are refused by
-`MessageError`, on the way in and on the way out. Messages at the control rate: `streams`.
+`MessageError`, on the way in and on the way out.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Pose, Transform, Twist
+from geometry_msgs.msg import Pose, Transform, Twist, WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import counted, MessageError
@@ -28,6 +28,8 @@ from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 
 UNIT_QUATERNION_TOLERANCE = 1e-3
+LAST_SECOND = 2 ** 31 - 1  # that a stamp can hold
+JOINT_FIELDS = ('position', 'velocity', 'effort')
 STATE, ACCEPTED, REFUSED = 'state', 'accepted', 'refused'  # the event of a status
 STATUS_TEXTS = ('event', 'command', 'life_cycle', 'reaction', 'causes', 'contacts', 'push_test')
 
@@ -51,6 +53,48 @@ def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
     if not math.isfinite(sum(numbers.tolist())):
         raise MessageError(field, 'finite numbers', numbers.tolist())
     return numbers
+
+
+def read_named(
+    message: JointState, names: Sequence[str], fields: Sequence[str], optional: Sequence[str] = (),
+) -> tuple[Any, ...]:
+    """
+    Return the stamp of a message [ns], and a vector per field in the order of `names`.
+
+    Those of the `optional` fields follow, None where numbers are missing or not finite.
+    """
+    given = list(message.name)
+    if any(given.count(name) != 1 for name in names):
+        raise MessageError('name', f'each of {list(names)} once', given)
+    places = np.array([given.index(name) for name in names], dtype=int)
+    vectors: list[Vector | None] = []
+    for field in (*fields, *optional):
+        values: Vector = np.array(getattr(message, field), dtype=np.float64)
+        whole = len(values) == len(given)
+        vector = values[places] if whole else values
+        usable = whole and math.isfinite(sum(vector.tolist()))
+        if not usable and field not in optional:
+            raise MessageError(field, f'{counted(len(given), "finite values")}', values.tolist())
+        vectors.append(vector if usable else None)
+    return stamp_to_ns(message.header.stamp), *vectors
+
+
+def read_variance(message: JointState, names: Sequence[str]) -> tuple[int, Vector]:
+    """Return the stamp of a message [ns] and a variance above 0 per name [N^2]."""
+    stamp, variance = read_named(message, names, ('effort',))
+    if min(variance.tolist()) <= 0.0:
+        raise MessageError('effort', 'variances above 0', variance.tolist())
+    return stamp, variance
+
+
+def read_wrench(message: WrenchStamped, frame: str = '') -> tuple[int, Vector]:
+    """Return the stamp of a message [ns] and its wrench, in a frame or none; empty for any."""
+    given = message.header.frame_id.lstrip('/')
+    if frame and given not in ('', frame):
+        raise MessageError('header.frame_id', f"'{frame}' (robot.sensor_frame), or none",
+                           f"'{given}'")
+    wrench = _numbers('xyz', message.wrench.force, message.wrench.torque)
+    return stamp_to_ns(message.header.stamp), finite_array(wrench, 6, 'wrench')
 
 
 def read_force_command(
@@ -115,6 +159,13 @@ def joint_state_message(stamp: int, names: Sequence[str], **fields: ArrayLike) -
     return JointState(header=Header(stamp=ns_to_stamp(stamp)), name=list(names), **{
         field: array('d', finite_array(values, len(names), field).tobytes())
         for field, values in fields.items()})
+
+
+def wrench_message(stamp: int, frame_id: str, wrench: ArrayLike) -> WrenchStamped:
+    """Build a wrench in a frame, force first."""
+    message = WrenchStamped(header=Header(stamp=ns_to_stamp(stamp), frame_id=frame_id))
+    _fill(wrench, 'wrench', 'xyz', message.wrench.force, message.wrench.torque)
+    return message
 
 
 def motion_message(

@@ -9,14 +9,17 @@ import sys
 import time
 from typing import Any
 
+from multicontact_control.arrays import Vector
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.force.noise import Innovation, make_noise_estimator
-from multicontact_control.nodes import messages, qos, streams, topics
+from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.diagnostics import Inputs, LoopStatistics, message_status, Status
 from multicontact_control.nodes.graph import StartupConfig
 from multicontact_control.nodes.lifecycle import ACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
+from multicontact_control.nodes.streams import StreamPublisher
 import numpy as np
+from sensor_msgs.msg import JointState
 
 MAX_INNOVATIONS = 8
 
@@ -40,23 +43,18 @@ class NoiseEstimatorNode(ManagedNode):
         self._estimator = make_noise_estimator(self._config)
         self._estimator.update(np.zeros(len(names)))  # the first one takes a while
         self._watch = LoopStatistics(self._config.rate)
-        self._publisher = streams.StreamPublisher(self, topics.NOISE_VARIANCE, (
+        self._publisher = StreamPublisher(self, topics.NOISE_VARIANCE, (
             messages.joint_state_message(0, names, effort=np.zeros(len(names)))))
-        self._readers: dict[topics.Topic, streams.MessageReader] = {
-            topics.MEASURED_FORCES: streams.named_reader(names, ('effort',), streams.NamedReading)}
-        if self._estimator.uses_innovation:
-            self._readers[topics.INNOVATION] = streams.named_reader(
-                names, streams.JOINT_FIELDS, lambda stamp, variance, prior, innovation: (
-                    stamp, Innovation(innovation, prior, variance)))
-        for topic in self._readers:
+        heard = [topics.MEASURED_FORCES, topics.INNOVATION][:1 + self._estimator.uses_innovation]
+        for topic in heard:
             self.create_subscription(
-                topic.message, topic.name, partial(self._on_message, topic), qos.INPUT, raw=True)
-        self._inputs = Inputs(self, self._config.rate, *self._readers)
+                topic.message, topic.name, partial(self._on_message, topic), qos.INPUT)
+        self._inputs = Inputs(self, self._config.rate, *heard)
 
     def activate(self) -> StartupConfig:
         """Start with an empty window."""
         self._estimator.reset()
-        self._waiting: deque[streams.NamedReading] = deque()
+        self._waiting: deque[tuple[int, Vector]] = deque()
         self._innovations: deque[tuple[int, Innovation]] = deque(maxlen=MAX_INNOVATIONS)
         self._last_stamp, self._last_answer = -1, b''
         self._inputs.restart()
@@ -67,20 +65,27 @@ class NoiseEstimatorNode(ManagedNode):
         self._node_config.write_counts({
             'samples': self._samples, 'refused': dict(self.refusals.counts)})
 
-    def _on_message(self, topic: topics.Topic, data: bytes) -> None:
+    def _on_message(self, topic: topics.Topic, message: JointState) -> None:
         """Take in a message; answer what can be answered with it."""
         received, answered = time.monotonic_ns(), self._samples
         if topic is topics.MEASURED_FORCES:
             self._watch.add_period(received)
         if self.state == ACTIVE:
-            queue: deque[Any] = (
-                self._innovations if topic is topics.INNOVATION else self._waiting)
             with self.refusals.guard(topic):
-                queue.append(self._readers[topic].read(data))
+                self._take_in(topic, message)
                 self._inputs.last[topic] = received
                 self.look()
         if self._samples != answered:
             self._watch.latencies.add(time.monotonic_ns() - received)
+
+    def _take_in(self, topic: topics.Topic, message: JointState) -> None:
+        names = self._config.contact_names
+        if topic is topics.MEASURED_FORCES:
+            self._waiting.append(messages.read_named(message, names, ['effort']))
+        else:
+            stamp, variance, prior, innovation = messages.read_named(
+                message, names, ('position', 'velocity', 'effort'))
+            self._innovations.append((stamp, Innovation(innovation, prior, variance)))
 
     def look(self, _spinner: Spinner | None = None) -> None:
         """Answer everything that waits, in order; an innovation that is lost is not waited for."""
@@ -106,8 +111,7 @@ class NoiseEstimatorNode(ManagedNode):
         return [
             Status('loop', {**self._watch.report(), 'samples': self._samples}),
             self._inputs.status(needed=self.state == ACTIVE),
-            message_status(self.refusals, dropped=self._estimator.dropped,
-                           slow=sum(reader.slow for reader in self._readers.values()))]
+            message_status(self.refusals, dropped=self._estimator.dropped)]
 
 
 def main() -> int:

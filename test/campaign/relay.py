@@ -9,7 +9,6 @@ from select import select
 import sys
 
 from campaign.graph_faults import GRAPH_FAULTS, Resending
-from fake_arm import wrench_message
 from multicontact_control.experiment.faults.vocabulary import CLOCK, Edit, PERIOD
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.runtime import EventsExecutor, start_ros
@@ -26,15 +25,16 @@ FIELDS = {'q': 'position', 'qd': 'velocity', 'names': 'name', 'variance': 'effor
 
 def read_field(message, name):
     if name == 'wrench':
-        f, t = message.wrench.force, message.wrench.torque
-        return np.array([f.x, f.y, f.z, t.x, t.y, t.z])
+        return messages.read_wrench(message)[1]
     return np.array(getattr(message, FIELDS[name]))
 
 
 def write_field(message, name, values):
-    field, values = ('wrench', wrench_message(0, values, '').wrench) if name == 'wrench' else (
-        FIELDS[name], list(values))
-    setattr(message, field, values)
+    if name == 'wrench':
+        f, t = message.wrench.force, message.wrench.torque
+        f.x, f.y, f.z, t.x, t.y, t.z = map(float, values)
+    else:
+        setattr(message, FIELDS[name], list(values))
 
 
 class Stream:

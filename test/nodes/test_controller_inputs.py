@@ -3,7 +3,7 @@
 import time
 
 from arms import HOME
-from fake_arm import EFFORT, FakeArm, PARAMETERS, PERIOD, UNFELT, wrench_message
+from fake_arm import EFFORT, FakeArm, PARAMETERS, PERIOD, UNFELT
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.link import GuestNode
 import numpy as np
@@ -33,7 +33,8 @@ class StrangeArm(FakeArm):
         position, effort = ([np.nan, *reversed(x), 0.04] for x in (HOME, EFFORT))
         message.position, message.effort = list(map(float, position)), list(map(float, effort))
         self._joints.publish(message)
-        self._wrench.publish(wrench_message(stamp + 50_000, self.wrench, self.frame))
+        self._wrench.publish(messages.wrench_message(
+            stamp + 50_000, self.frame, self.wrench))
 
 
 def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host):
@@ -94,8 +95,7 @@ def test_driver_of_another_robot_is_understood_and_a_wrong_frame_is_refused(host
     # The very first answer may go before it can be heard.
     np.testing.assert_allclose(arm.connect(), EFFORT, atol=1e-3)
     arm.settle(20)
-    report = arm.diagnostics(lambda x: x['supervisor'][2]['reaction'] == 'none')
-    assert int(report['messages'][2]['slow']) <= 3
+    arm.diagnostics(lambda x: x['supervisor'][2]['reaction'] == 'none')
     arm.frame = 'tool0'
     arm.diagnostics(lambda x: any('header.frame_id' in key for key in x['messages'][2]))
 

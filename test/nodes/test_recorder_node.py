@@ -8,7 +8,6 @@ import signal
 import time
 
 from arms import controller_config
-from fake_arm import wrench_message
 from multicontact_control.errors import ConfigError, MulticontactError, RunError
 from multicontact_control.experiment.recording import read_bag
 from multicontact_control.nodes import messages, qos, topics
@@ -57,7 +56,7 @@ def publish(publishers, first, count):
     for k in range(first, first + count):
         for topic in RECORDED:
             publishers[topic].publish(
-                wrench_message(PERIOD * (1 + k), [k] * 6, 'ft_face')
+                messages.wrench_message(PERIOD * (1 + k), 'ft_face', [k] * 6)
                 if topic is topics.WRENCH else messages.joint_state_message(
                     PERIOD * (1 + k), CONTROLLER.robot.joint_names, position=[0.001 * k] * 6,
                     velocity=[0.0] * 6, effort=[k] * 6))
@@ -140,8 +139,8 @@ def test_recorder_refuses_what_it_cannot_record(domain_id, tmp_path, parameters,
 
 def test_bag_gives_back_bytes_times_and_qualities_of_service(tmp_path):
     folder = tmp_path / 'bag'
-    sent = [(START + k * PERIOD, serialize_message(wrench_message(
-        START, [k, 0, 0, 0, 0, -k], 'ft_face'))) for k in range(COUNT)]
+    sent = [(START + k * PERIOD, serialize_message(messages.wrench_message(
+        START, 'ft_face', [k, 0, 0, 0, 0, -k]))) for k in range(COUNT)]
     with contextlib.closing(Bag(folder)) as bag:
         wrench = bag.add_topic('/wrench', 'geometry_msgs/msg/WrenchStamped', qos.STREAM)
         bag.add_topic('/silent', 'std_msgs/msg/String', qos.LATCHED)
