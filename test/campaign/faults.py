@@ -1,7 +1,7 @@
 """
 Faults over running graphs: `make campaign`, with options in CAMPAIGN_ARGS.
 
-Kills, halts and deactivates nodes, damages messages and sends wrong commands, one after the other.
+Kills, halts and deactivates nodes, and damages messages, one after the other.
 Prints a table and writes `faults.json`. Exit code 1: something was not safe.
 """
 

@@ -15,9 +15,8 @@ import subprocess
 import sys
 import time
 
-from campaign.graph_faults import Command, HALT, KILL, NodeChange
+from campaign.graph_faults import HALT, KILL, NodeChange
 from campaign.relay import INPUTS, PREFIX
-from geometry_msgs.msg import Transform, Twist, Vector3
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.faults import judge
 from multicontact_control.experiment.graph import spec
@@ -27,7 +26,6 @@ from multicontact_control.nodes.graph import create_publisher, ignore, take
 from multicontact_control.nodes.topics import CONTROLLER, RECORDER
 import numpy as np
 from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 
 CHECKED = (topics.EFFORT_COMMAND, topics.DESIRED_FORCES, topics.ESTIMATED_FORCES,
            topics.NOISE_VARIANCE, topics.TRUE_FORCES)
@@ -134,16 +132,11 @@ class Graph(link.GuestNode):
         if self.pose is None or not all(x.get_subscription_count() for x in (
                 self._force_command, self._motion_command)):
             return False
-        q = self.pose.pose.orientation
-        self.home = self.home or (self._position(), [q.x, q.y, q.z, q.w])
+        p, q = self.pose.pose.position, self.pose.pose.orientation
+        self.home = self.home or (np.array([p.x, p.y, p.z]), [q.x, q.y, q.z, q.w])
         self.moves = True
         self._command_forces(self.wanted)
         return True
-
-    def _position(self):
-        """Return where the operational point should be now, shape (3,) [m]."""
-        p = self.pose.pose.position
-        return np.array([p.x, p.y, p.z])
 
     def _command_forces(self, forces):
         self._force_command.publish(JointState(name=list(forces), effort=list(forces.values())))
@@ -154,9 +147,7 @@ class Graph(link.GuestNode):
         if fault.input == CONTROLLER and action.steps != HALT:
             self.moves = False  # no motion is commanded meanwhile
         duration = float(random.uniform(*FAULT_TIME))
-        if isinstance(action, Command):
-            self._mislead(fault, duration)
-        elif not isinstance(action, NodeChange):
+        if not isinstance(action, NodeChange):
             self._distort(f'{fault.input} {fault.kind} {seed}')
             self.spin(duration)
             self._distort('')
@@ -178,21 +169,6 @@ class Graph(link.GuestNode):
             for step in action.steps:
                 self._driver.change(fault.input, step)
             self.spin(duration)
-
-    def _mislead(self, fault, duration):
-        """Publish a wrong command beside the operator's."""
-        if fault.input.startswith('forces'):
-            publisher, message = self._force_command, JointState(name=list(self.wanted))
-        else:
-            pose = Transform(translation=Vector3(**dict(zip('xyz', self._position()))),
-                             rotation=self.pose.pose.orientation)
-            publisher, message = self._motion_command, MultiDOFJointTrajectoryPoint(
-                transforms=[pose], velocities=[Twist()], accelerations=[Twist()])
-        fault.action.change(message)
-        end = time.monotonic() + duration
-        while time.monotonic() < end:
-            publisher.publish(message)
-            self.spin(POLL_PERIOD)
 
     def _distort(self, text):
         """Let the relay begin a fault, or end it."""
@@ -253,10 +229,6 @@ class Graph(link.GuestNode):
             f'{topic.name} not finite' for topic, sent in heard.items()
             if topic is not topics.EFFORT_COMMAND  # that is for the judge
             and not all(math.isfinite(x) for _, values in sent for x in values.values()))}
-        if any(values.get(name, 0.0) > force + 1e-6
-               for _, values in heard[topics.DESIRED_FORCES]
-               for name, force in self.wanted.items()):
-            problems.add('obeyed a command it should have refused')
         commands, forces = heard[topics.EFFORT_COMMAND], heard[topics.TRUE_FORCES]
         joints, rate = self.setup.controller.robot.joint_names, self.setup.controller.rate
         samples = np.array([sent for sent, _ in forces])

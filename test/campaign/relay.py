@@ -8,8 +8,8 @@ from collections import deque
 from select import select
 import sys
 
-from campaign.graph_faults import GRAPH_FAULTS, Resending
-from multicontact_control.experiment.faults.vocabulary import CLOCK, Edit, PERIOD
+from campaign.graph_faults import ClockShift, GRAPH_FAULTS, Resending
+from multicontact_control.experiment.faults.vocabulary import CLOCK
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.runtime import EventsExecutor, start_ros
 import numpy as np
@@ -20,21 +20,6 @@ PREFIX = 'faulty/'  # of the topics that are passed on, to which the controller 
 HISTORY = 512  # messages: a second at 500 Hz, twice the longest fault
 INPUTS = {'joints': topics.JOINT_STATES, 'wrench': topics.WRENCH,
           'variance': topics.NOISE_VARIANCE}
-FIELDS = {'q': 'position', 'qd': 'velocity', 'names': 'name', 'variance': 'effort'}
-
-
-def read_field(message, name):
-    if name == 'wrench':
-        return messages.read_wrench(message)[1]
-    return np.array(getattr(message, FIELDS[name]))
-
-
-def write_field(message, name, values):
-    if name == 'wrench':
-        f, t = message.wrench.force, message.wrench.torque
-        f.x, f.y, f.z, t.x, t.y, t.z = map(float, values)
-    else:
-        setattr(message, FIELDS[name], list(values))
 
 
 class Stream:
@@ -47,15 +32,9 @@ class Stream:
             topic.message, PREFIX + topic.name, topic.profile)
         node.create_subscription(topic.message, topic.name, self.pass_on, qos.INPUT, raw=True)
 
-    def newest_stamp(self):
-        newest = deserialize_message(self.history[-1], self._message)
-        return messages.stamp_to_ns(newest.header.stamp)
-
-    def begin(self, fault, seed, start):
-        """Begin a fault at a stamp [ns], or end it by None."""
-        self._random = np.random.default_rng(seed)
-        self._start, self._choice = start, self._random.random(4)
-        self._passed, self._first, self._fault = 0, {}, fault
+    def begin(self, fault, seed):
+        """Begin a fault, or end it by None."""
+        self._random, self._passed, self._fault = np.random.default_rng(seed), 0, fault
 
     def pass_on(self, data):
         """Publish the messages that go on in the place of one."""
@@ -70,15 +49,12 @@ class Stream:
             last = len(self.history) - 1
             return [self.history[max(0, last - age)] for age in action.ages(self._random, n)]
         message = deserialize_message(data, self._message)
-        if isinstance(action, Edit):
-            now = {name: read_field(message, name) for name in action.fields}
-            self._first = self._first or now
-            for name, values in action.values(now, self._first, self._choice).items():
-                write_field(message, name, values)
-        else:  # a clock
+        if isinstance(action, ClockShift):
             stamp = messages.stamp_to_ns(message.header.stamp)
-            shift = action.shift(1e-9 * (stamp - self._start), 1e-9 * self._start)
-            message.header.stamp = messages.ns_to_stamp(stamp + round(max(-stamp, 1e9 * shift)))
+            message.header.stamp = messages.ns_to_stamp(
+                stamp + round(max(-stamp, 1e9 * action.shift)))
+        else:
+            message.name = action.change(message.name)
         return [serialize_message(message)]
 
 
@@ -94,13 +70,11 @@ def main():
             continue
         line = sys.stdin.readline()
         for stream in streams.values():
-            stream.begin(None, 0, 0)
+            stream.begin(None, 0)
         if line.strip():
             source, kind, seed = line.split()
-            hit = [streams[x] for x in (('joints', 'wrench') if source == CLOCK else (source,))]
-            start = max(x.newest_stamp() for x in hit) + round(1e9 * PERIOD)
-            for stream in hit:
-                stream.begin(GRAPH_FAULTS[kind, source], int(seed), start)
+            for name in ('joints', 'wrench') if source == CLOCK else (source,):
+                streams[name].begin(GRAPH_FAULTS[kind, source], int(seed))
         print('done', flush=True)
 
 

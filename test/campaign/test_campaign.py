@@ -42,7 +42,7 @@ def test_mutations_name_lines_and_tests_that_there_are():
 @pytest.mark.nightly
 @pytest.mark.ros
 def test_running_graph_survives_faults(tmp_path):
-    chosen = [('killed', CONTROLLER), ('nan', 'variance'), ('unknown_contact', 'forces command')]
+    chosen = [('killed', CONTROLLER), ('wrong_names', 'variance'), ('dropped', 'wrench')]
     rows = [*run_faults('rigid', [GRAPH_FAULTS[key] for key in chosen], 0, tmp_path)]
     assert {row.kind for row in rows} == {*(kind for kind, _ in chosen), 'ended'}
     assert {row.problems for row in rows} <= {'', 'commands stopped'}  # on a busy machine
