@@ -109,11 +109,7 @@ def advance_with(occurrences: Sequence[Occurrence], loop: ClosedLoop) -> None:
 
 
 def run_fault(loop: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
-    """
-    Let a fault happen in a supervised loop, which is used up by it.
-
-    The loop is at the beginning of the phase; the seed decides the details.
-    """
+    """Let a fault happen in a loop at the beginning of a phase, which is used up by it."""
     parts = fault.parts or (fault,)
     randoms = [part.random(seed) for part in parts]
     for _ in range(int(randoms[0].integers(5, 60)) * (phase != START)):

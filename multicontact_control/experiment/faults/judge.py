@@ -82,10 +82,9 @@ def judge(
     """
     Return the row of a fault from what was seen of it.
 
-    It is safe if `never_allowed` finds nothing, a declared reaction comes within two ticks, or,
-    to a wrench or an R that is missing, within its largest age, what is in the way is pressed by
-    less than 40 N, and noticed at the elbow. It falls short if the arm is not back at its command
-    0.6 s after a fault that is noticed or bridged, or reactions come and go more than 10 times.
+    A declared reaction comes within two ticks, or, to a wrench or an R that is missing, within its
+    largest age. It falls short if the arm is not back at its command 0.6 s after a fault that is
+    noticed or bridged, or reactions come and go more than 10 times.
     """
     config = setup.controller
     problems, fraction = never_allowed(seen, setup)
@@ -125,12 +124,7 @@ def judge(
 
 
 def never_allowed(seen: Observation, setup: Setup) -> tuple[set[str], float]:
-    """
-    Return what may not be seen whatever happens, and the largest torque over its limit.
-
-    Every command is finite, within the torque limits and their rates; no true force is beyond
-    1.25 times the force ceiling for more than 0.1 s.
-    """
+    """Return what may not be seen whatever happens, and the largest torque over its limit."""
     config, problems = setup.controller, set(seen.problems)
     finite = np.isfinite(seen.torque).all(axis=1)
     if not finite.all():

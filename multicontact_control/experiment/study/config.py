@@ -127,11 +127,6 @@ class ColumnConfig(Config):
     part: str = parameter('', 'Only runs of this part; of all parts if empty.')
     each: bool = parameter(False, 'Whether `*` shows every contact.')
 
-    @model_validator(mode='before')
-    @classmethod
-    def _spell_out(cls, given: Any) -> Any:
-        return {'name': given} if isinstance(given, str) else given
-
 
 class StudyConfig(PartConfig):
     """One study."""
@@ -154,8 +149,7 @@ class StudyConfig(PartConfig):
         {}, 'What factors are called in tables and sentences; the last part of their names if not '
         'given.')
     columns: tuple[ColumnConfig, ...] = parameter(
-        (), 'Columns of the table, by their values alone or with the fields below; a choice if '
-        'not given.')
+        (), 'Columns of the table; a choice if not given.')
     truth: str = parameter('stable', 'Column that tells whether a run is good.')
     figure: bool = parameter(
         True, 'Whether the columns are drawn over the first factor, by part and second factor.')
@@ -198,9 +192,8 @@ def select(study: StudyConfig, choices: Choices, *, robot: str = '') -> StudyCon
     """
     Return a study of `read_study` with what a user chooses; ConfigError if there is no such thing.
 
-    Choices are values of factors, or labels of their levels, and of `part`, `plant` and `seed`,
-    the latter not of parts with their own; a parameter that is no factor becomes one. Of a robot,
-    name or path, the study's plants that it has are taken, or its default one.
+    Choices are values or labels by factor, `part`, `plant` or `seed` (not of parts with their
+    own); a parameter that is no factor becomes one. A robot has its own plants of those names.
     """
     parts = dict(study.parts)
     for name, values in choices.items():
@@ -229,11 +222,10 @@ def _with_choice(
     for value in values:
         if labels and str(value) not in labels:
             raise ConfigError(name, f'some of {", ".join(labels)}', f"'{value}'")
-    selection = {title: part for title, part in parts.items() if known}
+    selection = dict(parts)
     for title in known or parts:
-        factors = dict(parts[title].factors)
-        before = factors.get(name, FactorConfig(values=('',)))
-        factors[name] = before.choose(values)
+        before = parts[title].factors.get(name, FactorConfig(values=('',)))
+        factors = {**parts[title].factors, name: before.choose(values)}
         selection[title] = parts[title].model_copy(update={'factors': factors})
         if before.levels and not factors[name].levels:
             del selection[title]

@@ -115,11 +115,7 @@ def read_cells(folder: Path, keys: Iterable[str]) -> dict[str, dict[str, Any]]:
 
 
 def prepare_folder(folder: Path, *, overwrite: bool) -> None:
-    """
-    Make the folder of a study, keeping its finished jobs unless they shall go.
-
-    ConfigError if it holds files but no ``cells/``.
-    """
+    """Make the folder of a study, or keep what it has; ConfigError if that is no study's."""
     cells = folder / CELLS
     if folder.is_dir() and not cells.is_dir() and any(folder.iterdir()):
         raise ConfigError('out', 'a new or empty folder, or that of a study', folder)
@@ -135,9 +131,8 @@ def run_jobs(
     """
     Run every job without a result in a folder, and return what was measured in all, by key.
 
-    Results are in ``cells/<key>.json``. One worker is this process, 0 stands for a process on
-    every core; the client of a Dask cluster runs them there. RunError if a worker or the cluster
-    dies; what was finished before is kept.
+    One worker is this process, 0 stands for a process on every core; the client of a Dask cluster
+    runs them there. RunError if a worker or the cluster dies; what is finished is kept.
     """
     done = read_cells(folder, jobs)
     todo = {key: job for key, job in jobs.items() if key not in done}
@@ -195,11 +190,7 @@ def _run(key: str, job: Job) -> Outcome:
 
 
 def dask_client(address: str) -> AbstractContextManager[Any]:
-    """
-    Connect to the Dask scheduler at an address; a context of None without one.
-
-    ConfigError if nothing answers there, RunError if `distributed` is not installed.
-    """
+    """Connect to the Dask scheduler at an address, None without one; ConfigError, RunError."""
     if not address:
         return nullcontext()
     try:

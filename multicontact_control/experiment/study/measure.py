@@ -31,9 +31,8 @@ def measure_run(
     """
     Run a setup in this process and measure it; an exception is its `error`, and ends no study.
 
-    The last surface is away between the two times of `surface_gone` [s], if given. Returned are
-    `summary`, the content of ``summary.json``, None after an exception; `evidence`, which claims
-    rest on; `final_error_share`, `activity_nm` and `neighbour_n` (see `metrics_row`); `error`.
+    The last surface is away between the two times of `surface_gone` [s], if given. Returns what
+    `metrics_row` takes, with the content of ``summary.json`` and the evidence that claims rest on.
     """
     from multicontact_control.experiment.closed_loop import run_in_process
 
@@ -99,13 +98,11 @@ def _neighbour_error(run: RunMetrics, gone: tuple[float, float] | None) -> float
 
 def metrics_row(metrics: Metrics) -> dict[str, Any]:
     """
-    Return what `measure_run` gave as flat columns.
+    Return what `measure_run` gave as flat columns, of the worst contact, step and push.
 
-    `rest_rms_n`, `moving_rms_n`, `moving_lost`, `rest_variance_n2`, `moving_variance_n2` are those
-    of the worst contact without pushes; `rise_s`, `overshoot_percent` of the worst step;
-    `push_peak_n`, `push_off_s` of the worst push at rest, `short_push_s`, `lasting_push_s` the
-    recovery from the pushes of each length. A time is infinite if the event never came. Further
-    numbers have dotted names as in ``summary.json``.
+    `rest_...` and `moving_...` are without pushes; pushes are at rest, `short_push_s` and
+    `lasting_push_s` the recovery from those of each length. A time is infinite if the event never
+    came. Further numbers have dotted names as in ``summary.json``.
     """
     summary, evidence = metrics['summary'] or {}, metrics.get('evidence') or {}
     ended, share = summary.get('ended_early'), metrics.get('final_error_share')

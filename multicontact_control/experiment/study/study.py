@@ -27,7 +27,6 @@ import pandas as pd
 from rich.console import Console
 
 DPI = 130  # of the figure
-SHOWN = 150  # lines of a table that the terminal shows
 MOST_WARNINGS = 20
 STUDY_FILE, TABLE_FILE, CSV_FILE = 'study.json', 'study.parquet', 'study.csv'
 PAGE_FILE, FIGURE_FILE = 'study.html', 'study.png'
@@ -134,9 +133,8 @@ def run_study(
     """
     Run a study, write its files, and show and return what came out; None of a dry run.
 
-    The folder is `out`, or ``runs/<name>``; `jobs` run at once here, 0 for every core, or on the
-    Dask cluster at the address `dask`. ConfigError if the study is not acceptable, before anything
-    is run; RunError if a worker dies: what is finished is kept.
+    The folder is `out`, or ``runs/<name>``; `jobs` and `dask` are as for `run_jobs` and
+    `dask_client`. ConfigError if the study is not acceptable, before anything is run.
     """
     console, name = console or Console(highlight=False), study.config.name
     cells, folder = study.cells(), out or Path('runs') / name
@@ -164,8 +162,7 @@ def run_study(
             results = study.results(cells, run(cells))
     study.write(results, folder)
     listing = table.listing_of(results.frame, study.config)
-    if sum(map(len, listing.values())) <= SHOWN:
-        console.print(*table.terminal_tables(name, listing, console.width))
+    console.print(*table.terminal_tables(name, listing, console.width))
     for text in study.warnings(results):
         console.print(text, style='red', markup=False)
     for text in study.findings(results):

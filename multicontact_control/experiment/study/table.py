@@ -78,11 +78,7 @@ def _head(frame: pd.DataFrame, study: StudyConfig, factor: str) -> str:
 
 
 def sentences(frame: pd.DataFrame, study: StudyConfig) -> list[str]:
-    """
-    Return what is good on each plant: in how many runs, and with which values in all of them.
-
-    Subjects are the values of the first factor that are no numbers, such as estimators.
-    """
+    """Return in how many runs each estimator or law is good, and with which values in all."""
     varied = [name for name in frame.attrs['factors']
               if name not in NOT_FACTORS and frame[name].nunique() > 1]
     subject = [name for name in varied if not pd.api.types.is_numeric_dtype(frame[name])][:1]
@@ -121,8 +117,6 @@ def show(value: Any) -> str:
     """Return a value as the text of a cell: at least four digits, a dash for no value."""
     if value is None or value != value:
         return '-'
-    if isinstance(value, (bool, np.bool_)):
-        return 'yes' if value else 'no'
     if isinstance(value, float):
         return f'{value:.4g}' if abs(value) < 1e4 else f'{value:.0f}'
     return str(value)
@@ -178,11 +172,10 @@ def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
 
 def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
     """
-    Return the figure of a study, a column for each plant, a row for each value.
+    Return the figure of a study, a column for each plant, a row for each value that varies.
 
-    The first factor is along the horizontal axis; there are points for each part and value of the
-    second: medians of the good runs over seeds and whatever else is varied, or the share of good
-    runs. Values that do not vary are left out. None without a factor or a value to draw.
+    Points are medians of the good runs over the first factor, or the share of good runs, for each
+    part and value of the second factor. None without a factor or a value to draw.
     """
     names = [name for name in frame.attrs['factors'] if name not in NOT_FACTORS]
     columns = [column for column in table_columns(frame, study)

@@ -111,12 +111,7 @@ class FaultsStudy(Study):
     """Kinds of faults and seeds, in the situations in turn, and pairs of faults."""
 
     def cells(self) -> list[Cell]:
-        """
-        Return the faults, up to 12 in a job, early phases first.
-
-        In this order a worker that has got to one phase only has to go on to the next. A single
-        seed stands for one fault of each kind, spread over the situations.
-        """
+        """Return the jobs, early phases first; of a single seed one fault of each kind."""
         part, = self.config.parts.values()
         plants, seeds = part.plants, part.seeds
         places: dict[tuple[str, str], list[tuple[Names, int]]] = {
@@ -143,8 +138,7 @@ class FaultsStudy(Study):
 
     def rows(self, metrics: Metrics) -> list[dict[str, Any]]:
         """Return a row for each fault."""
-        rows: list[dict[str, Any]] = metrics['rows']
-        return rows
+        return list(metrics['rows'])
 
     def complete(self, frame: pd.DataFrame) -> pd.DataFrame:
         """Return the rows by kind and seed, those of pairs last; what never came is infinite."""

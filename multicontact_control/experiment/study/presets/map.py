@@ -1,10 +1,4 @@
-"""
-What `multicontact study map` draws: the grid, and the boundaries of the linear loops.
-
-The linear loop is that of `force.margins`, with the mobility of this arm at its home. The
-plant of the paper's eq. 32 leaves out that the contact force moves the arm, that the surface
-damps, and that the sensor weighs the tool's inertia.
-"""
+"""What `multicontact study map` draws: the grid, and boundaries of loops of `force.margins`."""
 
 from __future__ import annotations
 
@@ -16,7 +10,6 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 from multicontact_control.contact.geometry import loop_stiffnesses, normal_space
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
@@ -54,11 +47,7 @@ class MapStudy(Study):
             for name, line in lines.items())]
 
     def figure(self, results: Results) -> Figure:
-        """
-        Return the map, a panel for each plant and estimator.
-
-        Squares are overshoots, crosses what does not settle, lines the linear boundaries.
-        """
+        """Return the map of overshoots, a panel for each plant and estimator."""
         groups = list(results.frame.groupby(['plant', 'estimator'], sort=False))
         columns = min(results.frame['estimator'].nunique(), 4)
         lines = math.ceil(len(groups) / columns)
@@ -70,10 +59,8 @@ class MapStudy(Study):
         for axes, ((plant, label), frame) in zip(grid.flat, groups):
             mesh = _panel(axes, frame, linear_boundaries(results)[plant])
             axes.set_title(f'{plant}: {label}', fontsize=9)
-        for axes in grid[:, 0]:
-            axes.set_ylabel('delay [periods]', fontsize=8)
-        for axes in grid[-1]:
-            axes.set_xlabel(RATIO, fontsize=8)
+        figure.supylabel('delay [periods]', fontsize=8)
+        figure.supxlabel(RATIO, fontsize=8)
         figure.colorbar(mesh, ax=grid, label='overshoot [%]', extend='max', format='{x:g}')
         handles, names = grid[0, 0].get_legend_handles_labels()
         figure.legend(handles, names, loc='outside lower left', ncols=columns, fontsize=8)
@@ -102,15 +89,13 @@ def _panel(axes: Axes, frame: pd.DataFrame, boundaries: Boundaries) -> Any:
     levels = np.append(delays, delays[-1] + 1.0) - 0.5
     mesh = axes.pcolormesh(edges, levels, table.to_numpy(), cmap='viridis_r',
                            norm=LogNorm(1.0, LARGEST_OVERSHOOT))
-    axes.set_facecolor('#f3dcdc')
     unstable = frame[~frame['settled']]
     axes.plot(unstable[RATIO], unstable[DELAY], 'x', color='#c0262d', markersize=4,
               label='simulated: not settled')
     for (name, line), style in zip(boundaries.items(), STYLES):
         limits = [line[int(delay)] for delay in delays]
         axes.plot(np.repeat(limits, 2), np.repeat(levels, 2)[1:-1], style, color='black',
-                  linewidth=1.6, label=name, path_effects=[withStroke(linewidth=3.0,
-                                                                      foreground='white')])
+                  linewidth=1.6, label=name)
     axes.set_xscale('log')
     axes.xaxis.set_major_formatter('{x:g}')
     axes.set_yticks(delays)
@@ -118,11 +103,7 @@ def _panel(axes: Axes, frame: pd.DataFrame, boundaries: Boundaries) -> Any:
 
 
 class ArmLoop:
-    """
-    The linear force loops of a setup at its plant's home, for `decoupled` allocation.
-
-    ConfigError for another law than the active observer.
-    """
+    """The linear force loops of a setup at its plant's home; ConfigError for a law but aob."""
 
     def __init__(self, setup: Setup) -> None:
         config, names = setup.controller, setup.controller.contact_names
