@@ -42,6 +42,8 @@ class ContactTask:
         self._source, self._guarded = source, guarded
         self._controls, self._columns = controller.controls, controller.contacts
         self._frame, answer = self._controls['frame'][0], self._columns['answer']
+        self._places = [self._controls['task'][0][name] for name in (
+            'position', 'rotation', 'twist', 'acceleration')]
         self._active, self._alpha_des = answer['active'], answer['alpha_des']
         self.states: Any = np.zeros(len(config.columns), dtype=CONTACT_STATE)
         self._codes, self._leaders = self.states['state'], np.array(config.leaders)
@@ -96,9 +98,10 @@ class ContactTask:
         else:
             self._task = self._source.task(
                 time - self._lost_time, None if self._guarded else self._columns['alpha_meas'])
-        self._time, task, record = time, self._task, self._controls['task'][0]
-        record['position'], record['rotation'] = task.pose_des
-        record['twist'], record['acceleration'] = task.twist_des, task.acceleration_des
+        self._time, task = time, self._task
+        for place, wanted in zip(
+                self._places, (*task.pose_des, task.twist_des, task.acceleration_des)):
+            place[:] = wanted
         self._active[:], self._alpha_des[:] = task.active, task.alpha_des
         if self._guarded:
             if self._kept is not None:
@@ -108,7 +111,7 @@ class ContactTask:
     @property
     def state_names(self) -> tuple[str, ...]:
         """Return the state of each contact's normal force."""
-        return tuple(contacts.NAMES[code] for code in self._codes[self._leaders].tolist())
+        return tuple([contacts.NAMES[code] for code in self._codes[self._leaders].tolist()])
 
     def hold(self, wanted: bool) -> None:
         """Stay where the arm is and press as it does, or go on from there."""

@@ -313,6 +313,7 @@ class Inputs:
         self._stage: Any = np.zeros(1, dtype=INPUT_STAGE)
         self._readings, self._new_variance = readings.copy(), np.zeros(len(contacts))
         self._history: Matrix = np.zeros((velocities.HISTORY, 2 * n))
+        self._estimated = config.wrench_input == 'momentum'
         self._by_command = config.collision.command_delay >= 0
         self._commands: Matrix = np.zeros((max(config.collision.command_delay, 0) + 2, n))
         self._arguments = (self._stage, self._readings, self._history, self._new_variance,
@@ -368,7 +369,7 @@ class Inputs:
         """Take in what came at a tick, and the command before it [N m]; say what is valid."""
         time, joints, wrench, variance = inputs
         state = self._state
-        if self._momentum['is_input'][0]:  # which takes some samples to begin
+        if self._estimated:  # by the momentum observer, which takes some samples to begin
             known = state['unknown'] <= len(self._commands) + 1
             wrench = WrenchInput(joints.stamp, self._wrench) if joints and known else None
         effort = None if joints is None or joints.effort is None else (0.0, joints.effort)

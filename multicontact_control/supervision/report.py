@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.records import CONTACT, CONTROL
 from multicontact_control.supervision.checks import COLLISION
-from multicontact_control.supervision.reactions import NONE
 import numpy as np
 
 CAPACITY = 1000  # events; a limit that comes and goes at every tick must not fill the memory
@@ -23,9 +22,6 @@ class SupervisorStatus(NamedTuple):
     limits: tuple[str, ...]  # that were enforced
     contact_states: tuple[str, ...]
     task_time: float  # which stands still during a reaction [s]
-
-
-QUIET = SupervisorStatus(NONE, (), (), (), (), 0.0)  # before the first tick
 
 
 def no_answer(joints: int, contacts: int) -> ControlOutput:
@@ -44,19 +40,21 @@ class EventLog:
         self.rejected: Counter[str] = Counter()  # ticks with each
         self.limited: Counter[str] = Counter()  # ticks with each
         self.collisions: Counter[str] = Counter()  # beginnings of them, by cause
-        self._before = QUIET
+        self._before: tuple[Any, ...] = ('', ())
 
     def note(self, time: float, status: SupervisorStatus) -> None:
         """Take in the status of one tick, at a time [s]."""
         self.reactions[status.reaction] += 1
-        self.rejected.update(status.rejected)
-        self.limited.update(status.limits)
-        before = self._before
-        self._before = now = status._replace(rejected=(), task_time=0.0)
-        if now == before:
+        if status.rejected:
+            self.rejected.update(status.rejected)
+        if status.limits:
+            self.limited.update(status.limits)
+        now = (status.reaction, status.causes, status.limits, status.contact_states)
+        if now == self._before:
             return
         self.collisions.update(cause for cause in status.causes if cause.startswith(COLLISION)
-                               and cause not in before.causes)
+                               and cause not in self._before[1])
+        self._before = now
         if len(self.events) < CAPACITY:
             self.events.append((time, ' | '.join([
                 status.reaction, ' '.join(status.causes + status.limits),

@@ -208,8 +208,8 @@ class Supervisor:
         doubts = checks.check_plausibility(*self._answered)
         if doubts & checks.NOT_FINITE:
             return 'law_not_finite'
-        wrong = [] if self.task.locked or not self.guarded else [
-            cause for bit, cause in checks.WRONG_WRENCH.items() if doubts & bit]
+        wrong = [cause for bit, cause in checks.WRONG_WRENCH.items() if doubts & bit] if (
+            doubts and self.guarded and not self.task.locked) else []
         self._contradictions = self._contradictions + 1 if wrong else 0
         if wrong and (self._contradictions >= CONTRADICTIONS or self._paused):
             return wrong[0]
