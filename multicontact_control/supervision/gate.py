@@ -140,9 +140,8 @@ class TorqueGate:
         """
         Let a torque through as far as continuity and the limits allow; name those enforced.
 
-        The torque, shape (n,) [N m], is overwritten by a finite one within all limits. A `law` is
-        anything that differs from others; `limited` says that it was brought within the torque
-        limits already, `seen` that the joints are known now.
+        The torque, shape (n,) [N m], is overwritten. A `law` is anything that differs from others;
+        `limited`: it was brought within torque limits already; `seen`: the joints are known now.
         """
         if self._pending or self._slow is not None or self._fast is not None or law != self._law:
             torque = self._blend(law, torque)

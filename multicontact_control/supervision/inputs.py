@@ -6,12 +6,11 @@ before it; a wrench is low-passed, too. A reading that fails counts as not recei
 valid one stands in for it, and calls for a reaction (`checks.reaction_to`) once it is too old.
 
 A fault is called ``<part>_<problem>``; the parts are `joints`, `wrench`, `variance` and `clock`:
-`invalid` (no number, or one that no arm, sensor or estimator gives), `jump` (a joint is not where
-its speed has taken it), `velocity` (positions contradict it, and make up for it, see
-`velocities`), `frozen` (identical readings in a row), `saturated` (at full scale), `stamp` (none,
-in the future, before an earlier one, or of a wrench that is more than a period old when it comes),
-`stale` (too old, and nothing newer has come), and of the clock `backwards` and `rate` (a wrong
-period twice).
+`invalid` (no number, or an impossible one), `jump` (a joint is not where its speed has taken it),
+`velocity` (positions contradict it, and make up for it, see `velocities`), `frozen` (identical
+readings in a row), `saturated` (at full scale), `stamp` (none, in the future, before an earlier
+one, or of a wrench that comes more than a period late), `stale` (too old, and nothing newer has
+come), and of the clock `backwards` and `rate` (a wrong period twice).
 """
 
 from __future__ import annotations
@@ -308,10 +307,10 @@ class Inputs:
         readings[4] = np.minimum(
             SPEED_EXCESS * np.array(config.limits.joint_speed or np.inf), np.finfo(float).max)
         readings[5] = np.where(controller.robot.turning, 2.0 * math.pi, 0.0)
-        self._initial: Any = _stage_record(config), readings, np.clip(
-            config.initial_noise_variance, VARIANCE_FLOOR, VARIANCE_CEILING)
-        self._stage: Any = np.zeros(1, dtype=INPUT_STAGE)
-        self._readings, self._new_variance = readings.copy(), np.zeros(len(contacts))
+        variance = np.clip(config.initial_noise_variance, VARIANCE_FLOOR, VARIANCE_CEILING)
+        self._stage: Any = _stage_record(config)
+        self._initial = self._stage.copy(), readings.copy(), variance
+        self._readings, self._new_variance = readings, np.zeros(len(contacts))
         self._history: Matrix = np.zeros((velocities.HISTORY, 2 * n))
         self._estimated = config.wrench_input == 'momentum'
         self._by_command = config.collision.command_delay >= 0

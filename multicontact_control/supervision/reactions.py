@@ -38,7 +38,7 @@ class Reactions:
     """
     The torques of the reactions and of the safe behaviour.
 
-    All but the safe behaviour `zero_torque` carry the arm once its joints were known.
+    All but `zero_torque` carry the arm once its joints were known.
     `hold`: Gamma = C v + g + diag(M) (w^2 (q_0 - q) - 2 w v), q_0 where it began.
     `damp`: Gamma = C v + g - c diag(M) v. `float`, where the joint state is not known: gravity of
     the last posture, and the last motion brought to rest open loop.

@@ -54,7 +54,6 @@ class Supervisor:
     ) -> None:
         self.guarded = guarded
         self._robot, self._period = robot, config.period
-        self._adds_gravity = config.robot.adds_gravity
         self.controller = controller = Controller(config, robot)
         self._joints, self._controls = controller.arm.joints, controller.controls
         self.task = ContactTask(config, source, controller, guarded=guarded)
@@ -145,7 +144,7 @@ class Supervisor:
         if seen.joints and arm.refresh():
             self._arm = arm
             alarms = checks.TOO_FAST[arm.flags] + self._touch(arm.flags)
-            if self._adds_gravity:
+            if self.config.robot.adds_gravity:
                 self.gate.allow_for(self.controller.own_weight())
         self._wrench_known = seen.measured and not arm.flags & AMBIGUOUS  # then it is older
         self._controls['measured'] = self._wrench_known
@@ -316,7 +315,7 @@ class Supervisor:
     ) -> Answer:
         """Return the answer of the tick; of contacts that no law controls nothing is known."""
         self._reaction = reaction
-        if self._adds_gravity:
+        if self.config.robot.adds_gravity:
             torque = torque - self._joints['added']
         output = self._output if self._arm is None else self.controller.output(torque)
         if not controlled:

@@ -40,10 +40,9 @@ def check_velocities(
     joints: Matrix, history: Matrix, span: float, follows: bool, state: Any, period: float,
 ) -> bool:
     """
-    Track positions, and return whether they contradict the velocities of a joint state.
+    Track positions; return whether they contradict the velocities of `joints`, rows as above.
 
-    `joints` are rows as above; `span` is the time since the state before [s], which this one
-    `follows` unless it is the first or has jumped.
+    `span` [s] after the state before, which this one `follows` unless it is the first or jumped.
     """
     n, evident = joints.shape[1], follows and span < EVEN * period
     if not follows:
@@ -85,10 +84,9 @@ def explain_velocities(
     states: Matrix, doubt: Any, names: Sequence[str], period: float,
 ) -> str:
     """
-    Return what positions say against the velocities of the joint whose `doubt` is largest.
+    Return what positions say against the velocities of the joint whose `DOUBT` is largest.
 
-    Of the newest joint states, shape (k, 2 n) [rad, rad/s], oldest first; empty if that is
-    nothing, or if there are too few. `doubt` is the row `DOUBT` of `velocities`, h in [s].
+    Of the newest joint states, shape (k, 2 n) [rad, rad/s], oldest first; empty if nothing.
     """
     if len(states) < FEWEST:
         return ''
