@@ -76,7 +76,7 @@ def rows(seconds):
         yield 'operational_point/pose_desired', t, pose
 
 
-def write_bag(folder, *, without=(TRUTH,), seconds=4.0, space='', change=lambda x: x):
+def write_bag(folder, *, without=(TRUTH,), seconds=4.0, change=lambda x: x):
     """Write a recording to the only MCAP file of a new folder, and return it."""
     folder.mkdir(parents=True)
     store, schemas, path = get_typestore(Stores.ROS2_JAZZY), {}, folder / 'bag_0.mcap'
@@ -88,7 +88,7 @@ def write_bag(folder, *, without=(TRUTH,), seconds=4.0, space='', change=lambda 
                 schemas[kind] = writer.register_msgdef(
                     kind, store.generate_msgdef(kind, ros_version=2)[0])
             if topic not in without:
-                writer.write_message(f'{space}/{topic}', schemas[kind], change(message), ns, ns)
+                writer.write_message(f'/{topic}', schemas[kind], change(message), ns, ns)
         writer.finish()
     return path
 

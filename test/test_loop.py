@@ -34,9 +34,7 @@ class Bench:
         self.config = still_config(**changes)
         self.loop = ControlLoop(
             self.config, None, CommandLimits(), config_dir(), supervised=supervised)
-        self.timing = SampleTiming(
-            self.config.rate, supervised=supervised, patience=1.5,
-            feels=self.config.wrench_input != 'momentum')
+        self.timing = SampleTiming(self.config.rate, supervised=supervised, patience=1.5)
         self.state = self.loop.supervisor.controller.robot.update(HOME, REST)
         self.weight = weight_reading(
             self.state.sensor_pose.rotation_world, self.config.tool,
@@ -101,11 +99,6 @@ class Bench:
                                     lambda: self.loop.hold(True)):
             with pytest.raises(CommandError, match=match):
                 command()
-
-    def assert_disturbs_the_sensor(self, match):
-        """Check that what needs a sensor that feels nothing is refused."""
-        self.assert_refused(match, lambda: self.loop.tare(),
-                            lambda: self.loop.push_test(PushTestConfig()))
 
 
 def make_contact(bench, force=6.0):
@@ -228,18 +221,6 @@ def test_fault_is_bridged_and_reacted_to_and_recovery_has_no_jump(fault):
     assert (np.abs(np.diff(torques, axis=0)) / limit).max() < 0.03
 
 
-@pytest.mark.parametrize('changes', [{}, {'limits': {'joint_speed': [0.5] * 6}}])
-def test_arm_that_is_not_seen_is_brought_to_rest_and_carried(changes):
-    """Also where it has moved at more than its allowed speed."""
-    bench, sixth = Bench(**changes), np.eye(6)[5]
-    for k in range(5):
-        bench.step(q=HOME + 0.8 * k * H * sixth, qd=0.8 * sixth)
-    torque = [bench.step_without() for _ in range(600)][-1]
-    assert bench.reaction == 'float'
-    weight = bench.loop.supervisor.controller.robot.update(HOME + 3.2 * H * sixth, REST).gravity
-    np.testing.assert_allclose(torque, weight, atol=0.01)
-
-
 NUMBERS = st.lists(st.one_of(st.floats(), st.floats(-10, 10)), max_size=7) | st.lists(
     st.floats(), min_size=6, max_size=6)
 SIX = st.lists(st.floats(-7, 7), min_size=6, max_size=6)
@@ -314,39 +295,6 @@ def test_tare_needs_recent_readings_of_a_good_sensor_on_an_arm_at_rest():
     bench.assert_refused('got frozen', tare)
 
 
-def test_reaction_that_presses_can_be_turned_into_a_hold():
-    bench = Bench()
-    make_contact(bench)
-    [bench.step_half() for _ in range(40)]
-    assert bench.reaction == 'hold' and bench.loop.supervisor.reactions.presses
-    bench.assert_disturbs_the_sensor('contacts: wait: a reaction')
-    bench.loop.hold(True)
-    bench.step(200)
-    assert (bench.reaction, bench.loop.held) == ('none', True)
-    assert bench.states == {'table': 'holding', 'board': 'free'}
-    np.testing.assert_allclose(bench.loop.output.answer['alpha_des'], [6.0, 0.0])
-
-
-@pytest.mark.parametrize('missing', [None, np.zeros(6), np.full(6, np.nan)])
-def test_arm_without_a_sensor_is_held_while_its_torques_are_missing(missing):
-    """Their last estimate must not pass for a measurement; nothing can be tared."""
-    bench = Bench(wrench_input='momentum', robot={'sensor_frame': ''})
-
-    def step(ticks):
-        for _ in range(ticks):
-            bench.step(effort=bench.state.gravity + 0.01 * bench.random.standard_normal(6))
-
-    step(60)
-    assert bench.reaction == 'none'
-    bench.assert_disturbs_the_sensor('wrench_input: got momentum; a .* needs a wrist')
-    bench.loop.set_forces({'table': 5.0})
-    bench.loop.set_forces({'table': 0.0})
-    bench.step(40, effort=missing)
-    assert bench.loop.status.causes == ('wrench_stale',)
-    step(200)
-    assert bench.reaction == 'none'
-
-
 @pytest.mark.parametrize(('changes', 'message'), [
     ({'sensor': {'require_push_test': True}}, '~/push_test: pass it first'),
     ({'limits': {'workspace_lower': [-0.6, 0.2, 0.75]}}, 'has not begun .start_outside')])
@@ -356,23 +304,3 @@ def test_commands_are_refused_before_control_begins(changes, message):
     bench.assert_refused(message)
     bench.step(10)
     assert not bench.loop.output.answer['active'].any()
-
-
-def test_stream_of_commands_does_not_seek_a_given_up_contact_again():
-    """A command after a while does."""
-    bench = Bench()
-    make_contact(bench, 10.0)
-    bench.press('table', 70.0)
-    bench.step(5)
-    bench.push = np.zeros(6)
-    seen = set()
-    for k in range(1500):
-        if k % 10 == 0:
-            bench.loop.set_forces({'table': 10.0 + 0.1 * (k // 10 % 5)})
-        bench.step()
-        seen.add(bench.states['table'])
-    assert seen == {'retracting', 'given up'}
-    bench.step(600)
-    bench.loop.set_forces({'table': 12.0})
-    bench.step(5)
-    assert bench.states['table'] == 'approaching'

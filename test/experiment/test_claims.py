@@ -116,7 +116,7 @@ def pushed(setup, duration):
 
 
 @pytest.mark.parametrize('lead, slow, holds', [
-    (0.2, 0.5, True), (0.2, 0.3, False), (60.0, 60.0, None)])
+    (0.2, 0.5, True), (0.2, 0.3, False), (60.0, 60.0, None), (0.0, 0.3, None)])
 def test_filter_claim_compares_the_recoveries(data, setup, lead, slow, holds):
     rows = [row('lead_window', pushed(setup, lead), setup),
             row('window rescaled', pushed(setup, slow), setup)]

@@ -1,7 +1,6 @@
 """Recordings by others: what they lack is reported, and a sensor alone makes no run stable."""
 
 import json
-import shutil
 
 import foreign_bag
 from foreign_bag import (
@@ -153,19 +152,6 @@ def test_parameter_file_that_does_not_fit_is_refused_or_remarked(bag, tmp_path):
     file.write_text(file.read_text().replace('- j5\n', ''))
     with pytest.raises(ConfigError, match='robot.armature: expected 5 values'):
         load(bag, [file])
-
-
-def test_graphs_in_one_recording_are_kept_apart(tmp_path):
-    left = write_bag(tmp_path / 'left', space='/left', seconds=1.0)
-    right = write_bag(tmp_path / 'right', space='/arms/right', seconds=2.0)
-    assert load(left).data.ticks == RATE
-    both = tmp_path / 'both'
-    both.mkdir()
-    shutil.copy(left, both / 'both_0.mcap')
-    shutil.copy(right, both / 'both_10.mcap')
-    with pytest.raises(RunError, match="got the namespaces 'arms/right', 'left'"):
-        load(both)
-    assert load(both, namespace='/arms/right').data.ticks == 2 * RATE
 
 
 def test_path_without_a_recording_is_refused(tmp_path):

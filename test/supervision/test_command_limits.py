@@ -1,7 +1,6 @@
 """Commands beyond the limits are refused by name."""
 
 from arms import controller_config
-from multicontact_control.contact.geometry import offset_shares
 from multicontact_control.errors import CommandError
 from multicontact_control.supervision.command_limits import CommandLimits
 import pytest
@@ -30,11 +29,3 @@ def test_check_forces_refuses_what_is_unknown_or_beyond_a_limit(forces, before, 
         return
     with pytest.raises(CommandError, match=message):
         LIMITS.check_forces(EDGE, forces, before, shares)
-
-
-def test_offset_shares_refuses_what_is_no_centre_of_pressure():
-    assert offset_shares(EDGE, {'table/along': 0.01}) == {'table/along': 0.5}
-    for centres, message in (({'table': 0.01}, 'a finite one of table/along'),
-                             ({'table/along': float('nan')}, 'nan m')):
-        with pytest.raises(CommandError, match=message):
-            offset_shares(EDGE, centres)

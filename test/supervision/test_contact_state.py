@@ -183,7 +183,6 @@ def test_force_beyond_the_ceiling_makes_it_retract_and_a_retry_reaches_the_surfa
 
 
 POSE = Pose(np.array([0.0, 0.55, 0.64]), np.eye(3))
-STILL = np.zeros(6)
 
 
 class Asked:
@@ -201,9 +200,6 @@ class Asked:
     def stay(self, pose):
         self.controls['frame']['position'], self.controls['frame']['rotation'] = pose
 
-    def move(self, *motion):
-        self.source.set_motion(MotionReading(*motion), self.task.sought_normals())
-
     def ask(self, time):
         """Return what is asked for where nothing is felt."""
         self.task.ask(time)
@@ -220,7 +216,8 @@ def gap(pose):
 
 def test_task_keeps_the_pose_in_the_box_and_within_reach():
     asked = Asked(operational_speed=10.0, operational_turn=1.0)
-    asked.move(np.array([0.0, 5.0, -5.0]), np.array([1.0, 0, 0, 0]), np.ones(6), STILL)
+    asked.source.set_motion(MotionReading(
+        np.array([0.0, 5.0, -5.0]), np.array([1.0, 0, 0, 0]), np.ones(6), np.zeros(6)), ())
     asked.stay(Pose(np.array([0.0, 0.8, 0.4]), np.eye(3)))
     out = asked.ask(0.0)
     np.testing.assert_allclose(out.pose.position_world, [0.0, 0.9, 0.3])
