@@ -58,9 +58,11 @@ def check_body(
                f'{", ".join(f"{moment:.3g}" for moment in moments)} kg m^2')
     radius = math.sqrt(max(moments[2], 0.0) / max(mass, 0.01))
     if radius > ODD * length:
+        unit = ('g m^2 or kg cm^2', 'kg mm^2', 'g mm^2')[
+            sum(radius > share * length for share in (50.0, 2e3))]
         yield (radius > IMPOSSIBLE * length, f'{name}.inertia',
                f'a radius of gyration within the link of {length:.3g} m',
-               f'{radius:.3g} m, of {moments[2]:.3g} kg m^2 and {mass:.3g} kg: kg mm^2?')
+               f'{radius:.3g} m, of {moments[2]:.3g} kg m^2 and {mass:.3g} kg: {unit}?')
 
 
 def check_torque(

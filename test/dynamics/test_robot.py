@@ -280,7 +280,7 @@ def test_model_check_names_each_damage_or_it_does_no_harm(tmp_path):
 
 @pytest.mark.parametrize(('fault', 'factor', 'words'), [
     (MASS, 1e3, ('masses in g',)), (COM, 1e3, ('l0', 'l3', 'l6', 'mm?')),
-    (INERTIA, 1e9, ('l0', 'l3', 'l6', 'kg mm^2')), (('inertial',), None, ('l0', 'l3', 'l6'))])
+    (INERTIA, 1e9, ('l0', 'l3', 'l6', 'g mm^2')), (('inertial',), None, ('l0', 'l3', 'l6'))])
 def test_loop_refuses_an_impossible_arm_and_names_all_links(tmp_path, fault, factor, words):
     urdf, config = make_seven(tmp_path)
     root = ElementTree.fromstring(urdf.read_text())
