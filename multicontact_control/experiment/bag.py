@@ -9,6 +9,7 @@ from functools import partial
 from io import BufferedReader
 from pathlib import Path
 import re
+from textwrap import shorten
 from typing import Any
 
 from mcap.reader import NonSeekingReader
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 import zstandard
 
-NAMED = 6  # topics that a line names
+WIDTH = 200  # characters of the topics that a line names
 JOINT_STATE, WRENCH, POSE = (
     'sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped',
     'geometry_msgs/msg/PoseStamped')
@@ -116,10 +117,9 @@ class BagMessages:
 
     def __str__(self) -> str:
         """Return what else is there, for a line that says what is missing."""
-        more = len(self.others) - NAMED
-        what = ', '.join(self.others[:NAMED]) + (f' and {more} more' if more > 0 else '')
+        what = shorten(', '.join(self.others) or 'nothing', WIDTH, placeholder=' ...')
         cut_off = ', and a file that is cut off' if self.cut_off else ''
-        return '; '.join((f'{what or "nothing"}{cut_off}', *self.unreadable))
+        return '; '.join((what + cut_off, *self.unreadable))
 
 
 def mcap_files(path: Path) -> list[Path]:

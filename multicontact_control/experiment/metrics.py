@@ -73,10 +73,9 @@ class RunMetrics:
                 loaded=data.time >= min(steps, default=math.inf))
         command = np.nan_to_num(data.command)
         loaded = np.asarray((command > 0.0).any(axis=1))
-        moving, changed = np.zeros(data.ticks, dtype=bool), np.ones(data.ticks, dtype=bool)
-        speed = np.linalg.norm(np.diff(data.position_des, axis=0), axis=1) * data.rate
-        moving[1:] = speed > MOVING
-        changed[1:] = (np.diff(command, axis=0) != 0.0).any(axis=1)
+        change = np.diff(data.position_des, axis=0, prepend=data.position_des[:1])
+        moving = np.linalg.norm(change, axis=1) * data.rate > MOVING
+        changed = (np.diff(command, axis=0, prepend=np.nan) != 0.0).any(axis=1)  # at first, too
         places = np.arange(data.ticks)
         last = np.maximum.accumulate(np.where(changed | moving, places, 0))
         calm = places - last >= SETTLE_AFTER_STEP * data.rate

@@ -48,9 +48,8 @@ def oscillations(
     """
     Return where a force oscillates; see above.
 
-    `error` is the force less its command, NaN where it is not known, shape (m,) [N]; `command` has
-    shape (m,) [N], `rate` is in Hz. Windows with samples that are not `judged`, with more than 10
-    ms without samples, or with nothing asked for are left out.
+    `error` is the force less its command, NaN where it is not known; both have shape (m,) [N].
+    Windows that are not `judged`, lack more than 10 ms, or have nothing asked for are left out.
     """
     length = round(WINDOW * rate)
     known = bridged(error, rate)

@@ -1,8 +1,7 @@
 """
-Values laid over a setup by dotted names, e.g. ``controller.force.input_delay``.
+Values laid over a setup by dotted names, e.g. ``plant.surfaces.*.stiffness``.
 
-The first part is the configuration, the others lead to the value as in the YAML files. ``*``
-stands for every contact: ``plant.surfaces.*.stiffness``.
+The first part is the configuration; ``*`` stands for every contact.
 """
 
 from __future__ import annotations

@@ -19,12 +19,7 @@ BARE_EFFORTS = 'std_msgs/msg/Float64MultiArray'
 
 @dataclass(frozen=True)
 class GraphSpec:
-    """
-    What to run.
-
-    With a `robot` behind the topics, real or simulated elsewhere, there is no plant among the
-    nodes, and `ticks`, `seed` and `speed` have no meaning.
-    """
+    """What to run; with a `robot` there is no simulator, and `ticks`, `seed`, `speed` are void."""
 
     out: Path  # folder of the run, which exists
     parameter_files: Mapping[str, Path]  # by node name; a node without one gets its defaults
