@@ -13,6 +13,8 @@ def report(
     context: typer.Context,
     runs: Annotated[list[Path], typer.Argument(
         metavar='RUN', help='Folders of `run` or `simulate`, bag folders, or .mcap files.')],
+    claims: Annotated[bool, typer.Option(
+        '--claims', help='Judge the claims of the paper by other scenarios, too.')] = False,
     out: Annotated[Path | None, typer.Option(
         help='Folder for report.html and the figures; the first run, or beside the first '
         'recording, if not given.')] = None,
@@ -33,7 +35,7 @@ def report(
         options.refuse_options(context, ('controller', 'namespace'),
                                'with runs of this package, which know their own')
     loaded = [load(path, controller or (), namespace) for path in runs]
-    paths = write_report(loaded, out or report_folder(runs[0]))
+    paths = write_report(loaded, out or report_folder(runs[0]), claims=claims)
     for run in loaded:
         for remark in run.summary.get('remarks', ()):
             typer.echo(f'{run.folder}: {remark}')

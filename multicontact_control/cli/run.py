@@ -35,8 +35,8 @@ def run(
     controller: options.ControllerFiles = None,
     domain_id: options.DomainId = None, namespace: options.Namespace = None,
     realtime: Annotated[bool, typer.Option(
-        '--realtime', help='Ask for SCHED_FIFO, a processor and locked memory for the '
-        'controlling nodes, and print what they got.')] = False,
+        '--realtime', help='Ask for SCHED_FIFO and locked memory for the controlling nodes, which '
+        'warn of what is not granted.')] = False,
 ) -> None:
     """
     Run a scenario on the ROS 2 graph, and record it.

@@ -90,9 +90,11 @@ def of_the_paper(setup: Setup) -> bool:
     return setup.scenario.name == PAPER_SCENARIO and not setup.commanded_by_topic
 
 
-def claims_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> list[Claim]:
-    """Judge the paper's claims by a simulated run of its scenario; of others there are none."""
-    if not (setup.simulated and of_the_paper(setup)):
+def claims_of(
+    data: RunData, setup: Setup, summary: Mapping[str, Any], *, asked: bool = False,
+) -> list[Claim]:
+    """Judge the paper's claims by a simulated run of its scenario, if `asked` by any scenario."""
+    if setup.commanded_by_topic or not setup.simulated or not (asked or of_the_paper(setup)):
         return []
     return judge_claims(evidence_of(data, setup, summary))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 import math
 from typing import Any, NamedTuple
 
@@ -82,7 +82,7 @@ class Verdict(NamedTuple):
 
     name: str  # `STABLE`, `POOR`, `HELD`, `NOT_STABLE`, `SILENT` or `UNJUDGED`
     reasons: tuple[str, ...]  # of a run that is not judged, what was seen all the same
-    judged: str  # which forces, over what time
+    judged: str  # which forces and errors, over what time
     unstable_at: float | None  # of limits that were passed: the first that has a time [s], if any
     unjudged: str = ''  # why it is not judged, if it is not
 
@@ -110,10 +110,11 @@ def judge(
     """
     run = RunMetrics(data, setup)
     passed, helped = _findings(run, mode, ended_early), _interventions(run, events)
-    far = [f'{contact}: overshoots its largest step by {step.overshoot_percent:.0f} %'
-           for i, contact in enumerate(data.contact_names)
-           if (step := run.largest_step(i)) and step.overshoot_percent > LARGEST_OVERSHOOT]
+    overshoots = {contact: step.overshoot_percent for i, contact in enumerate(data.contact_names)
+                  if (step := run.largest_step(i))}
     error = run.motion_summary()['moving_position_rms_m']
+    far = [f'{contact}: overshoots its largest step by {percent:.0f} %'
+           for contact, percent in overshoots.items() if percent > LARGEST_OVERSHOOT]
     if error is not None and error > LARGEST_MOTION_ERROR:
         far.append(f'motion error of {1e3 * error:.0f} mm rms')
     silent = mode == EXTERNAL_RUN and ended_early not in ('', INTERRUPTED)  # the first that passed
@@ -124,17 +125,22 @@ def judge(
     return Verdict(
         UNJUDGED if unjudged else name,
         (*(finding.text for finding in passed), *helped, *far),
-        _judged(run), min(times, default=None), unjudged)
+        _judged(run, overshoots.values(), error), min(times, default=None), unjudged)
 
 
-def _judged(run: RunMetrics) -> str:
-    """Return what a verdict is about: the time under load, and whose true or measured forces."""
+def _judged(run: RunMetrics, overshoots: Collection[float], error: float | None) -> str:
+    """Return what a verdict is about: forces and their time under load, overshoot, motion."""
     names: dict[str, list[str]] = {'true': [], 'measured': []}
     for name, known, forces in zip(run.data.contact_names, run.truth, run.pressing.T):
         if (forces > 0.0).any():
             names['true' if known else 'measured'].append(name)
-    return ', '.join([f'{run.windows.loaded.sum() / run.data.rate:.3g} s under load', *(
-        f'{kind} force of {" and ".join(some)}' for kind, some in names.items() if some)])
+    parts = [f'{run.windows.loaded.sum() / run.data.rate:.3g} s under load', *(
+        f'{kind} force of {" and ".join(some)}' for kind, some in names.items() if some)]
+    if overshoots:
+        parts.append(f'overshoot at most {max(overshoots):.0f} %')
+    if error is not None:
+        parts.append(f'motion error {1e3 * error:.2g} mm rms')
+    return ', '.join(parts)
 
 
 def _doubt(run: RunMetrics, ended_early: str) -> str:

@@ -244,7 +244,8 @@ class RunMetrics:
         """
         data, judged, config = self.data, self.windows, self.setup.controller
         if not (judged.loaded.any() and config.robot.urdf):  # a recording tells no normals
-            return dict.fromkeys(('moving_position_rms_m', 'orientation_max_rad'))
+            return dict.fromkeys((
+                'position_rms_m', 'moving_position_rms_m', 'orientation_max_rad'))
         plant = self.setup.plant
         normals = np.array([each.normal_world for each in (
             (plant.surfaces[name] for name in plant.touched) if self.setup.simulated else
@@ -252,7 +253,8 @@ class RunMetrics:
         free = np.eye(3) - np.linalg.pinv(normals) @ normals
         error = np.linalg.norm((data.position - data.position_des) @ free, axis=1)
         cosine = np.abs((data.quaternion * data.quaternion_des).sum(axis=1))
-        return {'moving_position_rms_m': rms_in(judged.moving, error),
+        return {'position_rms_m': rms_in(judged.loaded, error),
+                'moving_position_rms_m': rms_in(judged.moving, error),
                 'orientation_max_rad': value_in(
                     judged.loaded, 2.0 * np.arccos(np.minimum(cosine, 1.0)), np.max)}
 

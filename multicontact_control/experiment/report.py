@@ -10,7 +10,7 @@ from typing import Any
 
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment import figures, page
-from multicontact_control.experiment.claims import claims_of
+from multicontact_control.experiment.claims import Claim, claims_of
 from multicontact_control.experiment.display import arm_line, COLOURS, headline, summary_rows
 from multicontact_control.experiment.judge import verdict_text
 from multicontact_control.experiment.results import FIGURE_FOLDER, LoadedRun, REPORT_FILE
@@ -19,11 +19,12 @@ import yaml
 FORMATS = ('png', 'pdf')
 
 
-def write_report(runs: Sequence[LoadedRun], out: Path) -> list[Path]:
+def write_report(runs: Sequence[LoadedRun], out: Path, *, claims: bool = False) -> list[Path]:
     """
     Write ``report.html`` and ``figures/`` of at least one run into a folder and return the files.
 
-    The page comes first. Raises ConfigError if the folder cannot be made.
+    The page comes first. The paper's claims are judged by runs of its scenario, with `claims` by
+    all. Raises ConfigError if the folder cannot be made.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -40,7 +41,8 @@ def write_report(runs: Sequence[LoadedRun], out: Path) -> list[Path]:
             out / FIGURE_FOLDER / (name if len(runs) > 1 else ''), FORMATS)
         if len(runs) > 1:
             parts.append(f'<h2>{escape(name)}: {escape(headline(run.summary))}</h2>')
-        parts += _run_section(run, number)
+        parts += _run_section(run, number, claims_of(
+            run.data, run.setup, run.summary, asked=claims))
     if len(runs) > 1:
         paths.append(figures.draw_side_by_side(
             [(name, run.data, run.setup) for name, run in zip(names, runs)],
@@ -52,9 +54,8 @@ def write_report(runs: Sequence[LoadedRun], out: Path) -> list[Path]:
     return [report, *paths]
 
 
-def _run_section(run: LoadedRun, number: int) -> list[str]:
+def _run_section(run: LoadedRun, number: int, claims: Sequence[Claim]) -> list[str]:
     setup, summary = run.setup, run.summary
-    claims = claims_of(run.data, setup, summary)
     about = '' if setup.commanded_by_topic else setup.scenario.description
     return [
         f'<p class=note>{escape(about)}</p>',

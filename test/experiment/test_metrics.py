@@ -89,6 +89,7 @@ def test_motion_error_counts_in_free_directions_and_in_its_window(setup, data):
     turned[5000] = -np.sin(0.01), 0.0, 0.0, -np.cos(0.01)
     motion = RunMetrics(replace(data, quaternion=turned), setup).motion_summary()
     assert motion['moving_position_rms_m'] == pytest.approx(0.002)
+    assert motion['position_rms_m'] > motion['moving_position_rms_m']
     assert motion['orientation_max_rad'] == pytest.approx(0.02)
     tilted = resolve('tilt', plant='rigid')
     data = perfect_run(tilted)
