@@ -185,10 +185,9 @@ def _edits() -> Iterator[Fault]:
                      **{'declared': REACTIONS[stream], **options})
 
     wrong = {'nan': _put(NAN), 'infinite': _put(INF), 'huge': _put(1e30), 'wrong_count': _shorten}
-    for kind, change in wrong.items():
-        yield edit('joints', 'q', f'{kind}_q', change)
-    for kind, change in wrong.items():
-        yield edit('joints', 'qd', f'{kind}_qd', change, declared=HOLD)
+    for field, declared in (('q', FLOAT), ('qd', HOLD)):
+        for kind, change in wrong.items():
+            yield edit('joints', field, f'{kind}_{field}', change, declared=declared)
     for kind, change, options in (
             ('nan', _put(NAN), {}), ('infinite', _put(-INF), {}), ('huge', _put(1e30), {}),
             ('wrong_count', _shorten, {}), ('saturated', _put(200.0), {'at_once': True}),

@@ -14,7 +14,6 @@ import numpy as np
 from pydantic import field_validator, model_validator, NonNegativeInt
 from sim_bridge.robots import find_robot
 
-DIGITS = 12  # of the values of a range, such that 0.1 is not 0.09999999999999999
 Kind = Literal['sweep', 'compare', 'map', 'tune', 'faults']
 Aggregate = Literal['median', 'min', 'max', 'share', 'set', 'good_values']
 Choices = Mapping[str, Sequence[Any]]  # values by factor
@@ -62,7 +61,7 @@ class FactorConfig(Config):
         values = self.values
         if not values and self.start is not None and self.stop is not None:
             space = np.geomspace if self.spacing == 'log' else np.linspace
-            values = tuple(float(f'{value:.{DIGITS}g}')
+            values = tuple(float(f'{value:.12g}')  # such that 0.1 is not 0.09999999999999999
                            for value in space(self.start, self.stop, self.count))
         return [(value, {self.sets or name: value}) for value in values]
 

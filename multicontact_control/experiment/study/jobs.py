@@ -21,6 +21,7 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.compilation import ensure_compiled
 from multicontact_control.experiment.display import count_bar
 from multicontact_control.experiment.scenario import resolve, Setup
+from multicontact_control.experiment.study.measure import measure_run
 from multicontact_control.files import finite, read_json, write_json
 from rich.console import Console
 from sim_bridge.robots import find_robot
@@ -102,9 +103,6 @@ class RunJob:
 
     def run(self) -> dict[str, Any]:
         """Run it and measure it; see `measure_run`."""
-        # Only here: what gives out the work to others needs neither kernels nor simulator.
-        from multicontact_control.experiment.study.measure import measure_run
-
         return measure_run(self.setup(), self.supervised, self.surface_gone)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 import math
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.claims import evidence_of
@@ -12,9 +12,6 @@ from multicontact_control.experiment.metrics import LASTING, RunMetrics
 from multicontact_control.experiment.results import summarise
 from multicontact_control.experiment.scenario import dotted, Setup
 import numpy as np
-
-if TYPE_CHECKING:
-    from multicontact_control.experiment.closed_loop import ClosedLoop
 
 LAST = 0.5  # s, the end of a run that tells whether it has settled
 SETTLED = 0.1  # of the command: with a larger error at its end a run has not settled
@@ -51,7 +48,6 @@ def measure_run(
             'final_error_share': _final_error_share(run), 'activity_nm': _activity(run),
             'neighbour_n': _neighbour_error(run, surface_gone), 'error': None}
     except Exception as problem:
-        # Whatever one combination does to the law or the simulator, the others shall be run.
         return {'summary': None, 'error': f'{type(problem).__name__}: {problem}'}
 
 
@@ -62,7 +58,7 @@ def _disturbance(setup: Setup, gone: tuple[float, float] | None) -> Any:
     rate, last = setup.controller.rate, len(setup.controller.contact_names) - 1
     moves = dict(zip((round(time * rate) for time in gone), (AWAY, -AWAY)))
 
-    def disturb(loop: ClosedLoop) -> None:
+    def disturb(loop: Any) -> None:
         if loop.tick in moves:
             loop.plant.contacts.shift(last, moves[loop.tick])
 

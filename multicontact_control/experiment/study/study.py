@@ -21,7 +21,7 @@ from multicontact_control.experiment.study.jobs import (
     read_cells,
     run_jobs,
 )
-from multicontact_control.experiment.study.measure import metrics_row
+from multicontact_control.experiment.study.measure import Metrics, metrics_row
 from multicontact_control.files import write_json
 import pandas as pd
 from rich.console import Console
@@ -30,7 +30,6 @@ DPI = 130  # of the figure
 MOST_WARNINGS = 20
 STUDY_FILE, TABLE_FILE, CSV_FILE = 'study.json', 'study.parquet', 'study.csv'
 PAGE_FILE, FIGURE_FILE = 'study.html', 'study.png'
-Metrics = Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
