@@ -63,7 +63,7 @@ class FakeArm:
 
     def newest_command(self):
         """Return the newest command that has come since, None without any."""
-        return self._middleware.take(self._commands, JointState)
+        return self._middleware.take(self._commands)
 
     def answer(self, stamp):
         """Return the newest command, if it answers this sample."""
@@ -101,7 +101,7 @@ class FakeArm:
 
     def forces(self, kind):
         """Return the newest forces by contact, 'desired' or 'measured'."""
-        message = wait_for(lambda: self._middleware.take(self._forces[kind], JointState), 'forces')
+        message = wait_for(lambda: self._middleware.take(self._forces[kind]), 'forces')
         return dict(zip(message.name, message.effort))
 
     def diagnostics(self, condition, send=None):
@@ -111,7 +111,7 @@ class FakeArm:
         def satisfied():
             (send or self.send)()
             self._middleware.pause(0.01)
-            report = self._middleware.take(self._diagnostics, DiagnosticArray)
+            report = self._middleware.take(self._diagnostics)
             if report is None or not report.status[0].name.startswith('controller_node'):
                 return False
             seen.append({x.name.split(': ')[1]: (

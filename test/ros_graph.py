@@ -15,11 +15,10 @@ from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.run import running_graph
 from multicontact_control.experiment.graph.spec import GraphSpec, START_ORDER
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.nodes.graph import take
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.recorder_node import Bag
 from multicontact_control.nodes.topics import Topic
-from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
@@ -144,25 +143,9 @@ class Middleware:
         """Give the others some time."""
         time.sleep(duration)
 
-    def take(self, subscription, message):
+    def take(self, subscription):
         """Return the newest message of a subscription, None without any."""
         newest = None
-        handle = subscription.handle
-        with handle:
-            while (taken := handle.take_message(message, False)) is not None:
-                newest = taken[0]
+        while (taken := take(subscription)) is not None:
+            newest = taken[0]
         return newest
-
-
-def set_parameter(driver, node_name, name, value):
-    """Set a parameter of a node as `ros2 param set` does; return the result."""
-    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-    return driver.call(node_name, SetParameters, 'set_parameters', request).results[0]
-
-
-def get_parameter(driver, node_name, name):
-    """Return the value of a parameter of a node."""
-    answer = driver.call(
-        node_name, GetParameters, 'get_parameters', GetParameters.Request(names=[name]))
-    value = parameter_value_to_python(answer.values[0])
-    return value if value is None or isinstance(value, (bool, int, float, str)) else list(value)

@@ -70,9 +70,9 @@ class Host(Middleware):
     def pause(self, duration=0.002):
         self.hosted.spin_once(self.spinner)
 
-    def take(self, subscription, message):
+    def take(self, subscription):
         self.pause()
-        return super().take(subscription, message)
+        return super().take(subscription)
 
 
 @pytest.fixture(scope='module')

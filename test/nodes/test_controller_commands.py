@@ -2,10 +2,11 @@
 
 from fake_arm import FakeArm, PARAMETERS
 from geometry_msgs.msg import Transform
+from multicontact_control.errors import RunError
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
-from ros_graph import get_parameter, set_parameter, wait_for
+from ros_graph import wait_for
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
@@ -62,8 +63,8 @@ def test_gains_change_live_and_hold_begins_without_a_bump(arm, driver):
                         ('force.law', 'dob'), ('force.fed_forward', 'estimate'),
                         ('force.law', 'aob'), ('force.fed_forward', 'mixed')):
         before = arm.step()
-        assert set_parameter(driver, NAME, name, value).successful
-        assert get_parameter(driver, NAME, name) == value
+        driver.set_parameters(NAME, {name: value})
+        assert driver.parameters(NAME, name) == [value]
         np.testing.assert_array_equal(arm.step(), before)
     assert driver.call(NAME, SetBool, 'hold', SetBool.Request(data=True)).success
     np.testing.assert_array_equal(arm.step(), before)
@@ -88,13 +89,13 @@ def test_refused_values_change_nothing(arm, driver):
             ('aob', 'limits.workspace_lower', [-1.0] * 3), ('aob', 'tool.bias_sensor', [1.0]),
             ('pi', 'force.pi.filter_cutoff', 1e308),  # for which there is no design
             ('lqg', 'force.lqg.noise_variance', 1e300)):
-        assert set_parameter(driver, NAME, 'force.law', law).successful
-        old = get_parameter(driver, NAME, name)
-        result = set_parameter(driver, NAME, name, value)
-        assert not result.successful and result.reason
-        assert get_parameter(driver, NAME, name) == old
+        driver.set_parameters(NAME, {'force.law': law})
+        old = driver.parameters(NAME, name)
+        with pytest.raises(RunError, match=name.rpartition('.')[0]):
+            driver.set_parameters(NAME, {name: value})
+        assert driver.parameters(NAME, name) == old
         arm.step()
-    assert set_parameter(driver, NAME, 'force.law', 'aob').successful
+    driver.set_parameters(NAME, {'force.law': 'aob'})
     np.testing.assert_allclose(arm.settle(), before, atol=1e-6)
 
 
@@ -106,10 +107,10 @@ def test_set_points_are_obeyed_and_the_limits_can_be_moved(arm, driver):
     wait_for(lambda: np.abs(arm.step() - before).max() < 1e-6, 'return')
     command(arm, board=4.0)
     send_forces(arm, board=31.0)  # beyond the ceiling
-    assert set_parameter(driver, NAME, 'command.force_ceiling', 40.0).successful
+    driver.set_parameters(NAME, {'command.force_ceiling': 40.0})
     command(arm, table=31.0, board=0.0)
     command(arm, table=0.0)
-    assert set_parameter(driver, NAME, 'command.force_ceiling', 30.0).successful
+    driver.set_parameters(NAME, {'command.force_ceiling': 30.0})
 
 
 def test_tare_makes_the_compensated_wrench_zero_and_is_refused_under_force_control(arm, driver):
@@ -119,12 +120,11 @@ def test_tare_makes_the_compensated_wrench_zero_and_is_refused_under_force_contr
     assert max(abs(x) for x in arm.forces('measured').values()) > 1.0
     answer = driver.call(NAME, Trigger, 'tare', Trigger.Request())
     assert answer.success, answer.message
-    np.testing.assert_allclose(
-        get_parameter(driver, NAME, 'tool.bias_sensor'), bias, atol=1e-9)
+    np.testing.assert_allclose(*driver.parameters(NAME, 'tool.bias_sensor'), bias, atol=1e-9)
     arm.settle(120)
     np.testing.assert_allclose(list(arm.forces('measured').values()), 0.0, atol=1e-9)
     arm.wrench = arm.wrench - bias
-    assert set_parameter(driver, NAME, 'tool.bias_sensor', [0.0] * 6).successful
+    driver.set_parameters(NAME, {'tool.bias_sensor': [0.0] * 6})
     arm.settle(120)
     command(arm, table=5.0)
     for service in ('tare', 'retry'):  # and there is nothing that waits for a retry

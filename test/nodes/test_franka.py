@@ -101,16 +101,16 @@ class Bench:
         self.sent.append(torques)
         self.torque = torques.tau_J
 
-    def newest(self, subscription, message):
+    def newest(self, subscription):
         """Let two cycles pass; return the newest message."""
         self.cycles.put(None)
         self.cycles.put(None)
         self.middleware.pause(0.01)
-        return self.middleware.take(subscription, message)
+        return self.middleware.take(subscription)
 
     def command(self, effort):
         """Answer the newest sample, with a wrench of the sensor beside it."""
-        if (sample := self.newest(self.samples, JointState)) is not None:
+        if (sample := self.newest(self.samples)) is not None:
             self._sensor.publish(messages.wrench_message(0, '', [0.0, 0.0, effort, 0.0, 0.0, 0.0]))
             self._commands.publish(JointState(
                 header=sample.header, name=JOINTS[::-1], effort=[effort] * 7))
@@ -123,7 +123,7 @@ class Bench:
     def wait_for_status(self, condition):
         """Wait until a status has message and values as a condition wants."""
         def matches():
-            if (new := self.newest(self._statuses, DiagnosticStatus)) is not None:
+            if (new := self.newest(self._statuses)) is not None:
                 self.status = {'message': new.message, **{x.key: x.value for x in new.values}}
             return self.status and condition(self.status)
         wait_for(matches, 'a status', lambda: self.status)
@@ -142,7 +142,7 @@ def bench(middleware):
 def test_bridge_publishes_pairs_without_gravity_and_obeys_until_commands_stay_away(bench):
     bench.press(2.5)
     sample = wait_for(lambda: bench.command(2.5), 'a sample')
-    wrench = wait_for(lambda: bench.newest(bench.wrenches, WrenchStamped), 'a wrench')
+    wrench = wait_for(lambda: bench.newest(bench.wrenches), 'a wrench')
     assert (list(sample.name), wrench.wrench.force.z) == (JOINTS, 2.5)
     assert [list(sample.velocity), list(sample.effort)] == [[0.2] * 7, [2.5] * 7]
     for message in (sample, wrench):  # the robot's time

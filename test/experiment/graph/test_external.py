@@ -36,15 +36,6 @@ QUICK = ['--move-time', '0.5', '--tilt', '15']  # what a test has time for
 NODE = {'patience': 0.0, 'push_test': {'timeout': 1.0}, 'sensor': {'require_push_test': False}}
 
 
-def documented():
-    """Return the commands and the program of the page, as they stand there."""
-    page = ROOT / 'docs/your_robot.md'
-    (_, program), = blocks(page, 'python')
-    program, count = re.subn(r'timeout=[\d.]+', f'timeout={PATIENCE}', program)
-    assert count == 1
-    return [words[1:] for _, words in commands(page) if words[0] == 'multicontact'], program
-
-
 @pytest.fixture(name='domain_id')
 def fixture_domain_id():
     with reserve_domain() as number:
@@ -91,7 +82,10 @@ def write_robot(folder, **changes):
 
 @pytest.mark.nightly
 def test_documented_way_leads_from_a_urdf_to_ten_newtons(start, tmp_path):
-    listed, program = documented()
+    page = ROOT / 'docs/your_robot.md'
+    (_, program), = blocks(page, 'python')
+    program = re.sub(r'timeout=[\d.]+', f'timeout={PATIENCE}', program)
+    listed = [words[1:] for _, words in commands(page) if words[0] == 'multicontact']
     # Of what `new-robot` writes, the tool is another one than the simulated.
     write_robot(tmp_path, tool={'mass': 0.2, 'com_sensor': [0.0, 0.0, 0.0]})
     given = [command for command in listed if command[0] not in ('new-robot', 'simulate')]
