@@ -25,8 +25,8 @@ class Publisher(GuestNode):
         self._k = 0
 
     def listen(self):
-        self.node.create_subscription(
-            topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, ignore, 10)
+        topic = topics.EFFORT_COMMAND
+        self.node.create_subscription(topic.message, topic.name, ignore, 10)
 
     def publish(self, *, names=JOINTS):
         self._k += 1
@@ -42,10 +42,6 @@ def fixture_domain_id():
         yield number
 
 
-def watch_of(domain_id, **options):
-    return RobotWatch(domain_id, '', Robot(JOINTS, **options))
-
-
 def wait_until(watch, robot, condition, **published):
     def seen():
         robot.publish(**published)
@@ -54,7 +50,7 @@ def wait_until(watch, robot, condition, **published):
 
 
 def test_watch_names_what_is_missing_until_nothing_is_and_what_falls_silent(domain_id):
-    with watch_of(domain_id, timeout=0.2) as watch:
+    with RobotWatch(domain_id, '', Robot(JOINTS, timeout=0.2)) as watch:
         for topic in ('/joint_states', '/ft_sensor/wrench', '/joint_effort_command'):
             assert topic in watch.missing()
         with closing(Publisher(domain_id)) as robot, closing(Publisher(domain_id)) as gripper:
@@ -71,8 +67,8 @@ def test_watch_names_what_is_missing_until_nothing_is_and_what_falls_silent(doma
 
 
 def test_robot_without_a_wrist_sensor_needs_none(domain_id):
-    with watch_of(domain_id, wrench_input='momentum') as watch, closing(
-            Publisher(domain_id)) as robot:
+    expected = Robot(JOINTS, wrench_input='momentum')
+    with RobotWatch(domain_id, '', expected) as watch, closing(Publisher(domain_id)) as robot:
         assert 'wrench' not in watch.missing()
         robot.listen()
         wait_until(watch, robot, lambda it: not it.missing())

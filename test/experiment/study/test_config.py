@@ -34,15 +34,11 @@ def test_ranges_are_even_and_levels_keep_their_labels(read):
     assert factors['level'].settings('level') == [('plain', {}), ('soft', {'a.b': 1})]
 
 
-BAD_IN_FILE = [
-    ({'name': 'a/b'}, 'name'), ({'plants': []}, 'plants'), ({'seeds': 0}, 'seeds'),
+@pytest.mark.parametrize(('changes', 'field'), [
+    ({'name': 'a/b'}, 'study.yaml: name'), ({'plants': []}, 'plants'), ({'seeds': 0}, 'seeds'),
     ({'repeats': 3}, 'repeats'), ({'factors': {'a.b': 3}}, 'factors.a.b'),
     ({'factors': {'a.b': {'start': 0, 'stop': 2, 'count': 3, 'spacing': 'log'}}}, 'factors.a.b'),
-    ({'columns': [{'aggregate': 'mean', 'name': 'x'}]}, 'columns.0.aggregate')]
-
-
-@pytest.mark.parametrize(('changes', 'field'), [
-    *((changes, f'study.yaml: {field}') for changes, field in BAD_IN_FILE),
+    ({'columns': [{'aggregate': 'mean', 'name': 'x'}]}, 'columns.0.aggregate'),
     ({'scenario': 'papper'}, 'scenario'), ({'plants': ['x']}, 'plant'),
     ({'factors': {'controller.farce.x': [1]}}, 'factors.controller.farce.x'),
     ({'fixed': {'plant.x': 1}}, 'factors.plant.x'),
