@@ -304,3 +304,31 @@ def test_commands_are_refused_before_control_begins(changes, message):
     bench.assert_refused(message)
     bench.step(10)
     assert not bench.loop.output.answer['active'].any()
+
+
+def test_pull_of_a_surface_is_held_against_and_latched_until_a_retry():
+    """As a sensor with the wrong sign reads a contact."""
+    bench = Bench()
+    bench.step(5)
+    bench.push[:3] = np.array([0.0, 0.0, 12.0]) @ bench.state.sensor_pose.rotation_world
+    bench.step(1200)
+    assert bench.reaction == 'hold'
+    bench.push = np.zeros(6)
+    bench.step(100)
+    assert (bench.reaction, bench.loop.status.causes) == ('hold', ('latched',))
+    bench.loop.retry()
+    bench.step(100)
+    assert bench.reaction == 'none'
+
+
+def test_stream_of_commands_does_not_seek_a_given_up_contact_again():
+    bench, states = Bench(), set()
+    make_contact(bench)
+    bench.press('table', 70.0)
+    bench.step(5)
+    bench.push = np.zeros(6)
+    for k in range(150):
+        bench.loop.set_forces({'table': 10.0 + 0.1 * (k % 5)})
+        bench.step(10)
+        states.add(bench.states['table'])
+    assert states == {'retracting', 'given up'}

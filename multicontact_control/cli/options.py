@@ -45,7 +45,7 @@ class SetupOptions:
 
     robot: Robot = ''
     plant: Annotated[str, typer.Option(
-        help="Plant: rigid (ideal drives), flexible (drives with springs and friction), "
+        help='Plant: rigid (ideal drives), flexible (drives with springs and friction), '
         "ROBOT/PLANT, or a parameter file; the robot's default if not given.")] = ''
     seed: Annotated[int, typer.Option(help='Seed of sensor noise and surface roughness.')] = 0
     scenario: Annotated[str, typer.Option(

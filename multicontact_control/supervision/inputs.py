@@ -349,7 +349,7 @@ class Inputs:
 
     @property
     def sensor_fault(self) -> str:
-        """What is wrong with the wrench of this tick; empty if nothing."""
+        """Return what is wrong with the wrench of this tick, empty for nothing."""
         return PROBLEMS[max(self._state['problem'][WRENCH], FINE)]
 
     @property
