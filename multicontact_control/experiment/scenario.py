@@ -37,7 +37,7 @@ CONTROLLER, ESTIMATOR = PRESET_NODES = ('controller_node', 'noise_estimator_node
 COMMANDS = 'commands'  # in the place of a scenario's name
 NO_PLANT: Any = None  # in the place of the plant where the robot is the user's own
 SHORTEST, UNTIL_STOPPED = 1.0, 1e6  # s, of a run, and of one that Ctrl-C ends
-OF_THE_RUN = ('startup_peers', 'timing_file', 'base_dir')
+OF_THE_RUN = ('startup_peers', 'timing_file')
 
 
 class ScenarioConfig(Config):

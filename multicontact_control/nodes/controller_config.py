@@ -34,8 +34,6 @@ class ControllerNodeConfig(StartupConfig):
         'for one sample.', unit='periods', ge=0.0, le=0.5)
     reference_file: str = parameter(
         '', 'YAML file of a scenario or its reference; empty to obey the command topics.')
-    base_dir: str = parameter(
-        '', 'Folder that relative paths start from; empty for that of the parameter file.')
     effort_output_topic: str = parameter(
         '', 'Topic for the bare efforts (std_msgs/Float64MultiArray) that the forward '
         'controllers of ros2_control take; empty for none.')
@@ -48,9 +46,7 @@ class ControllerNodeConfig(StartupConfig):
 
     @property
     def folder(self) -> Path:
-        """Return `base_dir`, or else that of the last parameter file, or of the package's own."""
-        if self.base_dir:
-            return Path(self.base_dir)
+        """Return where relative paths start: at the last parameter file, or the package's own."""
         files = [
             value for option, value in zip(sys.argv, sys.argv[1:]) if option == '--params-file']
         return Path(files[-1]).resolve().parent if files else config_dir()

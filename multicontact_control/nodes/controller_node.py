@@ -21,12 +21,7 @@ from multicontact_control.nodes.diagnostics import Status
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.sampling import Action, Decision, SampleTiming
-from multicontact_control.supervision.inputs import (
-    JointInput,
-    TickInputs,
-    VarianceInput,
-    WrenchInput,
-)
+from multicontact_control.supervision.inputs import JointInput, TickInputs, WrenchInput
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
@@ -62,16 +57,15 @@ class ControllerNode(ManagedNode):
             pair_tolerance=node_config.pair_tolerance)
         robot, wrench = config.robot, topics.WRENCHES.get(config.wrench_input)
         optional = ('velocity', 'effort')[:1 + robot.measures_torque]
-        # Of each input: from a message to numbers, these as a reading, and where it goes.
-        self._inputs: dict[topics.Topic, tuple[Callable[..., Any], ...]] = {
-            topics.NOISE_VARIANCE: (partial(messages.read_variance, names=config.column_names),
-                                    VarianceInput, lambda reading: timing.add_variance(*reading)),
-            topics.JOINT_STATES: (partial(messages.read_named, names=robot.joint_names,
-                                          fields=('position',), optional=optional),
-                                  JointInput, timing.add)}
+        self._inputs: dict[topics.Topic, tuple[Callable[..., Any], Callable[..., None]]] = {
+            topics.NOISE_VARIANCE: (
+                partial(messages.read_variance, names=config.column_names), timing.add_variance),
+            topics.JOINT_STATES: (
+                partial(messages.read_named, names=robot.joint_names, fields=('position',),
+                        optional=optional), lambda *reading: timing.add(JointInput(*reading)))}
         if wrench is not None:
             self._inputs[wrench] = (partial(messages.read_wrench, frame=robot.sensor_frame),
-                                    WrenchInput, timing.add)
+                                    lambda *reading: timing.add(WrenchInput(*reading)))
         self._outputs = ControllerOutputs(self, config, node_config)
         self._report = ControllerReport(self, loop, timing, [*self._inputs])
         serve_commands(self, loop, self._report.answer, lambda: self._node_config)
@@ -132,9 +126,9 @@ class ControllerNode(ManagedNode):
             return  # it was on its way when the end of its topic was destroyed
         start = time.monotonic_ns()
         self._heard += 1
-        read, reading, take_in = self._inputs[topic]
+        read, take_in = self._inputs[topic]
         try:
-            take_in(reading(*read(message)))
+            take_in(*read(message))
             safe = self._loop.supervisor.safe
             if self.working or safe:
                 self._do(self._timing.what_now(start, safe=safe), start)

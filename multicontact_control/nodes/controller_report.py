@@ -22,7 +22,7 @@ from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
 from multicontact_control.supervision.report import SupervisorStatus
 import numpy as np
 
-REPEAT_TIME, REMINDER_TIME = 5 * NANOSECONDS, 30 * NANOSECONDS  # in which a line is logged once
+REPEAT_TIME = 5 * NANOSECONDS  # in which a line is logged once
 STATE_INTERVAL = 20_000_000  # ns, between two messages on a state that changes
 ANSWER_INTERVAL = 100_000_000  # ns, between two equal answers: motions come at the control rate
 TROUBLED = tuple(NAMES[code] for code in (LOST, RETRACTING, GIVEN_UP))
@@ -35,10 +35,8 @@ class ControllerReport:
     """
     Says what becomes of commands, what the controller does, and what is wrong with its inputs.
 
-    Each answer to a command and each change of state is a `ControllerStatus` on ~/status. A
-    command with an identifier is answered; one without only if it is refused. The state is
-    repeated once a second. `restarts` counts how often samples have begun anew; the turns of
-    `watch` are samples, its latencies last from the newest message of a sample to its command.
+    `restarts` counts how often samples have begun anew; the turns of `watch` are samples, its
+    latencies last from the newest message of a sample to its command.
     """
 
     def __init__(
@@ -88,11 +86,11 @@ class ControllerReport:
         self._next_state = time.monotonic_ns() + STATE_INTERVAL
         self._publish(STATE)
 
-    def _warn(self, kind: str, text: str, repeat_time: int = REPEAT_TIME) -> str:
+    def _warn(self, kind: str, text: str) -> str:
         """Log what may happen at every tick, each kind of it once in a while; return it."""
         now = time.monotonic_ns()
         if text and now >= self._log_due.get(kind, 0):
-            self._log_due[kind] = now + repeat_time
+            self._log_due[kind] = now + REPEAT_TIME
             self._node.get_logger().warning(text)
         return text
 
@@ -134,11 +132,8 @@ class ControllerReport:
             *([self._supervisor()] if loop.supervisor.guarded else [])]
 
     def _odd_samples(self) -> Iterator[str]:
-        """Yield what is odd of readings: no velocities, no pairs, the rate since the last call."""
+        """Yield what is odd of readings: no pairs, the rate since the last call."""
         timing, config, now = self._timing, self._loop.config, time.monotonic_ns()
-        if self._loop.supervisor.guarded and self._loop.supervisor.inputs.estimates:
-            yield self._warn('estimates', f'{topics.JOINT_STATES.name} has no velocities: those '
-                             'of the positions are used, and collisions are not looked for')
         pair = [topic for topic in self.inputs.last if topic is not topics.NOISE_VARIANCE]
         if timing.apart and now - self.watch.last >= NANOSECONDS and all(
                 self.inputs.age(topic) <= 1.0 for topic in pair):
@@ -168,9 +163,8 @@ class ControllerReport:
         """Return what the supervisor does, and in how many ticks it did something else."""
         status, log = self._loop.status or QUIET, self._loop.events
         severe = SEVERITY.index(status.reaction) > SEVERITY.index(INFLATE)
-        friction = self._warn('friction', '; '.join(undeclared_friction(
-            self._loop.supervisor.controller.arm.joints, self._loop.config.robot.joint_names)),
-            REMINDER_TIME)
+        friction = '; '.join(undeclared_friction(
+            self._loop.supervisor.controller.arm.joints, self._loop.config.robot.joint_names))
         return Status('supervisor', {
             'reaction': status.reaction, 'causes': ' '.join(status.causes) or 'none',
             'task_time_s': status.task_time, 'events': len(log.events), **log.collisions,

@@ -6,24 +6,25 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import Point, PoseStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.errors import MulticontactError
 from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.contact_markers import contact_arrows, RATE
 from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph import create_publisher, full_topic_name
 from multicontact_control.nodes.lifecycle import ManagedNode
 from multicontact_control.nodes.messages import identifier_of, JOINT_FIELDS
 from multicontact_control.nodes.streams import StreamPublisher
 import numpy as np
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from std_msgs.msg import Float64MultiArray, Header
+from std_msgs.msg import ColorRGBA, Float64MultiArray, Header
 from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import Marker, MarkerArray
 
 # What is published of a tick: the fields of a message per contact, or none for a pose, and its
 # numbers in the order of the message's fields.
@@ -48,14 +49,22 @@ SHOWN: dict[topics.Topic, tuple[tuple[str, ...], Numbers]] = {
         output.pose_des.position_world, output.pose_des.quaternion_xyzw))}
 OF_STIFFNESS = (topics.STIFFNESS, topics.STABILITY_MARGIN)
 
+# Of the arrows for viewers.
+MARKER_NAMESPACE = 'contact_forces'
+MARKER_RATE, SCALE = 25.0, 0.01  # messages per second, m/N
+SHAFT_DIAMETER, HEAD_DIAMETER, HEAD_LENGTH = 0.008, 0.016, 0.02  # m
+SMALLEST_FORCE = 0.2  # N; below it the arrow would be noise
+LIFETIME = 0.5  # s; a viewer drops the arrows of a controller that is gone
+CONTROLLED = ColorRGBA(r=1.0, g=0.45, b=0.1, a=1.0)
+FELT = ColorRGBA(r=0.5, g=0.5, b=0.5, a=1.0)
+
 
 class ControllerOutputs:
     """
     Publishes the command, the state of each tick, and arrows for viewers.
 
     `command` makes the bytes of a command from a stamp [ns] and torques, or raises `MessageError`;
-    `publish` sends them. `publish_bare`, None unless asked for, sends the efforts that
-    ros2_control's forward and effort controllers subscribe to, in the order of the joints.
+    `publish` sends them, `publish_bare` the efforts for ros2_control, where these are asked for.
     """
 
     def __init__(
@@ -78,7 +87,7 @@ class ControllerOutputs:
             if config.force.stiffness == 'adaptive' or topic not in OF_STIFFNESS:
                 self._shown.append((publisher, numbers))
         self._markers = create_publisher(node, topics.CONTACT_MARKERS)
-        self._marker_ticks = max(1, round(config.rate / RATE))
+        self._marker_ticks = max(1, round(config.rate / MARKER_RATE))
 
     def show(self, stamp: int, tick: int, output: ControlOutput) -> None:
         """Publish forces, innovations, poses and markers of a tick with a stamp [ns]."""
@@ -86,6 +95,33 @@ class ControllerOutputs:
             publisher.send(stamp, *numbers(output))
         if tick % self._marker_ticks == 0:
             self._markers.publish(contact_arrows(self._config, stamp, output))
+
+
+def contact_arrows(config: ControllerConfig, stamp: int, output: ControlOutput) -> MarkerArray:
+    """
+    Return the measured contact forces of a sample at a time [ns] as arrows.
+
+    Each points into its surface and ends at the contact's tip, orange where the force is
+    controlled and grey where it is only felt.
+    """
+    arrows = []
+    for number, (name, i) in enumerate(zip(config.contact_names, config.leaders)):
+        force, pose = float(output.contacts['alpha_meas'][i]), output.pose
+        tip = pose.position_world + pose.rotation_world @ config.contacts[name].point_operational
+        tail = tip - SCALE * force * output.contacts['normal'][i]
+        arrow = Marker(
+            ns=f'{MARKER_NAMESPACE}/{name}', id=number, type=Marker.ARROW,
+            action=Marker.ADD if force > SMALLEST_FORCE else Marker.DELETE,
+            color=CONTROLLED if output.answer['active'][i] else FELT,
+            points=[Point(**dict(zip('xyz', messages.finite_array(end, 3, 'points').tolist())))
+                    for end in (tail, tip)],
+            lifetime=Duration(seconds=LIFETIME).to_msg())
+        arrow.header.frame_id = topics.WORLD_FRAME
+        arrow.header.stamp = messages.ns_to_stamp(stamp)
+        arrow.pose.orientation.w = 1.0
+        arrow.scale.x, arrow.scale.y, arrow.scale.z = SHAFT_DIAMETER, HEAD_DIAMETER, HEAD_LENGTH
+        arrows.append(arrow)
+    return MarkerArray(markers=arrows)
 
 
 # The services of the controller's node: class, and content for the reference.

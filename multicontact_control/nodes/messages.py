@@ -63,18 +63,17 @@ def read_named(
 
     Those of the `optional` fields follow, None where numbers are missing or not finite.
     """
-    given = list(message.name)
+    given, vectors = list(message.name), []
     if any(given.count(name) != 1 for name in names):
         raise MessageError('name', f'each of {list(names)} once', given)
     places = np.array([given.index(name) for name in names], dtype=int)
-    vectors: list[Vector | None] = []
     for field in (*fields, *optional):
         values: Vector = np.array(getattr(message, field), dtype=np.float64)
         whole = len(values) == len(given)
         vector = values[places] if whole else values
         usable = whole and math.isfinite(sum(vector.tolist()))
         if not usable and field not in optional:
-            raise MessageError(field, f'{counted(len(given), "finite values")}', values.tolist())
+            raise MessageError(field, counted(len(given), 'finite values'), values.tolist())
         vectors.append(vector if usable else None)
     return stamp_to_ns(message.header.stamp), *vectors
 

@@ -13,9 +13,9 @@ from functools import partial
 import traceback
 from types import NoneType
 import typing
-from typing import Any, Literal
+from typing import Any
 
-from multicontact_control.config.base import Config, model_in, validate
+from multicontact_control.config.base import Config, merge, model_in, validate
 from multicontact_control.errors import check_all, ConfigError, MulticontactError
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
@@ -24,17 +24,12 @@ from rclpy.parameter import Parameter
 
 SET_BY_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 LOCKED = 'can be changed only before the node is configured'
-BOUNDS = {'gt': 'above', 'ge': 'at least', 'lt': 'below', 'le': 'at most'}
 
 
 def _leaves(
     model: type[Config], overrides: Mapping[str, Any], prefix: str = '',
 ) -> Iterator[tuple[str, FieldInfo]]:
-    """
-    Yield name and field of all values.
-
-    A mapping has what `overrides` by name say of it, or else the contacts that they list.
-    """
+    """Yield name and field of all values; mappings as in `overrides`, or of their contacts."""
     for key, field in model.model_fields.items():
         name, inner = prefix + key, model_in(field.annotation)
         if inner is None:
@@ -52,28 +47,10 @@ def _leaves(
 def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
     extra: Any = field.json_schema_extra or {}
     unit = f' [{extra["unit"]}]' if extra.get('unit') else ''
-    limits = [f'{words} {getattr(bound, key):g}' for bound in field.metadata
-              for key, words in BOUNDS.items() if getattr(bound, key, None) is not None]
-    if typing.get_origin(field.annotation) is Literal:
-        limits = [f'one of {", ".join(map(str, typing.get_args(field.annotation)))}']
     # Not read-only: that changes with the life cycle, a descriptor does not.
     return ParameterDescriptor(
         name=name, dynamic_typing=True, description=f'{field.description or ""}{unit}',
-        additional_constraints='; '.join(limits + ([] if extra.get('live') else [LOCKED])))
-
-
-def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values by dotted name as nested mappings."""
-    result: dict[str, Any] = {}
-    for name, value in values.items():
-        *path, key = name.split('.')
-        level = result
-        for depth, part in enumerate(path):
-            level = level.setdefault(part, {})
-            if not isinstance(level, dict):
-                raise ConfigError('.'.join(path[:depth + 1]), 'a mapping', level)
-        level[key] = value
-    return result
+        additional_constraints='' if extra.get('live') else LOCKED)
 
 
 class ParameterSet:
@@ -109,8 +86,12 @@ class ParameterSet:
     def configurations(self, changes: Mapping[str, Any] | None = None) -> list[Any]:
         """Return a configuration per model, with changes by name; ConfigError of all at once."""
         present = {name: self.value(name) for name in self._live} | dict(changes or {})
-        values = _nested({**self._unknown, **{
-            name: value for name, value in present.items() if value is not None}})
+        values: dict[str, Any] = {}
+        for name, value in [*present.items(), *self._unknown.items()]:
+            if value is not None:
+                for part in reversed(name.split('.')):
+                    value = {part: value}
+                values = merge(values, value)
         known = sorted(key for model in self._models for key in model.model_fields)
 
         def refuse(key: str) -> None:

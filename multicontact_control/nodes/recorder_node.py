@@ -184,9 +184,7 @@ class RecorderNode(Node):
         """Close the bag, and write the counts of this run, if asked to."""
         self._bag.close()
         counts = {x.topic: self._bag.counts[x.id] for x in self._bag.connections}
-        self._config.write_counts({
-            'messages': sum(counts.values()), 'counts': counts, 'lost': self._lost.total(),
-            'lost_by_topic': self._lost})
+        self._config.write_counts({'counts': counts, 'lost': self._lost.total()})
 
     def _statuses(self) -> list[Status]:
         if self._gate.open:  # which looks at the ends that there are now

@@ -91,10 +91,9 @@ def one_line(error: BaseException) -> str:
 
 def run_node(make_node: Callable[[], Any]) -> int:
     """
-    Run a node in this process until it has ended or is asked to stop; return the exit code.
+    Run a node in this process until `run(spinner)` returns, then `close()`; return the exit code.
 
-    Of the node, `run(spinner)` returns when the work is done or the process should stop; `close()`
-    is called however it ended. Errors give 2 for a bad configuration, one of `FULL`, or 1.
+    It is 2 for a bad configuration, one of `FULL` for a full disk, and 1 for another error.
     """
     program, stop = os.path.basename(sys.argv[0]), stop_signals()
     try:

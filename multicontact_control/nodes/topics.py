@@ -116,8 +116,7 @@ ROBOT_DESCRIPTION = Topic(
     'The URDF, also for who comes late.')
 CONTACT_MARKERS = Topic(
     'contact_markers', MarkerArray, CONTROLLER, (RECORDER,), qos.EVENT, 'event',
-    'Per contact the measured force as an arrow at its tip, beside it estimated and desired, '
-    'at 25 Hz.')
+    'Per contact the measured force as an arrow at its tip, at 25 Hz.')
 SURFACE_MARKERS = Topic(
     'ground_truth/surfaces', MarkerArray, SIM, (RECORDER,), qos.LATCHED, 'event',
     'What can be touched, as only the simulator knows it, also for who comes late; 25 Hz if it '

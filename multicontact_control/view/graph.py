@@ -13,7 +13,7 @@ from multicontact_control.errors import CommandError, MulticontactError, RunErro
 from multicontact_control.experiment.judge import Event
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.contact_markers import NAMESPACE
+from multicontact_control.nodes.controller_topics import MARKER_NAMESPACE
 from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.link import CommandRefusedError, ControllerLink
 from multicontact_control.nodes.messages import ControllerStatus, new_identifier, REFUSED
@@ -223,7 +223,7 @@ class GraphSource:
         """Take the normals, which a controller may find on-line, from the arrows of the forces."""
         message = self._link.newest(topics.CONTACT_MARKERS)
         for marker in () if message is None else message.markers:
-            name = marker.ns.removeprefix(f'{NAMESPACE}/')
+            name = marker.ns.removeprefix(f'{MARKER_NAMESPACE}/')
             if name in self._normals and marker.action == Marker.ADD:
                 tail, tip = (np.array([point.x, point.y, point.z]) for point in marker.points)
                 self._normals[name] = (tip - tail) / np.linalg.norm(tip - tail)

@@ -43,7 +43,7 @@ def test_controller_file_is_all_that_is_needed(file):
 
 def test_later_files_preset_scenario_law_and_settings_are_laid_over(file, tmp_path):
     tool, scenario = tmp_path / 'tool.yaml', tmp_path / 'mine.yaml'
-    write_parameters(tool, {'/**': {'tool': {'mass': 0.8}, 'patience': 9.0, 'base_dir': '/tmp',
+    write_parameters(tool, {'/**': {'tool': {'mass': 0.8}, 'patience': 9.0, 'timing_file': 'x',
                                     'command': {'force_ceiling': 25.0}}})
     scenario.write_text(yaml.safe_dump(SCENARIO))
     options = RunOptions(

@@ -3,7 +3,7 @@
 from arms import controller_config
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import MessageError
-from multicontact_control.nodes.contact_markers import contact_arrows
+from multicontact_control.nodes.controller_topics import contact_arrows
 from multicontact_control.supervision.report import no_answer
 import numpy as np
 import pytest

@@ -87,8 +87,6 @@ def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
                    'speed': float(spec.speed)}
     if name == CONTROLLER and spec.reference_file is not None:
         values['reference_file'] = str(spec.reference_file.resolve())
-    if name == CONTROLLER and name in spec.parameter_files:
-        values['base_dir'] = str(spec.parameter_files[name].resolve().parent)
     if name in (SIM, CONTROLLER):
         values['lockstep'] = not spec.free_running and spec.robot is None
     if spec.realtime and name != RECORDER:
