@@ -101,7 +101,7 @@ class WatchdogConfig(Config):
     variance_max_age: float = parameter(
         4.5, 'Largest age of R, one period at best.', unit='periods', ge=2.0, le=1e4)
     rate_band: float = parameter(
-        2.5, 'Factor by which two periods in a row must not be off.', gt=1.0, le=100.0)
+        2.5, 'Two periods in a row wrong by more than this factor are a fault.', gt=1.0, le=100.0)
     frozen_joint_ticks: int = parameter(
         0, 'Identical joint states in a row, while a joint moves, that mean frozen joints; 0 for '
         'encoders with steps near the motion in a period.', ge=0, le=1000)
