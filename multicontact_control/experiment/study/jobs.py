@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from concurrent.futures import as_completed, BrokenExecutor, CancelledError
 from contextlib import AbstractContextManager, closing, ExitStack, nullcontext, suppress
 from dataclasses import asdict, dataclass
@@ -11,6 +11,8 @@ import hashlib
 from importlib.metadata import PackageNotFoundError, version
 from itertools import starmap
 import json
+from multiprocessing import active_children
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 import signal
 import threading
@@ -164,7 +166,8 @@ def _outcomes(
             executor = get_reusable_executor(
                 workers or None, env=dict.fromkeys(THREADS, '1'), initializer=signal.signal,
                 initargs=(signal.SIGINT, signal.SIG_IGN))
-            stack.callback(executor.shutdown, kill_workers=True)
+            stack.callback(executor.shutdown)
+            stack.callback(_end_workers, others=active_children())
         else:
             # Not joblib's Dask backend: it waits for ever for a job whose workers died.
             from distributed import KilledWorker
@@ -176,6 +179,13 @@ def _outcomes(
                 yield future.result()
         except deaths:
             raise RunError(WORKER_DIED) from None
+
+
+def _end_workers(others: Sequence[BaseProcess]) -> None:
+    """End all workers; `shutdown` with `kill_workers` looks for a job that it has removed."""
+    for process in active_children():
+        if process not in others:
+            process.terminate()
 
 
 def _run(key: str, job: Job) -> Outcome:
