@@ -111,6 +111,9 @@ class ControllerConfig(Config):
             count = len(attrgetter(name)(self))
             if count not in (0, joints):
                 yield ConfigError(name, f'{counted(joints, "values")}, one per joint', count)
+        for name in ('sensor.frozen_ticks', 'watchdog.frozen_joint_ticks'):
+            if attrgetter(name)(self) == 1:
+                yield ConfigError(name, '0, or at least 2', 1)
         names = self.contact_names
         if len(self.contacts.keys() & set(names)) < len(names):
             known = ', '.join(sorted(self.contacts))
@@ -154,14 +157,12 @@ class ControllerConfig(Config):
     def _delay_misfits(self) -> Iterator[ConfigError]:
         sensor, nyquist = self.sensor, 0.5 * self.rate
         if sensor.filter_order and sensor.filter_cutoff >= nyquist:
-            yield ConfigError(
-                'sensor.filter_cutoff', f'below the Nyquist frequency {nyquist:g} Hz',
-                f'{sensor.filter_cutoff:g} Hz')
+            yield ConfigError('sensor.filter_cutoff', f'below {nyquist:g} Hz, half the rate',
+                              sensor.filter_cutoff)
         elif self.loop_delay * self.rate > MAX_DELAY_PERIODS + 1e-9:
             yield ConfigError(
-                'force.input_delay',
-                f'at most {MAX_DELAY_PERIODS} periods ({MAX_DELAY_PERIODS / self.rate:g} s) with '
-                'the delay of sensor.filter_cutoff and, by momentum, 1 / collision.bandwidth',
+                'force.input_delay', f'at most {MAX_DELAY_PERIODS / self.rate:g} s with the delays '
+                'of sensor.filter_cutoff and, by momentum, 1 / collision.bandwidth',
                 f'{self.loop_delay:.4g} s')
 
     @property

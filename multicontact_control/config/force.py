@@ -131,6 +131,5 @@ class NoiseEstimatorConfig(Config):
     def _misfits(self) -> Iterator[ConfigError]:
         for name in ('zero_frequency', 'pole_frequency'):
             if getattr(self, name) >= 0.5 * self.rate:
-                yield ConfigError(
-                    name, f'below the Nyquist frequency {0.5 * self.rate:g} Hz',
-                    f'{getattr(self, name):g} Hz')
+                yield ConfigError(name, f'below {0.5 * self.rate:g} Hz, half the rate',
+                                  getattr(self, name))

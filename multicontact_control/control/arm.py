@@ -253,4 +253,4 @@ class ArmState:
         self.flags = see_arm(
             self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
             terms.placements, self.joints, self._controls, self._contacts)
-        return self.finite
+        return self.flags != NO_NUMBERS

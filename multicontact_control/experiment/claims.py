@@ -85,16 +85,12 @@ class Claim(NamedTuple):
     why: str
 
 
-def of_the_paper(setup: Setup) -> bool:
-    """Return whether a run plays the paper's experiment."""
-    return setup.scenario.name == PAPER_SCENARIO and not setup.commanded_by_topic
-
-
 def claims_of(
     data: RunData, setup: Setup, summary: Mapping[str, Any], *, asked: bool = False,
 ) -> list[Claim]:
     """Judge the paper's claims by a simulated run of its scenario, if `asked` by any scenario."""
-    if setup.commanded_by_topic or not setup.simulated or not (asked or of_the_paper(setup)):
+    of_the_paper = setup.scenario.name == PAPER_SCENARIO
+    if setup.commanded_by_topic or not setup.simulated or not (asked or of_the_paper):
         return []
     return judge_claims(evidence_of(data, setup, summary))
 

@@ -87,7 +87,7 @@ class Bench:
 
     def state(self, mode=None):
         with suppress(Empty):
-            self.cycles.get(timeout=0.02)  # a robot never stands still
+            self.cycles.get(timeout=0.2)  # a robot never stands still
         self.time, failure, self.failure = self.time + 1, self.failure, None
         if failure is not None:
             raise failure
