@@ -161,7 +161,7 @@ class ControllerConfig(Config):
                               sensor.filter_cutoff)
         elif self.loop_delay * self.rate > MAX_DELAY_PERIODS + 1e-9:
             yield ConfigError(
-                'force.input_delay', f'at most {MAX_DELAY_PERIODS / self.rate:g} s with the delays '
+                'force.input_delay', f'at most {MAX_DELAY_PERIODS / self.rate:g} s with the delay '
                 'of sensor.filter_cutoff and, by momentum, 1 / collision.bandwidth',
                 f'{self.loop_delay:.4g} s')
 
