@@ -7,14 +7,13 @@ All messages of a stream have the same bytes but for their stamp and their numbe
 from __future__ import annotations
 
 from array import array
-import math
 import struct
 from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.errors import MessageError
 from multicontact_control.nodes.graph import create_publisher
-from multicontact_control.nodes.messages import LAST_SECOND
+from multicontact_control.nodes.messages import finite_array, LAST_SECOND
 from multicontact_control.nodes.topics import Topic
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
@@ -22,7 +21,7 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 STAMP, HEADER = struct.Struct('<iI'), 4  # after so many bytes
-MARKS = tuple(struct.unpack('<d', byte * 8)[0] for byte in (b'\1', b'\2'))
+MARK, = struct.unpack('<d', bytes(range(1, 9)))  # a number that is nowhere else in a message
 
 
 class StreamPublisher:
@@ -31,25 +30,22 @@ class StreamPublisher:
     def __init__(self, node: Node, topic: Topic, pattern: Any) -> None:
         publisher = create_publisher(node, topic)
         self.publish, self._readers = publisher.publish, publisher.get_subscription_count
-        marked = []
-        for mark in MARKS:  # two numbers that differ in every byte
-            _set_numbers(pattern, mark)
-            marked.append(np.frombuffer(serialize_message(pattern), np.uint8))
-        self._places = np.flatnonzero(marked[0] != marked[1])
-        # rclpy leaves some bytes beyond the last number.
-        self._bytes = marked[0][:self._places[-1] + 1].copy()
+        count, data = _mark_numbers(pattern), serialize_message(pattern)
+        # Numbers are aligned behind the header; the bytes between, and behind the last, are any.
+        words = np.frombuffer(data, np.float64, (len(data) - HEADER) // 8, HEADER)
+        self._places = np.flatnonzero(words == MARK)[:count]
+        self._bytes = bytearray(data[:HEADER + 8 * (int(self._places[-1]) + 1)])
+        self._numbers = np.frombuffer(self._bytes, np.float64, offset=HEADER)
 
     def write(self, stamp: int, *numbers: Vector) -> bytes:
         """Return the message with a stamp [ns], and numbers in their order; MessageError."""
-        values = np.concatenate(numbers)
-        if not math.isfinite(sum(values.tolist())):
-            raise MessageError('numbers', 'finite ones', values.tolist())
+        values = finite_array(np.concatenate(numbers), len(self._places), 'numbers')
         sec, nanosec = divmod(stamp, NANOSECONDS)
         if abs(sec) > LAST_SECOND:
             raise MessageError('stamp.sec', f'at most {LAST_SECOND}', sec)
-        self._bytes[self._places] = values.view(np.uint8)
-        STAMP.pack_into(self._bytes.data, HEADER, sec, nanosec)
-        return self._bytes.tobytes()
+        self._numbers[self._places] = values
+        STAMP.pack_into(self._bytes, HEADER, sec, nanosec)
+        return bytes(self._bytes)
 
     def send(self, stamp: int, *numbers: Vector) -> None:
         """Publish a message with a stamp [ns] and numbers, if it is subscribed to."""
@@ -57,12 +53,17 @@ class StreamPublisher:
             self.publish(self.write(stamp, *numbers))
 
 
-def _set_numbers(message: Any, value: float) -> None:
+def _mark_numbers(message: Any) -> int:
+    """Set all numbers of a message to `MARK`, and return how many there are."""
+    count = 0
     for field in message.get_fields_and_field_types():
         part = getattr(message, field)
         if isinstance(part, float):
-            setattr(message, field, value)
+            setattr(message, field, MARK)
+            count += 1
         elif isinstance(part, array):
-            setattr(message, field, array('d', [value] * len(part)))
+            setattr(message, field, array('d', [MARK] * len(part)))
+            count += len(part)
         elif hasattr(part, 'get_fields_and_field_types'):
-            _set_numbers(part, value)
+            count += _mark_numbers(part)
+    return count

@@ -137,7 +137,11 @@ def test_stream_writes_what_rclpy_reads(middleware):
             (topics.JOINT_STATES, six(), six(2.0),
              (2.0 * np.arange(6.0), -np.arange(6.0), np.arange(6.0) ** 2)),
             (topics.MEASURED_FORCES, messages.joint_state_message(0, ABC, effort=np.zeros(3)),
-             messages.joint_state_message(START, ABC, effort=numbers[:3]), (numbers[:3],))):
+             messages.joint_state_message(START, ABC, effort=numbers[:3]), (numbers[:3],)),
+            *((topics.EFFORT_COMMAND, *(messages.joint_state_message(
+                stamp, ['x' * size] * 7, effort=effort)
+                for stamp, effort in ((0, np.zeros(7)), (START, numbers))), (numbers,))
+              for size in range(1, 9))):  # whatever bytes there are between
         data = StreamPublisher(middleware.node, topic, pattern).write(START, *written)
         assert deserialize_message(data, type(pattern)) == expected
         store.deserialize_cdr(data, topic.type_name)  # which refuses bytes beyond the message
