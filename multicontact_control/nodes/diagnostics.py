@@ -17,6 +17,7 @@ from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from rclpy.node import Node
 
+PERIOD = NANOSECONDS
 STALE_PERIODS = 25  # from which an input at the control rate is stale
 # s: an input is missed after MISSING_AGE; its first message may take DISCOVERY_TIME.
 MISSING_AGE, DISCOVERY_TIME, REMINDER_PERIOD = 1.0, 3.0, 30.0
@@ -51,13 +52,13 @@ class Diagnostics:
     def __init__(self, node: Node, collect: Callable[[], Sequence[Status]]) -> None:
         self._node, self._collect = node, collect
         self._publisher = create_publisher(node, topics.DIAGNOSTICS)
-        self._next = time.monotonic_ns() + NANOSECONDS
+        self._next = time.monotonic_ns() + PERIOD
 
     def poll(self) -> None:
         """Publish if a second has passed; called by the node's loop, which knows when it can."""
         now = time.monotonic_ns()
         if now >= self._next:
-            self._next = max(self._next, now - NANOSECONDS // 2) + NANOSECONDS  # no burst
+            self._next = max(self._next + PERIOD, now + PERIOD // 2)  # no burst after a pause
             name = self._node.get_fully_qualified_name().lstrip('/')
             message = DiagnosticArray(status=[status_message(name, status)
                                               for status in self._collect()])
