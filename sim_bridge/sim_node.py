@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import partial
 import sys
 import time
 from typing import Any
@@ -26,7 +27,7 @@ from multicontact_control.nodes import diagnostics, messages, qos, topics
 from multicontact_control.nodes.graph import create_publisher, Refusals, StartupConfig, StartupGate
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.streams import StreamPublisher
+from multicontact_control.nodes.streams import MessageReader, StreamPublisher
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from rclpy.node import Node
@@ -118,7 +119,10 @@ class SimNode(Node):
                 0, contacts, effort=np.zeros(len(contacts)))))}
         self._clock_publisher = create_publisher(self, topics.CLOCK) if config.lockstep else None
         self.create_subscription(
-            topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, self._on_command, qos.INPUT)
+            topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, self._on_command, qos.INPUT,
+            raw=True)
+        self._read = MessageReader(JointState, partial(
+            messages.read_named, names=joints, fields=['effort']))
         self.create_subscription(
             topics.PUSH.message, topics.PUSH.name, self._on_push, topics.PUSH.profile)
         self._watch = diagnostics.LoopStatistics(config.rate)
@@ -299,10 +303,10 @@ class SimNode(Node):
     def _stamp(self, tick: int) -> int:
         return self._origin + stamp_of(tick, self._config.rate)
 
-    def _on_command(self, message: JointState) -> None:
+    def _on_command(self, data: bytes) -> None:
         received = self._inputs.last[topics.EFFORT_COMMAND] = time.monotonic_ns()
         with self._refusals.guard(topics.EFFORT_COMMAND):
-            stamp, torque = messages.read_named(message, self._plant.joint_names, ['effort'])
+            stamp, torque = self._read(data)
             tick = round((stamp - self._origin) * 1e-9 * self._config.rate)
             if not (tick >= 0 and self._stamp(tick) == stamp):
                 raise MessageError('stamp', 'that of a sample', f'{stamp} ns')

@@ -20,6 +20,7 @@ from multicontact_control.nodes.controller_topics import ControllerOutputs, serv
 from multicontact_control.nodes.diagnostics import Status
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
+from multicontact_control.nodes.streams import MessageReader
 from multicontact_control.sampling import Action, Decision, SampleTiming
 from multicontact_control.supervision.inputs import JointInput, TickInputs, WrenchInput
 import numpy as np
@@ -69,10 +70,11 @@ class ControllerNode(ManagedNode):
         self._outputs = ControllerOutputs(self, config, node_config)
         self._report = ControllerReport(self, loop, timing, [*self._inputs])
         serve_commands(self, loop, self._report.answer, lambda: self._node_config)
-        for topic in self._inputs:
+        for topic, (read, take_in) in self._inputs.items():
+            self._inputs[topic] = MessageReader(topic.message, read), take_in
             self.create_subscription(
                 topic.message, topic.name, partial(self._on_message, topic),
-                qos.INPUT if node_config.lockstep else qos.SENSOR)
+                qos.INPUT if node_config.lockstep else qos.SENSOR, raw=True)
         self._node_config = node_config
         self._command: tuple[bytes, Vector] | None = None  # the last one
 
@@ -120,7 +122,7 @@ class ControllerNode(ManagedNode):
         """Return what diagnostics report."""
         return self._report.statuses()
 
-    def _on_message(self, topic: topics.Topic, message: Any) -> None:
+    def _on_message(self, topic: topics.Topic, data: bytes) -> None:
         """Take in a message, and do what it leads to."""
         if self.state not in (ACTIVE, INACTIVE):
             return  # it was on its way when the end of its topic was destroyed
@@ -128,7 +130,7 @@ class ControllerNode(ManagedNode):
         self._heard += 1
         read, take_in = self._inputs[topic]
         try:
-            take_in(*read(message))
+            take_in(*read(data))
             safe = self._loop.supervisor.safe
             if self.working or safe:
                 self._do(self._timing.what_now(start, safe=safe), start)

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 import contextlib
 from dataclasses import replace
+from functools import partial
 import sys
 from threading import Event, Thread
 import time
@@ -27,7 +28,7 @@ from multicontact_control.errors import ConfigError, MulticontactError, RunError
 from multicontact_control.nodes import diagnostics, graph, messages, qos, topics
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import one_line, run_node, Spinner
-from multicontact_control.nodes.streams import StreamPublisher
+from multicontact_control.nodes.streams import MessageReader, StreamPublisher
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from rclpy.node import Node
@@ -154,9 +155,12 @@ class FrankaBridge(Node):
         # Taken in by the control thread: an executor would empty the subscriptions of its node.
         self._listener = Node(
             f'{NAME}_inputs', context=self.context, start_parameter_services=False)
-        self._heard = {topic: self._listener.create_subscription(
-            topic.message, topic.name, graph.ignore, qos.SENSOR)
-            for topic in (topics.EFFORT_COMMAND, sensor)}
+        self._heard = {topic: (self._listener.create_subscription(
+            topic.message, topic.name, graph.ignore, qos.SENSOR, raw=True),
+            MessageReader(topic.message, read)) for topic, read in (
+                (topics.EFFORT_COMMAND, partial(
+                    messages.read_named, names=self._config.joint_names, fields=['effort'])),
+                (sensor, messages.read_wrench))}
         self._watch = diagnostics.LoopStatistics(1.0 / CYCLE)
         self._inputs = diagnostics.Inputs(self, 1.0 / (CYCLE * self._config.divider), sensor)
         self._diagnostics = diagnostics.Diagnostics(self, self._statuses)
@@ -239,14 +243,13 @@ class FrankaBridge(Node):
 
     def _take_inputs(self, stamp: int) -> None:
         """Take in the newest command and wrench."""
-        for topic, subscription in self._heard.items():
+        for topic, (subscription, read) in self._heard.items():
             while (taken := graph.take(subscription)) is not None:
                 try:
                     if topic is topics.EFFORT_COMMAND:
-                        self._command_stamp, self._command = messages.read_named(
-                            taken[0], self._config.joint_names, ('effort',))
+                        self._command_stamp, self._command = read(taken[0])
                     else:
-                        _, self._wrench = messages.read_wrench(taken[0])
+                        _, self._wrench = read(taken[0])
                         self._wrench_stamp = stamp
                         self._inputs.last[topic] = time.monotonic_ns()
                 except MulticontactError as error:

@@ -17,9 +17,8 @@ from multicontact_control.nodes.diagnostics import Inputs, LoopStatistics, messa
 from multicontact_control.nodes.graph import StartupConfig
 from multicontact_control.nodes.lifecycle import ACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.streams import StreamPublisher
+from multicontact_control.nodes.streams import MessageReader, StreamPublisher
 import numpy as np
-from sensor_msgs.msg import JointState
 
 MAX_INNOVATIONS = 8
 
@@ -46,9 +45,12 @@ class NoiseEstimatorNode(ManagedNode):
         self._publisher = StreamPublisher(self, topics.NOISE_VARIANCE, (
             messages.joint_state_message(0, names, effort=np.zeros(len(names)))))
         heard = [topics.MEASURED_FORCES, topics.INNOVATION][:1 + self._estimator.uses_innovation]
+        self._readers = {topic: MessageReader(topic.message, partial(
+            messages.read_named, names=names, fields=fields)) for topic, fields in zip(
+                heard, (['effort'], ['position', 'velocity', 'effort']))}
         for topic in heard:
             self.create_subscription(
-                topic.message, topic.name, partial(self._on_message, topic), qos.INPUT)
+                topic.message, topic.name, partial(self._on_message, topic), qos.INPUT, raw=True)
         self._inputs = Inputs(self, self._config.rate, *heard)
 
     def activate(self) -> StartupConfig:
@@ -65,26 +67,24 @@ class NoiseEstimatorNode(ManagedNode):
         self._node_config.write_counts({
             'samples': self._samples, 'refused': dict(self.refusals.counts)})
 
-    def _on_message(self, topic: topics.Topic, message: JointState) -> None:
+    def _on_message(self, topic: topics.Topic, data: bytes) -> None:
         """Take in a message; answer what can be answered with it."""
         received, answered = time.monotonic_ns(), self._samples
         if topic is topics.MEASURED_FORCES:
             self._watch.add_period(received)
         if self.state == ACTIVE:
             with self.refusals.guard(topic):
-                self._take_in(topic, message)
+                self._take_in(topic, *self._readers[topic](data))
                 self._inputs.last[topic] = received
                 self.look()
         if self._samples != answered:
             self._watch.latencies.add(time.monotonic_ns() - received)
 
-    def _take_in(self, topic: topics.Topic, message: JointState) -> None:
-        names = self._config.contact_names
+    def _take_in(self, topic: topics.Topic, stamp: int, *vectors: Vector) -> None:
         if topic is topics.MEASURED_FORCES:
-            self._waiting.append(messages.read_named(message, names, ['effort']))
+            self._waiting.append((stamp, vectors[0]))
         else:
-            stamp, variance, prior, innovation = messages.read_named(
-                message, names, ('position', 'velocity', 'effort'))
+            variance, prior, innovation = vectors
             self._innovations.append((stamp, Innovation(innovation, prior, variance)))
 
     def look(self, _spinner: Spinner | None = None) -> None:

@@ -1,5 +1,7 @@
 """Any message: read or refused, and no number that is not finite goes out."""
 
+from contextlib import suppress
+from functools import partial
 import gc
 import math
 import sys
@@ -25,10 +27,10 @@ from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph import ignore, take
 from multicontact_control.nodes.lifecycle import SUCCESS
 from multicontact_control.nodes.messages import JOINT_FIELDS
-from multicontact_control.nodes.streams import StreamPublisher
+from multicontact_control.nodes.streams import MessageReader, StreamPublisher
 import numpy as np
 import pytest
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from ros_graph import wait_for
 from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
@@ -116,6 +118,22 @@ def test_read_wrench_reads_every_bit_or_refuses(message, frame):
     else:
         stamp, wrench = messages.read_wrench(message, 'ft')
         assert (stamp, wrench.tolist()) == (messages.stamp_to_ns(message.header.stamp), numbers)
+
+
+@ANY
+@given(sent=st.lists(JOINT_STATE, min_size=1, max_size=4), names=st.permutations(JOINTS))
+def test_reader_in_place_reads_what_message_objects_have(sent, names):
+    """What one message has taught it must not spoil the next."""
+    fields = {'names': names, 'fields': JOINT_FIELDS[:1], 'optional': JOINT_FIELDS[1:]}
+    reader = MessageReader(JointState, partial(messages.read_named, **fields))
+    for message in (*sent, *sent, six(), six(2.0), *sent):
+        data, vectors = serialize_message(message), None
+        with suppress(MessageError):
+            vectors = [x if x is None else x.tolist() for x in reader(data)[1:]]
+        assert vectors == read(message, *fields.values())
+        for length in (0, 3, 11):
+            with pytest.raises(MessageError):
+                reader(data[:length])
 
 
 def six(scale=1.0):
@@ -250,7 +268,9 @@ class Live:
         self.node, self.host, self.supervised = host.hosted, host, supervised
         self.restart()
         ends = {x.topic_name.lstrip('/'): x for x in self.node.subscriptions}
-        self.callbacks = {topic: ends[topic.name].callback for topic in TAKEN}
+        self.callbacks = {
+            topic: (lambda message, end=ends[topic.name]: end.callback(
+                serialize_message(message) if end.raw else message)) for topic in TAKEN}
         self._outputs = [host.node.create_subscription(topic.message, topic.name, ignore, 1000)
                          for topic in PUBLISHED]
         for subscription in self._outputs:
