@@ -24,7 +24,7 @@ from multicontact_control.config import Config, ControllerConfig, NoiseEstimator
 from multicontact_control.experiment.scenario import ScenarioConfig
 from multicontact_control.experiment.study.config import StudyConfig
 from multicontact_control.nodes import qos, topics
-from multicontact_control.nodes.controller_config import ControllerNodeConfig
+from multicontact_control.nodes.controller_node import ControllerNodeConfig
 from multicontact_control.nodes.controller_topics import SERVICES
 from multicontact_control.nodes.franka_bridge import FrankaBridgeConfig
 from multicontact_control.nodes.graph import StartupConfig

@@ -2,6 +2,7 @@
 
 from arms import controller_config, HOME, pressed_wrench
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph import create_publisher, ignore, take
@@ -11,6 +12,7 @@ import numpy as np
 from rclpy.qos import QoSProfile
 from ros_graph import wait_for
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 
 PERIOD = 2_000_000
 UNFELT = f'collision.threshold:={[1e9] * 6}'  # its torques mean nothing
@@ -18,6 +20,14 @@ UNFELT = f'collision.threshold:={[1e9] * 6}'  # its torques mean nothing
 PARAMETERS = ('patience:=0.0', 'sensor.frozen_ticks:=0', UNFELT)
 EFFORT = np.array([1.0, 29.0, 7.0, 0.5, 0.5, 0.1])  # not quite what gravity wants
 DEPTH = QoSProfile(depth=1000)
+
+
+def wrench_message(stamp, frame_id, wrench):
+    """Build a wrench in a frame, force first."""
+    force, torque = (Vector3(**dict(zip('xyz', map(float, part)))) for part in (
+        wrench[:3], wrench[3:]))
+    return WrenchStamped(header=Header(stamp=messages.ns_to_stamp(stamp), frame_id=frame_id),
+                         wrench=Wrench(force=force, torque=torque))
 
 
 class FakeArm:
@@ -54,7 +64,7 @@ class FakeArm:
 
     def send_parts(self, stamp, parts):
         if 'wrench' in parts:
-            self._wrench.publish(messages.wrench_message(
+            self._wrench.publish(wrench_message(
                 stamp, 'ft_face', self.wrench))
         if 'joints' in parts:
             self._joints.publish(messages.joint_state_message(

@@ -20,7 +20,7 @@ STEPPED = 'multicontact_control.supervision.supervisor'
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
     TOP: 1000, 'dynamics': 600, 'contact': 650, 'force': 1950, 'control': 1100, LOOP: 450,
-    'supervision': 2050, 'sensor': 500, 'config': 850, 'nodes': 3060, 'experiment': 6900,
+    'supervision': 2050, 'sensor': 500, 'config': 850, 'nodes': 3000, 'experiment': 6900,
     'view': 2100, 'cli': 800, 'sim_bridge': 3600, 'test': 12_000, 'test/campaign': 900,
     'benchmarks': 350}
 OUTSIDE = ('test', 'test/campaign', 'benchmarks')  # of the product

@@ -73,7 +73,7 @@ def run_on_graph(
     """
     from multicontact_control.experiment.graph.robot import Robot
     from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
-    from multicontact_control.nodes.controller_config import ControllerNodeConfig
+    from multicontact_control.nodes.controller_node import ControllerNodeConfig
 
     config = folder / results.CONFIG_FOLDER
     if external is None or not setup.commanded_by_topic:

@@ -2,32 +2,81 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 import contextlib
 from functools import partial
+from pathlib import Path
 import sys
 import time
 from typing import Any
 
 from multicontact_control.arrays import Vector
-from multicontact_control.config import ControllerConfig
-from multicontact_control.errors import MessageError, MulticontactError
+from multicontact_control.config import ControllerConfig, parameter, read_yaml, validate
+from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
+from multicontact_control.errors import ConfigError, MessageError, MulticontactError
 from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.controller_config import ControllerNodeConfig, SAFE_TIME
 from multicontact_control.nodes.controller_report import ControllerReport
 from multicontact_control.nodes.controller_topics import ControllerOutputs, serve_commands
 from multicontact_control.nodes.diagnostics import Status
+from multicontact_control.nodes.graph import SAFE_TIME, StartupConfig
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import MessageReader
+from multicontact_control.paths import config_dir
 from multicontact_control.sampling import Action, Decision, SampleTiming
+from multicontact_control.sensor.push_test import PushTestConfig
+from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import JointInput, TickInputs, WrenchInput
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
 WHOLE = (Action.STEP, Action.ANEW, Action.REPEAT)
 SHOWN = (Action.STEP, Action.ANEW, Action.HALF, Action.SHOW)
+
+
+class ControllerNodeConfig(StartupConfig):
+    """Parameters of the node."""
+
+    supervised: bool = parameter(
+        True, 'Whether contact states, watchdogs, limits and the last gate are around the control '
+        'law; without them it is the law alone, as its claims are measured.')
+    lockstep: bool = parameter(
+        False, 'Whether to wait for the noise variance of one sample before answering the next.')
+    patience: float = parameter(
+        1.5, 'Periods after a sample from which the next is waited for no longer: what has come '
+        'of it is used, and one period later the tick is taken without it. 0 to wait for ever; '
+        'only with supervision, and not in lockstep.', ge=0.0, le=100.0)
+    pair_tolerance: float = parameter(
+        0.5, 'Largest difference between the stamps of a joint state and a wrench that are taken '
+        'for one sample.', unit='periods', ge=0.0, le=0.5)
+    reference_file: str = parameter(
+        '', 'YAML file of a scenario or its reference; empty to obey the command topics.')
+    effort_output_topic: str = parameter(
+        '', 'Topic for the bare efforts (std_msgs/Float64MultiArray) that the forward '
+        'controllers of ros2_control take; empty for none.')
+    command: CommandLimits = CommandLimits()
+    push_test: PushTestConfig = PushTestConfig()
+
+    def _misfits(self) -> Iterator[ConfigError]:
+        if self.patience and self.patience < 1.0:
+            yield ConfigError('patience', '0, or at least 1 period', self.patience)
+
+    @property
+    def folder(self) -> Path:
+        """Return where relative paths start: at the last parameter file, or the package's own."""
+        files = [
+            value for option, value in zip(sys.argv, sys.argv[1:]) if option == '--params-file']
+        return Path(files[-1]).resolve().parent if files else config_dir()
+
+    def scenario(self, config: ControllerConfig) -> ScenarioTask | None:
+        """Return the scenario to follow, None to obey commands; ConfigError if it is a bad one."""
+        if not self.reference_file:
+            return None
+        path = self.folder / self.reference_file
+        values = read_yaml(path)  # of a scenario file more than its reference
+        reference = validate(ReferenceConfig, values.get('reference', values), str(path))
+        return ScenarioTask(reference, config.rate, config.column_names, config.leader_of)
 
 
 class ControllerNode(ManagedNode):
@@ -43,8 +92,6 @@ class ControllerNode(ManagedNode):
 
     def configure(self, configurations: Sequence[Any]) -> None:
         """Build the controller and its ends of the topics."""
-        config: ControllerConfig
-        node_config: ControllerNodeConfig
         config, node_config = configurations
         self._loop = loop = ControlLoop(
             config, node_config.scenario(config), node_config.command, node_config.folder,
@@ -67,9 +114,9 @@ class ControllerNode(ManagedNode):
         if wrench is not None:
             self._inputs[wrench] = (partial(messages.read_wrench, frame=robot.sensor_frame),
                                     lambda *reading: timing.add(WrenchInput(*reading)))
-        self._outputs = ControllerOutputs(self, config, node_config)
+        self._outputs = ControllerOutputs(self, config, node_config.effort_output_topic)
         self._report = ControllerReport(self, loop, timing, [*self._inputs])
-        serve_commands(self, loop, self._report.answer, lambda: self._node_config)
+        serve_commands(self, loop, self._report.answer, lambda: self._node_config.push_test)
         for topic, (read, take_in) in self._inputs.items():
             self._inputs[topic] = MessageReader(topic.message, read), take_in
             self.create_subscription(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-import math
 import time
 from typing import Any
 
@@ -20,7 +19,6 @@ from multicontact_control.supervision.checks import undeclared_friction
 from multicontact_control.supervision.contacts import GIVEN_UP, LOST, NAMES, RETRACTING
 from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
 from multicontact_control.supervision.report import SupervisorStatus
-import numpy as np
 
 REPEAT_TIME = 5 * NANOSECONDS  # in which a line is logged once
 STATE_INTERVAL = 20_000_000  # ns, between two messages on a state that changes
@@ -144,11 +142,11 @@ class ControllerReport:
         samples, stamp = self._reported_at
         self._reported_at = self.watch.intervals.count, timing.last_stamp
         count, elapsed = self._reported_at[0] - samples, (timing.last_stamp - stamp) / NANOSECONDS
-        if stamp >= 0 and count >= FEWEST and elapsed >= 0.0:
-            rate = count / elapsed if elapsed else math.inf
-            if not config.rate / WRONG_RATE < rate < config.rate * WRONG_RATE:
-                yield self._warn('rate', f'samples come at {rate:.4g} Hz by their stamps: '
-                                 f'expected {config.rate:g} Hz')
+        expected = config.rate * elapsed
+        if stamp >= 0 and count >= FEWEST and elapsed >= 0.0 and not (
+                expected / WRONG_RATE < count < expected * WRONG_RATE):
+            yield self._warn('rate', f'samples come at {count / max(elapsed, 1e-9):.4g} Hz by '
+                             f'their stamps: expected {config.rate:g} Hz')
 
     def _publishers(self) -> Status:
         """Return how many publish each input and command; the nodes' names if it is not one."""
@@ -188,10 +186,9 @@ class ControllerReport:
         values: dict[str, Any] = {'held': loop.held}
         if output is None:
             return Status('contacts', values)
-        variance = np.full(len(config.column_names), config.initial_noise_variance) if (
-            self._timing.variance is None) else self._timing.variance
-        values |= zip((f'{name} noise_variance_n2' for name in config.column_names),
-                      variance.tolist())
+        if self._timing.variance is not None:
+            values |= zip((f'{name} noise_variance_n2' for name in config.column_names),
+                          self._timing.variance.tolist())
         states = dict(zip(config.contact_names, loop.status.contact_states if loop.status else [
             'force' if output.answer['active'][i] else 'motion' for i in config.leaders]))
         trouble = [f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '

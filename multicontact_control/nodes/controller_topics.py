@@ -6,18 +6,18 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from geometry_msgs.msg import Point, PoseStamped
+from geometry_msgs.msg import Point, PoseStamped, Vector3
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.errors import MulticontactError
 from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.controller_config import ControllerNodeConfig
 from multicontact_control.nodes.graph import create_publisher, full_topic_name
 from multicontact_control.nodes.lifecycle import ManagedNode
 from multicontact_control.nodes.messages import identifier_of, JOINT_FIELDS
 from multicontact_control.nodes.streams import StreamPublisher
+from multicontact_control.sensor.push_test import PushTestConfig
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -52,7 +52,7 @@ OF_STIFFNESS = (topics.STIFFNESS, topics.STABILITY_MARGIN)
 # Of the arrows for viewers.
 MARKER_NAMESPACE = 'contact_forces'
 MARKER_RATE, SCALE = 25.0, 0.01  # messages per second, m/N
-SHAFT_DIAMETER, HEAD_DIAMETER, HEAD_LENGTH = 0.008, 0.016, 0.02  # m
+SIZE = Vector3(x=0.008, y=0.016, z=0.02)  # m: diameters of shaft and head, length of the head
 SMALLEST_FORCE = 0.2  # N; below it the arrow would be noise
 LIFETIME = 0.5  # s; a viewer drops the arrows of a controller that is gone
 CONTROLLED = ColorRGBA(r=1.0, g=0.45, b=0.1, a=1.0)
@@ -67,10 +67,8 @@ class ControllerOutputs:
     `publish` sends them, `publish_bare` the efforts for ros2_control, where these are asked for.
     """
 
-    def __init__(
-        self, node: Node, config: ControllerConfig, node_config: ControllerNodeConfig,
-    ) -> None:
-        self._config, bare = config, node_config.effort_output_topic
+    def __init__(self, node: Node, config: ControllerConfig, bare: str) -> None:
+        self._config = config
         joints, contacts = config.robot.joint_names, config.column_names
         build = messages.joint_state_message
         commands = StreamPublisher(
@@ -104,23 +102,18 @@ def contact_arrows(config: ControllerConfig, stamp: int, output: ControlOutput) 
     Each points into its surface and ends at the contact's tip, orange where the force is
     controlled and grey where it is only felt.
     """
-    arrows = []
+    arrows, header = [], Header(frame_id=topics.WORLD_FRAME, stamp=messages.ns_to_stamp(stamp))
     for number, (name, i) in enumerate(zip(config.contact_names, config.leaders)):
         force, pose = float(output.contacts['alpha_meas'][i]), output.pose
         tip = pose.position_world + pose.rotation_world @ config.contacts[name].point_operational
         tail = tip - SCALE * force * output.contacts['normal'][i]
-        arrow = Marker(
-            ns=f'{MARKER_NAMESPACE}/{name}', id=number, type=Marker.ARROW,
+        arrows.append(Marker(
+            header=header, ns=f'{MARKER_NAMESPACE}/{name}', id=number, type=Marker.ARROW,
             action=Marker.ADD if force > SMALLEST_FORCE else Marker.DELETE,
             color=CONTROLLED if output.answer['active'][i] else FELT,
             points=[Point(**dict(zip('xyz', messages.finite_array(end, 3, 'points').tolist())))
                     for end in (tail, tip)],
-            lifetime=Duration(seconds=LIFETIME).to_msg())
-        arrow.header.frame_id = topics.WORLD_FRAME
-        arrow.header.stamp = messages.ns_to_stamp(stamp)
-        arrow.pose.orientation.w = 1.0
-        arrow.scale.x, arrow.scale.y, arrow.scale.z = SHAFT_DIAMETER, HEAD_DIAMETER, HEAD_LENGTH
-        arrows.append(arrow)
+            scale=SIZE, lifetime=Duration(seconds=LIFETIME).to_msg()))
     return MarkerArray(markers=arrows)
 
 
@@ -137,13 +130,13 @@ SERVICES = {
 
 def serve_commands(
     node: ManagedNode, loop: ControlLoop, answer: Callable[[str, str, Exception | None], None],
-    settings: Callable[[], ControllerNodeConfig],
+    push_test: Callable[[], PushTestConfig],
 ) -> None:
     """
     Hand commands on topics and requests of services to a control loop.
 
     `answer` is called with the source of each, its identifier, and its refusal if it is one;
-    `settings` returns the configuration of tare and push test.
+    `push_test` returns how the tool is to be pushed.
     """
     def obey(source: str, work: Callable[[Any], Any], wish: Any, identifier: str = '') -> Any:
         refusal = None
@@ -179,6 +172,6 @@ def serve_commands(
     works: dict[str, Callable[[Any], Any]] = {
         'tare': tare, 'hold': lambda request: loop.hold(request.data),
         'retry': lambda _: loop.retry(),
-        'push_test': lambda _: loop.push_test(settings().push_test)}
+        'push_test': lambda _: loop.push_test(push_test())}
     for name, (kind, _) in SERVICES.items():
         node.create_service(kind, f'~/{name}', partial(serve, f'~/{name}', works[name]))

@@ -365,8 +365,7 @@ def _library() -> Any:
     try:
         import pylibfranka
     except ImportError as error:
-        raise ConfigError('pylibfranka', "the extra [franka]: pip install '.[franka]'",
-                          error) from None
+        raise ConfigError('pylibfranka', "the extra: pip install '.[franka]'", error) from None
     return pylibfranka
 
 

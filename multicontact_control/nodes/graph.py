@@ -27,6 +27,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_msgs.msg import Empty
 
 GATE_POLL, REPORT_PERIOD = 0.02, 5.0  # s
+SAFE_TIME = 0.5  # s, in which a robot gets the safe behaviour before it gets nothing
 READY = '_ready/'  # and the name of a node: topic whose publisher says that it is ready
 
 
@@ -69,8 +70,7 @@ def create_publisher(node: Node, topic: Topic) -> Publisher:
 
 def compatible(offered: QoSProfile, requested: QoSProfile) -> bool:
     """Return whether a publisher offers the reliability and durability that a reader requests."""
-    # The stronger policy has the lower number. rclpy's own check takes the endless deadline of a
-    # discovered reader for one that is set.
+    # rclpy's own check takes the endless deadline of a discovered reader for one that is set.
     return bool(offered.reliability <= requested.reliability
                 and offered.durability <= requested.durability)
 

@@ -160,13 +160,6 @@ def joint_state_message(stamp: int, names: Sequence[str], **fields: ArrayLike) -
         for field, values in fields.items()})
 
 
-def wrench_message(stamp: int, frame_id: str, wrench: ArrayLike) -> WrenchStamped:
-    """Build a wrench in a frame, force first."""
-    message = WrenchStamped(header=Header(stamp=ns_to_stamp(stamp), frame_id=frame_id))
-    _fill(wrench, 'wrench', 'xyz', message.wrench.force, message.wrench.torque)
-    return message
-
-
 def motion_message(
     position_world: ArrayLike, quaternion_xyzw: ArrayLike, twist_world: ArrayLike,
     acceleration_world: ArrayLike,

@@ -20,8 +20,6 @@ from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import MessageReader, StreamPublisher
 import numpy as np
 
-MAX_INNOVATIONS = 8
-
 
 class NoiseEstimatorNode(ManagedNode):
     """
@@ -57,7 +55,7 @@ class NoiseEstimatorNode(ManagedNode):
         """Start with an empty window."""
         self._estimator.reset()
         self._waiting: deque[tuple[int, Vector]] = deque()
-        self._innovations: deque[tuple[int, Innovation]] = deque(maxlen=MAX_INNOVATIONS)
+        self._innovations: deque[tuple[int, Innovation]] = deque(maxlen=8)
         self._last_stamp, self._last_answer = -1, b''
         self._inputs.restart()
         return self._node_config
@@ -74,18 +72,16 @@ class NoiseEstimatorNode(ManagedNode):
             self._watch.add_period(received)
         if self.state == ACTIVE:
             with self.refusals.guard(topic):
-                self._take_in(topic, *self._readers[topic](data))
+                stamp, *vectors = self._readers[topic](data)
+                if topic is topics.MEASURED_FORCES:
+                    self._waiting.append((stamp, vectors[0]))
+                else:
+                    variance, prior, innovation = vectors
+                    self._innovations.append((stamp, Innovation(innovation, prior, variance)))
                 self._inputs.last[topic] = received
                 self.look()
         if self._samples != answered:
             self._watch.latencies.add(time.monotonic_ns() - received)
-
-    def _take_in(self, topic: topics.Topic, stamp: int, *vectors: Vector) -> None:
-        if topic is topics.MEASURED_FORCES:
-            self._waiting.append((stamp, vectors[0]))
-        else:
-            variance, prior, innovation = vectors
-            self._innovations.append((stamp, Innovation(innovation, prior, variance)))
 
     def look(self, _spinner: Spinner | None = None) -> None:
         """Answer everything that waits, in order; an innovation that is lost is not waited for."""

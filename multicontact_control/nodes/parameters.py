@@ -74,10 +74,9 @@ class ParameterSet:
             value = None if field.is_required() else field.get_default(call_default_factory=True)
             if name in given:
                 value = [] if given[name] is None else given[name]
-            extra: Any = field.json_schema_extra or {}
-            self._live[name] = bool(extra.get('live'))
-            node.declare_parameter(
-                name, _plain(value), _descriptor(name, field), ignore_override=True)
+            descriptor = _descriptor(name, field)
+            self._live[name] = descriptor.additional_constraints != LOCKED
+            node.declare_parameter(name, _plain(value), descriptor, ignore_override=True)
         self._unknown = {name: x for name, x in given.items() if name not in self._live}
         self.use: Callable[[Sequence[Any]], None] | None = None
         self.refuse: Callable[[str, Exception], None] = lambda name, error: None

@@ -37,6 +37,3 @@ GLANCE = profile(1, reliable=False)
 
 LATCHED = profile(1, latched=True)
 """Descriptions: a reader that comes late still gets the last one."""
-
-WATCH = profile(100, reliable=False)
-"""Watching a robot: hears every publisher, and enough of it for a rate."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from importlib import import_module
 from operator import itemgetter
 import os
 from pathlib import Path
@@ -18,18 +17,19 @@ import time
 from typing import Any
 
 from multicontact_control.config import parameter
-from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.errors import RunError
 from multicontact_control.nodes import graph, qos
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
-from multicontact_control.nodes.topics import RECORDER, Topic, TOPICS, USER
+from multicontact_control.nodes.topics import CONTROLLER, RECORDER, Topic, TOPICS
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
 from rosbags import interfaces
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.typesys import get_typestore, Stores
+from std_msgs.msg import Float64MultiArray
 
 NICENESS = 10  # the nodes that control go first; ten seconds of messages can wait
 POLL_PERIOD, FLUSH_PERIOD = 0.02, 0.5  # s
@@ -41,9 +41,8 @@ class RecorderConfig(graph.StartupConfig):
     """What to record, and where to."""
 
     folder: str = parameter(..., 'Folder of the bag, to be created.')
-    extra_topics: tuple[str, ...] = parameter(
-        (), 'Topics of others to record beside those of the graph, each as `NAME TYPE`, e.g. '
-        '`/effort_controller/commands std_msgs/msg/Float64MultiArray`.')
+    effort_output_topic: str = parameter(
+        '', "The controller's topic for bare efforts, to be recorded as well; empty for none.")
 
 
 @dataclass
@@ -73,9 +72,7 @@ class Bag(Writer):
     def add_topic(
         self, name: str, type_name: str, profile: QoSProfile,
     ) -> interfaces.Connection:
-        """Return what messages of a topic are written to; RunError if its type is not known."""
-        if type_name not in self._types.fielddefs:
-            raise RunError(f'{type_name}: expected a message type of ROS 2 Jazzy')
+        """Return what messages of a topic are written to."""
         offered = interfaces.Qos(
             interfaces.QosHistory(profile.history), profile.depth,
             interfaces.QosReliability(profile.reliability),
@@ -103,7 +100,10 @@ class RecorderNode(Node):
         # Parameter services need an executor, which this node has not.
         super().__init__(RECORDER, start_parameter_services=False)
         self._config: RecorderConfig = load_parameters(self, RecorderConfig)[0]
-        topics = self._recorded_topics()  # before a folder is made
+        topics = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
+        if efforts := self._config.effort_output_topic:
+            name = graph.full_topic_name('effort_output_topic', efforts, self)
+            topics[name] = Topic(name, Float64MultiArray, CONTROLLER, (RECORDER,), rate='event')
         self._bag = Bag(Path(self._config.folder))
         self._streams = []
         for name, topic in topics.items():
@@ -117,23 +117,6 @@ class RecorderNode(Node):
         self._next_flush = 0.0
         self._diagnostics = Diagnostics(self, self._statuses)
         self._gate = graph.StartupGate(self, self._config)
-
-    def _recorded_topics(self) -> dict[str, Topic]:
-        """Return the topics by full name; ConfigError if one is not known, or is there twice."""
-        topics = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
-        for text in self._config.extra_topics:
-            name, _, type_name = text.strip().partition(' ')
-            full = graph.full_topic_name('extra_topics', name, self)
-            if not type_name or full in topics:
-                raise ConfigError('extra_topics', 'NAME TYPE of other topics, each once',
-                                  f"'{text}'")
-            package, _, kind = type_name.strip().partition('/msg/')
-            try:
-                message = getattr(import_module(f'{package}.msg'), kind)
-            except (ImportError, AttributeError, TypeError, ValueError):
-                raise ConfigError('extra_topics', 'types that are installed', text) from None
-            topics[full] = Topic(name, message, USER, (RECORDER,), qos.STREAM, 'event')
-        return topics
 
     def run(self, spinner: Spinner) -> None:
         """Record until asked to stop and nothing comes any more."""

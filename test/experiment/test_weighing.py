@@ -1,6 +1,7 @@
 """Weighing the tool from a recording; tests of graphs weigh that of a running robot."""
 
 from arms import controller_config
+from fake_arm import wrench_message
 from foreign_bag import controller_file, JOINTS, RATE, START
 from multicontact_control.config import read_parameters, ToolConfig
 from multicontact_control.dynamics.robot import RobotModel
@@ -36,7 +37,7 @@ def led_arm(file, offset, touched):
         stamp = START + round(k / RATE * 1e9)
         yield topics.JOINT_STATES, stamp, messages.joint_state_message(
             stamp, JOINTS, position=q, velocity=np.zeros(7))
-        yield topics.WRENCH, stamp + offset % 10 ** 9, messages.wrench_message(
+        yield topics.WRENCH, stamp + offset % 10 ** 9, wrench_message(
             stamp + offset, 'wrist', wrench)
 
 

@@ -3,7 +3,7 @@
 import time
 
 from arms import HOME
-from fake_arm import EFFORT, FakeArm, PARAMETERS, PERIOD, UNFELT
+from fake_arm import EFFORT, FakeArm, PARAMETERS, PERIOD, UNFELT, wrench_message
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.link import GuestNode
 import numpy as np
@@ -33,7 +33,7 @@ class StrangeArm(FakeArm):
         position, effort = ([np.nan, *reversed(x), 0.04] for x in (HOME, EFFORT))
         message.position, message.effort = list(map(float, position)), list(map(float, effort))
         self._joints.publish(message)
-        self._wrench.publish(messages.wrench_message(
+        self._wrench.publish(wrench_message(
             stamp + 50_000, self.frame, self.wrench))
 
 

@@ -15,8 +15,8 @@ from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from fake_arm import wrench_message
 from geometry_msgs.msg import WrenchStamped
-from multicontact_control.nodes import messages
 from multicontact_control.nodes.franka_bridge import FrankaBridge, LateConfig, LateRule
 from multicontact_control.nodes.runtime import Spinner
 import numpy as np
@@ -111,7 +111,7 @@ class Bench:
     def command(self, effort):
         """Answer the newest sample, with a wrench of the sensor beside it."""
         if (sample := self.newest(self.samples)) is not None:
-            self._sensor.publish(messages.wrench_message(0, '', [0.0, 0.0, effort, 0.0, 0.0, 0.0]))
+            self._sensor.publish(wrench_message(0, '', [0.0, 0.0, effort, 0.0, 0.0, 0.0]))
             self._commands.publish(JointState(
                 header=sample.header, name=JOINTS[::-1], effort=[effort] * 7))
         return sample

@@ -54,7 +54,8 @@ class RobotWatch(GuestNode):
         super().__init__('robot_watch', domain_id, namespace)
         self._robot = robot
         self._streams = {topic: _Stream(
-            self.node.create_subscription(topic.message, topic.name, ignore, qos.WATCH),
+            self.node.create_subscription(topic.message, topic.name, ignore, qos.profile(
+                100, reliable=False)),
             robot.joint_names if topic is topics.JOINT_STATES else ())
             for topic in (topics.JOINT_STATES, topics.WRENCHES.get(robot.wrench_input)) if topic}
 

@@ -27,8 +27,7 @@ from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.experiment.graph.robot import RobotWatch
 from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec, MANAGED, SIM
 from multicontact_control.nodes import link, messages, qos, topics
-from multicontact_control.nodes.controller_config import SAFE_TIME
-from multicontact_control.nodes.graph import ignore, take
+from multicontact_control.nodes.graph import ignore, SAFE_TIME, take
 
 WATCH_PERIOD, PROGRESS_PERIOD = 0.05, 0.2  # s
 TELL_PERIOD, WARN_PERIOD = 5.0, 1.0  # s, between two lines on what is waited for, or is wrong

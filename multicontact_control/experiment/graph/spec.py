@@ -14,7 +14,6 @@ from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, S
 START_ORDER = (RECORDER, ESTIMATOR, CONTROLLER, SIM)
 MANAGED = (ESTIMATOR, CONTROLLER)  # in the order in which they are activated
 FIFO_PRIORITY = 80  # below the kernel's own threads
-BARE_EFFORTS = 'std_msgs/msg/Float64MultiArray'
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
         values['folder'] = str(spec.bag.resolve())
         bare = spec.extra_parameters.get(CONTROLLER, {}).get('effort_output_topic')
         if bare:
-            values['extra_topics'] = [f'{bare} {BARE_EFFORTS}']
+            values['effort_output_topic'] = bare
     if name == SIM:
         values |= {'ticks': spec.ticks, 'rate': float(spec.rate), 'seed': spec.seed,
                    'speed': float(spec.speed)}

@@ -2,6 +2,7 @@
 
 from contextlib import closing
 
+from fake_arm import wrench_message
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.robot import Robot, RobotWatch
 from multicontact_control.nodes import messages, topics
@@ -33,7 +34,7 @@ class Publisher(GuestNode):
         stamp = 1_000_000_000 + self._k * 2_000_000
         message = messages.joint_state_message(stamp, names, position=[0.0] * len(names))
         self._joints.publish(message)
-        self._wrench.publish(messages.wrench_message(stamp, 'wrist', [0.0] * 6))
+        self._wrench.publish(wrench_message(stamp, 'wrist', [0.0] * 6))
 
 
 @pytest.fixture(name='domain_id')
