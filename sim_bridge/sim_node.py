@@ -275,16 +275,20 @@ class SimNode(Node):
                         f'{ANSWER_TIMEOUT:g} s: has the controller stopped?')
                 # A controller that was cleaned up and configured again has not seen it.
                 sent += 1
-                self._publish()
+                self._send()
 
     def _publish(self) -> None:
-        """Publish what the controller works with; the clock of the latency starts here."""
-        sample, streams, stamp = self._sample, self._streams, self._stamp(self._tick)
-        if self._clock_publisher is not None:
-            self._clock_publisher.publish(Clock(clock=messages.ns_to_stamp(stamp)))
+        """Publish a new sample; the clock of its latency starts here."""
         now = time.monotonic_ns()
         self._published[self._tick % REMEMBERED] = now
         self._watch.add_period(now)
+        self._send()
+
+    def _send(self) -> None:
+        """Send what the controller works with."""
+        sample, streams, stamp = self._sample, self._streams, self._stamp(self._tick)
+        if self._clock_publisher is not None:
+            self._clock_publisher.publish(Clock(clock=messages.ns_to_stamp(stamp)))
         streams[topics.WRENCH].send(stamp, sample.wrench)
         streams[topics.WRENCH_FILTERED].send(stamp, sample.wrench_filtered)
         streams[topics.JOINT_STATES].send(stamp, sample.q, sample.qd, sample.effort)

@@ -1,10 +1,14 @@
 """A graph that runs free and loses a part: what is left goes on, and reports it."""
 
+from collections import Counter
+import json
+
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph import ignore
 from multicontact_control.paths import config_dir
 import pytest
-from ros_graph import wait_for
+from ros_graph import end_of, wait_for
+from sensor_msgs.msg import JointState
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -70,3 +74,23 @@ def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be
     report('sim_node: inputs', lambda x: 'the drives hold their position' in x.message)
     start(CONTROLLER)
     commanded()
+
+
+def test_simulator_times_a_command_from_the_first_sending_of_its_sample(middleware, tmp_path):
+    samples = middleware.node.create_subscription(
+        topics.JOINT_STATES.message, topics.JOINT_STATES.name, ignore, qos.INPUT)
+    commands = middleware.node.create_publisher(
+        JointState, topics.EFFORT_COMMAND.name, topics.EFFORT_COMMAND.profile)
+    path = tmp_path / 'sim.json'
+    sim = middleware.start(SIM, 'ticks:=2', f'timing_file:={path}', files=(
+        config_dir() / FILES[SIM],))
+    sent = Counter()
+    while sim.poll() is None:
+        if sample := middleware.take(samples):
+            sent[sample.header.stamp.nanosec] += 1
+            if sent[sample.header.stamp.nanosec] >= len(sent):  # the second one: not at once
+                commands.publish(JointState(
+                    header=sample.header, name=sample.name, effort=sample.effort))
+        middleware.pause()
+    assert sim.returncode == 0, end_of(sim)
+    assert json.loads(path.read_text())['latency_us']['max'] > 0.5e6
