@@ -13,7 +13,8 @@ import pinocchio as pin
 from sim_bridge.arm import Arm, TOOL_LINK
 from sim_bridge.config import PlantConfig
 from sim_bridge.drives import advance_drives
-from sim_bridge.kinematics import add_joint_torque, forward_kinematics, place_point
+from sim_bridge.kinematics import (
+    add_joint_torque, forward_kinematics, place_point, point_velocity)
 from sim_bridge.surface import build_surfaces, move, press
 
 # What pushes the last link or the tool at one point; world axes.
@@ -132,6 +133,14 @@ class Contacts:
 
 
 @compiled
+def take_push(push: Vector, force: Vector, sign: float, point: Vector, body: int) -> None:
+    """Fill a row of pushes: sign * force [N], its point [m], and the body it acts on."""
+    for k in range(3):
+        push[k], push[3 + k] = sign * force[k], point[k]
+    push[6] = body
+
+
+@compiled
 def act_on_arm(
     motion: Matrix, torques: Matrix, limit: Vector, links: Any, drives: Any, surfaces: Any,
     profiles: Any, hands: Any, pushes: Matrix, step: float,
@@ -183,9 +192,7 @@ def act_on_arm(
         hand = hands[i]
         if hand.force[0] != 0.0 or hand.force[1] != 0.0 or hand.force[2] != 0.0:
             place_point(hand.local, links[last], hand.point)
-            for k in range(3):
-                pushes[count, k], pushes[count, 3 + k] = hand.force[k], hand.point[k]
-            pushes[count, 6] = last + i
+            take_push(pushes[count], hand.force, 1.0, hand.point, last + i)
             count += 1
     add_joint_torque(hands[0].point, hands[0].force, 1.0, links, last, load)
     for i in range(surfaces.shape[0]):
@@ -193,21 +200,11 @@ def act_on_arm(
         if surface.velocity != 0.0:
             move(surface, step)
         place_point(surface.tip, links[surface.joint], surface.point)
-        velocity[0], velocity[1], velocity[2] = 0.0, 0.0, 0.0
-        for joint in range(surface.joint + 1):  # sum of qd_i z_i x (p - o_i)
-            axis, origin = links[joint].axis, links[joint].origin
-            x = surface.point[0] - origin[0]
-            y = surface.point[1] - origin[1]
-            z = surface.point[2] - origin[2]
-            velocity[0] += qd[joint] * (axis[1] * z - axis[2] * y)
-            velocity[1] += qd[joint] * (axis[2] * x - axis[0] * z)
-            velocity[2] += qd[joint] * (axis[0] * y - axis[1] * x)
+        point_velocity(surface.point, qd, links, surface.joint, velocity)
         press(surface, velocity, profiles[i])
         if surface.alpha > 0.0:
             add_joint_torque(surface.point, surface.force, -1.0, links, surface.joint, load)
-            for k in range(3):
-                pushes[count, k], pushes[count, 3 + k] = -surface.force[k], surface.point[k]
-            pushes[count, 6] = surface.body
+            take_push(pushes[count], surface.force, -1.0, surface.point, surface.body)
             count += 1
     add_joint_torque(hands[1].point, hands[1].force, 1.0, links, last, load)
     for joint in range(last + 1):

@@ -74,6 +74,24 @@ def place_point(local: Vector, link: Any, point: Vector) -> None:
 
 
 @compiled
+def point_velocity(point: Vector, qd: Vector, links: Any, last: int, velocity: Vector) -> None:
+    """
+    Fill `velocity` with that of a point of link `last`, world axes, shape (3,) [m/s].
+
+    v = sum of qd_i z_i x (p - o_i) for i <= last.
+    """
+    velocity[:] = 0.0
+    for joint in range(last + 1):
+        axis, origin = links[joint].axis, links[joint].origin
+        x = point[0] - origin[0]
+        y = point[1] - origin[1]
+        z = point[2] - origin[2]
+        velocity[0] += qd[joint] * (axis[1] * z - axis[2] * y)
+        velocity[1] += qd[joint] * (axis[2] * x - axis[0] * z)
+        velocity[2] += qd[joint] * (axis[0] * y - axis[1] * x)
+
+
+@compiled
 def add_joint_torque(
     point: Vector, force: Vector, sign: float, links: Any, last: int, torque: Vector,
 ) -> None:
