@@ -85,7 +85,7 @@ class SampleTiming:
         The newest R, shape (r,) [N^2], or None; the monotonic time of `late` [ns], 0 for never.
     unpaired, skipped, apart, tolerance
         Readings without their other half; samples that never came or were overtaken; by how much
-        the stamps of the newest two readings differ if they are no pair, may if they are [ns].
+        the stamps of the newest two readings differ, 0 once they pair, and may in a pair [ns].
 
     """
 

@@ -13,8 +13,7 @@ import pinocchio as pin
 from sim_bridge.arm import Arm, TOOL_LINK
 from sim_bridge.config import PlantConfig
 from sim_bridge.drives import advance_drives
-from sim_bridge.kinematics import (
-    add_joint_torque, forward_kinematics, place_point, point_velocity)
+from sim_bridge.kinematics import add_joint_torque, forward_kinematics, place_point, point_velocity
 from sim_bridge.surface import build_surfaces, move, press
 
 # What pushes the last link or the tool at one point; world axes.
@@ -48,7 +47,7 @@ class Contacts:
     """
     The bar tips, and other points of the arm, and the surfaces they may touch.
 
-    With a generator of roughness for each contact and each obstacle.
+    Each surface has its own generator of roughness.
 
     Attributes
     ----------
@@ -91,13 +90,13 @@ class Contacts:
 
     @property
     def alpha(self) -> Vector:
-        """Return the true forces and couples of the contacts, shape (nc,) [N]."""
+        """Return the true forces and couples of the contacts, shape (r,) [N]."""
         forces: Vector = self._columns @ self.pressed
         return forces
 
     @property
     def obstacles(self) -> Vector:
-        """Return the normal forces on what is in the way and no contact, shape (no,) [N]."""
+        """Return the normal forces on what is in the way and no contact, shape (k,) [N]."""
         return self.pressed[self._touched:].copy()
 
     def _changing(self, surface: int) -> Any:

@@ -97,12 +97,10 @@ class MujocoArm(EngineArm):
         Its force is (-b v - k r - a) / R with R = A (1 - d) / d, A the inverse mass it takes the
         contact for and d its impedance; solref is (-k d, -b d).
         """
-        model = self._model
-        tool, last = self._bodies[-1], 0
+        # Planes do not move: of the two bodies of a contact, only the tool has an inverse mass.
+        scale = self._model.body_invweight0[self._bodies[-1], 0] * (1.0 - IMPEDANCE)
         for i, plane in enumerate(self._planes):
-            inverse_mass = model.body_invweight0[tool, 0] + model.body_invweight0[last, 0]
-            scale = inverse_mass * (1.0 - IMPEDANCE)
-            model.pair_solref[i] = (-plane.stiffness * scale, -plane.damping * scale)
+            self._model.pair_solref[i] = (-plane.stiffness * scale, -plane.damping * scale)
 
 
 def _planes(arm: Arm, config: PlantConfig) -> list[SurfaceConfig]:

@@ -32,7 +32,7 @@ class Sample(NamedTuple):
     wrench: Vector  # the arm's on the tool, as the sensor reads it, its frame, shape (6,) [N, N m]
     wrench_filtered: Vector  # the same behind the sensor's low-passes
     # True forces of robot on surface over the last substep, the one the sensor's reading belongs
-    # to, and couples of edges and planes, shape (nc,) [N].
+    # to, and couples of edges and planes, shape (r,) [N].
     contact_force: Vector
     # True force of a hand on the tool over the period that ended, world axes, shape (3,) [N]: the
     # sensor reads its opposite; it is not in `contact_force`.
@@ -89,7 +89,7 @@ class Plant:
         pushed = self.model.frames[self.model.getFrameId(config.tool_push_link)].placement
         self._hands['local'][1] = pushed.translation
         self._torques = np.zeros((4, len(self._home)))
-        self._motor, self.load, self._sum, self._link_side = self._torques
+        self._motor, _, self._sum, self._link_side = self._torques
         self._pushes = np.zeros((len(config.met) + len(self._hands), 7))
         self._drives: Any = np.zeros(0, dtype=DRIVE)
         self._rigid: RigidDrives | None = None

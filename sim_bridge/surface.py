@@ -50,10 +50,10 @@ def build_surfaces(
     configs: list[SurfaceConfig], generators: list[np.random.Generator],
 ) -> tuple[Records, Matrix]:
     """
-    Return records of `SURFACE`, shape (nc,), each with a roughness from its own generator.
+    Return records of `SURFACE`, shape (no,), each with a roughness from its own generator.
 
     And their height profiles, positive towards the robot, each with its derivative along the
-    track, which repeat after the last point, shape (nc, 2, m) [m].
+    track, which repeat after the last point, shape (no, 2, m) [m].
     """
     profiles = np.zeros((len(configs), 2, PROFILE_POINTS))
     records = np.zeros(len(configs), dtype=SURFACE)

@@ -69,6 +69,8 @@ def study(
         lambda: files.read_study(name), lambda: files.read_choices(texts))
     if law and config.kind != 'tune':
         raise ConfigError('--law', hint='leave it out: only the study tune has it')
+    if robot and any('robot' in part.factors for part in config.parts.values()):
+        choices, robot = {'robot': [robot], **choices}, ''
     first = config.seeds[0]
     short = {'seed': [first], **config.quick} if quick else {}
     if seeds:

@@ -72,4 +72,3 @@ class Column(NamedTuple):
     leader: int  # index of the column with the normal force of its contact
     stiffness: float  # modelled, along this coordinate [N/m]
     half_length: float  # unit of a couple's lever, 0 for a force [m]
-    direction_operational: Vector3  # of an edge, or of the first side of a plane

@@ -182,7 +182,7 @@ class ControllerConfig(Config):
             columns += [Column(
                 name=name + SUFFIXES[kind], contact=name, kind=kind, leader=leader,
                 stiffness=contact.stiffness if kind == FORCE else couple,
-                half_length=halves[kind], direction_operational=contact.direction_operational)
+                half_length=halves[kind])
                 for kind in KINDS[contact.type]]
         return tuple(columns)
 

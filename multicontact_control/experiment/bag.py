@@ -43,9 +43,8 @@ READERS: dict[str, Callable[[Any], dict[tuple[str, str], float]]] = {
         for axis in 'xyz' for marker in message.markers},
     # Of the controller: the forces that it obeys, e.g. `table 10, board 5`, and no stamp.
     STATUS: lambda message: {
-        ('effort', each.rsplit(' ', 1)[0]): float(each.rsplit(' ', 1)[1])
-        for value in message.values if value.key == 'forces' for each in value.value.split(', ')
-        if each}}
+        ('effort', name): float(force) for value in message.values if value.key == 'forces'
+        for each in value.value.split(', ') if each for name, force in [each.rsplit(' ', 1)]}}
 
 
 class BagColumns:

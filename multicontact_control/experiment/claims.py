@@ -71,8 +71,9 @@ class Statement:
         if '{' not in self.form:
             return f'{"all" if self.low else "none"} {self.form}'
         low, high = self.form.format(self.low), self.form.format(self.high)
-        return f'at least {low}' if math.isinf(self.high) else f'at most {high}' if (
-            self.low == 0.0) else f'{low} to {high}'
+        if math.isinf(self.high):
+            return f'at least {low}'
+        return f'at most {high}' if self.low == 0.0 else f'{low} to {high}'
 
 
 class Claim(NamedTuple):

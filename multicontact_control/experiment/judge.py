@@ -117,9 +117,10 @@ def judge(
            for contact, percent in overshoots.items() if percent > LARGEST_OVERSHOOT]
     if error is not None and error > LARGEST_MOTION_ERROR:
         far.append(f'motion error of {1e3 * error:.0f} mm rms')
-    silent = mode == EXTERNAL_RUN and ended_early not in ('', INTERRUPTED)  # the first that passed
-    name = NOT_STABLE if passed[silent:] else SILENT if silent else HELD if helped else (
-        POOR if far else STABLE)
+    silent = mode == EXTERNAL_RUN and ended_early not in ('', INTERRUPTED)
+    name = SILENT if silent else HELD if helped else POOR if far else STABLE
+    if len(passed) > silent:  # the first one says that the robot is silent
+        name = NOT_STABLE
     unjudged = _doubt(run, ended_early) if name in (STABLE, POOR) else ''
     times = [finding.time for finding in passed if finding.time is not None]
     return Verdict(

@@ -18,7 +18,6 @@ import pandas as pd
 
 ASSETS = Path(__file__).parent / 'page_assets'
 LONGEST = 2000  # samples of a curve
-HEIGHT = 240  # px, without title and legend
 HELP = ('<p class=note>Drag over a figure to zoom into all of them, double click to see all '
         'again; click a name to hide its curve. Of a long run the smallest and the largest of '
         'every few samples are drawn.</p>')
@@ -51,8 +50,7 @@ class Panel(NamedTuple):
 
 
 def envelope(
-    time: Vector, series: Sequence[Vector], longest: int = LONGEST,
-) -> tuple[Vector, Matrix]:
+        time: Vector, series: Sequence[Vector], longest: int = LONGEST) -> tuple[Vector, Matrix]:
     """Thin times and series, each of shape (m,), out to `longest` samples and keep every peak."""
     values = np.where(np.isfinite(series), series, np.nan)
     size = -(-2 * len(time) // longest)
@@ -72,9 +70,8 @@ def figure(
         times, series = envelope(time, [trace.values for trace in panel.traces])
         least = 0.0 if panel.logarithmic else -np.inf
         plots.append({
-            'heading': '' if plots else title, 'label': panel.label, 'height': HEIGHT,
-            'xlabel': 'time [s]', 'logarithmic': panel.logarithmic,
-            'least': panel.least, 'shaded': shaded, 'shades': WINDOWS,
+            'heading': '' if plots else title, 'label': panel.label, 'shades': WINDOWS,
+            'logarithmic': panel.logarithmic, 'least': panel.least, 'shaded': shaded,
             'curves': [{'label': trace.label, 'colour': trace.colour, 'dashed': trace.dashed,
                         'faint': trace.faint} for trace in panel.traces],
             'data': [np.round(times, 4).tolist(), *(
@@ -123,14 +120,17 @@ def claims_table(claims: Mapping[str, Sequence[Claim]]) -> str:
     judged = [each for each in rows if any(claim.holds is not None for claim in each)]
     others = [(escape(each[0].claim), escape(each[0].paper), escape(each[0].why))
               for each in rows if each not in judged]
-    return table(('claim', 'in the paper', *map(escape, claims), 'expected'), [
+    head = ('claim', 'in the paper', *map(escape, claims), 'expected')
+    page = table(head, [
         (escape(each[0].claim), escape(each[0].paper), *(
             f'{VERDICTS[claim.holds]}<br>{escape(claim.measured)}' for claim in each),
-         escape(each[0].why)) for each in judged], numbers_from=9) + (folded(
-             f'{counted(len(others), "claims")} not judged: `multicontact study compare` has the '
-             'runs that they are about',
-             table(('claim', 'in the paper', 'expected'), others, numbers_from=9))
-             if others else '')
+         escape(each[0].why)) for each in judged], numbers_from=len(head))
+    if others:
+        page += folded(
+            f'{counted(len(others), "claims")} not judged: `multicontact study compare` has the '
+            'runs that they are about',
+            table(('claim', 'in the paper', 'expected'), others, numbers_from=3))
+    return page
 
 
 def image(path: Path, alt: str) -> str:

@@ -64,7 +64,7 @@ class Setup:
     plant_name: str  # as `plant_source` names it, or a path, or `EXTERNAL`
     seed: int  # of every random number of the plant
     urdf_dir: Path  # that `controller.robot.urdf` is relative to
-    commanded_by_topic: bool = False  # forces; the recording knows them, and not the scenario
+    commanded_by_topic: bool = False  # the recording has the forces, not the scenario
 
     @property
     def simulated(self) -> bool:

@@ -149,7 +149,7 @@ class ControllerReport:
                              f'their stamps: expected {config.rate:g} Hz')
 
     def _publishers(self) -> Status:
-        """Return how many publish each input and command; the nodes' names if it is not one."""
+        """Return how many publish each input and command; warn with names where several do."""
         nodes = {name: sorted(x.node_name for x in self._node.get_publishers_info_by_topic(
             self._node.resolve_topic_name(name))) for name in self._owned}
         several = '; '.join(f'{len(names)} nodes publish {name}, expected 1: {", ".join(names)}'

@@ -103,7 +103,7 @@ class Refusals:
 
     @contextmanager
     def guard(self, topic: Topic) -> Iterator[None]:
-        """Refuse what raises a named error inside."""
+        """Count a message of a topic as refused if its use inside raises an error of ours."""
         try:
             yield
         except MulticontactError as error:

@@ -99,12 +99,11 @@ class GuestNode:
         self._executor.shutdown()
         self.node.destroy_node()
 
-    def bring_up(self, node_name: str) -> bool:
-        """Configure and activate a node, as far as it is not; return whether it was not active."""
+    def bring_up(self, node_name: str) -> None:
+        """Configure and activate a node, as far as it is not."""
         for state, transition in (('unconfigured', CONFIGURE), ('inactive', ACTIVATE)):
-            if changed := self.state(node_name) == state:
+            if self.state(node_name) == state:
                 self.change(node_name, transition)
-        return changed
 
     def change(self, node_name: str, transition: str) -> None:
         """Lead a node to where a transition goes; TransitionError if it refuses, NoAnswerError."""

@@ -19,8 +19,8 @@ def profile(depth: int, *, reliable: bool = True, latched: bool = False) -> QoSP
 
 
 STREAM = profile(5000)
-"""Publishers at the control rate, and who may lose nothing however late it looks: the recorder
-(10 s at 500 Hz), and a client of what a controller tells it now and then."""
+"""Publishers at the control rate, and readers that may lose nothing however late they look: the
+recorder (10 s at 500 Hz), and a client of what a controller tells it now and then."""
 
 INPUT = profile(10)
 """Readers at the control rate: 20 ms at 500 Hz; what is older than that is of no use to them."""

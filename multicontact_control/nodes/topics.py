@@ -113,18 +113,18 @@ STATUS = Topic(
     'is refused, each change of its state and of the forces that it obeys.')
 ROBOT_DESCRIPTION = Topic(
     'robot_description', String, SIM, (RECORDER,), qos.LATCHED, 'event',
-    'The URDF, also for who comes late.')
+    'The URDF, also for a reader that comes late.')
 CONTACT_MARKERS = Topic(
     'contact_markers', MarkerArray, CONTROLLER, (RECORDER,), qos.EVENT, 'event',
     'Per contact the measured force as an arrow at its tip, at 25 Hz.')
 SURFACE_MARKERS = Topic(
     'ground_truth/surfaces', MarkerArray, SIM, (RECORDER,), qos.LATCHED, 'event',
-    'What can be touched, as only the simulator knows it, also for who comes late; 25 Hz if it '
-    'moves.')
+    'What can be touched, as only the simulator knows it, also for a reader that comes late; '
+    '25 Hz if it moves.')
 DIAGNOSTICS = Topic(
     'diagnostics', DiagnosticArray, EVERY_NODE, (RECORDER,), qos.EVENT, 'event',
     'Once a second: rates, jitter, misses, latency, ages of inputs, refusals; of the controller '
-    'also reaction and causes, contact states, energies and sensor.')
+    'also publishers, reaction and causes, contact states and sensor.')
 CLOCK = Topic(
     '/clock', Clock, 'sim_node in lockstep', (RECORDER,), qos.STREAM, 'event',  # absolute
     'Time of the newest sample.')

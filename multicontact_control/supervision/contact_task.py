@@ -251,7 +251,7 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
 def _share_within(
     gap: Vector, way: Vector, reach: float, twist: Vector, acceleration: Vector,
 ) -> float:
-    """Return the share of a gap in reach, 2 if all is well; a twist beyond does not count."""
+    """Return the share of a gap within reach, with the motion zeroed; 2 if all is within."""
     length = np.sqrt(dot(gap, gap))
     together = dot(gap, gap) + 2.0 * dot(gap, way) + dot(way, way)
     if not (length > reach or together > reach * reach):

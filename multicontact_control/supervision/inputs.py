@@ -89,7 +89,7 @@ class TickInputs(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What is valid at a tick; the numbers are in `Inputs`."""
+    """What is valid at a tick; the numbers are in the controller's records."""
 
     causes: tuple[str, ...] = ()  # of a reaction
     rejected: tuple[str, ...] = ()  # what is wrong with the readings of this tick

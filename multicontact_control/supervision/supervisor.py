@@ -286,7 +286,7 @@ class Supervisor:
 
     @property
     def stray_force(self) -> str:
-        """Return what is felt while no contact is sought or held, if it is worth a command."""
+        """Return what is felt while no contact is sought or held; empty if it is small."""
         wrench = np.zeros(6)
         known = self._wrench_known and self.guarded and self.config.wrench_input != 'momentum'
         if known and not self.task.sought_normals().size:

@@ -197,9 +197,13 @@ class GraphSource:
                 now, status.reaction, tuple(status.causes.split()), (),
                 tuple(status.contact_states.values()))))
         if self._motion.what:
-            why = (status.text if refused and status.command == self._motion_identifier
-                   else 'held' if status.held
-                   else '' if status.life_cycle == 'active' else status.life_cycle)
+            why = ''
+            if refused and status.command == self._motion_identifier:
+                why = status.text
+            elif status.held:
+                why = 'held'
+            elif status.life_cycle != 'active':
+                why = status.life_cycle
             if why:
                 self._motion.halt()
                 texts.append(f'motion stopped: {why}')

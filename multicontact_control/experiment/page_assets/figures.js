@@ -2,6 +2,7 @@
 'use strict';
 
 const FONT = '12px system-ui, sans-serif', GRID = '#e6e6e6', TEXT = '#444';
+const TIME = 'time [s]', HEIGHT = 240;  // px, without title and legend
 
 // Returns where a sample stands alone, so that no line shows it.
 function alone(values) {
@@ -14,7 +15,7 @@ function alone(values) {
 
 function curve(style, values) {
   const number = (_, value) => value === null ? '' : String(Number(value.toPrecision(4)));
-  const shown = {label: style.label || 'value', stroke: style.colour, value: number,
+  const shown = {label: style.label, stroke: style.colour, value: number,
     width: 1, alpha: style.faint ? 0.6 : 1, dash: style.dashed ? [6, 4] : undefined};
   const single = alone(values);
   return {...shown, points: {
@@ -91,9 +92,9 @@ function options(plot, width) {
   const axis = {font: FONT, labelFont: FONT, stroke: TEXT, labelSize: 20,
     grid: {stroke: GRID, width: 1}, ticks: {stroke: GRID, width: 1}};
   const up = {...axis, size: 58, label: plot.label, values: plot.logarithmic ? powers : marks};
-  const across = {...axis, size: 34, label: plot.xlabel, values: marks};
+  const across = {...axis, size: 34, label: TIME, values: marks};
   return {
-    title: plot.heading || undefined, width, height: plot.height,
+    title: plot.heading || undefined, width, height: HEIGHT,
     cursor: {y: false, drag: {x: true, y: true, uni: 30, dist: 4}, focus: {prox: 20},
       sync: {key: 'time', scales: ['x', null]}},
     scales: {
@@ -101,15 +102,13 @@ function options(plot, width) {
       y: {distr: plot.logarithmic ? 3 : 1, range: limits(plot)}},
     axes: [across, plot.logarithmic ? {...up, grid: {...up.grid, filter: decades}} : up],
     series: [
-      {label: plot.xlabel || '', value: (_, x) => x === null || x === undefined ? '' :
-        x.toFixed(3)},
+      {label: TIME, value: (_, x) => x === null || x === undefined ? '' : x.toFixed(3)},
       ...plot.curves.map((style, i) => curve(style, plot.data[i + 1]))],
     hooks: {drawClear: [u => shade(u, plot)], draw: [u => annotate(u, plot)]}};
 }
 
 // Draws plots into an element, below each other, instead of what is in it.
 function drawFigure(place, plots) {
-  (place.plots || []).forEach(drawn => drawn.destroy());
   place.replaceChildren();
   place.plots = plots.map(plot => {
     const below = document.createElement('div');
@@ -117,14 +116,11 @@ function drawFigure(place, plots) {
     place.append(below);
     return new uPlot(options(plot, place.clientWidth), plot.data, below);
   });
-  if (!place.watched) {
-    place.watched = new ResizeObserver(() => place.plots.forEach(drawn => {
-      if (drawn.width !== place.clientWidth) {
-        drawn.setSize({width: place.clientWidth, height: drawn.height});
-      }
-    }));
-    place.watched.observe(place);
-  }
+  new ResizeObserver(() => place.plots.forEach(drawn => {
+    if (drawn.width !== place.clientWidth) {
+      drawn.setSize({width: place.clientWidth, height: drawn.height});
+    }
+  })).observe(place);
   place.dataset.state = 'drawn';
 }
 

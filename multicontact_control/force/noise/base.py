@@ -44,7 +44,7 @@ class NoiseEstimator(ABC):
     Parameters
     ----------
     config
-        Contacts, limits, and what the estimator itself needs.
+        Contacts, rate, `slew_time`, and what the estimator itself needs.
 
     Attributes
     ----------
