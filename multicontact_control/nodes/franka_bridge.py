@@ -35,6 +35,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 NAME, JOINTS = 'franka_bridge', 7
+SEVEN: dict[str, Any] = {'min_length': JOINTS, 'max_length': JOINTS}
 CYCLE, MILLISECOND = 0.001, NANOSECONDS // 1000  # s, ns: that of the robot
 SWITCH_INTERVAL = 5e-5  # s, for which other threads may keep the control thread from Python
 STATUS_PERIOD, LOG_PERIOD, CONNECT_PERIOD = 1.0, 5.0, 0.5  # s
@@ -54,7 +55,7 @@ class LateConfig(Config):
     stop_time: float = parameter(
         0.5, 'Age up to which the joints are damped; then torque control ends.', unit='s')
     damping: Numbers = parameter(
-        (20.0,) * 4 + (5.0,) * 3, 'Torque per speed of damped joints.', unit='N m s/rad')
+        (20.0,) * 4 + (5.0,) * 3, 'Torque per speed of damped joints.', unit='N m s/rad', **SEVEN)
     torque_rate: float = parameter(
         999.9, 'Largest change of any torque that is sent, of commands as well; the robot stops '
         'at 1000.', unit='N m/s', gt=0.0, lt=1000.0)
@@ -69,23 +70,18 @@ class FrankaBridgeConfig(graph.StartupConfig):
     divider: int = parameter(
         2, 'States of the robot, at 1 kHz, for each sample: 2 for 500 Hz.', ge=1, le=10)
     joint_names: tuple[str, ...] = parameter(
-        tuple(f'joint{i + 1}' for i in range(JOINTS)), 'Joints, base to wrist.')
+        tuple(f'joint{i + 1}' for i in range(JOINTS)), 'Joints, base to wrist.', **SEVEN)
     wrench_age: float = parameter(
         0.005, 'Age from which a wrench is published no more.', unit='s', gt=0.0)
     collision_torque: Numbers = parameter(
-        (40.0,) * JOINTS, 'External joint torques at which the robot stops.', unit='N m')
+        (40.0,) * JOINTS, 'External joint torques at which the robot stops.', unit='N m', **SEVEN)
     collision_force: Numbers = parameter(
-        (50.0,) * 3 + (25.0,) * 3, 'External wrench at which it does.', unit='N, N m')
+        (50.0,) * 3 + (25.0,) * 3, 'External wrench at which it does.', unit='N, N m',
+        min_length=6, max_length=6)
     late: LateConfig = LateConfig()
 
     def _misfits(self) -> Iterator[ConfigError]:
         late = self.late
-        for name, values, count in (
-                ('joint_names', self.joint_names, JOINTS), ('late.damping', late.damping, JOINTS),
-                ('collision_torque', self.collision_torque, JOINTS),
-                ('collision_force', self.collision_force, 6)):
-            if len(values) != count:
-                yield ConfigError(name, f'{count} values', len(values))
         if not late.command_age < late.hold_time < late.stop_time:
             yield ConfigError('late.hold_time', 'a value between late.command_age and '
                               'late.stop_time', late.hold_time)
@@ -147,8 +143,7 @@ class FrankaBridge(Node):
         self._refusals = graph.Refusals(self.get_logger())
         self._refused: deque[tuple[str, Exception]] = deque(maxlen=100)
         self._samples = StreamPublisher(self, topics.JOINT_STATES, messages.joint_state_message(
-            0, self._config.joint_names,
-            **dict.fromkeys(messages.JOINT_FIELDS, np.zeros(JOINTS))))
+            0, self._config.joint_names, **dict.fromkeys(messages.JOINT_FIELDS, np.zeros(JOINTS))))
         self._wrenches = StreamPublisher(self, topics.WRENCH, WrenchStamped())
         sensor = replace(topics.WRENCH, publisher='the driver of the wrist sensor',
                          name=self.resolve_topic_name('~/wrench'))
@@ -291,8 +286,8 @@ class FrankaBridge(Node):
         elif self._active is not None:
             with contextlib.suppress(RuntimeError, self._library.FrankaException):
                 self._finish()  # libfranka then knows that it has ended
-        self._problem = f'{self._config.address}: ' * (self._robot is None) + one_line(
-            error).removeprefix('libfranka: ').rstrip('.')
+        text = one_line(error).removeprefix('libfranka: ').rstrip('.')
+        self._problem = f'{self._config.address}: {text}' if self._robot is None else text
 
     def _recover(self) -> None:
         """Connect, or clear the robot's errors; torque control may then start."""
@@ -325,16 +320,22 @@ class FrankaBridge(Node):
 
     def _robot_status(self) -> diagnostics.Status:
         """Return what the robot and the bridge do."""
-        mode, control = self._mode, self._rule.kind if self._active is not None else (
-            'off' if self._problem or self._mode != 'Idle' else
-            'has ended; ' * (self._rule.kind == STOPPED) + 'starts with the next command')
+        mode, error, warning = self._mode, self._problem, ''
+        if self._active is not None:
+            control = self._rule.kind
+        elif error or mode != 'Idle':
+            control = 'off'
+        else:
+            control = 'has ended; ' * (self._rule.kind == STOPPED) + 'starts with the next command'
+        if control in (HELD, DAMPED):
+            warning = f'no command in time: torques are {control}'
+        elif control == 'off' and mode != 'Idle':
+            warning = f'the robot is in mode {mode}'
+        if error and (self._lost or self._robot is not None):
+            error += '; call ~/recover'
         return diagnostics.Status(
             'robot', {'torque_control': control, 'robot_mode': mode, 'errors': self._errors,
-                      **self._figures},
-            error=self._problem + '; call ~/recover' * bool(self._lost or self._robot) if (
-                self._problem) else '',
-            warning=f'the robot is in mode {mode}' if control == 'off' and mode != 'Idle' else
-            f'no command in time: torques are {control}' if control in (HELD, DAMPED) else '')
+                      **self._figures}, error=error, warning=warning)
 
     def _report(self) -> None:
         """Publish on ``~/status`` what changes, and once a second; log it."""
