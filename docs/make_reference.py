@@ -91,9 +91,10 @@ class Entry(NamedTuple):
             return ', '.join(f'`{choice}`' if choice else '`""`' for choice in self.choices)
         bounds = [f'{sign}{getattr(bound, name):g}' for bound in self.field.metadata
                   for name, sign in BOUNDS.items() if getattr(bound, name, None) is not None]
-        least = [bound.min_length for bound in self.field.metadata
-                 if getattr(bound, 'min_length', None)]
-        return ', '.join(bounds + [f'at least {count}' for count in least])
+        lengths = [f'{word} {count}' for bound in self.field.metadata
+                   for word, name in (('at least', 'min_length'), ('at most', 'max_length'))
+                   if (count := getattr(bound, name, None))]
+        return ', '.join(bounds + lengths)
 
 
 class Group(NamedTuple):
