@@ -28,6 +28,7 @@ __all__ = [
 STATE_TOPICS = (
     topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.POSE,
     topics.POSE_DESIRED)
+LONGEST_ADVANCE = 0.1  # s between two set points of a motion; a late program makes no step
 WORKSPACE = ('limits.workspace_lower', 'limits.workspace_upper')
 
 
@@ -122,9 +123,10 @@ class MultiContactClient(ControllerLink):
         Move the desired operational point to a goal, and return when it has got there.
 
         Along a straight line to a position, shape (3,) [m], with a quintic in time over a duration
-        [s], at rest at both ends; the orientation is the present one by default. Without effect
-        along the normals of controlled contacts. CommandRefusedError if the goal is out of the
-        workspace or not obeyed: the arm stays where it got to.
+        [s], longer if this program is late, at rest at both ends; the orientation is the present
+        one by default. Without effect along the normals of controlled contacts.
+        CommandRefusedError if the goal is out of the workspace or not obeyed: the arm stays where
+        it got to.
         """
         if not 0.0 < duration < np.inf:
             raise messages.MessageError('duration', 'above 0 s', f'{duration:g} s')
@@ -144,9 +146,10 @@ class MultiContactClient(ControllerLink):
             messages.finite_array(quaternion_xyzw, 4, 'quaternion_xyzw'))
         rotation_vector = (last * turn.inv()).as_rotvec()
         change = np.concatenate([goal - start.position_desired, rotation_vector])
-        elapsed = 0.0
+        elapsed, now = 0.0, start.time
         while elapsed < duration:
-            elapsed = self.read().time - start.time
+            before, now = now, self.read().time
+            elapsed += min(now - before, LONGEST_ADVANCE)
             s, ds, dds = quintic(elapsed, duration)
             point = messages.motion_message(
                 start.position_desired + s * change[:3],
