@@ -34,9 +34,6 @@ class Sample(NamedTuple):
     # True forces of robot on surface over the last substep, the one the sensor's reading belongs
     # to, and couples of edges and planes, shape (r,) [N].
     contact_force: Vector
-    # True force of a hand on the tool over the period that ended, world axes, shape (3,) [N]: the
-    # sensor reads its opposite; it is not in `contact_force`.
-    tool_push_world: Vector
 
 
 class Plant:
@@ -211,8 +208,7 @@ class Plant:
     def _sample(self) -> Sample:
         return Sample(
             self._q.copy(), self._qd.copy(), self._motor.copy(), self._sensor.reading.copy(),
-            self._sensor.filtered.copy(), self.contacts.alpha,
-            self._tool_push.force_world.copy())
+            self._sensor.filtered.copy(), self.contacts.alpha)
 
 
 def make_engine(config: PlantConfig, arm: Arm) -> EngineArm:

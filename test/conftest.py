@@ -6,6 +6,7 @@ import signal
 from browser import chromium  # noqa: F401 - a fixture
 from hypothesis import settings
 from multicontact_control.experiment.compilation import ensure_compiled
+from multicontact_control.experiment.graph.domain import reserve_domain
 import pytest
 
 # In one worker, one after the other: graphs in real time would take each other's processor.
@@ -55,3 +56,9 @@ def pytest_xdist_make_scheduler(config, log):
     scheduler = LoadScopeScheduling(config, log)
     scheduler._split_scope = group
     return scheduler
+
+
+@pytest.fixture(name='domain_id')
+def fixture_domain_id():
+    with reserve_domain() as number:
+        yield number

@@ -75,6 +75,7 @@ def obedient_graph(folder: Path) -> Iterator[int]:
     with reserve_domain() as domain_id, running_graph(GraphSpec(
             out=folder, ticks=0, rate=500.0, speed=0.0, domain_id=domain_id, namespace='arm',
             parameter_files=resolve('quick', plant='rigid').write(folder / 'config'))) as graph:
+        wait_for(graph.progress.newest, 'samples')
         yield domain_id
         graph.processes.check_running()
 

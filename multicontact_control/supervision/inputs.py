@@ -353,11 +353,6 @@ class Inputs:
         return PROBLEMS[max(self._state['problem'][WRENCH], FINE)]
 
     @property
-    def estimates(self) -> bool:
-        """Whether joints move but no velocities come, which positions make up for."""
-        return bool(self._state['silent'])
-
-    @property
     def history(self) -> tuple[Matrix, Vector]:
         """Return the newest joint states, shape (k, 2 n) [rad, rad/s], and the row `DOUBT`."""
         count = int(self._state['states'])

@@ -12,7 +12,7 @@ name: small
 scenario: step
 plants: [rigid]
 duration: 1.7
-seeds: 4
+seeds: 12
 factors: {noise_estimator.estimator: [fixed, lead_window]}
 """
 
@@ -33,6 +33,11 @@ def test_bad_options_are_all_named_and_leave_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_robot_chooses_plants_and_the_factor_of_that_name(multicontact):
+    done = multicontact('study', 'robots', '--robot', 'panda', '--dry-run')
+    assert ' robot: panda\n' in done.stdout and ' plant: panda/rigid\n' in done.stdout
+
+
 @pytest.mark.slow
 def test_ended_study_goes_on_where_it_was(multicontact, tmp_path):
     study, out = tmp_path / 'small.yaml', tmp_path / 'out'
@@ -49,10 +54,10 @@ def test_ended_study_goes_on_where_it_was(multicontact, tmp_path):
     assert process.returncode == 130, errors
     assert 'the same command goes on' in errors and 'Traceback' not in errors
     finished = {path: path.stat().st_mtime_ns for path in out.glob('cells/*.json')}
-    assert 2 <= len(finished) < 8
+    assert 2 <= len(finished) < 24
     assert not (out / 'study.parquet').exists()
     again = multicontact('study', str(study), '--jobs', '1', '--out', str(out))
     assert again.exit_code == 0, again.stderr
-    assert f'8 jobs, {len(finished)} of them' in ' '.join(again.stdout.split())
+    assert f'24 jobs, {len(finished)} of them' in ' '.join(again.stdout.split())
     assert all(path.stat().st_mtime_ns == age for path, age in finished.items())
-    assert len(pd.read_parquet(out / 'study.parquet')) == 8
+    assert len(pd.read_parquet(out / 'study.parquet')) == 24

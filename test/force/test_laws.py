@@ -5,7 +5,7 @@ import re
 import shlex
 from typing import get_args
 
-from multicontact_control.cli.options import SetupOptions
+from multicontact_control.cli.options import Law, SetupOptions
 from multicontact_control.config import ForceConfig, read_yaml
 from multicontact_control.config.force import LawName
 from multicontact_control.experiment.law_report import (
@@ -225,7 +225,7 @@ def test_design_for_a_range_has_its_margins_on_every_surface_and_its_file_is_rea
 
 def test_registry_has_every_law_in_every_place():
     names = set(get_args(LawName))
-    assert set(LAWS) == names
+    assert set(LAWS) == set(get_args(Law)) == names
     assert set(FASTER) == names
     assert set(read_yaml(config_dir() / 'tuning.yaml')) == names
     presets = {path.stem for path in (config_dir() / 'presets/laws').glob('*.yaml')}

@@ -10,17 +10,7 @@ import tracemalloc
 from arms import HOME
 from builtin_interfaces.msg import Time
 from fake_arm import wrench_message
-from geometry_msgs.msg import (
-    Point,
-    Pose,
-    PoseStamped,
-    Quaternion,
-    Transform,
-    Twist,
-    Vector3,
-    Wrench,
-    WrenchStamped,
-)
+import geometry_msgs.msg as geo
 from hypothesis import example, given, HealthCheck, settings
 from hypothesis import strategies as st
 from multicontact_control.errors import MessageError
@@ -54,16 +44,15 @@ NAMES = st.one_of(st.just(JOINTS), st.permutations(JOINTS), st.just(CONTACTS), s
                   st.lists(st.sampled_from([*JOINTS, *CONTACTS, 'x']), max_size=7))
 JOINT_STATE = st.builds(
     JointState, header=HEADER, name=NAMES, position=NUMBERS, velocity=NUMBERS, effort=NUMBERS)
-VECTOR = st.builds(Vector3, x=NUMBER, y=NUMBER, z=NUMBER)
-WRENCH = st.builds(WrenchStamped, header=HEADER,
-                   wrench=st.builds(Wrench, force=VECTOR, torque=VECTOR))
-ROTATION = st.one_of(st.builds(Quaternion, x=NUMBER, y=NUMBER, z=NUMBER, w=NUMBER),
-                     st.just(Quaternion(w=1.0)))
-TWISTS = st.lists(st.builds(Twist, linear=VECTOR, angular=VECTOR), max_size=2)
+VECTOR = st.builds(geo.Vector3, x=NUMBER, y=NUMBER, z=NUMBER)
+WRENCH = st.builds(geo.WrenchStamped, header=HEADER,
+                   wrench=st.builds(geo.Wrench, force=VECTOR, torque=VECTOR))
+ROTATION = st.one_of(st.builds(geo.Quaternion, x=NUMBER, y=NUMBER, z=NUMBER, w=NUMBER),
+                     st.just(geo.Quaternion(w=1.0)))
+TWISTS = st.lists(st.builds(geo.Twist, linear=VECTOR, angular=VECTOR), max_size=2)
 MOTION = st.builds(
-    MultiDOFJointTrajectoryPoint,
-    transforms=st.lists(st.builds(Transform, translation=VECTOR, rotation=ROTATION), max_size=2),
-    velocities=TWISTS, accelerations=TWISTS)
+    MultiDOFJointTrajectoryPoint, velocities=TWISTS, accelerations=TWISTS, transforms=st.lists(
+        st.builds(geo.Transform, translation=VECTOR, rotation=ROTATION), max_size=2))
 TAKEN = {
     topics.JOINT_STATES: JOINT_STATE, topics.WRENCH: WRENCH, topics.NOISE_VARIANCE: JOINT_STATE,
     topics.FORCE_COMMAND: JOINT_STATE, topics.MOTION_COMMAND: MOTION}
@@ -147,10 +136,10 @@ def six(scale=1.0):
 def test_stream_writes_what_rclpy_reads(middleware):
     numbers, store = np.random.default_rng(0).standard_normal(7), get_typestore(Stores.ROS2_JAZZY)
     for topic, pattern, expected, written in (
-            (topics.POSE, PoseStamped(), PoseStamped(
-                header=Header(stamp=messages.ns_to_stamp(START)), pose=Pose(
-                    position=Point(**dict(zip('xyz', numbers))),
-                    orientation=Quaternion(**dict(zip('xyzw', numbers[3:]))))), (numbers,)),
+            (topics.POSE, geo.PoseStamped(), geo.PoseStamped(
+                header=Header(stamp=messages.ns_to_stamp(START)), pose=geo.Pose(
+                    position=geo.Point(**dict(zip('xyz', numbers))),
+                    orientation=geo.Quaternion(**dict(zip('xyzw', numbers[3:]))))), (numbers,)),
             (topics.WRENCH, wrench_message(0, 'ft_face', np.zeros(6)),
              wrench_message(START, 'ft_face', numbers[:6]), (numbers[:6],)),
             (topics.JOINT_STATES, six(), six(2.0),
@@ -194,7 +183,7 @@ def test_force_command_has_forces_or_centres_of_some_contacts(
 
 
 def motion_point(turn=1.0005, height=0.0, poses=1, twists=1):
-    pose, twist = Transform(), Twist(linear=Vector3(y=0.1), angular=Vector3(z=0.2))
+    pose, twist = geo.Transform(), geo.Twist(linear=geo.Vector3(y=0.1), angular=geo.Vector3(z=0.2))
     pose.translation.x, pose.translation.z, pose.rotation.w = 0.5, height, turn
     return MultiDOFJointTrajectoryPoint(
         transforms=[pose] * poses, velocities=[twist] * twists,
@@ -237,9 +226,9 @@ PUBLISHED = [topic for topic in topics.TOPICS
 def sample(stamp, position, velocity, wrench):
     """Return both messages of a sample that fits together, whatever numbers it holds."""
     header = Header(stamp=stamp)
-    force, torque = (Vector3(x=x, y=y, z=z) for x, y, z in (wrench[:3], wrench[3:]))
-    return ((topics.WRENCH, WrenchStamped(
-                header=header, wrench=Wrench(force=force, torque=torque))),
+    force, torque = (geo.Vector3(x=x, y=y, z=z) for x, y, z in (wrench[:3], wrench[3:]))
+    return ((topics.WRENCH, geo.WrenchStamped(
+                header=header, wrench=geo.Wrench(force=force, torque=torque))),
             (topics.JOINT_STATES, JointState(
                 header=header, name=JOINTS, position=position, velocity=velocity)))
 

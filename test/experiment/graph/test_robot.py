@@ -3,7 +3,6 @@
 from contextlib import closing
 
 from fake_arm import wrench_message
-from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.graph.robot import Robot, RobotWatch
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph import create_publisher, ignore
@@ -35,12 +34,6 @@ class Publisher(GuestNode):
         message = messages.joint_state_message(stamp, names, position=[0.0] * len(names))
         self._joints.publish(message)
         self._wrench.publish(wrench_message(stamp, 'wrist', [0.0] * 6))
-
-
-@pytest.fixture(name='domain_id')
-def fixture_domain_id():
-    with reserve_domain() as number:
-        yield number
 
 
 def wait_until(watch, robot, condition, **published):

@@ -81,19 +81,18 @@ def test_graph_is_the_run_in_process_bit_for_bit(
     assert sim['ticks'] == TICKS and result.timing[RECORDER]['lost'] == 0
     assert (sum(sim['latency_histogram']['counts']), sim['deadline_misses']) == (TICKS - 1, 0)
     if speed:  # never ahead of the wall clock
-        assert sim['wall_s'] > 0.97 * TICKS / 500.0 / speed
+        assert sim['wall_s'] > 0.94 * TICKS / 500.0 / speed
 
 
-def test_free_run_records_every_sample_at_its_rate_and_counts_misses(tmp_path):
-    _, spec = make_spec(tmp_path, free_running=True, extra_parameters={
+def test_free_run_records_every_sample_at_its_rate(tmp_path):
+    _, spec = make_spec(tmp_path, ticks=3 * TICKS, free_running=True, extra_parameters={
         CONTROLLER: {'effort_output_topic': 'bare/efforts'}})
     seen = []
     result = run_graph(spec, seen.append)
-    assert result.timing[SIM]['ticks'] == TICKS
+    assert result.timing[SIM]['ticks'] == 3 * TICKS
     stamps = [message.header.stamp for message in recorded(result.bag, TOPICS[0].name)]
     steps = np.diff([stamp.sec * 10**9 + stamp.nanosec for stamp in stamps])
     np.testing.assert_array_equal(steps[steps > 0], 2_000_000)
-    assert 0 <= result.timing[SIM]['deadline_misses'] <= TICKS
     efforts = [tuple(message.data) for message in recorded(result.bag, 'bare/efforts')]
     commands = [tuple(x.effort) for x in recorded(result.bag, topics.EFFORT_COMMAND.name)]
     assert efforts and set(efforts) <= set(commands)
@@ -132,7 +131,8 @@ def test_second_interrupt_skips_the_report_and_says_how_to_write_it(tmp_path):
         process.send_signal(signal.SIGINT)
     text, _ = end_of(process)
     assert process.returncode == 130 and f'multicontact report {tmp_path / "run"}' in text
-    assert counts(tmp_path / 'run/bag') and not (tmp_path / 'run/summary.json').exists()
+    assert any(counts(tmp_path / 'run/bag').values())
+    assert not (tmp_path / 'run/summary.json').exists()
 
 
 def test_warnings_of_nodes_are_given_once_each(tmp_path):
@@ -205,9 +205,9 @@ def test_two_graphs_in_one_domain_record_their_own_topics_only(tmp_path):
 
 @pytest.mark.parametrize('participant', [0, 7])
 def test_domain_is_reserved_once_and_in_use_while_any_participant_is_there(participant):
-    with domain.reserve_domain() as first, domain.reserve_domain() as domain_id, socket.socket(
-            socket.AF_INET, socket.SOCK_DGRAM) as listener:
+    with domain.reserve_domain() as first, domain.reserve_domain() as domain_id:
         assert first != domain_id and not domain.domain_in_use(domain_id)
-        listener.bind(('', 7400 + 250 * domain_id + 10 + 2 * participant))
-        assert domain.domain_in_use(domain_id)
-    assert not domain.domain_in_use(domain_id)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+            listener.bind(('', 7400 + 250 * domain_id + 10 + 2 * participant))
+            assert domain.domain_in_use(domain_id)
+        assert not domain.domain_in_use(domain_id)
