@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 
 NO_FOLDER = ('warning: no folder can be written for compiled kernels, so every process compiles '
-             'its own (half a minute each): set NUMBA_CACHE_DIR to one that can')
+             'its own (a minute each): set NUMBA_CACHE_DIR to one that can')
 LOCK_FILE = 'compiling.lock'
 TICKS = 3
 KEPT = 5  # folders, each for one state of the sources
@@ -38,7 +38,7 @@ def ensure_compiled() -> int:
         console.print(NO_FOLDER, style='yellow')
         return 0
     with (folder / LOCK_FILE).open('w') as lock:  # the system frees it when this process ends
-        console.print(f'compiling the numerical kernels, once (half a minute), into {folder}')
+        console.print(f'compiling the numerical kernels, once (about a minute), into {folder}')
         fcntl.flock(lock, fcntl.LOCK_EX)
         if _marker(folder).is_file():
             return 0
