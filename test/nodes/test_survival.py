@@ -89,8 +89,7 @@ def test_simulator_times_a_command_from_the_first_sending_of_its_sample(middlewa
         if sample := middleware.take(samples):
             sent[sample.header.stamp.nanosec] += 1
             if sent[sample.header.stamp.nanosec] >= len(sent):  # the second one: not at once
-                commands.publish(JointState(
-                    header=sample.header, name=sample.name, effort=sample.effort))
+                commands.publish(sample)  # its effort is the torque that holds the arm
         middleware.pause()
     assert sim.returncode == 0, end_of(sim)
     assert json.loads(path.read_text())['latency_us']['max'] > 0.5e6
