@@ -115,7 +115,7 @@ def test_samples_that_cannot_be_used_are_named(host, joints, wrench, part, text)
         if wrench is not None:
             arm.send_parts(arm.k * PERIOD + wrench, {'wrench'})
 
-    arm.diagnostics(lambda x: text in x[part][1], send)
+    assert arm.diagnostics(lambda x: text in x[part][1], send)[part][0] > 0  # a warning
 
 
 def test_second_node_that_publishes_joints_or_commands_is_named(host, host_domain):
