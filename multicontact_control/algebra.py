@@ -57,14 +57,20 @@ def solve_lower_columns(L: Matrix, X: Matrix) -> None:
 
 
 @compiled
-def solve_cholesky(L: Matrix, x: Vector) -> None:
-    """Replace x, shape (n,), by (L L^T)^-1 x."""
-    solve_lower(L, x)
+def solve_lower_transposed(L: Matrix, x: Vector) -> None:
+    """Replace x, shape (n,), by L^-T x for a lower triangular L."""
     for i in range(x.shape[0] - 1, -1, -1):
         total = x[i]
         for k in range(i + 1, x.shape[0]):
             total -= L[k, i] * x[k]
         x[i] = total / L[i, i]
+
+
+@compiled
+def solve_cholesky(L: Matrix, x: Vector) -> None:
+    """Replace x, shape (n,), by (L L^T)^-1 x."""
+    solve_lower(L, x)
+    solve_lower_transposed(L, x)
 
 
 @compiled

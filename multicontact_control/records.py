@@ -76,6 +76,7 @@ FRAME = np.dtype([
     ('sensor_position', F, 3),  # [m]
     ('sensor_rotation', F, (3, 3)),  # axes of the sensor as columns
     ('speed_limit', F), ('turn_limit', F),  # beyond which it is too fast [m/s], [rad/s]
+    ('mobility', F),  # smallest eigenvalue of Lambda^-1 where the law was asked last [1/kg]
 ], align=True)
 
 # What hangs on the wrist sensor; one.
@@ -271,14 +272,17 @@ CONTACT_SETTINGS = np.dtype([(name, F) for name in (
     'approach_distance', 'contact_threshold', 'release_threshold', 'preload', 'force_ceiling',
     'retry_time')])
 
-# Bounds of a task, and what a pause has left; one.
+# Bounds of a task, and the reference that follows it; one.
 TASK_LIMITS = np.dtype([
     ('contacts', CONTACT_SETTINGS),
-    ('offset', F, 3),  # of the reference from the task, after a pause [m]
-    ('turned', F, 3),  # its rotation from the task's, world axes [rad]
     ('lead', F),  # k_v / k_p: an error of v k_v / k_p makes the motion law move at v [s]
     ('reach', F), ('turn', F),  # greatest way and angle of the reference from the arm [m], [rad]
     ('box', F, (2, 3)),  # lower and upper corner of the workspace [m]
+    ('bounded', B),  # whether stops, speeds or the reach of the arm bound its motion a tick ago
+    ('behind', B),  # whether the reference has still to catch up with the task
+    ('position', F, 3), ('rotation', F, (3, 3)),  # the reference, before contacts move it [m]
+    ('twist', F, 6),  # its velocity while it catches up [m/s, rad/s]
+    ('ahead', F, 3), ('turned_ahead', F, 3),  # of the arm, a tick ago, off normals [m], [rad]
 ], align=True)
 
 # What an answer of the law must be like; one.
@@ -292,7 +296,7 @@ PLAUSIBILITY = np.dtype([
 # Limits of one joint at the last gate.
 JOINT_LIMITS = np.dtype([
     ('step', F),  # of the torque, per period [N m]
-    ('lower', F), ('upper', F),  # positions not to be passed [rad]
+    ('lower', F), ('upper', F),  # positions at which it comes to rest [rad]
     ('speed', F),  # [rad/s]
     ('last', F),  # what was commanded last and what was added [N m]
 ])

@@ -136,8 +136,9 @@ def wrench_of_residual(
     L, Y = np.empty((n, n)), np.empty((n, 6))
     mobility, Lambda = np.empty((6, 6)), np.empty((6, 6))
     law, rotation = control.law, control.frame.sensor_rotation
-    if mobility_and_inertia(
-            mass_matrix, jacobian, law.singular_mobility, L, Y, mobility, Lambda) < 0.0:
+    damping, _ = mobility_and_inertia(
+        mass_matrix, jacobian, law.singular_mobility, L, Y, mobility, Lambda)
+    if damping < 0.0:
         return
     reduced, acceleration, wrench = joints['residual'].copy(), np.empty(6), np.empty(6)
     solve_lower(L, reduced)
@@ -209,9 +210,10 @@ class ArmState:
     Parameters
     ----------
     robot
-        Its model.
+        Its model, an attribute as well.
     controls, contacts
-        One record of `CONTROL` and records of `CONTACT`, shape (r,), to be filled in.
+        One record of `CONTROL` and records of `CONTACT`, shape (r,), to be filled in;
+        attributes as well.
 
     Attributes
     ----------
@@ -233,7 +235,7 @@ class ArmState:
         self.motion: Matrix = np.zeros((2, robot.joint_count))
         self.q, self.velocity = self.motion
         self.joints: Any = np.zeros(robot.joint_count, dtype=JOINT)
-        self._controls, self._contacts = controls, contacts
+        self.controls, self.contacts = controls, contacts
         self.frames: Any = controls['frame']
         self.joints['speed_limit'] = np.inf
         self.frames['speed_limit'] = self.frames['turn_limit'] = np.inf
@@ -252,5 +254,5 @@ class ArmState:
         terms = self.robot.compute(self.q, self.velocity)
         self.flags = see_arm(
             self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
-            terms.placements, self.joints, self._controls, self._contacts)
+            terms.placements, self.joints, self.controls, self.contacts)
         return self.flags != NO_NUMBERS

@@ -147,7 +147,7 @@ def control_law(
     n, count = joints.shape[0], contacts.shape[0]
     L, Y = np.empty((n, n)), np.empty((n, 6))
     mobility, Lambda = np.empty((6, 6)), np.empty((6, 6))
-    damping = mobility_and_inertia(
+    damping, frame.mobility = mobility_and_inertia(
         mass_matrix, jacobian, law.singular_mobility, L, Y, mobility, Lambda)
     if damping < 0.0:
         return SINGULAR

@@ -6,12 +6,15 @@ from typing import Any
 
 from multicontact_control.algebra import (
     cholesky,
+    cross,
+    dot,
     gram,
     multiply,
     solve_lower,
     solve_lower_columns,
+    solve_lower_transposed,
 )
-from multicontact_control.arrays import Matrix
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 import numpy as np
 
@@ -23,7 +26,7 @@ STOP_MARGIN = 0.1  # rad, from how far before its stop on a joint is pushed away
 def mobility_and_inertia(
     mass_matrix: Matrix, jacobian: Matrix, singular_mobility: float, L: Matrix, Y: Matrix,
     mobility: Matrix, Lambda: Matrix,
-) -> float:
+) -> tuple[float, float]:
     """
     Work out Lambda = (J M^-1 J^T)^-1 (P04 eq. 23) and what leads to it.
 
@@ -43,12 +46,13 @@ def mobility_and_inertia(
 
     Returns
     -------
-    float
-        d, -1 if the arm cannot accelerate the operational point in every direction.
+    tuple[float, float]
+        d, -1 if the arm cannot accelerate the operational point in every direction, and the
+        smallest eigenvalue of Lambda^-1 before it is damped [1/kg].
 
     """
     if not cholesky(mass_matrix, L, 0.0):
-        return -1.0
+        return -1.0, 0.0
     Y[:] = jacobian.T
     solve_lower_columns(L, Y)
     gram(Y, mobility)
@@ -59,12 +63,44 @@ def mobility_and_inertia(
         for i in range(6):
             mobility[i, i] += damping
     if not (smallest + damping) * MAX_CONDITION > largest + damping:  # or it is not a number
-        return -1.0
+        return -1.0, smallest
     factor, root = np.empty((6, 6)), np.eye(6)
     cholesky(mobility, factor, 0.0)
     solve_lower_columns(factor, root)
     gram(root, Lambda)
-    return damping
+    return damping, smallest
+
+
+@compiled
+def mobility_gradient(
+    jacobian: Matrix, L: Matrix, Y: Matrix, direction: Vector, gradient: Vector,
+) -> None:
+    """
+    Fill in how an eigenvalue of Lambda^-1 changes with each joint, shape (n,) [1/kg per rad].
+
+    d lambda / d q_k = 2 u^T (dJ / d q_k) M^-1 J^T u for its eigenvector u, the `direction`, shape
+    (6,). How M changes is left out, which matters little where J is nearly singular. Of a serial
+    chain in world axes, joint k turns column [v_i, w_i] of J beyond it, and moves the operational
+    point for column i before it:
+    d v_i / d q_k = w_k x v_i for k <= i, w_i x v_k for k > i, and d w_i / d q_k = w_k x w_i for
+    k <= i, 0 for k > i.
+
+    J has shape (6, n), M = L L^T, Y = L^-1 J^T.
+    """
+    n = jacobian.shape[1]
+    joint_rates, change = np.empty(n), np.empty(3)
+    multiply(Y, direction, joint_rates)
+    solve_lower_transposed(L, joint_rates)  # M^-1 J^T u
+    linear, angular = direction[:3], direction[3:]
+    for k in range(n):
+        gradient[k] = 0.0
+        for i in range(n):
+            first, second = (k, i) if k <= i else (i, k)
+            cross(jacobian[3:, first], jacobian[:3, second], change)
+            gradient[k] += 2.0 * joint_rates[i] * dot(linear, change)
+            if k <= i:
+                cross(jacobian[3:, k], jacobian[3:, i], change)
+                gradient[k] += 2.0 * joint_rates[i] * dot(angular, change)
 
 
 @compiled

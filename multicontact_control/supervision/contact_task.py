@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from multicontact_control.algebra import dot, rotate_by
@@ -16,12 +17,15 @@ from multicontact_control.dynamics.rotations import Pose, rotation_vector
 from multicontact_control.records import CONTACT_STATE, TASK_LIMITS
 from multicontact_control.supervision import contacts
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 GUARD_SHARE = 0.3  # of the force held, below which the measured force is fed forward
 GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bounces
-RETURN_RATE = 2.0  # 1/s, of the way left, at which the task is caught up with after a pause
-RETURN_SHARE = 0.2  # of the largest speeds, at which it is at most
+# How a task is caught up with: beyond its own speed by so much of the way left [1/s] and of the
+# largest speeds, with an acceleration that reaches these in so long [s].
+RETURN_RATE, RETURN_SHARE, RETURN_RAMP = 2.0, 0.2, 0.25
+# How far the reference may be ahead of an arm at rest that cannot follow [m], [rad].
+LEAST_LEAD, LEAST_TURN = 0.003, 0.02
+THERE = 1e-5  # m or rad from the task, where it is caught up with
 PARALLEL = 1e-6  # length that is left of a normal that the others span already
 
 
@@ -83,7 +87,7 @@ class ContactTask:
             forces[pressed] = self._task.alpha_des[pressed]
         self._task: Task = Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces)
         self.states[~pressed] = contacts.FREE_CONTACT
-        self._limits['offset'] = self._limits['turned'] = 0.0
+        self._limits['bounded'] = self._limits['behind'] = False
         self._kept: Mask | None = None  # contacts, from the end of a pause to the next tick
 
     def start(self, pose: Pose) -> None:
@@ -107,6 +111,10 @@ class ContactTask:
             if self._kept is not None:
                 self._return(self._kept)
             self.limited = _limit_task(self._limits, self._controls, self._columns, self.states)
+
+    def note_limits(self, limits: Sequence[str]) -> None:
+        """Take in which limits the answer met: the reference waits for an arm that is bounded."""
+        self._limits['bounded'] = 'joint' in limits or 'reach' in limits
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -136,7 +144,7 @@ class ContactTask:
         return self._kept
 
     def _return(self, kept: Mask) -> None:
-        """Go from where the arm is back to the task: along normals by means of the contacts."""
+        """Let the reference go from where the arm is to the task; contacts go along normals."""
         self._kept, normals, pose = None, self._columns['normal'], self._task.pose_des
         gap = self._frame['position'] - pose.position_world
         along = np.linalg.lstsq(normals.T, gap, rcond=None)[0]
@@ -145,9 +153,11 @@ class ContactTask:
                 state['displacement'] = place
             else:
                 contacts.let_go(state, place, 0.0)
-        self._limits['offset'] = gap - along @ normals
-        self._limits['turned'] = Rotation.from_matrix(
-            self._frame['rotation'] @ pose.rotation_world.T).as_rotvec()
+        limits = self._limits
+        limits['position'] = self._frame['position'] - along @ normals
+        limits['rotation'] = self._frame['rotation']
+        limits['twist'] = limits['ahead'] = limits['turned_ahead'] = 0.0
+        limits['bounded'], limits['behind'] = False, True
 
     def sought_normals(self) -> Any:
         """Return normals of what is sought or held, couples with 0, shape (k, 3)."""
@@ -158,20 +168,83 @@ class ContactTask:
 def _limit_task(limits: Any, controls: Any, columns: Any, states: Any) -> bool:
     """Bring a task that is wanted to one that may be followed; return whether it was limited."""
     limit, frame, task = limits[0], controls[0].frame, controls[0].task
-    for gap, largest in ((limit.offset, limit.reach), (limit.turned, limit.turn)):
-        fastest = RETURN_SHARE * largest / limit.lead / np.sqrt(dot(gap, gap))
-        gap *= 1.0 - limit.contacts.period * min(RETURN_RATE, fastest)
+    behind = _follow_task(limit, frame, task)
     _follow_contacts(limit, frame, task, columns, states)
-    rotate_by(limit.turned, task.rotation)
-    return _bound_task(limit, frame, task, columns)
+    return _bound_task(limit, frame, task, columns) or behind
+
+
+@compiled
+def _follow_task(limit: Any, frame: Any, task: Any) -> bool:
+    """
+    Let the reference catch up with the task where the arm could not; return if it is behind.
+
+    Once the motion of the arm is bounded, and after a pause, the reference goes straight to the
+    task, but no farther ahead of the arm than `LEAST_LEAD`: so it slows down with the arm, does
+    not run away, and does not pull the arm along the bound.
+    """
+    if not limit.behind:
+        if not limit.bounded:
+            limit.position[:], limit.rotation[:] = task.position, task.rotation
+            limit.twist[:] = task.twist
+            return False
+        limit.behind = True
+    way, turn = task.position - limit.position, np.empty(3)
+    there = _catch_up(way, task.twist[:3], task.acceleration[:3], limit, limit.twist[:3],
+                      frame.twist[:3], limit.ahead, LEAST_LEAD, limit.reach)
+    limit.position += way
+    task.position[:] = limit.position
+    rotation_vector(task.rotation, limit.rotation, turn)
+    there_turned = _catch_up(turn, task.twist[3:], task.acceleration[3:], limit, limit.twist[3:],
+                             frame.twist[3:], limit.turned_ahead, LEAST_TURN, limit.turn)
+    rotate_by(turn, limit.rotation)
+    task.rotation[:] = limit.rotation
+    behind = not (there and there_turned)
+    limit.behind = limit.bounded or behind
+    return behind
+
+
+@compiled
+def _catch_up(
+    way: Vector, speed_des: Vector, acceleration: Vector, limit: Any, speed: Vector,
+    speed_of_arm: Vector, ahead: Vector, least_lead: float, reach: float,
+) -> bool:
+    """
+    Shorten a way to what the reference goes in a tick; return whether it has caught up.
+
+    Its velocity `speed` v_r becomes the desired one, `speed_des`. Up to v_r = v + (l - e) k_p /
+    k_v, at a distance e ahead of an arm of speed v, the motion law pulls the arm by k_p l at most.
+    """
+    h, length = limit.contacts.period, np.sqrt(dot(way, way))
+    fastest = reach / limit.lead
+    of_task = np.sqrt(dot(speed_des, speed_des))
+    along = min(of_task + min(RETURN_RATE * length, RETURN_SHARE * fastest), fastest)
+    if length > THERE:
+        along = min(along, dot(speed, way) / length + h * fastest / RETURN_RAMP)
+        along = min(along, dot(speed_of_arm, way) / length
+                    + (least_lead - dot(ahead, way) / length) / limit.lead)
+        along = max(along, 0.0)
+        if length > h * along:
+            way *= h * along / length
+            speed[:] = way / h
+            speed_des[:], acceleration[:] = speed, 0.0
+            return False
+    # It is where the task is, and goes on with it once it is as fast.
+    missing = speed_des - speed
+    change = np.sqrt(dot(missing, missing))
+    if change > 2.0 * h * fastest / RETURN_RAMP:
+        speed += missing * (h * fastest / RETURN_RAMP / change)
+        speed_des[:], acceleration[:] = speed, 0.0
+        return False
+    speed[:] = speed_des
+    return True
 
 
 @compiled
 def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: Any) -> None:
     """Advance all contacts: say what the force law does, move the task by their displacements."""
     position, twist, acceleration = task.position, task.twist, task.acceleration
-    away, rate = frame.position - position - limit.offset, frame.twist[:3] - twist[:3]
-    moved, shift = states['displacement'].copy(), limit.offset.copy()
+    away, rate = frame.position - position, frame.twist[:3] - twist[:3]
+    moved, shift = states['displacement'].copy(), np.zeros(3)
     for i in range(columns.shape[0]):
         column, state = columns[i], states[i]
         answer, normal = column.answer, column.normal
@@ -238,6 +311,7 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
     if share < 1.0:
         position -= gap * (1.0 - share)
     rotation_vector(task.rotation, frame.rotation, turn)
+    limit.ahead[:], limit.turned_ahead[:] = gap, turn
     turn_share = _share_within(
         turn, limit.lead * twist[3:], limit.turn, twist[3:], acceleration[3:])
     if turn_share < 1.0:
@@ -251,11 +325,24 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
 def _share_within(
     gap: Vector, way: Vector, reach: float, twist: Vector, acceleration: Vector,
 ) -> float:
-    """Return the share of a gap within reach, with the motion zeroed; 2 if all is within."""
-    length = np.sqrt(dot(gap, gap))
-    together = dot(gap, gap) + 2.0 * dot(gap, way) + dot(way, way)
+    """
+    Return the share of a gap within reach, 2 if all is, with the way that its speed adds.
+
+    The speed, `twist`, is reduced so that gap and way together are within reach: an arm that is
+    fast already is not braked by more than the reach asks for.
+    """
+    squared = dot(gap, gap)
+    length = np.sqrt(squared)
+    together = squared + 2.0 * dot(gap, way) + dot(way, way)
     if not (length > reach or together > reach * reach):
         return 2.0
-    twist[:] = 0.0
     acceleration[:] = 0.0
-    return min(reach / length, 1.0)
+    if length >= reach:
+        twist[:] = 0.0
+        return reach / length
+    # |gap + s way| = reach
+    along, square = dot(gap, way), dot(way, way)
+    twist *= (np.sqrt(along * along + square * (reach * reach - squared)) - along) / square
+    return 1.0
+
+

@@ -5,22 +5,24 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
+from multicontact_control.control.arm import ArmState
 from multicontact_control.control.tasks import quintic
-from multicontact_control.records import JOINT_LIMITS, Records
+from multicontact_control.records import JOINT_LIMITS
+from multicontact_control.supervision import bounds
+from multicontact_control.supervision.bounds import bound_motion
 import numpy as np
 
 # What `gate_torque` returns, added up.
-NOT_FINITE, JOINT_STOP, TORQUE, TORQUE_RATE = 1, 2, 4, 8
+NOT_FINITE, JOINT_STOP, TORQUE, TORQUE_RATE, SINGULAR = 1, 2, 4, 8, 16
 NAMES = (('not_finite', NOT_FINITE), ('joint', JOINT_STOP), ('torque', TORQUE),
-         ('torque_rate', TORQUE_RATE))
-ENFORCED = tuple(tuple(name for name, bit in NAMES if flags & bit) for flags in range(16))
-SPEED_GAIN = 50.0  # 1/s, how fast a joint is brought back to the speed it may have
-JOINT_MARGIN = 0.02  # rad before its stop, where a joint is to stand still
-JOINT_BRAKING = 5.0  # rad/s^2 counted on before a stop
-BRAKING_SHARE = 0.7  # of the speed a joint may have, from where on that is looked after
+         ('torque_rate', TORQUE_RATE), ('reach', SINGULAR))
+ENFORCED = tuple(tuple(name for name, bit in NAMES if flags & bit) for flags in range(32))
+# Those that may last, of which the force laws are told.
+LASTING_LIMITS = frozenset(('joint', 'torque', 'reach'))
+JOINT_MARGIN = 0.02  # rad before its stop, where a joint comes to rest
 STEEPEST = 1.875  # largest slope of the quintic from 0 to 1
 BLEND_TIME = 0.003  # s, time constant by which a change of active contacts or laws is blended
 FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
@@ -28,12 +30,14 @@ FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
 
 @compiled
 def gate_torque(
-    torque: Vector, joints: Any, limits: Any, seen: bool, begun: bool,
+    torque: Vector, joints: Any, limits: Any, controls: Any, contacts: Any, mass_matrix: Matrix,
+    jacobian: Matrix, bounded: bool, by_task: bool, begun: bool,
 ) -> int:
     """
     Bring a torque, shape (n,), within its limits; return the sum of those that were enforced.
 
-    `seen`: the joints are known now; `begun`: there was a torque before, which is overwritten.
+    `bounded`: the joints are known now, and their motion is limited; `by_task` and the arguments
+    before are those of `bound_motion`; `begun`: there was a torque before, which is overwritten.
     """
     enforced, n = 0, torque.shape[0]
     if not np.isfinite(torque).all():
@@ -41,21 +45,15 @@ def gate_torque(
         for j in range(n):
             carried = joints[j].bias_torque
             torque[j] = carried if np.isfinite(carried) else 0.0
+    if bounded:
+        passed = bound_motion(
+            torque, joints, limits, controls, contacts, mass_matrix, jacobian, by_task)
+        if passed & bounds.STOP:
+            enforced |= JOINT_STOP
+        if passed & bounds.REACH:
+            enforced |= SINGULAR
     for j in range(n):
         joint, limit = joints[j], limits[j]
-        if seen:  # v <= sqrt(2 a d) at a distance d from a stop
-            ahead = np.sqrt(2.0 * JOINT_BRAKING * max(limit.upper - joint.q, 0.0))
-            behind = np.sqrt(2.0 * JOINT_BRAKING * max(joint.q - limit.lower, 0.0))
-            fastest, slowest = min(ahead, limit.speed), -min(behind, limit.speed)
-            if not BRAKING_SHARE * slowest < joint.velocity < BRAKING_SHARE * fastest:
-                gain = SPEED_GAIN * joint.inertia
-                braked = min(
-                    max(torque[j], joint.bias_torque + gain * (slowest - joint.velocity)),
-                    joint.bias_torque + gain * (fastest - joint.velocity))
-                braked = braked if np.isfinite(braked) else 0.0
-                if braked != torque[j]:
-                    enforced |= JOINT_STOP
-                torque[j] = braked
         clipped = min(max(torque[j], joint.added - joint.torque_limit),
                       joint.added + joint.torque_limit)
         if clipped != torque[j]:
@@ -78,34 +76,42 @@ class TorqueGate:
     of the torque before fades by the `quintic`, as `transition` says. What happens by itself (a
     contact that comes or goes, a reaction) fades with a time constant of 3 ms.
 
-    Then a torque that is not finite is replaced by the one that carries the arm; near a stop, or
-    above its speed, a joint brakes; the torque is clipped to its limits and to their rate. If not
-    `guarded`, stops, speeds and rates are not limited. `last` is the torque that acts, shape (n,)
-    [N m], `begun` whether there is one.
+    Then a torque that is not finite is replaced by the one that carries the arm; near a stop,
+    above its speed, or near a singular posture the arm brakes (`bound_motion`); the torque is
+    clipped to its limits and to their rate. If not `guarded`, motion and rates are not limited.
+    `last` is the torque that acts, shape (n,) [N m], `begun` whether there is one.
     """
 
-    def __init__(self, config: ControllerConfig, joints: Records, *, guarded: bool = True) -> None:
-        self._joints: Any = joints
+    def __init__(self, config: ControllerConfig, arm: ArmState, *, guarded: bool = True) -> None:
+        self._arm, self._joints = arm, arm.joints
         self._guarded = guarded
-        limits: Any = np.zeros(len(joints), dtype=JOINT_LIMITS)
+        limits: Any = np.zeros(len(self._joints), dtype=JOINT_LIMITS)
         rate = config.limits.torque_rate if guarded else ()
         limits['step'] = np.array(rate or np.inf) * config.period
-        limits['lower'] = np.array(config.limits.joint_lower or -np.inf) + JOINT_MARGIN
-        limits['upper'] = np.array(config.limits.joint_upper or np.inf) - JOINT_MARGIN
         limits['speed'] = config.limits.joint_speed or np.inf
+        self._stops = (np.array(config.limits.joint_lower or -np.inf),
+                       np.array(config.limits.joint_upper or np.inf))
         self._limits, self.last = limits, limits['last']
         self._period = config.period
         self._keep = math.exp(-config.period / BLEND_TIME)
         self.pace = config.transition
         self.reset()
-        self.apply(None, np.zeros(len(joints)))  # no tick is to wait for numba
+        self.apply(None, np.zeros(len(self._joints)))  # no tick is to wait for numba
         self.reset()
 
     def reset(self) -> None:
         """Forget the torque that acts."""
-        self.begun = False
+        self.begun = self._ranged = False
         self._joints['added'] = self.last[:] = 0.0
         self._end_blend()
+
+    def _set_range(self) -> None:
+        """Keep joints a margin off their stops; one that starts nearer may stay where it is."""
+        lower, upper = self._stops
+        q = np.clip(self._joints['q'], lower, upper)
+        self._limits['lower'] = np.minimum(lower + JOINT_MARGIN, q)
+        self._limits['upper'] = np.maximum(upper - JOINT_MARGIN, q)
+        self._ranged = True
 
     def _end_blend(self) -> None:
         self._law: object = None
@@ -136,17 +142,23 @@ class TorqueGate:
 
     def apply(
         self, law: object, torque: Vector, *, limited: bool = False, seen: bool = True,
+        by_task: bool = False,
     ) -> tuple[Vector, tuple[str, ...]]:
         """
         Let a torque through as far as continuity and the limits allow; name those enforced.
 
         The torque, shape (n,) [N m], is overwritten. A `law` is anything that differs from others;
-        `limited`: it was brought within torque limits already; `seen`: the joints are known now.
+        `limited`: it was brought within torque limits already; `seen`: the joints are known now;
+        `by_task`: it serves the contacts and the task in the records.
         """
         if self._pending or self._slow is not None or self._fast is not None or law != self._law:
             torque = self._blend(law, torque)
+        if seen and not self._ranged:
+            self._set_range()
+        arm, terms = self._arm, self._arm.robot.terms
         enforced = gate_torque(
-            torque, self._joints, self._limits, seen and self._guarded, self.begun)
+            torque, self._joints, self._limits, arm.controls, arm.contacts, terms.mass_matrix,
+            terms.jacobian, seen and self._guarded, by_task, self.begun)
         self.begun = True
         return torque, ENFORCED[enforced | TORQUE if limited else enforced]
 

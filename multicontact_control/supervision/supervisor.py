@@ -15,7 +15,7 @@ from multicontact_control.supervision import checks, reactions
 from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.contact_task import ContactTask
 from multicontact_control.supervision.contacts import GIVEN_UP
-from multicontact_control.supervision.gate import TorqueGate
+from multicontact_control.supervision.gate import LASTING_LIMITS, TorqueGate
 from multicontact_control.supervision.inputs import Inputs, Seen, TickInputs
 from multicontact_control.supervision.reactions import FLOAT, HOLD, NONE, SAFE
 from multicontact_control.supervision.report import no_answer, SupervisorStatus
@@ -58,7 +58,7 @@ class Supervisor:
         self._joints, self._controls = controller.arm.joints, controller.controls
         self.task = ContactTask(config, source, controller, guarded=guarded)
         self.inputs = Inputs(config, controller)
-        self.gate = TorqueGate(config, self._joints, guarded=guarded)
+        self.gate = TorqueGate(config, controller.arm, guarded=guarded)
         self.reactions = reactions.Reactions(config, controller)
         self._recovery = reactions.Recovery(config.watchdog.recovery_time, config.period)
         self._adopt(config)
@@ -119,10 +119,11 @@ class Supervisor:
                 self._take_over()
             torque, limits = self.gate.apply(
                 self.controller.active.tobytes() if self.guarded else None,
-                self.controller.torque.copy(), limited=limited)
+                self.controller.torque.copy(), limited=limited, by_task=True)
             # A blend passes in a moment, and a limited rate is caught up with: they are left out.
-            if self.guarded and ('torque' in limits or 'joint' in limits):
+            if self.guarded and not LASTING_LIMITS.isdisjoint(limits):
                 self.controller.account_for(torque)
+            self.task.note_limits(limits)
             self._task_ticks += 1
             return self._report(
                 torque, reaction, causes, ('reference', *limits) if self.task.limited else limits)

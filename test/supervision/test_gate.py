@@ -36,7 +36,7 @@ def make(q=HOME, velocity=REST, config=CONFIG, limit=LIMIT, guarded=True):
     arm.motion[:] = q, velocity
     assert arm.refresh()
     arm.joints['torque_limit'] = limit
-    return TorqueGate(config, arm.joints, guarded=guarded), arm
+    return TorqueGate(config, arm, guarded=guarded), arm
 
 
 def blending(**transition):

@@ -1,0 +1,289 @@
+"""
+Bounds on how fast the arm may come near a joint stop, a joint speed or a singular posture.
+
+What comes near is braked by a bound on its acceleration, from its distance and its speed. The
+accelerations that the torque leads to are brought within these bounds by the mass matrix, all
+joints together: where one joint must stop, the others go on with what the task can still have. The
+forces of the contacts come first, then the orientation, then the motion of the operational point.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from multicontact_control.algebra import (
+    cholesky,
+    dot,
+    gram,
+    multiply,
+    solve_cholesky,
+    solve_lower_columns,
+)
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.compiled import compiled
+from multicontact_control.contact.wrench import operational_wrench
+from multicontact_control.dynamics.operational_space import mobility_gradient
+import numpy as np
+
+# What `bound_motion` returns, added up.
+STOP, REACH = 1, 2
+
+SPEED_GAIN = 50.0  # 1/s, how fast a speed is brought back to the one that is allowed
+STOP_RATE = 20.0  # 1/s, of the way left: the speed that is allowed near a stop
+JOINT_BRAKING = 5.0  # rad/s^2 counted on farther away from it
+STOP_ZONE = 0.1  # rad before a stop, where a joint is always looked after
+WATCHED_SHARE = 0.7  # of the speed that is allowed, from where on it is looked after elsewhere
+# sqrt(kg)^-1: square root of the smallest eigenvalue of Lambda^-1. Motion ends at the first, above
+# which Lambda is not damped (0.004 1/kg), and is looked after below the second.
+SINGULAR, NEAR_SINGULAR = 0.08, 0.24
+REACH_RATE = 5.0  # 1/s, of the way left to it: the rate that is allowed
+# What a change of the accelerations costs: of contact points along their normals, of the
+# orientation at a lever of 0.3 m, of the operational point, and of the joints in the metric of M.
+FORCE_COST, TURN_COST, MOTION_COST, JOINT_COST = 1e4, 1e2 * 0.3 ** 2, 1.0, 1e-4  # s^4/m^2, 1/kg
+MOST_EXCHANGES = 60  # of a bound that counts for one that does not
+ROUNDING = 1e-9
+
+
+@compiled
+def allowed_speed(distance: float) -> float:
+    """
+    Return how fast a joint may come near its stop, at a distance [rad], negative beyond it.
+
+    v = k d near the stop, from which a joint beyond it returns, and sqrt(2 a (d - a / 2 k^2))
+    farther away, as a = JOINT_BRAKING lets it stop; [rad/s].
+    """
+    linear = JOINT_BRAKING / STOP_RATE ** 2
+    if distance <= linear:
+        return STOP_RATE * distance
+    return np.sqrt(2.0 * JOINT_BRAKING * (distance - 0.5 * linear))
+
+
+@compiled
+def bound_of_acceleration(allowed: float, closing: float, slope: float) -> float:
+    """
+    Return the largest acceleration towards a limit.
+
+    `allowed` and `closing` are the speed that is allowed and the one there is; the first falls by
+    `slope` [1/s] for each unit of the way.
+    """
+    return SPEED_GAIN * (allowed - closing) - slope * closing
+
+
+@compiled
+def add_joint_bounds(joints: Any, limits: Any, rows: Matrix, bounds: Vector) -> int:
+    """
+    Fill in a row for each side on which a joint is near its stop or its speed limit.
+
+    `rows`, shape (count, n), times the accelerations must not exceed `bounds` [rad/s^2]; returns
+    how many were filled in.
+    """
+    count = 0
+    for j in range(joints.shape[0]):
+        joint, limit = joints[j], limits[j]
+        for side in (1.0, -1.0):
+            distance = limit.upper - joint.q if side > 0.0 else joint.q - limit.lower
+            closing = side * joint.velocity
+            allowed = min(allowed_speed(distance), limit.speed)
+            if not (distance < STOP_ZONE or closing > WATCHED_SHARE * allowed):
+                continue
+            slope = 0.0
+            if allowed < limit.speed:
+                slope = min(STOP_RATE, JOINT_BRAKING / max(allowed, ROUNDING))
+            rows[count] = 0.0
+            rows[count, j] = side
+            bounds[count] = bound_of_acceleration(allowed, closing, slope)
+            count += 1
+    return count
+
+
+@compiled
+def add_reach_bounds(
+    joints: Any, jacobian: Matrix, Y: Matrix, L: Matrix, rows: Matrix, bounds: Vector, count: int,
+) -> int:
+    """
+    Fill in a row for each direction in which the arm is nearly singular, as stretched arms are.
+
+    The distance is that of the square root of an eigenvalue of Lambda^-1 from `SINGULAR`. A
+    posture that is beyond it may be left, but not made worse. Y = L^-1 J^T, M = L L^T; for the
+    rest see `add_joint_bounds`.
+    """
+    mobility, velocity = np.empty((6, 6)), joints['velocity']
+    gram(Y, mobility)
+    eigenvalues, directions = np.linalg.eigh(mobility)
+    for k in range(6):
+        size = np.sqrt(max(eigenvalues[k], ROUNDING))
+        if size > NEAR_SINGULAR:
+            break
+        gradient = rows[count]
+        mobility_gradient(jacobian, L, Y, directions[:, k].copy(), gradient)
+        gradient *= -0.5 / size  # so that it closes in where this times the speeds is positive
+        closing = dot(gradient, velocity)
+        allowed = REACH_RATE * max(size - SINGULAR, 0.0)
+        bounds[count] = bound_of_acceleration(allowed, closing, REACH_RATE)
+        count += 1
+    return count
+
+
+@compiled
+def cost_of_changes(
+    mass_matrix: Matrix, jacobian: Matrix, contacts: Any, by_task: bool, cost: Matrix,
+) -> None:
+    """
+    Fill in H, shape (n, n): a change of the accelerations by x costs x^T H x.
+
+    Without a task (`by_task`), of a reaction say, the metric is M alone: the joints that must stop
+    are stopped, and the torques of the others stay.
+    """
+    n = mass_matrix.shape[0]
+    row = np.empty(n)
+    for i in range(n):
+        for j in range(i, n):
+            cost[i, j] = JOINT_COST * mass_matrix[i, j]
+    if not by_task:
+        return
+    for index in range(contacts.shape[0] + 6):
+        if index < 6:
+            row[:] = jacobian[index]
+            weight = MOTION_COST if index < 3 else TURN_COST
+        else:
+            contact, weight = contacts[index - 6], FORCE_COST
+            if not contact.answer.active:
+                continue
+            multiply(jacobian.T, contact.N, row)
+        for i in range(n):
+            for j in range(i, n):
+                cost[i, j] += weight * row[i] * row[j]
+
+
+@compiled
+def least_change(
+    cost: Matrix, rows: Matrix, excess: Vector, multipliers: Vector, change: Vector,
+) -> bool:
+    """
+    Fill in the x of least x^T H x / 2 with R x <= -e; return whether it was found.
+
+    x = -H^-1 R^T y with multipliers y >= 0, which are above 0 for bounds that count. They solve a
+    linear complementarity problem of the matrix R H^-1 R^T, by exchanging the first bound that is
+    wrong, which ends (Murty 1974).
+
+    `cost` is H, upper triangle, shape (n, n), `rows` R, shape (m, n), `excess` e, shape (m,);
+    `multipliers`, shape (m,), and `change`, shape (n,), are filled in.
+    """
+    n, m = cost.shape[0], rows.shape[0]
+    L, Z, G = np.empty((n, n)), rows.T.copy(), np.empty((m, m))
+    if not cholesky(cost, L, 0.0):
+        return False
+    solve_lower_columns(L, Z)
+    gram(Z, G)
+    counts, slack = np.zeros(m, dtype=np.bool_), np.empty(m)
+    basis, factor = np.empty((m, m)), np.empty((m, m))
+    for _ in range(MOST_EXCHANGES):
+        for i in range(m):
+            multipliers[i] = excess[i] if counts[i] else 0.0
+            for j in range(m):
+                basis[i, j] = G[i, j] if counts[i] and counts[j] else 0.0
+            basis[i, i] = G[i, i] * (1.0 + ROUNDING) if counts[i] else 1.0
+        if not cholesky(basis, factor, 0.0):
+            return False
+        solve_cholesky(factor, multipliers)
+        multiply(G, multipliers, slack)
+        wrong = -1
+        for i in range(m):
+            tolerance = ROUNDING * (1.0 + abs(excess[i]))
+            if (counts[i] and multipliers[i] < 0.0) or (
+                    not counts[i] and slack[i] - excess[i] < -tolerance):
+                wrong = i
+                break
+        if wrong < 0:
+            multiply(rows.T, multipliers, change)
+            change *= -1.0
+            solve_cholesky(L, change)
+            return True
+        counts[wrong] = not counts[wrong]
+    return False
+
+
+@compiled
+def predict_acceleration(
+    torque: Vector, control: Any, joints: Any, contacts: Any, jacobian: Matrix, L: Matrix,
+    acceleration: Vector,
+) -> None:
+    """
+    Fill in M^-1 (Gamma - C v - g - friction - J^T f), shape (n,) [rad/s^2].
+
+    f is the measured wrench of the contacts, or what is fed forward to them where there is none.
+    """
+    wrench = np.zeros(6)
+    if control.measured:
+        operational_wrench(control, wrench)
+    else:
+        for i in range(contacts.shape[0]):
+            wrench += contacts[i].answer.alpha_fed * contacts[i].N
+    for j in range(joints.shape[0]):
+        joint = joints[j]
+        friction = joint.viscous * joint.velocity + joint.coulomb * np.tanh(
+            joint.velocity / control.law.friction_speed)
+        acceleration[j] = torque[j] - joint.bias_torque - friction
+        for i in range(6):
+            acceleration[j] -= jacobian[i, j] * wrench[i]
+    solve_cholesky(L, acceleration)
+
+
+@compiled
+def bound_motion(
+    torque: Vector, joints: Any, limits: Any, controls: Any, contacts: Any, mass_matrix: Matrix,
+    jacobian: Matrix, by_task: bool,
+) -> int:
+    """
+    Change a torque so that no bound of the motion is passed; return which ones were.
+
+    Parameters
+    ----------
+    torque
+        Gamma, shape (n,) [N m], changed by M x, x the least change of accelerations that serves.
+    joints, limits, controls, contacts
+        Records of `JOINT` and `JOINT_LIMITS`, shape (n,), one of `CONTROL`, and records of
+        `CONTACT`, shape (r,).
+    mass_matrix, jacobian
+        M (upper triangle), shape (n, n), and J, shape (6, n).
+    by_task
+        Whether the torque serves contacts and a task, which are kept as far as possible.
+
+    Returns
+    -------
+    int
+        The sum of STOP (a stop or the speed limit of a joint) and REACH (a singular posture).
+
+    """
+    n, control = joints.shape[0], controls[0]
+    rows, bounds = np.empty((2 * n + 6, n)), np.empty(2 * n + 6)
+    stops = count = add_joint_bounds(joints, limits, rows, bounds)
+    nearly_singular = by_task and control.frame.mobility < NEAR_SINGULAR ** 2
+    if count == 0 and not nearly_singular:
+        return 0
+    L, acceleration, change = np.empty((n, n)), np.empty(n), np.empty(n)
+    if not cholesky(mass_matrix, L, 0.0):
+        return 0
+    if nearly_singular:
+        Y = jacobian.T.copy()
+        solve_lower_columns(L, Y)
+        count = add_reach_bounds(joints, jacobian, Y, L, rows, bounds, count)
+    predict_acceleration(torque, control, joints, contacts, jacobian, L, acceleration)
+    excess, exceeded = np.empty(count), False
+    for i in range(count):
+        excess[i] = dot(rows[i], acceleration) - bounds[i]
+        exceeded = exceeded or excess[i] > 0.0
+    if not exceeded:
+        return 0
+    cost, multipliers = np.empty((n, n)), np.empty(count)
+    cost_of_changes(mass_matrix, jacobian, contacts, by_task, cost)
+    if not least_change(cost, rows[:count], excess, multipliers, change):
+        return 0
+    for i in range(n):
+        for j in range(n):
+            torque[i] += mass_matrix[min(i, j), max(i, j)] * change[j]
+    enforced = 0
+    for i in range(count):
+        if multipliers[i] > 0.0:
+            enforced |= STOP if i < stops else REACH
+    return enforced
