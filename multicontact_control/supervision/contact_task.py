@@ -24,7 +24,7 @@ GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bou
 # largest speeds, with an acceleration that reaches these in so long [s].
 RETURN_RATE, RETURN_SHARE, RETURN_RAMP = 2.0, 0.2, 0.25
 # How far the reference may be ahead of an arm at rest that cannot follow [m], [rad].
-LEAST_LEAD, LEAST_TURN = 0.003, 0.02
+LEAST_LEAD, LEAST_TURN = 0.003, 0.01
 THERE = 1e-5  # m or rad from the task, where it is caught up with
 PARALLEL = 1e-6  # length that is left of a normal that the others span already
 
