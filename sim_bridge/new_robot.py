@@ -20,6 +20,7 @@ from sim_bridge.posture import condition, limits_of, middle_of, reach, turn_onto
 from sim_bridge.robot_file import RobotFile
 from sim_bridge.robots import Robot
 from sim_bridge.urdf_arm import parse_urdf, read_arm, read_urdf, way_to
+from sim_bridge.workspace import reachable_box
 import yaml
 
 MARK = 'PLACEHOLDER'
@@ -48,7 +49,9 @@ HEADS = {
 COMMENTS = {
     'locked_positions': 'rad or m', 'mount_link': 'carries the wrist sensor',
     'mount_rpy': 'rad, axes of the sensor in it', 'tip_links': 'of the tool, which is in the URDF',
-    'armature': f'kg m^2, {MARK}', 'home': 'rad'}
+    'armature': f'kg m^2, {MARK}', 'home': 'rad',
+    'workspace_lower': 'm, what the operational point reaches with the tool as at home',
+    'workspace_upper': 'm'}
 
 
 def new_robot(
@@ -94,6 +97,9 @@ def new_robot(
         missing.append('home: no posture with the tool straight down was found; this one is the '
                        "middle of the joints' range")
     values['home'] = home.round(9).tolist()
+    for name, corner in zip(('workspace_lower', 'workspace_upper'),
+                            reachable_box(arm.model(), home)):
+        values[name] = corner.round(3).tolist()
     comments = dict(COMMENTS)
     for name, (guess, unit) in GUESSED_LIMITS.items():
         values[name] = np.nan_to_num(limits[name], nan=guess).tolist()

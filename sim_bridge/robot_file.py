@@ -97,6 +97,10 @@ class RobotFile(Config):
                                      unit='N m')
     speed_limit: Vector = parameter((), "Largest joint speed; empty for the URDF's.",
                                     unit='rad/s')
+    workspace_lower: Vector = parameter(
+        (), 'Lower corner of the box that the operational point reaches with the tool as at home, '
+        'as `new-robot` finds it; empty for a box around home.', unit='m')
+    workspace_upper: Vector = parameter((), 'Upper corner of that box.', unit='m')
     contacts: dict[str, SideConfig] = parameter({}, 'Contacts, in their order.')
     wide_contacts: dict[str, WideConfig] = parameter(
         {}, 'Edges and faces of the tool, which scenarios may name among their contacts.')

@@ -215,8 +215,8 @@ class Robot:
                 **limits, 'joint_lower': lower, 'joint_upper': upper,
                 'joint_speed': [link.speed_limit for link in arm.links],
                 'torque_rate': [TORQUE_RATE_SHARE * rate * limit for limit in arm.torque_limit],
-                'workspace_lower': (home + WORKSPACE[0]).tolist(),
-                'workspace_upper': (home + WORKSPACE[1]).tolist()}}
+                'workspace_lower': list(file.workspace_lower) or (home + WORKSPACE[0]).tolist(),
+                'workspace_upper': list(file.workspace_upper) or (home + WORKSPACE[1]).tolist()}}
         kept = {key: value for key, value in base.items() if key not in OF_THE_ARM}
         return {**kept, **derived}
 

@@ -29,6 +29,7 @@ import numpy as np
 # What `bound_motion` returns, added up.
 STOP, REACH = 1, 2
 
+SPEED_SHARE = 0.98  # of the speed limit of a joint, up to which it may go
 SPEED_GAIN = 50.0  # 1/s, how fast a speed is brought back to the one that is allowed
 STOP_RATE = 20.0  # 1/s, of the way left: the speed that is allowed near a stop
 JOINT_BRAKING = 5.0  # rad/s^2 counted on farther away from it
@@ -42,7 +43,7 @@ REACH_RATE = 5.0  # 1/s, of the way left to it: the rate that is allowed
 # operational point, of the orientation at a lever of 0.3 m, and of the joints in the metric of M.
 FORCE_COST, MOTION_COST, TURN_COST, JOINT_COST = 1e4, 1.0, 0.3 ** 2, 1e-4  # s^4/m^2, 1/kg
 MOST_EXCHANGES = 60  # of a bound that counts for one that does not
-ROUNDING = 1e-9
+ROUNDING = 1e-12
 
 
 @compiled
@@ -81,14 +82,15 @@ def add_joint_bounds(joints: Any, limits: Any, rows: Matrix, bounds: Vector) -> 
     count = 0
     for j in range(joints.shape[0]):
         joint, limit = joints[j], limits[j]
+        fastest = SPEED_SHARE * limit.speed
         for side in (1.0, -1.0):
             distance = limit.upper - joint.q if side > 0.0 else joint.q - limit.lower
             closing = side * joint.velocity
-            allowed = min(allowed_speed(distance), limit.speed)
+            allowed = min(allowed_speed(distance), fastest)
             if not (distance < STOP_ZONE or closing > WATCHED_SHARE * allowed):
                 continue
             slope = 0.0
-            if allowed < limit.speed:
+            if allowed < fastest:
                 slope = min(STOP_RATE, JOINT_BRAKING / max(allowed, ROUNDING))
             rows[count] = 0.0
             rows[count, j] = side

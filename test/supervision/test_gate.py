@@ -21,6 +21,7 @@ from multicontact_control.supervision.contacts import LOST, NAMES
 from multicontact_control.supervision.gate import TorqueGate
 from multicontact_control.supervision.supervisor import Supervisor
 import numpy as np
+import pytest
 
 CONFIG = controller_config()
 ROBOT = RobotModel(CONFIG.robot, config_dir())
@@ -47,29 +48,47 @@ def blending(**transition):
     return gate
 
 
-def test_gate_brakes_a_joint_before_its_stop():
-    """A single joint under full torque, with the model's own dynamics (semi-implicit Euler)."""
-    q, v = HOME.copy(), np.zeros(6)
+@pytest.mark.parametrize('joint', range(6))
+def test_gate_stops_a_joint_before_its_stop_whatever_the_others_do(joint):
+    """One joint under large torque, the others held, with the arm's own dynamics (Euler)."""
+    q, v, push = HOME.copy(), np.zeros(6), np.zeros(6)
     gate, arm = make()
-    upper = np.array(CONFIG.limits.joint_upper)
+    lower, upper = (np.array(getattr(CONFIG.limits, f'joint_{end}')) for end in ('lower', 'upper'))
+    speed = np.array(CONFIG.limits.joint_speed)
+    push[joint] = 0.5 * LIMIT[joint]
     fastest = 0.0
-    for _ in range(1500):
+    for _ in range(2500):
         state = ROBOT.update(q, v)
         arm.motion[:] = q, v
         arm.refresh()
-        wanted = state.gravity + state.coriolis
-        wanted[4] += 15.0
-        torque, _ = gate.apply('law', wanted)
+        held = state.mass_matrix @ (400.0 * (HOME - q) - 40.0 * v)
+        held[joint] = 0.0
+        torque, _ = gate.apply('law', state.gravity + state.coriolis + held + push)
         v = v + 0.002 * np.linalg.solve(
             state.mass_matrix, torque - state.gravity - state.coriolis)
-        v[[0, 1, 2, 3, 5]] = 0.0
         q = q + 0.002 * v
-        fastest = max(fastest, v[4])
-        assert q[4] < upper[4]
-        assert v[4] < 1.02 * CONFIG.limits.joint_speed[4]
-    assert fastest > 1.0
-    assert abs(v[4]) < 0.02
-    assert upper[4] - q[4] < 0.05
+        fastest = max(fastest, v[joint])
+        assert (q < upper).all() and (q > lower).all()
+        assert (np.abs(v) < 1.02 * speed).all()
+    assert fastest > 0.2
+    assert np.abs(v).max() < 0.02
+    assert upper[joint] - q[joint] < 0.05
+
+
+def test_joint_that_starts_at_its_stop_stays_there():
+    """It is not led away by the margin that others keep."""
+    q, v = HOME.copy(), np.zeros(6)
+    q[4] = start = CONFIG.limits.joint_upper[4] - 0.005
+    gate, arm = make(q)
+    for _ in range(500):
+        state = ROBOT.update(q, v)
+        arm.motion[:] = q, v
+        arm.refresh()
+        torque, _ = gate.apply('law', state.gravity + state.coriolis)
+        v = v + 0.002 * np.linalg.solve(
+            state.mass_matrix, torque - state.gravity - state.coriolis)
+        q = q + 0.002 * v
+    assert abs(q[4] - start) < 1e-4
 
 
 def test_commanded_change_starts_at_the_torque_before_and_fades_at_its_rate():

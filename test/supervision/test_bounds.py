@@ -1,0 +1,73 @@
+"""What bounds the motion near stops and singular postures, against independent references."""
+
+from arms import controller_config, HOME
+from hypothesis import given
+from hypothesis import strategies as st
+from multicontact_control.dynamics.operational_space import mobility_gradient
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.paths import config_dir
+from multicontact_control.supervision import bounds
+import numpy as np
+import pytest
+
+ROBOT = RobotModel(controller_config().robot, config_dir())
+
+
+def factors(state):
+    """Return L with M = L L^T, and L^-1 J^T."""
+    L = np.linalg.cholesky(state.mass_matrix)
+    return L, np.linalg.solve(L, state.jacobian.T)
+
+
+@pytest.mark.parametrize('index', range(3))
+def test_mobility_gradient_agrees_with_finite_differences(index):
+    rng, h = np.random.default_rng(index), 1e-6
+    q = HOME + 0.3 * rng.standard_normal(6)
+    state = ROBOT.update(q, np.zeros(6))
+
+    def eigenvalue(at):
+        J = ROBOT.update(at, np.zeros(6)).jacobian
+        return np.linalg.eigvalsh(J @ np.linalg.solve(state.mass_matrix, J.T))[index]
+
+    direction = np.linalg.eigh(
+        state.jacobian @ np.linalg.solve(state.mass_matrix, state.jacobian.T))[1][:, index]
+    gradient = np.empty(6)
+    mobility_gradient(state.jacobian, *factors(state), direction.copy(), gradient)
+    expected = [(eigenvalue(q + step) - eigenvalue(q - step)) / (2.0 * h)
+                for step in h * np.eye(6)]
+    np.testing.assert_allclose(gradient, expected, rtol=1e-5, atol=1e-7)
+
+
+@given(seed=st.integers(0, 2 ** 32 - 1), count=st.integers(1, 8))
+def test_least_change_fulfils_the_conditions_of_an_optimum(seed, count):
+    """Karush, Kuhn and Tucker: feasible, stationary, multipliers of active bounds alone."""
+    rng, n = np.random.default_rng(seed), 7
+    root = rng.standard_normal((n, n))
+    H = root @ root.T + 1e-3 * np.eye(n)
+    R, excess = rng.standard_normal((count, n)), rng.standard_normal(count)
+    if count > n:
+        R, excess = R[:n], excess[:n]
+    multipliers, change = np.empty(len(R)), np.empty(n)
+    assert bounds.least_change(H, R, excess, multipliers, change)
+    slack = -excess - R @ change
+    scale = 1.0 + np.abs(excess).max()
+    assert slack.min() > -1e-6 * scale
+    assert multipliers.min() >= 0.0
+    assert np.abs(multipliers * slack).max() < 1e-5 * scale * (1.0 + multipliers.max())
+    residual = H @ change + R.T @ multipliers
+    assert np.abs(residual).max() < 1e-6 * (1.0 + np.abs(H @ change).max())
+
+
+@pytest.mark.parametrize('speed', [0.1, 1.0, 5.0])
+def test_allowed_speed_stops_a_joint_without_more_than_its_braking(speed):
+    """A joint that follows the allowed speed comes to rest at the stop, from any speed."""
+    distance = next(d for d in np.linspace(0.0, 10.0, 100_001) if bounds.allowed_speed(d) >= speed)
+    h, fastest_change, before = 1e-4, 0.0, bounds.allowed_speed(distance)
+    for _ in range(60_000):
+        allowed = bounds.allowed_speed(distance)
+        fastest_change = max(fastest_change, abs(allowed - before) / h)
+        before = allowed
+        distance -= h * allowed
+    assert fastest_change < 1.01 * bounds.JOINT_BRAKING
+    assert 0.0 <= distance < 1e-3
+    assert bounds.allowed_speed(-0.01) < 0.0  # what is beyond the stop comes back
