@@ -1,4 +1,4 @@
-"""What became of a fault: one row, by the same limits for all."""
+"""What became of a fault, or of a situation: one row, by the same limits for all."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.experiment.faults.vocabulary import Fault, REST, SLIDING
@@ -29,6 +29,13 @@ OFF_TIME, OFF_FORCE, OFF_SHARE = 0.02, 2.0, 0.2  # s, N, share of the command: o
 BACK_TIME = 0.6  # s after a fault, in which the arm is back: waiting, and five time constants
 UNKNOWN = np.zeros((0, 1))  # forces
 AGAIN = 10  # changes of the reaction, within a run of 1.2 s and 2/s over 5 s
+# In a situation, where nothing is wrong.
+OVER_COMMAND = 20.0  # N on a surface above what is commanded, also while that is 0
+SPEED_TOLERANCE = 0.01  # of a joint's largest speed
+PAST_STOP = 0.01  # rad
+UNASKED = 5e-3  # m, of a motion that was not asked for
+LEAVING = ('retracting', 'given up')  # contacts that are left on purpose
+END_TIME = 0.5  # s, the end of a run that tells what it has come to
 
 
 @dataclass(frozen=True)
@@ -76,6 +83,35 @@ class Observation(NamedTuple):
     problems: Collection[str] = ()  # what is known to have gone wrong
 
 
+@dataclass(frozen=True)
+class SituationRow:
+    """What became of one situation."""
+
+    what: str  # it is
+    peak_over_n: float  # largest true normal force above the one commanded [N]
+    speed_share: float  # largest true speed of a joint over its limit
+    beyond_stop_rad: float  # how far a joint was beyond its stop, below 0 before it [rad]
+    unasked_mm: float  # largest motion that was not asked for [mm]; see `unasked_motion`
+    off_n: float  # mean distance of the worst force from its command, at the end [N]
+    short_mm: float  # distance from the setpoint at the end, but for normals [mm]
+    reaction: str  # the strongest
+    peak_torque_fraction: float
+    safe: bool  # nothing of `problems`
+    problems: str = ''
+
+
+class Way(NamedTuple):
+    """Where an arm was, and where it should have been, world axes."""
+
+    q: Matrix  # of the links, shape (ticks, n) [rad]
+    qd: Matrix  # likewise [rad/s]
+    position: Matrix  # of the operational point, shape (ticks, 3) [m]
+    setpoint: Matrix  # likewise
+    tip: Any  # of every contact, shape (ticks, r, 3) [m]
+    tip_setpoint: Any  # where the setpoint has it, without the contact, likewise
+    states: Sequence[tuple[str, ...]]  # of the contacts
+
+
 def judge(
     fault: Fault, seed: int, setup: Setup, seen: Observation, *, phase: str = '',
 ) -> FaultRow:
@@ -121,6 +157,93 @@ def judge(
         off_command_s=round(float(off_command.sum()) * config.period, 6) if at_work else None,
         transitions=transitions, shortfalls=', '.join(shortfalls),
         pair=' + '.join(f'{part.input} {part.kind}' for part in fault.parts))
+
+
+def judge_situation(what: str, setup: Setup, seen: Observation, way: Way) -> SituationRow:
+    """Return the row of a situation from what was seen in it."""
+    limits = setup.controller.limits
+    problems, fraction = never_allowed(seen, setup)
+    peak = float((seen.forces - seen.commands).max())
+    speed = float((np.abs(way.qd) / (limits.joint_speed or math.inf)).max())
+    beyond = -math.inf
+    if limits.joint_lower:
+        beyond = float(np.maximum(limits.joint_lower - way.q, way.q - limits.joint_upper).max())
+    unasked = unasked_motion(setup, seen, way)
+    for problem, wrong in (
+            ('force above the command', peak > OVER_COMMAND),
+            ('joint too fast', speed > 1.0 + SPEED_TOLERANCE),
+            ('joint beyond its stop', beyond > PAST_STOP),
+            ('motion not asked for', unasked > UNASKED)):
+        if wrong:
+            problems.add(problem)
+    last = round(END_TIME * setup.controller.rate)
+    off = np.abs((seen.forces - seen.commands)[-last:].mean(axis=0)).max()
+    across = _across(setup, seen)
+    short = np.linalg.norm(across[-1] @ (way.setpoint[-1] - way.position[-1]))
+    return SituationRow(
+        what=what, peak_over_n=round(peak, 3), speed_share=round(speed, 4),
+        beyond_stop_rad=round(beyond, 5), unasked_mm=round(1e3 * unasked, 3),
+        off_n=round(float(off), 3), short_mm=round(1e3 * float(short), 2),
+        reaction=seen.reaction, peak_torque_fraction=round(fraction, 5), safe=not problems,
+        problems=', '.join(sorted(problems)))
+
+
+def unasked_motion(setup: Setup, seen: Observation, way: Way) -> float:
+    """
+    Return how far an arm went at most where nothing asked it to [m].
+
+    What counts is motion in one go, less what is taken back, in any of three ways:
+
+    - the operational point goes away from its setpoint, across the normals of the contacts that
+      are commanded. To go with the setpoint is asked for, as is to follow a stop or an edge
+      towards it; to fall short, or behind, is no motion; the orientation may give way.
+    - a tip that is sought goes towards its surface by more than the approach's speed allows.
+    - a tip that has been at its surface leaves it, unless the contact is left on purpose.
+    """
+    across, r = _across(setup, seen), len(setup.controller.contact_names)
+    asked, gone, left = (np.einsum('kij,kj->ki', across[1:], vectors) for vectors in (
+        np.diff(way.setpoint, axis=0), np.diff(way.position, axis=0),
+        way.setpoint[1:] - way.position[:-1]))
+    along = asked / np.maximum(np.linalg.norm(asked, axis=1, keepdims=True), 1e-12)
+    together = np.clip(np.sum(along * gone, axis=1), 0.0, np.linalg.norm(asked, axis=1))
+    own = gone - together[:, np.newaxis] * along
+    away = np.linalg.norm(left - own, axis=1) - np.linalg.norm(left, axis=1)
+    largest = in_one_go(away, np.zeros(len(away), dtype=bool))
+    config, period = setup.controller, setup.controller.period
+    approach = max(
+        config.contact_state.approach_speed, setup.scenario.reference.approach.speed)
+    for i, name in enumerate(setup.plant.contact_names[:r]):
+        normal = np.array(setup.plant.surfaces[name].normal_world)
+        own = np.diff(way.tip[:, i] - way.tip_setpoint[:, i], axis=0) @ normal
+        wanted = seen.commands[1:, i] > 0.0
+        pressed = seen.forces[1:, i] > 0.0
+        largest = max(largest, in_one_go(own - approach * period, pressed | ~wanted))
+        met = np.maximum.accumulate(pressed)
+        leaves = np.array([states[i] in LEAVING for states in way.states[1:]])
+        largest = max(largest, in_one_go(-own, pressed | ~wanted | ~met | leaves))
+    return largest
+
+
+def in_one_go(steps: Vector, ended: Mask) -> float:
+    """Return the largest sum of neighbouring steps, those where it has `ended` left out."""
+    largest = total = 0.0
+    for step, is_end in zip(steps.tolist(), ended.tolist()):
+        total = 0.0 if is_end else max(0.0, total + step)
+        largest = max(largest, total)
+    return largest
+
+
+def _across(setup: Setup, seen: Observation) -> Any:
+    """Return what is left of a vector across the commanded normals, shape (ticks, 3, 3)."""
+    config = setup.controller
+    normals = np.array([config.contacts[name].normal_world for name in config.contact_names])
+    wanted = seen.commands > 0.0
+    projections = np.empty((len(wanted), 3, 3))
+    for row in np.unique(wanted, axis=0):
+        N = normals[row].T
+        free = np.eye(3) - N @ np.linalg.pinv(N) if row.any() else np.eye(3)
+        projections[(wanted == row).all(axis=1)] = free
+    return projections
 
 
 def never_allowed(seen: Observation, setup: Setup) -> tuple[set[str], float]:
