@@ -188,6 +188,13 @@ def judge_situation(what: str, setup: Setup, seen: Observation, way: Way) -> Sit
         problems=', '.join(sorted(problems)))
 
 
+def died(what: str, error: Exception) -> SituationRow:
+    """Return the row of a situation that ended by an error."""
+    unknown = math.inf
+    return SituationRow(what, unknown, unknown, unknown, unknown, unknown, unknown, 'died',
+                        unknown, False, f'{type(error).__name__}: {error}')
+
+
 def unasked_motion(setup: Setup, seen: Observation, way: Way) -> float:
     """
     Return how far an arm went at most where nothing asked it to [m].

@@ -24,6 +24,7 @@ from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.judge import (
+    died,
     judge_situation,
     Observation,
     SituationRow,
@@ -281,28 +282,29 @@ def _sine_reference(
             'amplitude': course.distance, 'period': course.period, 'blend_time': 1.0}}
 
 
-class _Run:
+class SituationRun:
     """A situation in a closed loop, tick by tick, and what is seen of it."""
 
     def __init__(self, setup: Setup, course: Course, situation: SituationConfig) -> None:
-        self.setup, self._course, self._situation = setup, course, situation
+        self._course, self._situation = course, situation
         self._scenario = situation.motion == 'sine'
         self.loop = ClosedLoop(setup, commanded=not self._scenario)
+        self._period = setup.controller.period
         self._names = setup.controller.contact_names
         self._robot = RobotModel(setup.controller.robot, setup.urdf_dir)
         self._setpoint = course.at(0.0)
-        self._bias = self._sensor_bias()
+        self._bias = self._sensor_bias(setup)
         for surface in range(len(setup.plant.touched)):
             self.loop.plant.contacts.shift(
                 surface, situation.farther if situation.force else NOWHERE)
         self.seen: dict[str, list[Any]] = {name: [] for name in (
             'torque', 'force', 'q', 'qd', 'tip', 'setpoint', 'states', 'reaction', 'commanded')}
 
-    def _sensor_bias(self) -> Vector:
+    def _sensor_bias(self, setup: Setup) -> Vector:
         """Return the bias of the wrench in the sensor's axes at home, shape (6,) [N, N m]."""
-        home = np.array(self.setup.plant.home)
+        home = np.array(setup.plant.home)
         rotation = self._robot.update(home, np.zeros(len(home))).sensor_pose.rotation_world
-        normal = np.array(self.setup.controller.contacts[self._names[0]].normal_world)
+        normal = np.array(setup.controller.contacts[self._names[0]].normal_world)
         across = null_space(normal[np.newaxis])[:, 0]
         force = self._situation.bias_along * normal + self._situation.bias_across * across
         return np.concatenate([rotation.T @ force, np.zeros(3)])
@@ -317,7 +319,7 @@ class _Run:
     def advance(self) -> None:
         """Take one tick, and note what was there at its beginning, and how it was answered."""
         loop, seen, arm = self.loop, self.seen, self.loop.plant.arm
-        time = loop.tick * self.setup.controller.period
+        time = loop.tick * self._period
         self._command(time)
         seen['setpoint'].append(self._setpoint)
         seen['commanded'].append(self._commanded(time))
@@ -333,7 +335,7 @@ class _Run:
     def _commanded(self, time: float) -> Vector:
         """Return the forces that are commanded, shape (r,) [N]."""
         if self._scenario:
-            return self.setup.commanded(np.array([time]))[0]
+            return self.loop.setup.commanded(np.array([time]))[0]
         forces = self.loop.control.commanded_forces
         return np.array([forces[name] for name in self._names])
 
@@ -343,7 +345,7 @@ class _Run:
         if situation.payload and time >= PICK_UP_TIME and not self.loop.plant.payload:
             self._pick_up()
         if self._scenario:
-            motion = self.setup.scenario.reference.motion
+            motion = self.loop.setup.scenario.reference.motion
             if motion is not None:
                 self._setpoint = self._course.reading(np.array(sine_motion(motion, time)))
             return
@@ -357,7 +359,7 @@ class _Run:
                 self._setpoint = setpoint
 
     def _pick_up(self) -> None:
-        situation, config = self._situation, self.setup.controller
+        situation, config = self._situation, self.loop.setup.controller
         plant, tool = self.loop.plant, config.tool
         plant.payload = situation.payload
         if situation.told:
@@ -397,14 +399,13 @@ def run_situation(
     what: str, setup: Setup, course: Course, situation: SituationConfig,
 ) -> SituationRow:
     """Run a situation from the start to the end, and judge it."""
-    run = _Run(setup, course, situation)
-    problems = set()
+    run = SituationRun(setup, course, situation)
     before = run.loop.command.copy()
     try:
         for _ in range(setup.ticks):
             run.advance()
     except Exception as error:  # an arm out of all numbers, or a broken controller
-        problems.add(f'{type(error).__name__}: {error}')
+        return died(what, error)
     finally:
         run.loop.close()
     seen = run.seen
@@ -412,5 +413,5 @@ def run_situation(
     time: Vector = setup.controller.period * np.arange(float(len(force)))
     return judge_situation(what, setup, Observation(
         torque=np.array(seen['torque']), before=before, time=time, force=force.max(axis=1),
-        reaction=max(seen['reaction'], key=SEVERITY.index), reactions=seen['reaction'],
-        forces=force, commands=commanded, problems=problems), run.way())
+        reaction=max(seen['reaction'], key=SEVERITY.index), forces=force, commands=commanded),
+        run.way())
