@@ -69,7 +69,8 @@ class SituationConfig(Config):
     distance: float = parameter(
         0.0, 'How far, less where the workspace box ends.', unit='m or rad', ge=0.0)
     speed: float = parameter(0.1, 'Largest speed of the motion.', unit='m/s or rad/s', gt=0.0)
-    times: int = parameter(1, 'How often the motion goes there and back.', ge=0)
+    legs: int = parameter(
+        2, 'There, back, there...: how often it goes; two are a period of a sinusoid.', ge=1)
     stop_joint: int = parameter(
         0, 'Joint, from 1 on, that is led to a stop near home by the motion that turns it most; 0 '
         'for none.', ge=0)
@@ -112,41 +113,39 @@ class Course(NamedTuple):
     axis: Vector
     distance: float  # [m or rad]
     speed: float  # [m/s or rad/s]
-    times: int
+    legs: int  # 0 for no motion
 
     @property
     def leg_time(self) -> float:
-        """How long it takes in one direction [s]."""
-        return self.distance / self.speed + RAMP_TIME
+        """How long it takes in one direction, and to rest there [s]."""
+        return self.distance / self.speed + RAMP_TIME + REST_TIME
 
     @property
     def duration(self) -> float:
-        """How long it takes in all, with the rests at both ends [s]."""
-        return 2 * self.times * (self.leg_time + REST_TIME)
+        """How long it takes in all [s]."""
+        return self.legs * self.leg_time
 
     @property
     def period(self) -> float:
         """Return the period of a sinusoid of this amplitude and largest speed [s]."""
         return 2.0 * np.pi * self.distance / self.speed
 
-    def at(self, time: float) -> MotionReading:
-        """Return the setpoint at a time since its beginning [s]."""
-        leg, elapsed = divmod(max(time, 0.0), self.leg_time + REST_TIME)
-        way = np.zeros(3)
-        if leg < 2 * self.times:
-            way = _run(elapsed, self.distance, self.speed)
-            if leg % 2:
-                way = np.array([self.distance, 0.0, 0.0]) - way
-        return self.reading(way)
+    def way(self, time: float) -> Vector:
+        """Return way [m or rad], rate and its rate at a time since its beginning [s], (3,)."""
+        if not 0.0 <= time < self.duration:
+            return np.array([self.distance * (self.legs % 2) * (time > 0.0), 0.0, 0.0])
+        leg, elapsed = divmod(time, self.leg_time)
+        way = _run(elapsed, self.distance, self.speed)
+        return np.array([self.distance, 0.0, 0.0]) - way if leg % 2 else way
 
-    def reading(self, way: Vector) -> MotionReading:
-        """Return the setpoint of a way [m or rad], its rate and that one's rate, shape (3,)."""
-        turned = Rotation.from_rotvec(way[0] * self.axis) * Rotation.from_quat(
-            self.start.quaternion_xyzw)
+    def readings(self, ways: Matrix) -> list[MotionReading]:
+        """Return the setpoints of some ways [m or rad] with their rates, shape (k, 3)."""
+        turns = Rotation.from_rotvec(ways[:, :1] * self.axis)
+        quaternions = (turns * Rotation.from_quat(self.start.quaternion_xyzw)).as_quat()
         both = np.concatenate([self.direction, self.axis])
-        return MotionReading(
-            self.start.position_world + way[0] * self.direction, turned.as_quat(),
-            way[1] * both, way[2] * both)
+        return [MotionReading(self.start.position_world + way * self.direction, quaternion,
+                              rate * both, acceleration * both)
+                for (way, rate, acceleration), quaternion in zip(ways.tolist(), quaternions)]
 
 
 def _run(elapsed: float, distance: float, speed: float) -> Vector:
@@ -191,7 +190,7 @@ def situated(
     scenario: dict[str, Any] = {'duration': begin + course.duration + REST_TIME}
     if situation.motion == 'sine':
         scenario['reference'] = _sine_reference(situation, course, names)
-        scenario['duration'] = MOTION_TIME + situation.times * course.period
+        scenario['duration'] = MOTION_TIME + 0.5 * situation.legs * course.period
     setup = resolve(**merge(given, {
         'controller': {**chosen, 'limits': _stops(base, situation)},
         'noise_estimator': chosen,
@@ -218,7 +217,7 @@ def _course(base: Setup, situation: SituationConfig, names: tuple[str, ...]) -> 
         shares = (np.abs(room[along]) - BOX_MARGIN) / np.abs(direction[along])
         distance = min(distance, float(shares.min()))
     return Course(state.pose, direction, axis, distance, situation.speed,
-                  situation.times if direction.any() or axis.any() else 0)
+                  situation.legs if direction.any() or axis.any() else 0)
 
 
 def _towards_stop(
@@ -292,7 +291,8 @@ class SituationRun:
         self._period = setup.controller.period
         self._names = setup.controller.contact_names
         self._robot = RobotModel(setup.controller.robot, setup.urdf_dir)
-        self._setpoint = course.at(0.0)
+        self._setpoints = self._planned(setup)
+        self._setpoint = self._setpoints[0]
         self._bias = self._sensor_bias(setup)
         for surface in range(len(setup.plant.touched)):
             self.loop.plant.contacts.shift(
@@ -308,6 +308,14 @@ class SituationRun:
         across = null_space(normal[np.newaxis])[:, 0]
         force = self._situation.bias_along * normal + self._situation.bias_across * across
         return np.concatenate([rotation.T @ force, np.zeros(3)])
+
+    def _planned(self, setup: Setup) -> list[MotionReading]:
+        """Return the setpoint of every tick."""
+        times = self._period * np.arange(setup.ticks)
+        motion = setup.scenario.reference.motion
+        ways = [sine_motion(motion, time) if self._scenario and motion is not None
+                else self._course.way(time - MOTION_TIME) for time in times.tolist()]
+        return self._course.readings(np.array(ways))
 
     def _biased(self, inputs: TickInputs) -> TickInputs:
         appeared = not self._situation.bias_appears or inputs.time >= APPEARING_TIME
@@ -344,17 +352,16 @@ class SituationRun:
         situation, control = self._situation, self.loop.control
         if situation.payload and time >= PICK_UP_TIME and not self.loop.plant.payload:
             self._pick_up()
+        setpoint = self._setpoints[self.loop.tick]
         if self._scenario:
-            motion = self.loop.setup.scenario.reference.motion
-            if motion is not None:
-                self._setpoint = self._course.reading(np.array(sine_motion(motion, time)))
+            self._setpoint = setpoint
             return
         with suppress(CommandError):  # before it has begun, or while it is held
             if time >= COMMAND_TIME and situation.force and not any(
                     control.commanded_forces.values()):
                 control.set_forces(dict.fromkeys(self._names, situation.force))
-            if time >= MOTION_TIME and self._course.times:  # farther surfaces: without a motion
-                setpoint = self._course.at(time - MOTION_TIME)
+            begun = self._course.legs and time >= MOTION_TIME
+            if begun and _differs(setpoint, self._setpoint):
                 control.set_motion(setpoint)
                 self._setpoint = setpoint
 
@@ -393,6 +400,11 @@ class SituationRun:
     def _tips_at_home(self) -> Matrix:
         tips: Matrix = self.seen['tip'][0]
         return tips
+
+
+def _differs(setpoint: MotionReading, before: MotionReading) -> bool:
+    """Return whether a setpoint says anything new."""
+    return any(bool((new != old).any()) for new, old in zip(setpoint, before))
 
 
 def run_situation(

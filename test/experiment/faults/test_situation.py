@@ -100,8 +100,9 @@ def test_judge_of_situations_names_what_is_beyond_a_limit(setup, problem, change
 
 def test_course_goes_there_and_back_at_its_speed_without_a_jump():
     pose = Pose.from_quaternion(np.array([0.1, 0.5, 0.4]), np.array([0.0, 0.0, 0.0, 1.0]))
-    course = Course(pose, X, np.zeros(3), 0.3, 0.4, 1)
-    readings = [course.at(k * H) for k in range(round(course.duration / H))]
+    course = Course(pose, X, np.zeros(3), 0.3, 0.4, legs=2)
+    ticks = range(round(course.duration / H))
+    readings = course.readings(np.array([course.way(k * H) for k in ticks]))
     places = np.array([reading.position_world for reading in readings])
     twists = np.array([reading.twist_world[0] for reading in readings])
     np.testing.assert_allclose(places[[0, -1]], np.tile(pose.position_world, (2, 1)), atol=1e-12)
