@@ -6,9 +6,10 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.experiment.faults.unasked import unasked_motion, Way
 from multicontact_control.experiment.faults.vocabulary import Fault, REST, SLIDING
 from multicontact_control.experiment.metrics import torque_limit
 from multicontact_control.experiment.oscillation import stretches
@@ -34,7 +35,6 @@ OVER_COMMAND = 20.0  # N on a surface above what is commanded, also while that i
 SPEED_TOLERANCE = 0.01  # of a joint's largest speed
 PAST_STOP = 0.01  # rad
 UNASKED = 5e-3  # m, of a motion that was not asked for
-LEAVING = ('retracting', 'given up')  # contacts that are left on purpose
 END_TIME = 0.5  # s, the end of a run that tells what it has come to
 
 
@@ -100,18 +100,6 @@ class SituationRow:
     problems: str = ''
 
 
-class Way(NamedTuple):
-    """Where an arm was, and where it should have been, world axes."""
-
-    q: Matrix  # of the links, shape (ticks, n) [rad]
-    qd: Matrix  # likewise [rad/s]
-    position: Matrix  # of the operational point, shape (ticks, 3) [m]
-    setpoint: Matrix  # likewise
-    tip: Any  # of every contact, shape (ticks, r, 3) [m]
-    tip_setpoint: Any  # where the setpoint has it, without the contact, likewise
-    states: Sequence[tuple[str, ...]]  # of the contacts
-
-
 def judge(
     fault: Fault, seed: int, setup: Setup, seen: Observation, *, phase: str = '',
 ) -> FaultRow:
@@ -168,7 +156,7 @@ def judge_situation(what: str, setup: Setup, seen: Observation, way: Way) -> Sit
     beyond = -math.inf
     if limits.joint_lower:
         beyond = float(np.maximum(limits.joint_lower - way.q, way.q - limits.joint_upper).max())
-    unasked = unasked_motion(setup, seen, way)
+    unasked = unasked_motion(setup, way)
     for problem, wrong in (
             ('force above the command', peak > OVER_COMMAND),
             ('joint too fast', speed > 1.0 + SPEED_TOLERANCE),
@@ -178,8 +166,7 @@ def judge_situation(what: str, setup: Setup, seen: Observation, way: Way) -> Sit
             problems.add(problem)
     last = round(END_TIME * setup.controller.rate)
     off = np.abs((seen.forces - seen.commands)[-last:].mean(axis=0)).max()
-    across = _across(setup, seen)
-    short = np.linalg.norm(across[-1] @ (way.setpoint[-1] - way.position[-1]))
+    short = np.linalg.norm(way.across[-1] @ (way.setpoint[-1] - way.position[-1]))
     return SituationRow(
         what=what, peak_over_n=round(peak, 3), speed_share=round(speed, 4),
         beyond_stop_rad=round(beyond, 5), unasked_mm=round(1e3 * unasked, 3),
@@ -193,64 +180,6 @@ def died(what: str, error: Exception) -> SituationRow:
     unknown = math.inf
     return SituationRow(what, unknown, unknown, unknown, unknown, unknown, unknown, 'died',
                         unknown, False, f'{type(error).__name__}: {error}')
-
-
-def unasked_motion(setup: Setup, seen: Observation, way: Way) -> float:
-    """
-    Return how far an arm went at most where nothing asked it to [m].
-
-    What counts is motion in one go, less what is taken back, in any of three ways:
-
-    - the operational point goes away from its setpoint, across the normals of the contacts that
-      are commanded. To go with the setpoint is asked for, as is to follow a stop or an edge
-      towards it; to fall short, or behind, is no motion; the orientation may give way.
-    - a tip that is sought goes towards its surface by more than the approach's speed allows.
-    - a tip that has been at its surface leaves it, unless the contact is left on purpose.
-    """
-    across, r = _across(setup, seen), len(setup.controller.contact_names)
-    asked, gone, left = (np.einsum('kij,kj->ki', across[1:], vectors) for vectors in (
-        np.diff(way.setpoint, axis=0), np.diff(way.position, axis=0),
-        way.setpoint[1:] - way.position[:-1]))
-    along = asked / np.maximum(np.linalg.norm(asked, axis=1, keepdims=True), 1e-12)
-    together = np.clip(np.sum(along * gone, axis=1), 0.0, np.linalg.norm(asked, axis=1))
-    own = gone - together[:, np.newaxis] * along
-    away = np.linalg.norm(left - own, axis=1) - np.linalg.norm(left, axis=1)
-    largest = in_one_go(away, np.zeros(len(away), dtype=bool))
-    config, period = setup.controller, setup.controller.period
-    approach = max(
-        config.contact_state.approach_speed, setup.scenario.reference.approach.speed)
-    for i, name in enumerate(setup.plant.contact_names[:r]):
-        normal = np.array(setup.plant.surfaces[name].normal_world)
-        own = np.diff(way.tip[:, i] - way.tip_setpoint[:, i], axis=0) @ normal
-        wanted = seen.commands[1:, i] > 0.0
-        pressed = seen.forces[1:, i] > 0.0
-        largest = max(largest, in_one_go(own - approach * period, pressed | ~wanted))
-        met = np.maximum.accumulate(pressed)
-        leaves = np.array([states[i] in LEAVING for states in way.states[1:]])
-        largest = max(largest, in_one_go(-own, pressed | ~wanted | ~met | leaves))
-    return largest
-
-
-def in_one_go(steps: Vector, ended: Mask) -> float:
-    """Return the largest sum of neighbouring steps, those where it has `ended` left out."""
-    largest = total = 0.0
-    for step, is_end in zip(steps.tolist(), ended.tolist()):
-        total = 0.0 if is_end else max(0.0, total + step)
-        largest = max(largest, total)
-    return largest
-
-
-def _across(setup: Setup, seen: Observation) -> Any:
-    """Return what is left of a vector across the commanded normals, shape (ticks, 3, 3)."""
-    config = setup.controller
-    normals = np.array([config.contacts[name].normal_world for name in config.contact_names])
-    wanted = seen.commands > 0.0
-    projections = np.empty((len(wanted), 3, 3))
-    for row in np.unique(wanted, axis=0):
-        N = normals[row].T
-        free = np.eye(3) - N @ np.linalg.pinv(N) if row.any() else np.eye(3)
-        projections[(wanted == row).all(axis=1)] = free
-    return projections
 
 
 def never_allowed(seen: Observation, setup: Setup) -> tuple[set[str], float]:

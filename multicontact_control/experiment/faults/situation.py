@@ -8,47 +8,30 @@ joint or out of reach, a sensor has a bias, a surface is tilted, a tool carries 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from functools import cache
 import hashlib
 from pathlib import Path
 import tempfile
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import cache_folder
-from multicontact_control.config import Config, merge, parameter, ToolConfig, Vector3
-from multicontact_control.control.tasks import MotionReading, sine_motion
+from multicontact_control.config import Config, merge, parameter, Vector3
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.dynamics.rotations import Pose
-from multicontact_control.errors import CommandError
-from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.judge import (
-    died,
-    judge_situation,
-    Observation,
-    SituationRow,
-    Way,
-)
+from multicontact_control.experiment.faults.course import Course, REST_TIME
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.paths import config_dir
-from multicontact_control.supervision.inputs import TickInputs
-from multicontact_control.supervision.reactions import SEVERITY
 import numpy as np
 from scipy.linalg import null_space
-from scipy.spatial.transform import Rotation
 from sim_bridge.new_robot import new_robot
 from sim_bridge.robots import DEFAULT, find_robot
 
 FOREIGN = 'foreign'  # in the place of a robot's name
 FOREIGN_URDF, FOREIGN_LINK = 'foreign_arm.urdf', 'l6'
-NOWHERE = 10.0  # m, how far away surfaces are that are not there
 COMMAND_TIME = 0.1  # s, when the forces are commanded
 MOTION_TIME = 2.0  # s, when the motion begins: every contact has been at its force for a while
-PICK_UP_TIME = 2.0  # s, the same of a payload
-APPEARING_TIME = 0.5  # s, in the middle of the approach
-RAMP_TIME = 0.3  # s, of the speed of a motion
-REST_TIME = 1.0  # s, at each end of a motion
+STEP_TIME = 1.2  # s, when a scenario's forces go from the preload to their commands
+BLEND_TIME = 1.0  # s, of a sinusoid
 BOX_MARGIN = 1e-3  # m
 BEYOND_STOP = 0.15  # rad, that a motion leads a joint beyond its stop
 FARTHEST_SLIDE, FARTHEST_TURN = 0.3, 0.8  # m, rad, to lead a joint to its stop
@@ -105,61 +88,6 @@ def foreign_robot() -> str:
     return str(file)
 
 
-class Course(NamedTuple):
-    """A motion from a pose: along a direction and about an axis, world axes, unit vectors or 0."""
-
-    start: Pose
-    direction: Vector
-    axis: Vector
-    distance: float  # [m or rad]
-    speed: float  # [m/s or rad/s]
-    legs: int  # 0 for no motion
-
-    @property
-    def leg_time(self) -> float:
-        """How long it takes in one direction, and to rest there [s]."""
-        return self.distance / self.speed + RAMP_TIME + REST_TIME
-
-    @property
-    def duration(self) -> float:
-        """How long it takes in all [s]."""
-        return self.legs * self.leg_time
-
-    @property
-    def period(self) -> float:
-        """Return the period of a sinusoid of this amplitude and largest speed [s]."""
-        return 2.0 * np.pi * self.distance / self.speed
-
-    def way(self, time: float) -> Vector:
-        """Return way [m or rad], rate and its rate at a time since its beginning [s], (3,)."""
-        if not 0.0 <= time < self.duration:
-            return np.array([self.distance * (self.legs % 2) * (time > 0.0), 0.0, 0.0])
-        leg, elapsed = divmod(time, self.leg_time)
-        way = _run(elapsed, self.distance, self.speed)
-        return np.array([self.distance, 0.0, 0.0]) - way if leg % 2 else way
-
-    def readings(self, ways: Matrix) -> list[MotionReading]:
-        """Return the setpoints of some ways [m or rad] with their rates, shape (k, 3)."""
-        turns = Rotation.from_rotvec(ways[:, :1] * self.axis)
-        quaternions = (turns * Rotation.from_quat(self.start.quaternion_xyzw)).as_quat()
-        both = np.concatenate([self.direction, self.axis])
-        return [MotionReading(self.start.position_world + way * self.direction, quaternion,
-                              rate * both, acceleration * both)
-                for (way, rate, acceleration), quaternion in zip(ways.tolist(), quaternions)]
-
-
-def _run(elapsed: float, distance: float, speed: float) -> Vector:
-    """Return way, rate and its rate of a motion of constant speed with smooth ramps, (3,)."""
-    way = np.zeros(3)
-    for begin, sign in ((0.0, 1.0), (distance / speed, -1.0)):
-        share = min(max((elapsed - begin) / RAMP_TIME, 0.0), 1.0)
-        after = max(elapsed - begin - RAMP_TIME, 0.0)
-        way += sign * speed * np.array([
-            RAMP_TIME * (share ** 3 - 0.5 * share ** 4) + after,
-            share ** 2 * (3.0 - 2.0 * share), 6.0 * share * (1.0 - share) / RAMP_TIME])
-    return way
-
-
 def is_possible(robot: str, plant: str, situation: SituationConfig) -> bool:
     """Return whether a robot has what a situation takes; ConfigError if its URDF is missing."""
     known = find_robot(foreign_robot() if robot == FOREIGN else robot or DEFAULT)
@@ -185,12 +113,13 @@ def situated(
     base = resolve(**given)
     names = base.controller.contact_names[:situation.contacts]
     course = _course(base, situation, names)
-    chosen = {'contact_names': list(names)}
+    # A surface that is farther away is touched later, at the speed of the approach.
     begin = MOTION_TIME + situation.farther / base.controller.contact_state.approach_speed
     scenario: dict[str, Any] = {'duration': begin + course.duration + REST_TIME}
     if situation.motion == 'sine':
         scenario['reference'] = _sine_reference(situation, course, names)
         scenario['duration'] = MOTION_TIME + 0.5 * situation.legs * course.period
+    chosen = {'contact_names': list(names)}
     setup = resolve(**merge(given, {
         'controller': {**chosen, 'limits': _stops(base, situation)},
         'noise_estimator': chosen,
@@ -200,24 +129,31 @@ def situated(
 
 
 def _course(base: Setup, situation: SituationConfig, names: tuple[str, ...]) -> Course:
+    """Return the motion of a situation, as far as the workspace box lets it go."""
     robot = RobotModel(base.controller.robot, base.urdf_dir)
     state = robot.update(np.array(base.plant.home), np.zeros(robot.joint_count))
     direction, axis = np.array(situation.direction_world), np.array(situation.turn_world)
     distance = situation.distance
     if situation.stop_joint:
-        normals = [base.controller.contacts[name].normal_world for name in names]
-        free = null_space(np.array(normals)) if situation.force else np.eye(3)
+        normals = np.array([base.controller.contacts[name].normal_world for name in names])
+        free = null_space(normals) if situation.force else np.eye(3)
         direction, axis, distance = _towards_stop(
             state.mass_matrix, state.jacobian, free, situation)
-    direction, axis = (v / max(float(np.linalg.norm(v)), 1e-9) for v in (direction, axis))
-    start, limits = state.pose.position_world, base.controller.limits
+    direction, axis = _unit(direction), _unit(axis)
+    limits = base.controller.limits
     if direction.any() and limits.workspace_lower:
-        room = np.where(direction > 0.0, limits.workspace_upper, limits.workspace_lower) - start
+        ends = np.where(direction > 0.0, limits.workspace_upper, limits.workspace_lower)
+        room = np.abs(ends - state.pose.position_world) - BOX_MARGIN
         along = np.abs(direction) > 1e-9
-        shares = (np.abs(room[along]) - BOX_MARGIN) / np.abs(direction[along])
-        distance = min(distance, float(shares.min()))
-    return Course(state.pose, direction, axis, distance, situation.speed,
-                  situation.legs if direction.any() or axis.any() else 0)
+        distance = min(distance, float((room[along] / np.abs(direction[along])).min()))
+    legs = situation.legs if direction.any() or axis.any() else 0
+    return Course(state.pose, direction, axis, distance, situation.speed, legs)
+
+
+def _unit(vector: Vector) -> Vector:
+    """Return a vector of unit length in the same direction, or 0 as it is."""
+    length = float(np.linalg.norm(vector))
+    return vector / length if length else vector
 
 
 def _towards_stop(
@@ -230,12 +166,13 @@ def _towards_stop(
     dynamically consistent inverse of J at home (P04 eq. 23).
     """
     moved = np.linalg.solve(mass_matrix, jacobian.T)
-    rates = (moved @ np.linalg.inv(jacobian @ moved))[situation.stop_joint - 1]
-    sign = 1.0 if situation.stop_side == 'upper' else -1.0
+    inverse = moved @ np.linalg.inv(jacobian @ moved)
+    rates = inverse[situation.stop_joint - 1]
     slide, turn = free @ (free.T @ rates[:3]), rates[3:]
+    slid, turned = float(np.linalg.norm(slide)), float(np.linalg.norm(turn))
+    sign = 1.0 if situation.stop_side == 'upper' else -1.0
     way = situation.stop_margin + BEYOND_STOP
-    slid, turned = (float(np.linalg.norm(rate)) for rate in (slide, turn))
-    if FARTHEST_SLIDE * slid >= way or FARTHEST_SLIDE * slid >= FARTHEST_TURN * turned:
+    if FARTHEST_SLIDE * slid >= min(way, FARTHEST_TURN * turned):
         return sign * slide, np.zeros(3), min(way / max(slid, 1e-9), FARTHEST_SLIDE)
     return np.zeros(3), sign * turn, min(way / turned, FARTHEST_TURN)
 
@@ -251,19 +188,15 @@ def _stops(base: Setup, situation: SituationConfig) -> dict[str, list[float]]:
     return {side: stops}
 
 
-def _tilted(
-    base: Setup, situation: SituationConfig, course: Course,
-) -> dict[str, Any]:
+def _tilted(base: Setup, situation: SituationConfig, course: Course) -> dict[str, Any]:
     """Return the surfaces' normals, turned about where the tips meet them at home."""
     if not situation.tilt:
         return {}
-    surfaces = {}
     angle = np.radians(situation.tilt)
+    surfaces = {}
     for name in base.plant.touched:
-        surface = base.plant.surfaces[name]
-        normal = np.array(surface.normal_world)
-        ahead = course.direction - normal * (normal @ course.direction)
-        ahead /= np.linalg.norm(ahead)
+        normal = np.array(base.plant.surfaces[name].normal_world)
+        ahead = _unit(course.direction - normal * (normal @ course.direction))
         turned = np.cos(angle) * normal + np.sin(angle) * ahead
         surfaces[name] = {'normal_world': turned.tolist()}
     return surfaces
@@ -275,155 +208,7 @@ def _sine_reference(
     """Return the scenario's reference: forces, then a sinusoid to either side."""
     return {
         'approach': {'start_time': COMMAND_TIME},
-        'force_steps': [{'time': 1.2, 'forces': dict.fromkeys(names, situation.force)}],
+        'force_steps': [{'time': STEP_TIME, 'forces': dict.fromkeys(names, situation.force)}],
         'motion': {
             'start_time': MOTION_TIME, 'direction_world': course.direction.tolist(),
-            'amplitude': course.distance, 'period': course.period, 'blend_time': 1.0}}
-
-
-class SituationRun:
-    """A situation in a closed loop, tick by tick, and what is seen of it."""
-
-    def __init__(self, setup: Setup, course: Course, situation: SituationConfig) -> None:
-        self._course, self._situation = course, situation
-        self._scenario = situation.motion == 'sine'
-        self.loop = ClosedLoop(setup, commanded=not self._scenario)
-        self._period = setup.controller.period
-        self._names = setup.controller.contact_names
-        self._robot = RobotModel(setup.controller.robot, setup.urdf_dir)
-        self._setpoints = self._planned(setup)
-        self._setpoint = self._setpoints[0]
-        self._bias = self._sensor_bias(setup)
-        for surface in range(len(setup.plant.touched)):
-            self.loop.plant.contacts.shift(
-                surface, situation.farther if situation.force else NOWHERE)
-        self.seen: dict[str, list[Any]] = {name: [] for name in (
-            'torque', 'force', 'q', 'qd', 'tip', 'setpoint', 'states', 'reaction', 'commanded')}
-
-    def _sensor_bias(self, setup: Setup) -> Vector:
-        """Return the bias of the wrench in the sensor's axes at home, shape (6,) [N, N m]."""
-        home = np.array(setup.plant.home)
-        rotation = self._robot.update(home, np.zeros(len(home))).sensor_pose.rotation_world
-        normal = np.array(setup.controller.contacts[self._names[0]].normal_world)
-        across = null_space(normal[np.newaxis])[:, 0]
-        force = self._situation.bias_along * normal + self._situation.bias_across * across
-        return np.concatenate([rotation.T @ force, np.zeros(3)])
-
-    def _planned(self, setup: Setup) -> list[MotionReading]:
-        """Return the setpoint of every tick."""
-        times = self._period * np.arange(setup.ticks)
-        motion = setup.scenario.reference.motion
-        ways = [sine_motion(motion, time) if self._scenario and motion is not None
-                else self._course.way(time - MOTION_TIME) for time in times.tolist()]
-        return self._course.readings(np.array(ways))
-
-    def _biased(self, inputs: TickInputs) -> TickInputs:
-        appeared = not self._situation.bias_appears or inputs.time >= APPEARING_TIME
-        if inputs.wrench is None or not appeared:
-            return inputs
-        wrench = inputs.wrench._replace(wrench=inputs.wrench.wrench + self._bias)
-        return inputs._replace(wrench=wrench)
-
-    def advance(self) -> None:
-        """Take one tick, and note what was there at its beginning, and how it was answered."""
-        loop, seen, arm = self.loop, self.seen, self.loop.plant.arm
-        time = loop.tick * self._period
-        self._command(time)
-        seen['setpoint'].append(self._setpoint)
-        seen['commanded'].append(self._commanded(time))
-        seen['force'].append(loop.sample.contact_force)
-        seen['q'].append(np.array(arm.q))
-        seen['qd'].append(np.array(arm.qd))
-        seen['tip'].append(loop.plant.contacts.points_world.copy())
-        loop.advance(self._biased if self._bias.any() else None)
-        seen['torque'].append(loop.command.copy())
-        seen['states'].append(loop.status.contact_states)
-        seen['reaction'].append(loop.status.reaction)
-
-    def _commanded(self, time: float) -> Vector:
-        """Return the forces that are commanded, shape (r,) [N]."""
-        if self._scenario:
-            return self.loop.setup.commanded(np.array([time]))[0]
-        forces = self.loop.control.commanded_forces
-        return np.array([forces[name] for name in self._names])
-
-    def _command(self, time: float) -> None:
-        """Command forces, motion and payload when it is time."""
-        situation, control = self._situation, self.loop.control
-        if situation.payload and time >= PICK_UP_TIME and not self.loop.plant.payload:
-            self._pick_up()
-        setpoint = self._setpoints[self.loop.tick]
-        if self._scenario:
-            self._setpoint = setpoint
-            return
-        with suppress(CommandError):  # before it has begun, or while it is held
-            if time >= COMMAND_TIME and situation.force and not any(
-                    control.commanded_forces.values()):
-                control.set_forces(dict.fromkeys(self._names, situation.force))
-            begun = self._course.legs and time >= MOTION_TIME
-            if begun and _differs(setpoint, self._setpoint):
-                control.set_motion(setpoint)
-                self._setpoint = setpoint
-
-    def _pick_up(self) -> None:
-        situation, config = self._situation, self.loop.setup.controller
-        plant, tool = self.loop.plant, config.tool
-        plant.payload = situation.payload
-        if situation.told:
-            mass = tool.mass + situation.payload
-            place = np.array(plant.description.tool.com.position)
-            com = (tool.mass * np.array(tool.com_sensor) + situation.payload * place) / mass
-            told = ToolConfig(mass=mass, com_sensor=tuple(com), bias_sensor=tool.bias_sensor)
-            self.loop.control.reconfigure(config.model_copy(update={'tool': told}))
-
-    def way(self) -> Way:
-        """Return where the arm was and should have been."""
-        seen = self.seen
-        q, qd = np.array(seen['q']), np.array(seen['qd'])
-        places = np.array([
-            self._robot.update(*joints).pose.position_world for joints in zip(q, qd)])
-        return Way(
-            q=q, qd=qd, position=places,
-            setpoint=np.array([setpoint.position_world for setpoint in seen['setpoint']]),
-            tip=np.array(seen['tip']), tip_setpoint=self._tip_setpoints(),
-            states=seen['states'])
-
-    def _tip_setpoints(self) -> Any:
-        """Return where the tips would be if each setpoint were reached, shape (ticks, k, 3)."""
-        start = self._course.start
-        offsets = self._tips_at_home() - start.position_world
-        turns = Rotation.from_quat([x.quaternion_xyzw for x in self.seen['setpoint']])
-        turned = turns * Rotation.from_quat(start.quaternion_xyzw).inv()
-        places = np.array([x.position_world for x in self.seen['setpoint']])
-        return np.stack([places + turned.apply(offset) for offset in offsets], axis=1)
-
-    def _tips_at_home(self) -> Matrix:
-        tips: Matrix = self.seen['tip'][0]
-        return tips
-
-
-def _differs(setpoint: MotionReading, before: MotionReading) -> bool:
-    """Return whether a setpoint says anything new."""
-    return any(bool((new != old).any()) for new, old in zip(setpoint, before))
-
-
-def run_situation(
-    what: str, setup: Setup, course: Course, situation: SituationConfig,
-) -> SituationRow:
-    """Run a situation from the start to the end, and judge it."""
-    run = SituationRun(setup, course, situation)
-    before = run.loop.command.copy()
-    try:
-        for _ in range(setup.ticks):
-            run.advance()
-    except Exception as error:  # an arm out of all numbers, or a broken controller
-        return died(what, error)
-    finally:
-        run.loop.close()
-    seen = run.seen
-    force, commanded = np.array(seen['force']), np.array(seen['commanded'])
-    time: Vector = setup.controller.period * np.arange(float(len(force)))
-    return judge_situation(what, setup, Observation(
-        torque=np.array(seen['torque']), before=before, time=time, force=force.max(axis=1),
-        reaction=max(seen['reaction'], key=SEVERITY.index), forces=force, commands=commanded),
-        run.way())
+            'amplitude': course.distance, 'period': course.period, 'blend_time': BLEND_TIME}}

@@ -5,20 +5,18 @@ from contextlib import closing
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.faults.course import Course
 from multicontact_control.experiment.faults.judge import (
     judge_situation,
     Observation,
-    unasked_motion,
-    Way,
 )
 from multicontact_control.experiment.faults.situation import (
-    Course,
     FOREIGN,
-    run_situation,
     situated,
     SituationConfig,
-    SituationRun,
 )
+from multicontact_control.experiment.faults.situation_run import run_situation, SituationRun
+from multicontact_control.experiment.faults.unasked import across_normals, unasked_motion, Way
 import numpy as np
 import pytest
 from robots import needs_mujoco
@@ -40,7 +38,9 @@ def seen_and_way(setup, *, force=10.0, **changes):
         'states': [('holding',)] * TICKS, **changes}
     seen = Observation(time=H * np.arange(TICKS), reaction='none', **{
         name: values.pop(name) for name in ('torque', 'force', 'forces', 'commands')})
-    return seen, Way(**values)
+    wanted = seen.commands > 0.0
+    return seen, Way(**values, wanted=wanted, pressed=seen.forces > 0.0,
+                     across=across_normals(DOWN[np.newaxis], wanted))
 
 
 @pytest.fixture(scope='module', name='setup')
@@ -73,16 +73,16 @@ def on_the_way(direction, distance):
     # ...or nothing is asked for.
     ({'commands': np.zeros((TICKS, 1)), 'position': on_the_way(DOWN, 0.03)}, 0.03)])
 def test_unasked_motion_is_what_nothing_asks_for(setup, changes, expected):
-    seen, way = seen_and_way(setup, **changes)
-    assert unasked_motion(setup, seen, way) == pytest.approx(expected, abs=1e-3)
+    _, way = seen_and_way(setup, **changes)
+    assert unasked_motion(setup, way) == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.parametrize(('state', 'expected'), [('lost', 0.03), ('retracting', 0.0)])
 def test_tip_that_leaves_its_surface_is_unasked_unless_on_purpose(setup, state, expected):
     forces = np.where(np.arange(TICKS) < 100, 10.0, 0.0)[:, np.newaxis]
     rising = np.clip(on_the_way(-DOWN, 0.0375) - 0.0075 * -DOWN, 0.0, None)[:, np.newaxis]
-    seen, way = seen_and_way(setup, forces=forces, tip=rising, states=[(state,)] * TICKS)
-    assert unasked_motion(setup, seen, way) == pytest.approx(expected, abs=2e-4)
+    _, way = seen_and_way(setup, forces=forces, tip=rising, states=[(state,)] * TICKS)
+    assert unasked_motion(setup, way) == pytest.approx(expected, abs=2e-4)
 
 
 @pytest.mark.parametrize(('problem', 'changes'), [

@@ -16,10 +16,10 @@ from multicontact_control.experiment.faults.situation import (
     FOREIGN,
     foreign_robot,
     is_possible,
-    run_situation,
     situated,
     SituationConfig,
 )
+from multicontact_control.experiment.faults.situation_run import run_situation
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.experiment.study.cells import Cell, CHOSEN
 from multicontact_control.experiment.study.config import PartConfig
@@ -78,7 +78,7 @@ class SituationsStudy(Study):
             for _, _, values in chosen:
                 settings |= values
             arguments = {'scenario': part.scenario, 'plant': plant, **{
-                name: settings.pop(name) for name in CHOSEN if name in settings}}
+                name: settings.pop(name) for name in (*CHOSEN, 'plant') if name in settings}}
             situation = {name.removeprefix(SECTION): settings.pop(name)
                          for name in list(settings) if name.startswith(SECTION)}
             if not self._is_possible(arguments, situation):
@@ -90,8 +90,9 @@ class SituationsStudy(Study):
             if seed not in part.seeds:
                 continue
             job = SituationJob(what, _laid_over(arguments, settings, seed), situation)
-            yield Cell({'part': title, 'robot': robot, 'plant': plant, 'seed': seed},
-                       job, job.key())
+            factors = {
+                'part': title, 'robot': robot, 'plant': arguments['plant'], 'seed': seed}
+            yield Cell(factors, job, job.key())
 
     def _seed_of(self, names: list[str]) -> int:
         """Return whose turn it is, whatever else is chosen of the study."""
