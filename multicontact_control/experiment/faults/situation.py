@@ -10,14 +10,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 import hashlib
+from importlib.util import find_spec
 from pathlib import Path
 import tempfile
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import cache_folder
 from multicontact_control.config import Config, merge, parameter, Vector3
 from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.faults.course import Course, REST_TIME
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.paths import config_dir
@@ -88,13 +90,28 @@ def foreign_robot() -> str:
     return str(file)
 
 
-def is_possible(robot: str, plant: str, situation: SituationConfig) -> bool:
-    """Return whether a robot has what a situation takes; ConfigError if its URDF is missing."""
-    known = find_robot(foreign_robot() if robot == FOREIGN else robot or DEFAULT)
-    joints = len(known.arm.links)
-    contacts = len(known.controller_base()['contact_names'])
-    return bool(known.plant_name(plant)) and (
-        situation.contacts <= contacts and situation.stop_joint <= joints)
+class Means(NamedTuple):
+    """What a robot has to be in situations."""
+
+    plants: Mapping[str, str]  # by their names and aliases
+    contacts: int
+    joints: int
+
+    def allow(self, plant: str, situation: SituationConfig) -> bool:
+        """Return whether there are such a plant, so many contacts, and such a joint."""
+        return plant in self.plants and situation.contacts <= self.contacts and (
+            situation.stop_joint <= self.joints)
+
+
+@cache
+def means_of(name: str) -> Means:
+    """Return what a robot has; ConfigError if it is not installed."""
+    robot = find_robot(foreign_robot() if name == FOREIGN else name or DEFAULT)
+    plants = {plant: plant for plant in robot.file.plants} | dict(robot.file.plant_aliases)
+    contacts = robot.controller_base()['contact_names']
+    if name == FOREIGN and find_spec('mujoco') is None:
+        raise ConfigError('engine', 'mujoco: pip install mujoco', 'none')
+    return Means(plants, len(contacts), len(robot.arm.links))
 
 
 def situated(
@@ -103,7 +120,7 @@ def situated(
     """
     Return a setup, resolved from some `arguments`, in a situation, and the motion in it.
 
-    The arm has such a joint, and so many contacts; see `is_possible`.
+    The robot has such a joint, and so many contacts; see `Means`.
     """
     given = dict(arguments)
     if given.get('robot') == FOREIGN:

@@ -15,14 +15,14 @@ from multicontact_control.experiment import overrides
 from multicontact_control.experiment.faults.situation import (
     FOREIGN,
     foreign_robot,
-    is_possible,
+    means_of,
     situated,
     SituationConfig,
 )
 from multicontact_control.experiment.faults.situation_run import run_situation
 from multicontact_control.experiment.scenario import resolve, Setup
 from multicontact_control.experiment.study.cells import Cell, CHOSEN
-from multicontact_control.experiment.study.config import PartConfig
+from multicontact_control.experiment.study.config import PartConfig, StudyConfig
 from multicontact_control.experiment.study.jobs import content_key, setup_content
 from multicontact_control.experiment.study.study import Metrics, Results, Study
 import pandas as pd
@@ -64,9 +64,12 @@ class SituationsStudy(Study):
     Each has one of the study's seeds, in turn: with a single one, a share of them is run.
     """
 
+    def __init__(self, config: StudyConfig) -> None:
+        super().__init__(config)
+        self.missing: dict[str, str] = {}  # robots that are not installed, and why
+
     def cells(self) -> list[Cell]:
         """Return the jobs of the chosen seeds."""
-        self.missing: dict[str, str] = {}
         return [cell for title, part in self.config.parts.items()
                 for cell in self._cells_of(title, part)]
 
@@ -101,15 +104,19 @@ class SituationsStudy(Study):
         return every[digest[0] % len(every)]
 
     def _is_possible(self, arguments: Mapping[str, Any], situation: Mapping[str, Any]) -> bool:
+        """Return whether the robot is installed and has what the situation takes."""
         robot = arguments.get('robot', '')
+        if robot in self.missing:
+            return False
         try:
-            return is_possible(robot, arguments['plant'], validate(
-                SituationConfig, situation, 'situation'))
+            means = means_of(robot)
         except ConfigError as error:
-            if error.field != 'urdf':
+            if error.field not in ('urdf', 'engine'):
                 raise
             self.missing[robot] = str(error)
             return False
+        config = validate(SituationConfig, situation, 'situation')
+        return means.allow(arguments['plant'], config)
 
     def rows(self, metrics: Metrics) -> list[dict[str, Any]]:
         """Return the row of a situation."""
