@@ -139,7 +139,7 @@ class SituationRun:
         wanted = np.array(seen['commanded']) > 0.0
         normals = np.array([contacts[name].normal_world for name in self._names])
         return Way(
-            q=q, qd=qd, position=np.array(positions),
+            direction=self._course.direction, q=q, qd=qd, position=np.array(positions),
             setpoint=np.array([setpoint.position_world for setpoint in seen['setpoint']]),
             tip=np.array(seen['tip']), tip_setpoint=self._tip_setpoints(), wanted=wanted,
             pressed=np.array(seen['force']) > 0.0, across=across_normals(normals, wanted),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import math
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask, Matrix, Vector
@@ -10,12 +11,15 @@ from multicontact_control.experiment.scenario import Setup
 import numpy as np
 
 LEAVING = ('retracting', 'given up')  # contacts that are left on purpose
-STILL = 1e-12  # m in a tick, below which a setpoint has no direction
+ON_COURSE = 1e-3  # m beside the course, within which it counts as followed
+LAG = 2e-3  # m behind the setpoint, up to which nothing holds an arm up
+SLACK = 1.5  # of the way aside that a straight edge would need
 
 
 class Way(NamedTuple):
     """Where an arm was and where it should have been, world axes, tick by tick."""
 
+    direction: Vector  # of the course, a unit vector or 0, shape (3,)
     q: Matrix  # of the links, shape (ticks, n) [rad]
     qd: Matrix  # likewise [rad/s]
     position: Matrix  # of the operational point, shape (ticks, 3) [m]
@@ -32,32 +36,51 @@ def unasked_motion(setup: Setup, way: Way) -> float:
     """
     Return how far an arm went at most where nothing asked it to [m].
 
-    What counts is motion in one go, less what is taken back, in any of three ways:
+    What counts is motion in one go, less what is taken back, in any of four ways:
 
-    - the operational point goes away from its setpoint, across the normals of the contacts that
-      are commanded. To go with the setpoint is asked for, as is to follow a stop or an edge
-      towards it; to fall short, or behind, is no motion; the orientation may give way.
+    - the operational point goes away from its setpoint along the course. To go with the setpoint
+      is asked for; to fall short, or behind, is no motion. What counts is across the normals of
+      the contacts that are commanded; the orientation may give way.
+    - it goes aside from the course, unless a stop or an edge holds it up, along which it comes
+      nearer to its setpoint: from where it left the course to the nearest place on a straight
+      edge it stays within the circle over the way to the setpoint (Thales).
     - a tip that is sought goes towards its surface by more than the approach's speed allows.
     - a tip that has been at its surface leaves it, unless the contact is left on purpose.
     """
-    largest = in_one_go(_away(way), np.zeros(len(way.position) - 1, dtype=bool))
+    place, setpoint = (np.einsum('kij,kj->ki', way.across, points - way.position[0])
+                       for points in (way.position, way.setpoint))
+    along, wanted = place @ way.direction, setpoint @ way.direction
+    gap = place - setpoint - np.outer(along - wanted, way.direction)
+    largest = max(_back(along, wanted), _aside(np.linalg.norm(gap, axis=1), along, wanted))
     for contact, name in enumerate(setup.plant.contact_names):
         normal = np.array(setup.plant.surfaces[name].normal_world)
         largest = max(largest, _ahead(setup, way, contact, normal), _off(way, contact, normal))
     return largest
 
 
-def _away(way: Way) -> Vector:
-    """Return by how much each tick led away from the setpoint, shape (ticks - 1,) [m]."""
-    asked, gone, left = (np.einsum('kij,kj->ki', way.across[1:], vectors) for vectors in (
-        np.diff(way.setpoint, axis=0), np.diff(way.position, axis=0),
-        way.setpoint[1:] - way.position[:-1]))
-    length = np.linalg.norm(asked, axis=1)
-    along = asked / np.maximum(length, STILL)[:, np.newaxis]
-    together = np.clip(np.sum(along * gone, axis=1), 0.0, length)
-    own = gone - together[:, np.newaxis] * along
-    away: Vector = np.linalg.norm(left - own, axis=1) - np.linalg.norm(left, axis=1)
-    return away
+def _back(along: Vector, wanted: Vector) -> float:
+    """Return how far a place on the course went away from where it is wanted [m]."""
+    asked, gone = np.diff(wanted), np.diff(along)
+    left = wanted[1:] - along[:-1]
+    together = np.sign(asked) * np.clip(gone * np.sign(asked), 0.0, np.abs(asked))
+    away = np.abs(left - (gone - together)) - np.abs(left)
+    return in_one_go(away, np.zeros(len(away), dtype=bool))
+
+
+def _aside(beside: Vector, along: Vector, wanted: Vector) -> float:
+    """Return how far a point went aside from the course where nothing held it up [m]."""
+    largest = total = 0.0
+    left_at, before = along[0], beside[0]
+    for distance, place, goal in zip(beside.tolist(), along.tolist(), wanted.tolist()):
+        if distance < ON_COURSE:
+            left_at = place
+        short = abs(goal - place)
+        since = max(0.0, (place - left_at) * (1.0 if goal > place else -1.0))
+        follows_edge = distance <= SLACK * math.sqrt(since * max(0.0, short - LAG))
+        step = distance - before
+        total = max(0.0, total + (min(step, 0.0) if follows_edge else step))
+        largest, before = max(largest, total), distance
+    return largest
 
 
 def _ahead(setup: Setup, way: Way, contact: int, normal: Vector) -> float:

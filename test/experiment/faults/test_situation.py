@@ -39,7 +39,7 @@ def seen_and_way(setup, *, force=10.0, **changes):
     seen = Observation(time=H * np.arange(TICKS), reaction='none', **{
         name: values.pop(name) for name in ('torque', 'force', 'forces', 'commands')})
     wanted = seen.commands > 0.0
-    return seen, Way(**values, wanted=wanted, pressed=seen.forces > 0.0,
+    return seen, Way(**{'direction': X, **values}, wanted=wanted, pressed=seen.forces > 0.0,
                      across=across_normals(DOWN[np.newaxis], wanted))
 
 
@@ -64,6 +64,10 @@ def on_the_way(direction, distance):
     # It is thrown sideways, goes beyond what has stopped, or the wrong way.
     ({'setpoint': on_the_way(X, 0.3), 'position': on_the_way(X, 0.3) + on_the_way(Y, 0.02)}, 0.02),
     ({'position': on_the_way(X, 0.01)}, 0.01),
+    ({'position': on_the_way(X, 0.01), 'direction': np.zeros(3)}, 0.01),
+    # What has gone aside at a stop stays there while the setpoint comes back: no motion.
+    ({'setpoint': 0.2 * X - on_the_way(X, 0.2), 'position': np.minimum(
+        0.05, 4.0 * on_the_way(X + Y, 0.05))}, 0.0),
     ({'setpoint': on_the_way(X, 0.3), 'position': on_the_way(X, -0.03)}, 0.03),
     # Along the normal the contact leads it...
     ({'position': on_the_way(DOWN, 0.05), 'tip': on_the_way(DOWN, 0.05)[:, np.newaxis]}, 0.0),
