@@ -21,6 +21,7 @@ from typing import Any, Literal, NamedTuple, Union
 from multicontact_control.cli.application import app, FOLDERS
 from multicontact_control.cli.options import described
 from multicontact_control.config import Config, ControllerConfig, NoiseEstimatorConfig
+from multicontact_control.experiment.faults.situation import SituationConfig
 from multicontact_control.experiment.scenario import ScenarioConfig
 from multicontact_control.experiment.study.config import StudyConfig
 from multicontact_control.nodes import qos, topics
@@ -52,7 +53,8 @@ NODES: dict[str, tuple[type[Config], ...]] = {
 FILES: dict[str, tuple[str, type[Config]]] = {
     'scenario': ('`config/scenarios`, and `--scenario FILE`', ScenarioConfig),
     'robot': ('`config/robots`, and `--robot FILE`', RobotFile),
-    'study': ('`config/studies`, and `multicontact study FILE`', StudyConfig)}
+    'study': ('`config/studies`, and `multicontact study FILE`', StudyConfig),
+    'situation': ('`situation.*` of `config/studies/situations.yaml`', SituationConfig)}
 TYPES = {bool: 'bool', int: 'int', float: 'float', str: 'string', Any: 'any'}
 VALUES = {bool: '', int: 'INTEGER', float: 'NUMBER', str: 'TEXT', Path: 'PATH'}
 BOUNDS = {'gt': '> ', 'ge': '≥ ', 'lt': '< ', 'le': '≤ '}

@@ -145,6 +145,23 @@ def test_each_of_two_clients_learns_what_becomes_of_its_own_commands(arm, domain
     assert reached(arm).forces_desired == {'table': 10.0, 'board': 4.0}
 
 
+def test_clients_made_in_threads_at_once_all_command_and_read(arm, domain_id):
+    reached(arm, table=8.0, board=4.0)
+
+    def press(number):
+        with MultiContactClient('arm', domain_id=domain_id, timeout=PATIENCE) as client:
+            for force in (5.0, 5.25, 5.5):
+                client.set_forces({'table': force + number})
+            return client.read().time, client.status().forces['table']
+
+    with ThreadPoolExecutor(3) as pool:
+        answers = [*pool.map(press, range(3))]
+    assert all(time > 0.0 and 5.0 <= force < 8.0 for time, force in answers)
+    last = arm.status().forces['table']
+    assert last in (5.5, 6.5, 7.5)  # each has sent all of its own, and nothing is lost
+    assert reached(arm).forces_desired == {'table': last, 'board': 4.0}
+
+
 def test_client_deactivates_and_activates_a_real_controller(arm, domain_id):
     reached(arm, table=5.0, board=5.0)
     with GuestNode('driver', domain_id, 'arm') as driver, MultiContactClient(

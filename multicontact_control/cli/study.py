@@ -56,7 +56,7 @@ def study(
 
     Writes study.csv and study.parquet (a row for each run, also for those that failed),
     study.html and study.png. Ctrl-C keeps what is finished; the same command goes on from there.
-    Exit code 1: a worker died, or a fault of `faults` is not safe.
+    Exit code 1: a worker died, or something of `faults` or `situations` is not safe.
     """
     options.end_at_signals('interrupted; the same command goes on from there')
     # Only now: what is heavy is not loaded for the sake of an error.
@@ -78,5 +78,5 @@ def study(
     one = study_of(files.select(
         config.model_copy(update={'law': law or ''}), {**short, **choices}, robot=robot))
     results = run_study(one, out, jobs=jobs, dask=dask, dry_run=dry_run, overwrite=overwrite)
-    if config.kind == 'faults' and results and not results.frame[config.truth].all():
+    if config.truth == 'safe' and results and not results.frame[config.truth].all():
         raise typer.Exit(options.EXIT_FAILED)

@@ -18,7 +18,7 @@ from foreign_bag import (
     write_bag,
 )
 from mcap.reader import make_reader
-from mcap.writer import Writer
+from mcap.writer import IndexType, Writer
 from multicontact_control.cli.application import app
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.display import print_summary
@@ -115,13 +115,21 @@ def test_recording_that_is_cut_off_is_read_up_to_there(bag, tmp_path):
     assert 'the recording is cut off' not in load(bag).summary['remarks']
 
 
-def rewritten(bag, folder, pack=bytes, parts=1):
+# As of a recorder that was killed: neither index, nor statistics, nor summary.
+BARE = {'index_types': IndexType.NONE, 'use_chunking': False, 'use_statistics': False,
+        'use_summary_offsets': False, 'repeat_schemas': False, 'repeat_channels': False}
+
+
+def rewritten(bag, folder, pack=bytes, parts=1, shuffled=False, writing=None):
     """Write its messages anew, packed, into files that rosbag2 would number from 9 on."""
     with bag.open('rb') as source:
         messages = [*make_reader(source).iter_messages()]
-    for part, rows in enumerate(np.array_split(np.arange(len(messages)), parts)):
+    order = np.arange(len(messages))
+    if shuffled:
+        order = np.random.default_rng(0).permutation(order)
+    for part, rows in enumerate(np.array_split(order, parts)):
         with (folder / f'bag_{9 + part}.mcap').open('wb') as target:
-            writer, channels = Writer(target), {}
+            writer, channels = Writer(target, **(writing or {})), {}
             writer.start()
             for schema, channel, message in (messages[row] for row in rows):
                 if channel.id not in channels:
@@ -132,8 +140,10 @@ def rewritten(bag, folder, pack=bytes, parts=1):
             writer.finish()
 
 
-@pytest.mark.parametrize('options', [{'pack': zstandard.compress}, {'parts': 3}])
-def test_recording_that_rosbag2_split_or_compressed_is_read(bag, tmp_path, options):
+@pytest.mark.parametrize('options', [
+    {'pack': zstandard.compress}, {'parts': 3}, {'shuffled': True}, {'writing': BARE},
+    {'shuffled': True, 'writing': BARE, 'parts': 2}])
+def test_recording_split_compressed_shuffled_or_without_an_index_is_read(bag, tmp_path, options):
     rewritten(bag, tmp_path, **options)
     whole = sorted(tmp_path.glob('*.mcap'))[-1]  # rosbag2 compresses messages, or files
     whole.with_suffix('.mcap.zstd').write_bytes(zstandard.compress(whole.read_bytes()))

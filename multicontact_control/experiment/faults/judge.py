@@ -1,4 +1,4 @@
-"""What became of a fault: one row, by the same limits for all."""
+"""What became of a fault, or of a situation: one row, by the same limits for all."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import math
 from typing import NamedTuple
 
 from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.experiment.faults.unasked import unasked_motion, Way
 from multicontact_control.experiment.faults.vocabulary import Fault, REST, SLIDING
 from multicontact_control.experiment.metrics import torque_limit
 from multicontact_control.experiment.oscillation import stretches
@@ -29,6 +30,12 @@ OFF_TIME, OFF_FORCE, OFF_SHARE = 0.02, 2.0, 0.2  # s, N, share of the command: o
 BACK_TIME = 0.6  # s after a fault, in which the arm is back: waiting, and five time constants
 UNKNOWN = np.zeros((0, 1))  # forces
 AGAIN = 10  # changes of the reaction, within a run of 1.2 s and 2/s over 5 s
+# In a situation, where nothing is wrong.
+OVER_COMMAND = 20.0  # N on a surface above what is commanded, also while that is 0
+SPEED_TOLERANCE = 0.01  # of a joint's largest speed
+PAST_STOP = 0.01  # rad
+UNASKED = 5e-3  # m, of a motion that was not asked for
+END_TIME = 0.5  # s, the end of a run that tells what it has come to
 
 
 @dataclass(frozen=True)
@@ -76,6 +83,23 @@ class Observation(NamedTuple):
     problems: Collection[str] = ()  # what is known to have gone wrong
 
 
+@dataclass(frozen=True)
+class SituationRow:
+    """What became of one situation."""
+
+    what: str  # it is
+    peak_over_n: float  # largest true normal force above the one commanded [N]
+    speed_share: float  # largest true speed of a joint over its limit
+    beyond_stop_rad: float  # how far a joint was beyond its stop, below 0 before it [rad]
+    unasked_mm: float  # largest motion that was not asked for [mm]; see `unasked_motion`
+    off_n: float  # mean distance of the worst force from its command, at the end [N]
+    short_mm: float  # distance from the setpoint at the end, but for normals [mm]
+    reaction: str  # the strongest
+    peak_torque_fraction: float
+    safe: bool  # nothing of `problems`
+    problems: str = ''
+
+
 def judge(
     fault: Fault, seed: int, setup: Setup, seen: Observation, *, phase: str = '',
 ) -> FaultRow:
@@ -121,6 +145,41 @@ def judge(
         off_command_s=round(float(off_command.sum()) * config.period, 6) if at_work else None,
         transitions=transitions, shortfalls=', '.join(shortfalls),
         pair=' + '.join(f'{part.input} {part.kind}' for part in fault.parts))
+
+
+def judge_situation(what: str, setup: Setup, seen: Observation, way: Way) -> SituationRow:
+    """Return the row of a situation from what was seen in it."""
+    limits = setup.controller.limits
+    problems, fraction = never_allowed(seen, setup)
+    peak = float((seen.forces - seen.commands).max())
+    speed = float((np.abs(way.qd) / (limits.joint_speed or math.inf)).max())
+    beyond = -math.inf
+    if limits.joint_lower:
+        beyond = float(np.maximum(limits.joint_lower - way.q, way.q - limits.joint_upper).max())
+    unasked = unasked_motion(setup, way)
+    for problem, wrong in (
+            ('force above the command', peak > OVER_COMMAND),
+            ('joint too fast', speed > 1.0 + SPEED_TOLERANCE),
+            ('joint beyond its stop', beyond > PAST_STOP),
+            ('motion not asked for', unasked > UNASKED)):
+        if wrong:
+            problems.add(problem)
+    last = round(END_TIME * setup.controller.rate)
+    off = np.abs((seen.forces - seen.commands)[-last:].mean(axis=0)).max()
+    short = np.linalg.norm(way.across[-1] @ (way.setpoint[-1] - way.position[-1]))
+    return SituationRow(
+        what=what, peak_over_n=round(peak, 3), speed_share=round(speed, 4),
+        beyond_stop_rad=round(beyond, 5), unasked_mm=round(1e3 * unasked, 3),
+        off_n=round(float(off), 3), short_mm=round(1e3 * float(short), 2),
+        reaction=seen.reaction, peak_torque_fraction=round(fraction, 5), safe=not problems,
+        problems=', '.join(sorted(problems)))
+
+
+def died(what: str, error: Exception) -> SituationRow:
+    """Return the row of a situation that ended by an error."""
+    unknown = math.inf
+    return SituationRow(what, unknown, unknown, unknown, unknown, unknown, unknown, 'died',
+                        unknown, False, f'{type(error).__name__}: {error}')
 
 
 def never_allowed(seen: Observation, setup: Setup) -> tuple[set[str], float]:

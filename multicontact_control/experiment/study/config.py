@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import field_validator, model_validator, NonNegativeInt
 from sim_bridge.robots import find_robot
 
-Kind = Literal['sweep', 'compare', 'map', 'tune', 'faults']
+Kind = Literal['sweep', 'compare', 'map', 'tune', 'faults', 'situations']
 Aggregate = Literal['median', 'min', 'max', 'share', 'set', 'good_values']
 Choices = Mapping[str, Sequence[Any]]  # values by factor
 

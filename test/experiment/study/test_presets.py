@@ -11,7 +11,7 @@ from multicontact_control.experiment.scenario import resolve
 from multicontact_control.experiment.study.cells import run_cells
 from multicontact_control.experiment.study.config import read_study, select
 from multicontact_control.experiment.study.measure import measure_run, metrics_row
-from multicontact_control.experiment.study.presets import study_of
+from multicontact_control.experiment.study.presets import situations, study_of
 from multicontact_control.experiment.study.presets.compare import CompareStudy
 from multicontact_control.experiment.study.presets.faults import FaultJob
 from multicontact_control.experiment.study.presets.map import ArmLoop
@@ -33,7 +33,8 @@ def study(name, law='', **choices):
 
 def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter():
     names = described('studies')
-    assert {'compare', 'laws', 'map', 'robots', 'tune', 'faults', 'delay', 'stiffness'} <= {*names}
+    assert {'compare', 'laws', 'map', 'robots', 'tune', 'faults', 'delay', 'stiffness',
+            'situations'} <= {*names}
     for name in names:
         assert read_study(name).name == name
     for name, count in {'compare': 18, 'laws': 45, 'map': 64, 'delay': 14, 'faults': 12}.items():
@@ -115,6 +116,41 @@ def test_one_fault_of_every_kind_is_safe(tmp_path, plant):
     assert frame['safe'].all() and len(frame) == len(FAULTS) + 12
     # Pairs of faults are recovered from later.
     assert frame[~frame['back']]['pair'].ne('').all() and (~frame['back']).sum() <= 3
+
+
+def test_every_situation_has_one_seed_and_is_of_a_robot_that_has_what_it_takes():
+    """Whatever else is chosen: a share of one seed is the same share, as is that of a robot."""
+    chosen = {'robot': ('ur5', 'foreign'), 'part': ('stiffness',)}
+    every = [cell.key for cell in study('situations', **chosen).cells()]
+    by_seed = [cell.key for seed in range(4)
+               for cell in study('situations', seed=(seed,), **chosen).cells()]
+    assert sorted(by_seed) == sorted(set(every)) and len(every) == 15  # of two contacts: one arm
+    alone = study('situations', **{**chosen, 'robot': ('ur5',)}).cells()
+    assert {cell.key for cell in alone} < set(every)
+    tilted = study('situations', robot=('ur5', 'panda'), part=('tilted surface',), speed=(
+        '0.1 m/s',), tilt=('3 deg',)).cells()
+    assert [(cell.factors['robot'], cell.factors['plant']) for cell in tilted] == [
+        ('ur5', 'rigid'), ('panda', 'rigid'), ('panda', 'flexible')]
+
+
+def test_robot_that_is_not_installed_is_named_and_the_others_are_run(monkeypatch):
+    monkeypatch.setattr(situations, 'means_of', not_installed)
+    one = study('situations', robot=('fr3',), part=('payload',))
+    assert not one.cells() and one.missing == {'fr3': 'urdf: expected the package x, got none'}
+
+
+def not_installed(name):
+    raise ConfigError('urdf', 'the package x', 'none')
+
+
+@pytest.mark.nightly
+def test_a_quarter_of_the_situations_is_safe(tmp_path):
+    """On every arm that is installed; `multicontact study situations` has all of them."""
+    results = run_study(study('situations', seed=(0,)), tmp_path, console=QUIET)
+    frame = results.frame
+    assert len(frame) >= 200 and frame['part'].nunique() == 10
+    unsafe = frame[~frame['safe']]
+    assert unsafe.empty, unsafe[['part', 'robot', 'what', 'problems']].to_string()
 
 
 def test_cost_adds_figures_and_refuses_what_is_not_stable():

@@ -4,11 +4,12 @@ from multicontact_control.experiment.study.config import StudyConfig
 from multicontact_control.experiment.study.presets.compare import CompareStudy
 from multicontact_control.experiment.study.presets.faults import FaultsStudy
 from multicontact_control.experiment.study.presets.map import MapStudy
+from multicontact_control.experiment.study.presets.situations import SituationsStudy
 from multicontact_control.experiment.study.presets.tune import TuneStudy
 from multicontact_control.experiment.study.study import Study
 
 KINDS = {'sweep': Study, 'compare': CompareStudy, 'map': MapStudy, 'tune': TuneStudy,
-         'faults': FaultsStudy}
+         'faults': FaultsStudy, 'situations': SituationsStudy}
 
 
 def study_of(config: StudyConfig) -> Study:
