@@ -320,7 +320,7 @@ INPUT_STATE = np.dtype([
     ('known', B),  # whether any joints were valid
     ('blind_ticks', I), ('unknown', I),  # in a row without valid joints; without their torques
     ('states', I), ('contradicted', I),  # joint states in a row; of velocities that are wrong
-    ('unproven', I),  # joint states in motion until velocities are believed again
+    ('unproven', B),  # whether velocities were refuted, and not proven in motion since
     ('silent', B), ('estimated', B),  # whether no velocities come; whether positions give them
     ('equal_joints', I), ('equal_wrenches', I),  # readings in a row, the newest counted
     ('faults', I),  # frozen or saturated wrenches in a row

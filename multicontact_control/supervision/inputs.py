@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
@@ -41,7 +41,6 @@ HARDEST = 1e6  # N or N m; no wrench is beyond it
 FARTHEST = 1e3  # rad; no joint is beyond it
 SPEED_EXCESS = 3.0  # times the speed limit of a joint; no joint is faster
 STILL = 1e-4  # rad/s; below it a joint state may repeat itself
-PROOF = 10  # joint states, from the first on or in motion after wrong ones, that prove velocities
 POSITION_JUMP = 0.01  # rad between a joint position and the one its speed leads to
 VARIANCE_FLOOR, VARIANCE_CEILING = 0.1, 1e3  # N^2; with less the observer outruns the drives
 VARIANCE_GROWTH = 1.1  # per period, of an R that is not renewed
@@ -140,7 +139,7 @@ def _check_joints(
     """Check a joint state, `span` after the one before [s]; keep it if it is fine."""
     known = state.known
     limit = POSITION_JUMP * max(1.0, span / settings.period / 5.0)
-    still, same, moves, early, jumped = True, True, False, False, False
+    still, same, early, jumped = True, True, False, False
     for j in range(motion.shape[1]):
         if not abs(joints[0, j]) <= FARTHEST:
             return INVALID
@@ -149,23 +148,20 @@ def _check_joints(
         way = joints[0, j] - joints[2, j]
         speed, tracked = abs(joints[1, j]), joints[velocities.V_TRACKED, j]
         still, same = still and speed <= STILL, same and way == 0.0
-        moves = moves or abs(tracked) > velocities.OFFSET
-        early = early or (speed > velocities.OFFSET and state.states < PROOF)
+        early = early or (speed > velocities.OFFSET and state.states < velocities.PROOF)
         jumped = jumped or (known and abs(way - tracked * span) > limit)
     contradicted = velocities.check_velocities(
         joints, history, span, known and not jumped, state, settings.period)
     joints[2:4] = joints[:2]
     if jumped:
         return JUMP
-    state.equal_joints = state.equal_joints + 1 if same and not still else 1
+    stopped = same and not still and not state.unproven  # as far as velocities can tell
+    state.equal_joints = state.equal_joints + 1 if stopped else 1
     if 0 < settings.frozen_joint_ticks <= state.equal_joints:
         return FROZEN
     state.contradicted = state.contradicted + 1 if contradicted else 0
-    if state.contradicted >= FAULTS:
-        state.unproven = PROOF
-    elif moves and state.unproven > 0:
-        state.unproven -= 1
-    state.estimated = state.silent or contradicted or early or state.unproven > 0
+    state.unproven = velocities.count_proof(joints, state.contradicted >= FAULTS)
+    state.estimated = state.silent or contradicted or early or state.unproven
     motion[0], motion[1] = joints[0], joints[velocities.V_TRACKED if state.estimated else 1]
     return VELOCITY if contradicted else FINE
 
@@ -317,6 +313,7 @@ class Inputs:
         self._commands: Matrix = np.zeros((max(config.collision.command_delay, 0) + 2, n))
         self._arguments = (self._stage, self._readings, self._history, self._new_variance,
                            self._commands, motion, joints, controls, contacts)
+        self._velocity = motion[1]
         self._joints, self._momentum = joints, controls['momentum']
         self._wrench, self._variance = controls['wrench'][0], contacts['noise_variance']
         self._state, self._none = self._stage['state'][0], np.zeros(n)
@@ -351,6 +348,24 @@ class Inputs:
     def sensor_fault(self) -> str:
         """Return what is wrong with the wrench of this tick, empty for nothing."""
         return PROBLEMS[max(self._state['problem'][WRENCH], FINE)]
+
+    @property
+    def refuted_joints(self) -> Mask:
+        """Return whose velocities are refuted, and not proven in motion since, shape (n,)."""
+        refuted: Mask = self._readings[velocities.UNPROVEN] > 0.0
+        return refuted
+
+    @property
+    def refuted(self) -> bool:
+        """Whether any are."""
+        return bool(self._state['unproven'])
+
+    @property
+    def likely_velocity(self) -> Vector:
+        """Return velocities, or what positions make up for them if any seems wrong now [rad/s]."""
+        rate: Vector = self._readings[velocities.V_TRACKED]
+        likely = velocities.OFFSET + velocities.SHARE * np.abs(rate)
+        return rate if (np.abs(self._velocity - rate) > likely).any() else self._velocity
 
     @property
     def history(self) -> tuple[Matrix, Vector]:

@@ -25,6 +25,8 @@ import numpy as np
 CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
 STRAY_TORQUE = 0.5  # N m at the operational point that is worth a report
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
+DOUBTED = ('Held by estimates from the positions until ten readings of the moving joints agree, or '
+           'by ~/retry')
 CONTROLLED = (NONE, reactions.INFLATE)  # what the control law answers
 Answer = tuple[ControlOutput, SupervisorStatus | None]
 
@@ -86,7 +88,8 @@ class Supervisor:
         self._task_ticks = self._good_ticks = self._contradictions = 0
         self.started = self._paused = False
         self._recovery.reset()
-        self.reactions.end()
+        self._trusted = False
+        self.reactions.forget()
 
     def stop(self) -> None:
         """Answer by the declared safe behaviour from the next tick on, until a `reset`."""
@@ -177,6 +180,10 @@ class Supervisor:
         arm = self._arm
         if self.safe:
             return SAFE, causes
+        if checks.CONTRADICTED in causes:
+            self._trusted = False
+        elif self.velocities_in_doubt:
+            causes = (checks.CONTRADICTED, *causes)
         if self.started and not self._paused:
             return checks.reaction_to(causes, self.config) if causes else NONE, causes
         if self.guarded and not self.started and arm is not None:
@@ -191,6 +198,15 @@ class Supervisor:
                 floats = self._reaction == FLOAT and self._good_ticks * self._period < SEEN_TIME
                 return FLOAT if floats else HOLD, missing
         return reaction, causes
+
+    @property
+    def velocities_in_doubt(self) -> bool:
+        """
+        Whether velocities were refuted, and neither motion nor an operator says otherwise.
+
+        At rest nothing contradicts them: the arm is held, by estimates from its positions.
+        """
+        return self.guarded and self.inputs.refuted and not self._trusted
 
     def _resume(self) -> None:
         """Start the control law, or go on with it after a reaction."""
@@ -256,7 +272,9 @@ class Supervisor:
                 self._causes = causes
                 self.findings = tuple(filter(None, map(self._explain, causes))) or self.findings
         if self.started and not self._paused:
-            self._recovery.stopped(causes, self._task_ticks)
+            if self._recovery.stopped(causes, self._task_ticks):
+                self.reactions.forget()
+            self.reactions.go_back()
             self.reactions.begin(self._output)
         self._paused = True
         self._begin()
@@ -265,9 +283,10 @@ class Supervisor:
         with np.errstate(all='ignore'):  # the gate finds numbers that are not finite
             # What blocks the arm may be what the contacts' forces press it against: they fade.
             felt = self._wrench_known and not self.controller.arm.flags & TOUCHED
+            torque = self.reactions.torque(
+                reaction, arm, felt, self.inputs.likely_velocity).copy()
             torque, limits = self.gate.apply(
-                reaction, self.reactions.torque(reaction, arm, felt).copy(),
-                seen=arm is not None and not blind)
+                reaction, torque, seen=arm is not None and not blind)
         return self._report(
             torque, NONE if reaction == SAFE else reaction, causes, limits, controlled=False)
 
@@ -279,6 +298,8 @@ class Supervisor:
         if not touched and cause != checks.CONTRADICTED:
             return ''
         text = explain_velocities(*self.inputs.history, names, self._period)
+        if text and not touched:
+            return f'{text}. {DOUBTED}'
         if touched and not text:
             residual = checks.explain_collision(self._joints, self._controls['momentum'][0], names)
             text = '; '.join(filter(None, (residual, self.stray_force)))
@@ -337,18 +358,26 @@ class Supervisor:
     def _adopt(self, config: ControllerConfig) -> None:
         """Set what follows from the values that may change while the arm is controlled."""
         self.config = config
-        self.gate.pace, self.reactions.safe_behaviour = config.transition, config.safe_behaviour
+        self.gate.pace = config.transition
+        self.reactions.retune(config)
         self.task.retune(config)
         self._answered = (  # what an answer is checked by
             checks.plausibility_limits(config), self._controls, self._joints,
             self.controller.contacts, self.task.states)
 
     def try_again(self) -> bool:
-        """Resume control that is latched, seek contacts given up; return if there was any."""
-        given_up, latched = self.task.states['state'] == GIVEN_UP, self._recovery.latched
+        """
+        Resume control that is latched, seek contacts given up; return if there was any.
+
+        Control resumes on estimates as well, if velocities were refuted and not proven since.
+        """
+        given_up = self.task.states['state'] == GIVEN_UP
+        waited = self._recovery.latched or self.velocities_in_doubt
         self.task.states['again'] |= given_up
         self._recovery.allow()
-        return bool(given_up.any()) or latched
+        self.reactions.stay()
+        self._trusted = self.inputs.refuted
+        return bool(given_up.any()) or waited
 
 
 def not_supervised() -> CommandError:
