@@ -48,6 +48,12 @@ LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been s
 FORGOTTEN = 1.0  # s without known torques, after which a collision is forgotten
 UNEVEN = 0.5  # periods that a sample may be early or late and still be the next one
 AGE_TOLERANCE = 1e-3  # periods
+# Why the measured torque of a joint is of no use, and what that is called.
+HEARD, UNHEARD, NOT_A_NUMBER, SILENT = range(4)
+EFFORT_FAULTS = ('', 'missing', 'not finite', 'constantly 0')
+NEAR_ZERO = 1.0  # N m; a torque that was larger does not become 0 exactly
+SILENCE = 0.1  # s of exactly 0 N m, from which on a joint seems to measure no torque
+REPORTED = 5  # samples in a row without a usable torque, from which on that is said
 
 
 class JointInput(NamedTuple):
@@ -196,21 +202,52 @@ def _take_wrench(state: Any, settings: Any) -> int:
 
 
 @compiled
+def _hear_torques(joints: Any, state: Any, period: float) -> int:
+    """
+    Find which measured torques are of use, and why the others are not; return how many are.
+
+    A driver that measures no torque may say 0, or NaN, in one joint or in all: from the start on,
+    or from a moment when there was a torque. A 0 that may be one counts for a while. The joint is
+    heard again from the first other number on.
+    """
+    moved, heard = False, 0
+    for j in range(joints.shape[0]):
+        moved = moved or joints[j].effort != 0.0
+    for j in range(joints.shape[0]):
+        joint, fault = joints[j], HEARD
+        if state.content[TORQUES] != FINE:
+            fault = UNHEARD
+        elif not np.isfinite(joint.effort):
+            fault = NOT_A_NUMBER
+        elif joint.effort != 0.0:
+            joint.said, joint.zeros = joint.effort, 0
+        else:
+            joint.zeros += 1
+            if not moved or abs(joint.said) > NEAR_ZERO or joint.zeros * period > SILENCE:
+                fault = SILENT
+        joint.effort_fault = fault
+        if fault == HEARD:
+            joint.unheard = 0
+            heard += 1
+        elif state.content[JOINTS] != ABSENT:  # a joint state that is missing says nothing of it
+            joint.unheard += 1
+    return heard
+
+
+@compiled
 def _supply_torques(
     joints: Any, momentum: Any, commands: Matrix, elapsed: float, measured: bool, state: Any,
     settings: Any,
 ) -> None:
     """Give the momentum observer the torques, measured or commanded, that acted in a period."""
     by_command = np.isfinite(commands[0, 0])
-    moved, total = False, 0.0  # a driver that measures no torque may say 0, or NaN
-    for j in range(joints.shape[0]):
-        moved = moved or joints[j].effort != 0.0
-        total += joints[j].effort
-    state.acts = state.content[TORQUES] == FINE and moved and np.isfinite(total)
+    heard = _hear_torques(joints, state, settings.period)
     for j in range(joints.shape[0]):
         joint = joints[j]
-        joint.doubt = 0.0
-        if state.acts:
+        joint.doubt, joint.unwatched = 0.0, joint.effort_fault != HEARD and not by_command
+        if joint.unwatched and joint.unheard * settings.period > FORGOTTEN:
+            joint.residual = joint.slack = 0.0  # it would block the arm for good
+        if joint.effort_fault == HEARD:
             if settings.adds_gravity:
                 joint.effort += joint.added
         elif by_command:
@@ -219,7 +256,8 @@ def _supply_torques(
             joint.doubt = max(abs(last - before), abs(after - last))  # a period early or late
             joint.effort = last
     late = state.estimated and not (state.silent and momentum.is_input)
-    known = (state.acts or by_command) and measured and not late and (
+    needed = joints.shape[0] if momentum.is_input else 1  # of a wrench each joint is a part
+    known = (heard >= needed or by_command) and measured and not late and (
         abs(elapsed - settings.period) < UNEVEN * settings.period)
     momentum.elapsed = elapsed if known else 0.0
     state.unknown = 0 if known else state.unknown + 1
@@ -330,14 +368,28 @@ class Inputs:
         """Forget everything; the next tick is the first."""
         self._stage[:], self._readings[:], self._variance[:] = self._initial
         self._commands[:] = math.nan
-        self._joints['residual'] = self._joints['slack'] = self._joints['doubt'] = 0.0
+        for name in ('residual', 'slack', 'doubt', 'zeros', 'unheard'):
+            self._joints[name] = 0
+        self._joints['said'] = math.inf
         self._momentum['elapsed'], self._momentum['collided'] = 0.0, False
 
     @property
-    def effort(self) -> Vector | None:
-        """Return the torques of the newest joint state, if they say anything [N m]."""
-        effort: Vector = self._joints['effort']
-        return effort if self._state['acts'] else None
+    def effort(self) -> Vector:
+        """Return the torques of the newest joint state, NaN where they say nothing [N m]."""
+        joints = self._joints
+        heard = (joints['effort_fault'] == HEARD) & (joints['effort'] != 0.0)
+        effort: Vector = np.where(heard, joints['effort'], math.nan)
+        return effort
+
+    @property
+    def unheard_joints(self) -> dict[str, tuple[int, ...]]:
+        """Return the joints whose torques are of no use, by what is wrong with them."""
+        unheard = self._joints['unheard'] >= REPORTED
+        if not unheard.any():
+            return {}
+        faults = np.where(unheard, self._joints['effort_fault'], HEARD)
+        return {EFFORT_FAULTS[fault]: tuple(np.flatnonzero(faults == fault).tolist())
+                for fault in (UNHEARD, NOT_A_NUMBER, SILENT) if (faults == fault).any()}
 
     @property
     def fresh(self) -> bool:

@@ -246,12 +246,11 @@ class Supervisor:
         """Let the torque start from the one that acts before any command."""
         if self.gate.begun:
             return
-        effort, acting = self.inputs.effort, np.zeros(self._robot.joint_count)
-        if effort is not None:
-            acting = effort + self._joints['added']
-        elif self._arm is not None:
+        acting = np.zeros(self._robot.joint_count)
+        if self._arm is not None:
             acting = self._robot.update(self._arm.q, acting).gravity
-        self.gate.begin(acting)
+        measured = self.inputs.effort + self._joints['added']
+        self.gate.begin(np.where(np.isnan(measured), acting, measured))
 
     def _refuse(self, cause: str) -> Answer:
         """Answer without the control law because of what it says, or raise without guards."""
@@ -317,6 +316,24 @@ class Supervisor:
         return (f'{force:.1f} N and {torque:.2g} N m while no contact is commanded: if nothing '
                 'touches the tool, bias or tool weight (tare or calibrate)') if stray else ''
 
+    def _unwatched(self) -> str:
+        """Return whose measured torques are of no use, and what that leads to; empty if none."""
+        config, faults = self.config, self.inputs.unheard_joints
+        if not (config.robot.measures_torque and faults):
+            return ''
+        names, count = config.robot.joint_names, sum(map(len, faults.values()))
+        texts = [f'of {", ".join(names[j] for j in joints) if len(joints) < len(names) else "all"}'
+                 f' {fault}' for fault, joints in faults.items()]
+        if config.wrench_input == 'momentum':
+            effect = 'there is no wrench of the contacts without them'
+        elif config.collision.command_delay >= 0:
+            effect = 'the commands stand in for them'
+        elif count == len(names):
+            effect = 'collisions are not watched'
+        else:
+            effect = 'what touches the arm is not seen in these joints, but in the others'
+        return f'effort in joint_states: {", ".join(texts)}; {effect}'
+
     def _survive(self, part: str, error: Exception) -> Answer:
         """Answer after an exception, in the law or in what is around it."""
         cause = f'{part}_{type(error).__name__}'
@@ -346,7 +363,7 @@ class Supervisor:
         self._output = output
         return output, SupervisorStatus(
             reaction, causes, self._seen.rejected, limits, self.task.state_names,
-            self._task_ticks * self._period) if self.guarded else None
+            self._task_ticks * self._period, self._unwatched()) if self.guarded else None
 
     def reconfigure(self, config: ControllerConfig) -> None:
         """Go on with other live parameters, without a jump; or ConfigError, as it was before."""

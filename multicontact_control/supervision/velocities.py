@@ -30,8 +30,10 @@ OFFSET = 0.05  # rad/s by which a velocity may be wrong...
 SHARE = 0.25  # ...beside this share of it, which is that of a driver's low-pass, too
 LARGEST_UNREST = 2.5  # rad/s that velocities go up and down beside the estimate in `MEMORY`
 PROOF = 10  # joint states, from the first on or in motion after wrong ones, that prove velocities
-AGREEMENT = 0.3  # of its rate, and NEAR of it [rad/s], by which a velocity that proves itself may
-NEAR = 0.01      # miss the estimate; beyond twice as much it refutes itself
+PROVING = 0.02  # rad/s of a joint, from which on its motion may prove its velocity
+# The share of that rate, and rad/s beside it, by which such a velocity may miss the estimate; one
+# that misses it by twice as much begins anew.
+AGREEMENT, NEAR = 0.3, 0.01
 POLE = 0.5  # of the tracking filter, per period
 EVEN = 1.5  # periods between two joint states, up to which they are evidence
 UNITS = {180.0 / np.pi: 'degrees per second', 30.0 / np.pi: 'revolutions per minute',
@@ -92,15 +94,15 @@ def count_proof(joints: Matrix, refuted: bool) -> bool:
     """
     Count the readings in motion that prove velocities which were `refuted`, now or before.
 
-    Return whether a joint still lacks some. A reading counts for a joint that moves by more than
-    `OFFSET`, if its velocity agrees with the estimate; one that is far from it begins anew.
+    Return whether a joint still lacks some. A reading counts for a joint that moves, if its
+    velocity agrees with the estimate.
     """
     lacking = False
     for j in range(joints.shape[1]):
         rate, doubt = joints[V_TRACKED, j], joints[DOUBT, j]
         if refuted and 1.0 < doubt < np.inf:
             joints[UNPROVEN, j] = PROOF
-        elif joints[UNPROVEN, j] > 0.0 and abs(rate) > OFFSET and doubt <= 1.0:
+        elif joints[UNPROVEN, j] > 0.0 and abs(rate) > PROVING and doubt <= 1.0:
             missing = abs(joints[1, j] - rate) / (NEAR + AGREEMENT * abs(rate))
             if missing > 2.0:
                 joints[UNPROVEN, j] = PROOF
