@@ -37,6 +37,10 @@ FADE_TIME = 0.5  # s, by which a contact's force fades while the wrench is not k
 DROP_TIME = 0.02  # s, in which the force on a surface that has gone is dropped
 DROPPED = 1e-3  # N m in every joint, below which that counts as done
 
+# Two reactions that take turns: so many changes, each forgotten within FLICKER_TIME [s], and the
+# severer one stays until nothing has called for it over CALM_TIME [s].
+FLICKERS, FLICKER_TIME, CALM_TIME = 3.5, 1.0, 0.5
+
 RECOVERING, LATCHED = 'recovering', 'latched'
 WAITING = (RECOVERING,), (LATCHED,)  # causes of a control that has not resumed yet
 RELAPSE_TIME = 5.0  # s after control has resumed, in which a reaction is a relapse
@@ -272,6 +276,37 @@ def _damped(arm: ArmState, rate: float) -> Vector:
     """Return Gamma = C v + g - c diag(M) v, shape (n,) [N m], with c in [1/s]."""
     torque: Vector = arm.bias_torque - rate * arm.inertia * arm.velocity
     return torque
+
+
+class Steadiness:
+    """Keeps to the severer of two reactions that take turns, as with joints that come and go."""
+
+    def __init__(self, period: float) -> None:
+        self._keep, self._calm_ticks = math.exp(-period / FLICKER_TIME), round(CALM_TIME / period)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._before = self._severer = ''
+        self._changes, self._calm = 0.0, 0
+
+    def of(self, reaction: str) -> str:
+        """Return what answers a tick for which a reaction is called for, the law aside."""
+        self._changes *= self._keep
+        if self._before and reaction != self._before:
+            self._changes += 1.0
+            if self._changes > FLICKERS:
+                self._severer = max(reaction, self._before, self._severer, key=_severity)
+        self._before = reaction
+        self._calm = self._calm + 1 if _severity(reaction) < _severity(self._severer) else 0
+        if self._calm > self._calm_ticks:
+            self._severer = ''
+        return max(reaction, self._severer, key=_severity)
+
+
+def _severity(reaction: str) -> int:
+    """Return how severe a reaction is, -1 for none that is known."""
+    return SEVERITY.index(reaction) if reaction in SEVERITY else -1
 
 
 class Recovery:

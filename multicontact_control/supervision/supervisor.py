@@ -63,6 +63,7 @@ class Supervisor:
         self.gate = TorqueGate(config, self._joints, guarded=guarded)
         self.reactions = reactions.Reactions(config, controller)
         self._recovery = reactions.Recovery(config.watchdog.recovery_time, config.period)
+        self._steadiness = reactions.Steadiness(config.period)
         self._adopt(config)
         checks.check_plausibility(*self._answered)  # compiled here: no sample waits for it
         self.reset()
@@ -88,6 +89,7 @@ class Supervisor:
         self._task_ticks = self._good_ticks = self._contradictions = 0
         self.started = self._paused = False
         self._recovery.reset()
+        self._steadiness.reset()
         self._trusted = False
         self.reactions.forget()
 
@@ -265,6 +267,8 @@ class Supervisor:
         arm, blind = self._arm, self._seen.blind
         if blind and arm is not None:
             reaction = FLOAT  # what is not seen can be neither held nor slowed down
+        if reaction != SAFE:
+            reaction = self._steadiness.of(reaction)
         if causes not in reactions.WAITING:
             self._good_ticks = 0
             if causes != self._causes or not self.findings:
@@ -282,8 +286,9 @@ class Supervisor:
         with np.errstate(all='ignore'):  # the gate finds numbers that are not finite
             # What blocks the arm may be what the contacts' forces press it against: they fade.
             felt = self._wrench_known and not self.controller.arm.flags & TOUCHED
-            torque = self.reactions.torque(
-                reaction, arm, felt, self.inputs.likely_velocity).copy()
+            velocity = self.inputs.likely_velocity if self.guarded else (
+                self.controller.arm.velocity)
+            torque = self.reactions.torque(reaction, arm, felt, velocity).copy()
             torque, limits = self.gate.apply(
                 reaction, torque, seen=arm is not None and not blind)
         return self._report(
