@@ -351,7 +351,6 @@ class Inputs:
         self._commands: Matrix = np.zeros((max(config.collision.command_delay, 0) + 2, n))
         self._arguments = (self._stage, self._readings, self._history, self._new_variance,
                            self._commands, motion, joints, controls, contacts)
-        self._velocity = motion[1]
         self._joints, self._momentum = joints, controls['momentum']
         self._wrench, self._variance = controls['wrench'][0], contacts['noise_variance']
         self._state, self._none = self._stage['state'][0], np.zeros(n)
@@ -413,11 +412,10 @@ class Inputs:
         return bool(self._state['unproven'])
 
     @property
-    def likely_velocity(self) -> Vector:
-        """Return velocities, or what positions make up for them if any seems wrong now [rad/s]."""
+    def rate(self) -> Vector:
+        """Return the velocities that positions make up for [rad/s]."""
         rate: Vector = self._readings[velocities.V_TRACKED]
-        likely = velocities.OFFSET + velocities.SHARE * np.abs(rate)
-        return rate if (np.abs(self._velocity - rate) > likely).any() else self._velocity
+        return rate
 
     @property
     def history(self) -> tuple[Matrix, Vector]:

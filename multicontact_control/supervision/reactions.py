@@ -12,6 +12,7 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.controller import Controller, ControlOutput
 from multicontact_control.dynamics.operational_space import mobility_and_inertia
+from multicontact_control.supervision.velocities import OFFSET, SHARE
 import numpy as np
 
 NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
@@ -26,6 +27,7 @@ FREE_FREQUENCY = 10.0  # rad/s, of what the operational point does not see of a 
 LESS_DAMPING = 0.5  # ratio to which the damping of a hold that shakes is reduced first...
 SOFTER, SOFTEST = 0.8, 10.0  # ...then its natural frequency, by this factor, down to so many rad/s
 SETTLING_TIME = 0.2  # s that it is given to calm down
+UNLIKELY_TIME = 0.1  # s, for which velocities are not used after one was unlikely
 # A joint that turns round by more than SWING [rad/s] counts a turn, and forgets it within TURN_TIME
 # [s]. From TURNS of them on it shakes, 13 times a second or more; a held arm does not swing so fast.
 SWING, TURN_TIME, TURNS = 0.05, 0.15, 4.0
@@ -148,7 +150,7 @@ class Reactions:
         self._law: Any = controller.controls['law']
         self._swings: Matrix = np.zeros((3, self._robot.joint_count))
         self._keep_turns = math.exp(-config.period / TURN_TIME)
-        self._stiffest, self._settling = math.nan, 0.0
+        self._stiffest, self._settling, self._unlikely = math.nan, 0.0, 0.0
         self.retune(config)
         self.forget()
         self._hold(controller.arm, controller.arm.velocity)  # no tick is to wait for numba
@@ -205,12 +207,12 @@ class Reactions:
         return self._pressing is not None and bool((np.abs(self._pressing) > DROPPED).any())
 
     def torque(
-        self, reaction: str, arm: ArmState | None, wrench_known: bool, velocity: Vector,
+        self, reaction: str, arm: ArmState | None, wrench_known: bool, rate: Vector,
     ) -> Vector:
         """
         Return what answers instead of the law, shape (n,) [N m].
 
-        `wrench_known` as of now; `velocity` is what a hold is damped by, shape (n,) [rad/s].
+        `wrench_known` as of now; `rate` has the velocities that positions make up for, [rad/s].
         """
         self._coasting = self._coasting + 1 if reaction == FLOAT else 0
         if arm is None:
@@ -222,7 +224,7 @@ class Reactions:
             return _damped(arm, DAMPING_RATE) if does == DAMP else self._added.copy()
         pressing = self._press(wrench_known)
         if does == HOLD:
-            return self._hold(arm, velocity) + pressing
+            return self._hold(arm, rate) + pressing
         self._posture = None  # wherever it has gone meanwhile
         if self._coasting * self._period > COAST_TIME:
             self._first = None
@@ -232,7 +234,7 @@ class Reactions:
         floating: Vector = state.gravity - braking + pressing
         return floating
 
-    def _hold(self, arm: ArmState, velocity: Vector) -> Vector:
+    def _hold(self, arm: ArmState, rate: Vector) -> Vector:
         """Return the torque that keeps the arm where it is, or leads it back, shape (n,) [N m]."""
         if self._posture is None:
             self._posture = arm.q.copy()
@@ -241,10 +243,14 @@ class Reactions:
                 self._first = arm.q.copy()
         step = RETURN_SPEED * self._period
         self._posture += np.clip(self._first - self._posture, -step, step)
-        turns = count_turns(velocity, self._swings, self._keep_turns)
+        turns = count_turns(rate, self._swings, self._keep_turns)
         self._settling = max(self._settling - self._period, 0.0)
         if turns > TURNS and not self._settling:
             self._soften()
+        # What may soon be refuted would push the arm: the estimate damps it already.
+        unlikely = np.abs(arm.velocity - rate) > OFFSET + SHARE * np.abs(rate)
+        self._unlikely = UNLIKELY_TIME if unlikely.any() else self._unlikely - self._period
+        velocity = rate if self._unlikely > 0.0 else arm.velocity
         terms = self._robot.terms
         return hold_torque(
             self._posture - arm.q, velocity, arm.bias_torque, terms.mass_matrix,

@@ -286,9 +286,9 @@ class Supervisor:
         with np.errstate(all='ignore'):  # the gate finds numbers that are not finite
             # What blocks the arm may be what the contacts' forces press it against: they fade.
             felt = self._wrench_known and not self.controller.arm.flags & TOUCHED
-            velocity = self.inputs.likely_velocity if self.guarded else (
-                self.controller.arm.velocity)
-            torque = self.reactions.torque(reaction, arm, felt, velocity).copy()
+            # Bare, velocities and angles are used as they come.
+            rate = self.inputs.rate if self.guarded else self.controller.arm.velocity
+            torque = self.reactions.torque(reaction, arm, felt, rate).copy()
             torque, limits = self.gate.apply(
                 reaction, torque, seen=arm is not None and not blind)
         return self._report(
