@@ -29,7 +29,7 @@ import numpy as np
 
 STREAM_TIME = 1.0  # s; commands that come more often than this are a stream
 VELOCITIES_IN_DOUBT = (
-    'the joint velocities are in doubt (joints_velocity): let them be proven in motion, or ~/retry')
+    'the joint velocities are in doubt (joints_velocity): prove them in motion, or ~/retry')
 TARE_READINGS = 100  # of a tare, at most, and the periods in which they have come
 
 

@@ -110,7 +110,8 @@ class ControllerNode(ManagedNode):
                 partial(messages.read_variance, names=config.column_names), timing.add_variance),
             topics.JOINT_STATES: (
                 partial(messages.read_named, names=robot.joint_names, fields=('position',),
-                        optional=('velocity',), partial=efforts), lambda *reading: timing.add(JointInput(*reading)))}
+                        optional=('velocity',), partial=efforts),
+                lambda *reading: timing.add(JointInput(*reading)))}
         if wrench is not None:
             self._inputs[wrench] = (partial(messages.read_wrench, frame=robot.sensor_frame),
                                     lambda *reading: timing.add(WrenchInput(*reading)))

@@ -411,6 +411,14 @@ class Inputs:
         """Whether any are."""
         return bool(self._state['unproven'])
 
+    def refute(self) -> None:
+        """Take the velocity that is most in doubt for refuted: what it led to says so."""
+        doubt = self._readings[velocities.DOUBT]
+        worst = int(np.argmax(doubt))
+        if np.isfinite(doubt[worst]):
+            self._readings[velocities.UNPROVEN, worst] = velocities.PROOF
+            self._state['unproven'] = True
+
     @property
     def rate(self) -> Vector:
         """Return the velocities that positions make up for [rad/s]."""

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from multicontact_control.algebra import multiply
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.controller import Controller, ControlOutput
@@ -21,15 +19,15 @@ SAFE = 'safe'  # the safe behaviour after a deactivation, which is no reaction t
 SAFE_BEHAVIOURS = {'hold_position': HOLD, 'gravity_compensation': DAMP, 'zero_torque': SAFE}
 COAST_TIME = 0.1  # s, in which an arm that cannot be seen any more is brought to rest
 DAMPING_RATE = 5.0  # 1/s, of `damp` and gravity compensation: joint damping over inertia
-# Of 1 / w of a hold, the delay of its torque: with damping 2 w its phase margin is then 40 degrees.
-DELAY_SHARE = 0.3
+DELAY_SHARE = 0.3  # of 1 / w of a hold, which its delay is at most: 40 degrees of phase margin
 FREE_FREQUENCY = 10.0  # rad/s, of what the operational point does not see of a posture
 LESS_DAMPING = 0.5  # ratio to which the damping of a hold that shakes is reduced first...
 SOFTER, SOFTEST = 0.8, 10.0  # ...then its natural frequency, by this factor, down to so many rad/s
 SETTLING_TIME = 0.2  # s that it is given to calm down
 UNLIKELY_TIME = 0.1  # s, for which velocities are not used after one was unlikely
-# A joint that turns round by more than SWING [rad/s] counts a turn, and forgets it within TURN_TIME
-# [s]. From TURNS of them on it shakes, 13 times a second or more; a held arm does not swing so fast.
+# A joint that turns round by more than SWING [rad/s] counts a turn, and forgets it within
+# TURN_TIME [s]. From TURNS of them on it shakes, 13 times a second or more; an arm that is held
+# by rigid drives does not swing so fast.
 SWING, TURN_TIME, TURNS = 0.05, 0.15, 4.0
 DIRECTION, EXTREME, TURNED = range(3)  # rows of what is known of swings, one column per joint
 RETURN_SPEED = 0.05  # rad/s of each joint, at which a hold goes back to where the first one began
@@ -55,7 +53,6 @@ PHYSICAL = ('motion', 'law', 'internal', 'joints_velocity', 'wrench_pull', 'wren
             'wrench_sideways', 'wrench_saturated', 'collision')
 
 
-@compiled
 def hold_torque(
     way: Vector, velocity: Vector, bias_torque: Vector, mass_matrix: Matrix, jacobian: Matrix,
     frequency: float, damping: float, laws: Any,
@@ -80,48 +77,32 @@ def hold_torque(
         One record of `LAW`, for what is done near singularities.
 
     """
-    n = way.shape[0]
-    least = min(frequency, FREE_FREQUENCY)
+    n, least = len(way), min(frequency, FREE_FREQUENCY)
     free = least ** 2 * way - 2.0 * least * velocity
-    torque = bias_torque.copy()
-    for i in range(n):
-        for j in range(n):
-            torque[i] += mass_matrix[min(i, j), max(i, j)] * free[j]
+    upper = np.triu(mass_matrix)
+    torque: Vector = bias_torque + (upper + np.triu(upper, 1).T) @ free
     L, Y = np.empty((n, n)), np.empty((n, 6))
     mobility, Lambda = np.empty((6, 6)), np.empty((6, 6))
     if mobility_and_inertia(
-            mass_matrix, jacobian, laws[0].singular_mobility, L, Y, mobility, Lambda) < 0.0:
+            mass_matrix, jacobian, laws['singular_mobility'][0], L, Y, mobility, Lambda) < 0.0:
         return torque
     stiffer = frequency ** 2 * way - 2.0 * damping * frequency * velocity - free
-    acceleration, force = np.empty(6), np.empty(6)
-    multiply(jacobian, stiffer, acceleration)
-    multiply(Lambda, acceleration, force)
-    for j in range(n):
-        for i in range(6):
-            torque[j] += jacobian[i, j] * force[i]
+    torque += jacobian.T @ (Lambda @ (jacobian @ stiffer))
     return torque
 
 
-@compiled
-def count_turns(velocity: Vector, swings: Matrix, keep: float) -> float:
+def count_turns(rate: Vector, swings: Matrix, keep: float) -> float:
     """
     Take in velocities, shape (n,) [rad/s]; return how often the joint that turned most has turned.
 
     `swings` has the rows above, shape (3, n), and is changed; `keep` is what is left of the count.
     """
-    most = 0.0
-    for j in range(velocity.shape[0]):
-        direction, beyond = swings[DIRECTION, j], velocity[j] - swings[EXTREME, j]
-        swings[TURNED, j] *= keep
-        if direction * beyond >= 0.0:
-            swings[EXTREME, j] = velocity[j]
-            if direction == 0.0:
-                swings[DIRECTION, j] = 1.0
-        elif abs(beyond) > SWING:
-            swings[DIRECTION, j], swings[EXTREME, j] = -direction, velocity[j]
-            swings[TURNED, j] += 1.0
-        most = max(most, swings[TURNED, j])
-    return most
+    beyond = (rate - swings[EXTREME]) * swings[DIRECTION]
+    turns, goes_on = beyond < -SWING, beyond >= 0.0
+    swings[EXTREME] = np.where(turns | goes_on, rate, swings[EXTREME])
+    swings[DIRECTION] = np.where(turns, -swings[DIRECTION], swings[DIRECTION])
+    swings[TURNED] = keep * swings[TURNED] + turns
+    return float(swings[TURNED].max())
 
 
 class Reactions:
@@ -149,6 +130,7 @@ class Reactions:
         self._task: Any = controller.controls['task']
         self._law: Any = controller.controls['law']
         self._swings: Matrix = np.zeros((3, self._robot.joint_count))
+        self._begin_swings()
         self._keep_turns = math.exp(-config.period / TURN_TIME)
         self._stiffest, self._settling, self._unlikely = math.nan, 0.0, 0.0
         self.retune(config)
@@ -238,9 +220,9 @@ class Reactions:
         """Return the torque that keeps the arm where it is, or leads it back, shape (n,) [N m]."""
         if self._posture is None:
             self._posture = arm.q.copy()
-            self._swings[:] = 0.0
-            if self._first is None or np.abs(self._first - arm.q).max() > RETURN_WAY:
-                self._first = arm.q.copy()
+            self._begin_swings()
+        if self._first is None or np.abs(self._first - self._posture).max() > RETURN_WAY:
+            self._first = self._posture.copy()
         step = RETURN_SPEED * self._period
         self._posture += np.clip(self._first - self._posture, -step, step)
         turns = count_turns(rate, self._swings, self._keep_turns)
@@ -255,6 +237,10 @@ class Reactions:
         return hold_torque(
             self._posture - arm.q, velocity, arm.bias_torque, terms.mass_matrix,
             terms.jacobian, self._frequency, self._damping, self._law)
+
+    def _begin_swings(self) -> None:
+        self._swings[:] = 0.0
+        self._swings[DIRECTION] = 1.0
 
     def _soften(self) -> None:
         """Reduce what makes the rotors shake: damping by velocities that come late."""
@@ -339,7 +325,7 @@ class Recovery:
         self.latched, self._relapses = False, 0
 
     def stopped(self, causes: tuple[str, ...], tick: int) -> bool:
-        """Take note that a reaction has begun at a tick of control's count; return if it is new."""
+        """Take note of a reaction that begins at a tick of control; return if it is new."""
         self.latched = self.latched or 'wrench_stray' in causes  # it presses on what is there
         soon = RELAPSE_TIME if _is_physical(causes) else SOON
         if (tick - self.resumed_at) * self._period > soon:

@@ -25,8 +25,8 @@ import numpy as np
 CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
 STRAY_TORQUE = 0.5  # N m at the operational point that is worth a report
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
-DOUBTED = ('Held by estimates from the positions until ten readings of the moving joints agree, or '
-           'by ~/retry')
+DOUBTED = ('Held by estimates from the positions until ten readings of such joints in motion '
+           'agree, or an operator resumes control (~/retry)')
 CONTROLLED = (NONE, reactions.INFLATE)  # what the control law answers
 Answer = tuple[ControlOutput, SupervisorStatus | None]
 
@@ -302,9 +302,11 @@ class Supervisor:
         if not touched and cause != checks.CONTRADICTED:
             return ''
         text = explain_velocities(*self.inputs.history, names, self._period)
-        if text and not touched:
+        if text:
+            if touched:  # by what the law made of such a velocity
+                self.inputs.refute()
             return f'{text}. {DOUBTED}'
-        if touched and not text:
+        if touched:
             residual = checks.explain_collision(self._joints, self._controls['momentum'][0], names)
             text = '; '.join(filter(None, (residual, self.stray_force)))
         return text

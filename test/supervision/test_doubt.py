@@ -13,8 +13,7 @@ from multicontact_control.supervision.reactions import Steadiness
 import numpy as np
 import pytest
 from robots import robot_parameters
-from supervision.test_recovery import DEPTH, elbow_forces, standing, with_effort
-from supervision.test_recovery import ELBOW_WALL
+from supervision.test_recovery import DEPTH, elbow_forces, ELBOW_WALL, standing, with_effort
 
 H = 0.002
 PUSH = np.array([10.0, 0.0, 0.0])
@@ -245,8 +244,8 @@ def test_joints_with_a_torque_are_watched_beside_one_without(plant, loaded, name
     """30 N on the elbow: seen within 6 ms, unless it is the joint that it loads alone."""
     for joint in range(3):
         with standing(plant, 0) as loop:
-            _, before = elbow_forces(loop, begin + 100, lambda inputs: (
-                broken(joint, number)(inputs) if loop.tick >= begin else inputs))
+            elbow_forces(loop, begin)
+            _, before = elbow_forces(loop, 100, broken(joint, number))
             assert {status.reaction for status in before} == {'none'}
             assert name.format(joint + 1) in before[-1].unwatched
             assert ('constantly 0' if number == 0.0 else 'not finite') in before[-1].unwatched
