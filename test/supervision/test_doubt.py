@@ -64,6 +64,7 @@ def refute(loop):
     assert 'joints_velocity' in statuses[-1].causes
 
 
+@pytest.mark.slow
 def test_hold_of_refuted_velocities_keeps_its_place_against_a_push(plant='rigid'):
     for wrong in WRONG.values():
         held_against_a_push(plant, wrong)
@@ -173,6 +174,7 @@ def shake(loop, corrupt=None):
     advance(loop, 3.0, corrupt)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('plant', ['rigid', 'kinova/rigid'])
 def test_velocities_that_were_refuted_are_proven_by_hand_alone(plant):
     """At rest nothing proves them, in motion only right ones."""
