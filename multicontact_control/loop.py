@@ -28,6 +28,8 @@ from multicontact_control.supervision.supervisor import not_supervised, Supervis
 import numpy as np
 
 STREAM_TIME = 1.0  # s; commands that come more often than this are a stream
+VELOCITIES_IN_DOUBT = (
+    'the joint velocities are in doubt (joints_velocity): prove them in motion, or ~/retry')
 TARE_READINGS = 100  # of a tare, at most, and the periods in which they have come
 
 
@@ -114,6 +116,8 @@ class ControlLoop:
         if inputs.wrench is not None and inputs.wrench.stamp == inputs.time:
             self._readings.append((self.time, self.supervisor.inputs.raw.copy(),
                                    self.supervisor.controller.arm.velocity.copy()))
+        if self.push_gate.running and self.supervisor.velocities_in_doubt:
+            self.push_gate.fail(VELOCITIES_IN_DOUBT)
         if self.push_gate.phase and self.output is not None:
             self._push(inputs)
         return output.torque
@@ -146,6 +150,8 @@ class ControlLoop:
     def push_test(self, config: PushTestConfig) -> str:
         """Begin a push test, for which the arm stays where it is; return what to do now."""
         self._require_rest('push test')
+        if self.supervisor.velocities_in_doubt:
+            raise CommandError('push test', hint=VELOCITIES_IN_DOUBT)
         self.push_gate.start(config, {
             name: np.array(x.point_operational) for name, x in self.config.contacts.items()})
         self.supervisor.gate.go_over()

@@ -58,6 +58,10 @@ JOINT = np.dtype([
     ('unlimited', F),  # the same before it is brought within its limits [N m]
     ('priority', F),  # of that, what goes before the rest at a limit: see `finish_torque` [N m]
     ('effort', F),  # torque that acted since the sample before [N m]
+    ('effort_fault', I),  # why that is not known; see `supervision.inputs`
+    ('said', F),  # the last measured torque that was not 0, inf before the first [N m]
+    ('zeros', I), ('unheard', I),  # samples in a row of exactly 0 N m, and without a usable one
+    ('unwatched', B),  # whether it is not known, neither measured nor commanded
     ('last_velocity', F), ('last_bias', F),  # of that sample [rad/s], [N m]
     ('residual', F),  # of the torques: what neither model nor wrist sensor explains [N m]
     ('doubt', F),  # by how much the effort may be another [N m]
@@ -324,7 +328,7 @@ INPUT_STATE = np.dtype([
     ('known', B),  # whether any joints were valid
     ('blind_ticks', I), ('unknown', I),  # in a row without valid joints; without their torques
     ('states', I), ('contradicted', I),  # joint states in a row; of velocities that are wrong
-    ('unproven', I),  # joint states in motion until velocities are believed again
+    ('unproven', B),  # whether velocities were refuted, and not proven in motion since
     ('silent', B), ('estimated', B),  # whether no velocities come; whether positions give them
     ('equal_joints', I), ('equal_wrenches', I),  # readings in a row, the newest counted
     ('faults', I),  # frozen or saturated wrenches in a row
@@ -334,7 +338,6 @@ INPUT_STATE = np.dtype([
     ('problem', I, 4),  # what is wrong with each reading, and with the time
     ('stale', np.uint8, 4),  # whether the newest valid one is too old, or the time is wrong
     ('blind', B),  # whether joints were valid neither in this tick nor in the one before
-    ('acts', B),  # whether the torques in their place say anything
 ], align=True)
 
 INPUT_STAGE = np.dtype([('settings', INPUT_SETTINGS), ('state', INPUT_STATE)], align=True)

@@ -34,8 +34,9 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
     dr/dt = K (Gamma - M dv/dt - C v - g - F_c tanh(v / v_0) - F_v v - J^T f - r), the
     generalised-momentum observer, one sample at a time. f is the wrench at the wrist sensor (0
     where the residual is the input), so that r is J_i^T f_i of the contacts before it. They count
-    from the threshold of a residual until it falls below half of that. `control.momentum` and
-    `joints` are changed.
+    from the threshold of a residual until it falls below half of that. The residual of a joint
+    that is `unwatched`, as its torque is not known, stays. `control.momentum` and `joints` are
+    changed.
     """
     momentum, law, frame, tool = control.momentum, control.law, control.frame, control.tool
     n = joints.shape[0]
@@ -65,10 +66,9 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
         taken -= felt
         share = 1.0 - np.exp(-momentum.bandwidth * momentum.elapsed)
         touched, factor = False, RELEASE if momentum.collided else 1.0
-        finite = np.isfinite(taken).all()
         for i in range(n):
             joint = joints[i]
-            if finite:
+            if np.isfinite(taken[i]) and not joint.unwatched:  # the other joints go on
                 joint.residual += share * (taken[i] - joint.residual)
                 joint.slack += share * (
                     momentum.dynamic_share * abs(inertial[i]) + joint.doubt - joint.slack)

@@ -104,13 +104,14 @@ class ControllerNode(ManagedNode):
             feels=config.wrench_input != 'momentum', patience=node_config.patience,
             pair_tolerance=node_config.pair_tolerance)
         robot, wrench = config.robot, topics.WRENCHES.get(config.wrench_input)
-        optional = ('velocity', 'effort')[:1 + robot.measures_torque]
+        efforts = ('effort',) * robot.measures_torque
         self._inputs: dict[topics.Topic, tuple[Callable[..., Any], Callable[..., None]]] = {
             topics.NOISE_VARIANCE: (
                 partial(messages.read_variance, names=config.column_names), timing.add_variance),
             topics.JOINT_STATES: (
                 partial(messages.read_named, names=robot.joint_names, fields=('position',),
-                        optional=optional), lambda *reading: timing.add(JointInput(*reading)))}
+                        optional=('velocity',), partial=efforts),
+                lambda *reading: timing.add(JointInput(*reading)))}
         if wrench is not None:
             self._inputs[wrench] = (partial(messages.read_wrench, frame=robot.sensor_frame),
                                     lambda *reading: timing.add(WrenchInput(*reading)))

@@ -49,7 +49,7 @@ class ControllerReport:
         self._publisher = create_publisher(node, topics.STATUS)
         self.restarts = self._refused = self._next_state = self._next_answer = 0
         self._log_due: dict[str, int] = {}
-        self._before: tuple[Any, ...] = (NONE, (), (), '')
+        self._before: tuple[Any, ...] = (NONE, (), (), '', '')
         self._answered: tuple[Any, ...] = ()
         self._reported_at = (0, -1)  # number and stamp of the newest sample
 
@@ -70,7 +70,8 @@ class ControllerReport:
         loop, status = self._loop, self._loop.status or QUIET
         instruction = loop.push_gate.instruction
         now = (status.reaction, status.causes, loop.supervisor.findings, instruction,
-               status.contact_states, loop.supervisor.safe, loop.held, self._node.state,
+               status.unwatched, status.contact_states, loop.supervisor.safe, loop.held,
+               self._node.state,
                *loop.commanded_forces.values())
         for name in status.rejected:
             self._warn(name, f'a reading is not used: {name}')
@@ -79,6 +80,9 @@ class ControllerReport:
         before, self._before = self._before, now
         if now[:3] != before[:3]:
             self._warn(f'{now[:2]}{bool(now[2])}', self._reaction() or 'control goes on')
+        if status.unwatched != before[4]:
+            self._warn(f'unwatched {status.unwatched}',
+                       status.unwatched or 'effort in joint_states: of use in all joints again')
         if instruction not in ('', before[3]):
             self._node.get_logger().info(f'push test: {instruction}')
         self._next_state = time.monotonic_ns() + STATE_INTERVAL
@@ -104,7 +108,7 @@ class ControllerReport:
             contacts=', '.join(f'{name} {state}' for name, state in zip(
                 loop.config.contact_names, status.contact_states)),
             held=loop.held, refused=self._refused, readers=readers,
-            push_test=loop.push_gate.instruction,
+            push_test=loop.push_gate.instruction, unwatched=status.unwatched,
             forces=loop.commanded_forces).message(
                 f'{self._node.get_name()}: status',
                 DiagnosticStatus.WARN if refusal or reaction else DiagnosticStatus.OK))
@@ -169,7 +173,8 @@ class ControllerReport:
             **{f'{what} {name}': count for what, counts in (
                 ('ticks with', log.reactions), ('rejected', log.rejected),
                 ('limited', log.limited)) for name, count in counts.items() if name != NONE}},
-            **{'error' if severe else 'warning': self._reaction() or friction})
+            **{'error' if severe else 'warning': '; '.join(filter(None, (
+                self._reaction() or friction, status.unwatched)))})
 
     def _reaction(self) -> str:
         """Return what the supervisor does instead of control, and why; empty if nothing."""

@@ -122,8 +122,8 @@ SERVICES = {
     'tare': (Trigger, 'Takes the present reading of the wrist sensor for its bias; refused while '
              'a contact is under force control, or pressed by a reaction.'),
     'hold': (SetBool, 'Holds the present pose and forces, or lets go of them.'),
-    'retry': (Trigger, 'Resumes control that waits for an operator (cause `latched`), and seeks '
-              'contacts that were given up.'),
+    'retry': (Trigger, 'Resumes control that waits for an operator (cause `latched`, or '
+              'velocities in doubt), and seeks contacts that were given up.'),
     'push_test': (Trigger, 'Begins the push test: log, diagnostics and `~/status` say where to '
                   'push the tool.')}
 

@@ -31,7 +31,8 @@ UNIT_QUATERNION_TOLERANCE = 1e-3
 LAST_SECOND = 2 ** 31 - 1  # that a stamp can hold
 JOINT_FIELDS = ('position', 'velocity', 'effort')
 STATE, ACCEPTED, REFUSED = 'state', 'accepted', 'refused'  # the event of a status
-STATUS_TEXTS = ('event', 'command', 'life_cycle', 'reaction', 'causes', 'contacts', 'push_test')
+STATUS_TEXTS = ('event', 'command', 'life_cycle', 'reaction', 'causes', 'contacts', 'push_test',
+                'unwatched')
 
 
 def stamp_to_ns(stamp: Time) -> int:
@@ -57,22 +58,24 @@ def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
 
 def read_named(
     message: JointState, names: Sequence[str], fields: Sequence[str], optional: Sequence[str] = (),
+    partial: Sequence[str] = (),
 ) -> tuple[Any, ...]:
     """
     Return the stamp of a message [ns], and a vector per field in the order of `names`.
 
-    Those of the `optional` fields follow, None where numbers are missing or not finite.
+    Those of the `optional` fields follow, None where numbers are missing or not finite; and those
+    of `partial` fields, None where numbers are missing, but with what is not finite in some.
     """
     given, vectors = list(message.name), []
     if any(given.count(name) != 1 for name in names):
         raise MessageError('name', f'each of {list(names)} once', given)
     places = np.array([given.index(name) for name in names], dtype=int)
-    for field in (*fields, *optional):
+    for field in (*fields, *optional, *partial):
         values: Vector = np.array(getattr(message, field), dtype=np.float64)
         whole = len(values) == len(given)
         vector = values[places] if whole else values
-        usable = whole and math.isfinite(sum(vector.tolist()))
-        if not usable and field not in optional:
+        usable = whole and (field in partial or math.isfinite(sum(vector.tolist())))
+        if not usable and field in fields:
             raise MessageError(field, counted(len(given), 'finite values'), values.tolist())
         vectors.append(vector if usable else None)
     return stamp_to_ns(message.header.stamp), *vectors
@@ -190,6 +193,7 @@ class ControllerStatus:
     readers: int  # of the command's topic that the controller knows, a recorder among them
     push_test: str  # what it asks for; empty for nothing
     forces: Mapping[str, float]  # obeyed by contact and couple [N]; empty in a scenario
+    unwatched: str = ''  # whose efforts are of no use, and what is not watched; empty for all
 
     @property
     def contact_states(self) -> dict[str, str]:

@@ -137,6 +137,10 @@ class PushGate:
             self._rest, self._pushes = np.zeros(6), list[Vector]()
             self._enter('rest')
 
+    def fail(self, finding: str) -> None:
+        """End a test that is under way, because of what has nothing to do with the pushes."""
+        self._finish(PushTestResult((finding,)))
+
     def update(self, frame: Any, wrench_sensor: Vector, tool: ToolConfig) -> bool:
         """
         Take the next sample of a test that is under way; return whether it has come to its end.

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
@@ -41,7 +41,6 @@ HARDEST = 1e6  # N or N m; no wrench is beyond it
 FARTHEST = 1e3  # rad; no joint is beyond it
 SPEED_EXCESS = 3.0  # times the speed limit of a joint; no joint is faster
 STILL = 1e-4  # rad/s; below it a joint state may repeat itself
-PROOF = 10  # joint states, from the first on or in motion after wrong ones, that prove velocities
 POSITION_JUMP = 0.01  # rad between a joint position and the one its speed leads to
 VARIANCE_FLOOR, VARIANCE_CEILING = 0.1, 1e3  # N^2; with less the observer outruns the drives
 VARIANCE_GROWTH = 1.1  # per period, of an R that is not renewed
@@ -49,6 +48,12 @@ LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been s
 FORGOTTEN = 1.0  # s without known torques, after which a collision is forgotten
 UNEVEN = 0.5  # periods that a sample may be early or late and still be the next one
 AGE_TOLERANCE = 1e-3  # periods
+# Why the measured torque of a joint is of no use, and what that is called.
+HEARD, UNHEARD, NOT_A_NUMBER, SILENT = range(4)
+EFFORT_FAULTS = ('', 'missing', 'not finite', 'constantly 0')
+NEAR_ZERO = 1.0  # N m; a torque that was larger does not become 0 exactly
+SILENCE = 0.1  # s of exactly 0 N m, from which on a joint seems to measure no torque
+REPORTED = 5  # samples in a row without a usable torque, from which on that is said
 
 
 class JointInput(NamedTuple):
@@ -140,7 +145,7 @@ def _check_joints(
     """Check a joint state, `span` after the one before [s]; keep it if it is fine."""
     known = state.known
     limit = POSITION_JUMP * max(1.0, span / settings.period / 5.0)
-    still, same, moves, early, jumped = True, True, False, False, False
+    still, same, early, jumped = True, True, False, False
     for j in range(motion.shape[1]):
         if not abs(joints[0, j]) <= FARTHEST:
             return INVALID
@@ -149,23 +154,20 @@ def _check_joints(
         way = joints[0, j] - joints[2, j]
         speed, tracked = abs(joints[1, j]), joints[velocities.V_TRACKED, j]
         still, same = still and speed <= STILL, same and way == 0.0
-        moves = moves or abs(tracked) > velocities.OFFSET
-        early = early or (speed > velocities.OFFSET and state.states < PROOF)
+        early = early or (speed > velocities.OFFSET and state.states < velocities.PROOF)
         jumped = jumped or (known and abs(way - tracked * span) > limit)
     contradicted = velocities.check_velocities(
         joints, history, span, known and not jumped, state, settings.period)
     joints[2:4] = joints[:2]
     if jumped:
         return JUMP
-    state.equal_joints = state.equal_joints + 1 if same and not still else 1
+    stopped = same and not still and not state.unproven  # as far as velocities can tell
+    state.equal_joints = state.equal_joints + 1 if stopped else 1
     if 0 < settings.frozen_joint_ticks <= state.equal_joints:
         return FROZEN
     state.contradicted = state.contradicted + 1 if contradicted else 0
-    if state.contradicted >= FAULTS:
-        state.unproven = PROOF
-    elif moves and state.unproven > 0:
-        state.unproven -= 1
-    state.estimated = state.silent or contradicted or early or state.unproven > 0
+    state.unproven = velocities.count_proof(joints, state.contradicted >= FAULTS)
+    state.estimated = state.silent or contradicted or early or state.unproven
     motion[0], motion[1] = joints[0], joints[velocities.V_TRACKED if state.estimated else 1]
     return VELOCITY if contradicted else FINE
 
@@ -200,21 +202,52 @@ def _take_wrench(state: Any, settings: Any) -> int:
 
 
 @compiled
+def _hear_torques(joints: Any, state: Any, period: float) -> int:
+    """
+    Find which measured torques are of use, and why the others are not; return how many are.
+
+    A driver that measures no torque may say 0, or NaN, in one joint or in all: from the start on,
+    or from a moment when there was a torque. A 0 that may be one counts for a while. The joint is
+    heard again from the first other number on.
+    """
+    moved, heard = False, 0
+    for j in range(joints.shape[0]):
+        moved = moved or joints[j].effort != 0.0
+    for j in range(joints.shape[0]):
+        joint, fault = joints[j], HEARD
+        if state.content[TORQUES] != FINE:
+            fault = UNHEARD
+        elif not np.isfinite(joint.effort):
+            fault = NOT_A_NUMBER
+        elif joint.effort != 0.0:
+            joint.said, joint.zeros = joint.effort, 0
+        else:
+            joint.zeros += 1
+            if not moved or abs(joint.said) > NEAR_ZERO or joint.zeros * period > SILENCE:
+                fault = SILENT
+        joint.effort_fault = fault
+        if fault == HEARD:
+            joint.unheard = 0
+            heard += 1
+        elif state.content[JOINTS] != ABSENT:  # a joint state that is missing says nothing of it
+            joint.unheard += 1
+    return heard
+
+
+@compiled
 def _supply_torques(
     joints: Any, momentum: Any, commands: Matrix, elapsed: float, measured: bool, state: Any,
     settings: Any,
 ) -> None:
     """Give the momentum observer the torques, measured or commanded, that acted in a period."""
     by_command = np.isfinite(commands[0, 0])
-    moved, total = False, 0.0  # a driver that measures no torque may say 0, or NaN
-    for j in range(joints.shape[0]):
-        moved = moved or joints[j].effort != 0.0
-        total += joints[j].effort
-    state.acts = state.content[TORQUES] == FINE and moved and np.isfinite(total)
+    heard = _hear_torques(joints, state, settings.period)
     for j in range(joints.shape[0]):
         joint = joints[j]
-        joint.doubt = 0.0
-        if state.acts:
+        joint.doubt, joint.unwatched = 0.0, joint.effort_fault != HEARD and not by_command
+        if joint.unwatched and joint.unheard * settings.period > FORGOTTEN:
+            joint.residual = joint.slack = 0.0  # it would block the arm for good
+        if joint.effort_fault == HEARD:
             if settings.adds_gravity:
                 joint.effort += joint.added
         elif by_command:
@@ -223,7 +256,8 @@ def _supply_torques(
             joint.doubt = max(abs(last - before), abs(after - last))  # a period early or late
             joint.effort = last
     late = state.estimated and not (state.silent and momentum.is_input)
-    known = (state.acts or by_command) and measured and not late and (
+    needed = joints.shape[0] if momentum.is_input else 1  # of a wrench each joint is a part
+    known = (heard >= needed or by_command) and measured and not late and (
         abs(elapsed - settings.period) < UNEVEN * settings.period)
     momentum.elapsed = elapsed if known else 0.0
     state.unknown = 0 if known else state.unknown + 1
@@ -333,14 +367,28 @@ class Inputs:
         """Forget everything; the next tick is the first."""
         self._stage[:], self._readings[:], self._variance[:] = self._initial
         self._commands[:] = math.nan
-        self._joints['residual'] = self._joints['slack'] = self._joints['doubt'] = 0.0
+        for name in ('residual', 'slack', 'doubt', 'zeros', 'unheard'):
+            self._joints[name] = 0
+        self._joints['said'] = math.inf
         self._momentum['elapsed'], self._momentum['collided'] = 0.0, False
 
     @property
-    def effort(self) -> Vector | None:
-        """Return the torques of the newest joint state, if they say anything [N m]."""
-        effort: Vector = self._joints['effort']
-        return effort if self._state['acts'] else None
+    def effort(self) -> Vector:
+        """Return the torques of the newest joint state, NaN where they say nothing [N m]."""
+        joints = self._joints
+        heard = (joints['effort_fault'] == HEARD) & (joints['effort'] != 0.0)
+        effort: Vector = np.where(heard, joints['effort'], math.nan)
+        return effort
+
+    @property
+    def unheard_joints(self) -> dict[str, tuple[int, ...]]:
+        """Return the joints whose torques are of no use, by what is wrong with them."""
+        unheard = self._joints['unheard'] >= REPORTED
+        if not unheard.any():
+            return {}
+        faults = np.where(unheard, self._joints['effort_fault'], HEARD)
+        return {EFFORT_FAULTS[fault]: tuple(np.flatnonzero(faults == fault).tolist())
+                for fault in (UNHEARD, NOT_A_NUMBER, SILENT) if (faults == fault).any()}
 
     @property
     def fresh(self) -> bool:
@@ -351,6 +399,31 @@ class Inputs:
     def sensor_fault(self) -> str:
         """Return what is wrong with the wrench of this tick, empty for nothing."""
         return PROBLEMS[max(self._state['problem'][WRENCH], FINE)]
+
+    @property
+    def refuted_joints(self) -> Mask:
+        """Return whose velocities are refuted, and not proven in motion since, shape (n,)."""
+        refuted: Mask = self._readings[velocities.UNPROVEN] > 0.0
+        return refuted
+
+    @property
+    def refuted(self) -> bool:
+        """Whether any are."""
+        return bool(self._state['unproven'])
+
+    def refute(self) -> None:
+        """Take the velocity that is most in doubt for refuted: what it led to says so."""
+        doubt = self._readings[velocities.DOUBT]
+        worst = int(np.argmax(doubt))
+        if np.isfinite(doubt[worst]):
+            self._readings[velocities.UNPROVEN, worst] = velocities.PROOF
+            self._state['unproven'] = True
+
+    @property
+    def rate(self) -> Vector:
+        """Return the velocities that positions make up for [rad/s]."""
+        rate: Vector = self._readings[velocities.V_TRACKED]
+        return rate
 
     @property
     def history(self) -> tuple[Matrix, Vector]:

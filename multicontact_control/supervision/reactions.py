@@ -9,6 +9,8 @@ from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.controller import Controller, ControlOutput
+from multicontact_control.dynamics.operational_space import mobility_and_inertia
+from multicontact_control.supervision.velocities import OFFSET, SHARE
 import numpy as np
 
 NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
@@ -17,10 +19,27 @@ SAFE = 'safe'  # the safe behaviour after a deactivation, which is no reaction t
 SAFE_BEHAVIOURS = {'hold_position': HOLD, 'gravity_compensation': DAMP, 'zero_torque': SAFE}
 COAST_TIME = 0.1  # s, in which an arm that cannot be seen any more is brought to rest
 DAMPING_RATE = 5.0  # 1/s, of `damp` and gravity compensation: joint damping over inertia
-HOLD_FREQUENCY = 10.0  # rad/s, of the critically damped joints that are held
+DELAY_SHARE = 0.3  # of 1 / w of a hold, which its delay is at most: 40 degrees of phase margin
+FREE_FREQUENCY = 10.0  # rad/s, of what the operational point does not see of a posture
+LESS_DAMPING = 0.5  # ratio to which the damping of a hold that shakes is reduced first...
+SOFTER, SOFTEST = 0.8, 10.0  # ...then its natural frequency, by this factor, down to so many rad/s
+SETTLING_TIME = 0.2  # s that it is given to calm down
+UNLIKELY_TIME = 0.1  # s, for which velocities are not used after one was unlikely
+# A joint that turns round by more than SWING [rad/s] counts a turn, and forgets it within
+# TURN_TIME [s]. From TURNS of them on it shakes, 13 times a second or more; an arm that is held
+# by rigid drives does not swing so fast.
+SWING, TURN_TIME, TURNS = 0.05, 0.15, 4.0
+DIRECTION, EXTREME, TURNED = range(3)  # rows of what is known of swings, one column per joint
+RETURN_SPEED = 0.05  # rad/s of each joint, at which a hold goes back to where the first one began
+RETURN_WAY = 0.05  # rad of a joint, beyond which it has gone somewhere else
+COMMANDED_WAY = 5e-3  # m or rad of the reference since then, beyond which it was led elsewhere
 FADE_TIME = 0.5  # s, by which a contact's force fades while the wrench is not known
 DROP_TIME = 0.02  # s, in which the force on a surface that has gone is dropped
 DROPPED = 1e-3  # N m in every joint, below which that counts as done
+
+# Two reactions that take turns: so many changes, each forgotten within FLICKER_TIME [s], and the
+# severer one stays until nothing has called for it over CALM_TIME [s].
+FLICKERS, FLICKER_TIME, CALM_TIME = 3.5, 1.0, 0.5
 
 RECOVERING, LATCHED = 'recovering', 'latched'
 WAITING = (RECOVERING,), (LATCHED,)  # causes of a control that has not resumed yet
@@ -34,12 +53,67 @@ PHYSICAL = ('motion', 'law', 'internal', 'joints_velocity', 'wrench_pull', 'wren
             'wrench_sideways', 'wrench_saturated', 'collision')
 
 
+def hold_torque(
+    way: Vector, velocity: Vector, bias_torque: Vector, mass_matrix: Matrix, jacobian: Matrix,
+    frequency: float, damping: float, laws: Any,
+) -> Vector:
+    """
+    Return the torque that holds a posture, shape (n,) [N m].
+
+    Gamma = C v + g + J^T Lambda J a(w, d) + (M - J^T Lambda J) a(w_0, 1), where
+    a(w, d) = w^2 (q_0 - q) - 2 d w v.
+    The operational point is as stiff as under the motion law, M w^2 with six joints; what it does
+    not see stays softer: with M w^2 there, the rotors behind flexible drives would swing.
+
+    Parameters
+    ----------
+    way, velocity, bias_torque
+        q_0 - q [rad], v [rad/s] and C v + g [N m], shape (n,).
+    mass_matrix, jacobian
+        M, upper triangle, and J, shape (6, n).
+    frequency, damping
+        w [rad/s] and d.
+    laws
+        One record of `LAW`, for what is done near singularities.
+
+    """
+    n, least = len(way), min(frequency, FREE_FREQUENCY)
+    free = least ** 2 * way - 2.0 * least * velocity
+    upper = np.triu(mass_matrix)
+    torque: Vector = bias_torque + (upper + np.triu(upper, 1).T) @ free
+    L, Y = np.empty((n, n)), np.empty((n, 6))
+    mobility, Lambda = np.empty((6, 6)), np.empty((6, 6))
+    if mobility_and_inertia(
+            mass_matrix, jacobian, laws['singular_mobility'][0], L, Y, mobility, Lambda) < 0.0:
+        return torque
+    stiffer = frequency ** 2 * way - 2.0 * damping * frequency * velocity - free
+    torque += jacobian.T @ (Lambda @ (jacobian @ stiffer))
+    return torque
+
+
+def count_turns(rate: Vector, swings: Matrix, keep: float) -> float:
+    """
+    Take in velocities, shape (n,) [rad/s]; return how often the joint that turned most has turned.
+
+    `swings` has the rows above, shape (3, n), and is changed; `keep` is what is left of the count.
+    """
+    beyond = (rate - swings[EXTREME]) * swings[DIRECTION]
+    turns, goes_on = beyond < -SWING, beyond >= 0.0
+    swings[EXTREME] = np.where(turns | goes_on, rate, swings[EXTREME])
+    swings[DIRECTION] = np.where(turns, -swings[DIRECTION], swings[DIRECTION])
+    swings[TURNED] = keep * swings[TURNED] + turns
+    return float(swings[TURNED].max())
+
+
 class Reactions:
     """
     The torques of the reactions and of the safe behaviour.
 
     All but `zero_torque` carry the arm once its joints were known.
-    `hold`: Gamma = C v + g + diag(M) (w^2 (q_0 - q) - 2 w v), q_0 where it began.
+    `hold`: see `hold_torque`; q_0 is where it began, of holds one soon after another where the
+    first one began, and it goes there slowly. It is as stiff as the motion law. If that makes a
+    joint shake, it gets softer, and stays so: behind springs rotors swing that the model does not
+    have, above all with velocities that are late, being made up from positions.
     `damp`: Gamma = C v + g - c diag(M) v. `float`, where the joint state is not known: gravity of
     the last posture, and the last motion brought to rest open loop.
 
@@ -53,11 +127,35 @@ class Reactions:
         self._robot, self._contacts = controller.robot, controller.contacts
         self._added: Vector = controller.arm.joints['added']
         self._release_threshold = config.contact_state.release_threshold
+        self._task: Any = controller.controls['task']
+        self._law: Any = controller.controls['law']
+        self._swings: Matrix = np.zeros((3, self._robot.joint_count))
+        self._begin_swings()
+        self._keep_turns = math.exp(-config.period / TURN_TIME)
+        self._stiffest, self._settling, self._unlikely = math.nan, 0.0, 0.0
+        self.retune(config)
+        self.forget()
+        self._hold(controller.arm, controller.arm.velocity)  # no tick is to wait for numba
+        self.forget()
+
+    def retune(self, config: ControllerConfig) -> None:
+        """Set what follows from values that may change while the arm is controlled."""
         self.safe_behaviour = config.safe_behaviour
+        # A velocity that positions make up for comes 1.5 periods late.
+        delay = config.force.input_delay + 1.5 * config.period
+        stiffest = min(config.motion.natural_frequency, DELAY_SHARE / delay)
+        if stiffest != self._stiffest:
+            self._frequency, self._damping = stiffest, 1.0
+            self._stiffest = stiffest
+
+    def forget(self) -> None:
+        """Let the next hold be the first one."""
+        self._first: Vector | None = None  # posture in which that began
+        self._reference: Vector | None = None  # of the task then
         self.end()
 
     def end(self) -> None:
-        """Control has resumed: the next reaction begins anew."""
+        """Control has resumed: the next reaction begins anew, and goes back if it comes soon."""
         self._posture: Vector | None = None
         self._pressing: Matrix | None = None  # J^T N_i alpha_i of each contact, shape (n, r)
         self._coasting = 0
@@ -72,34 +170,85 @@ class Reactions:
         alpha = np.where(answer['active'], np.clip(answer['alpha_est'], least, most), 0.0)
         self._pressing = self._robot.terms.jacobian.T @ (contacts['N'].T * alpha)
 
+    def stay(self) -> None:
+        """Let the next hold be the first one, and the present one go on."""
+        self._reference = None
+
+    def go_back(self) -> None:
+        """Let a hold that begins be the first one, unless the arm was not led on since that."""
+        reference = np.concatenate(
+            [self._task['position'][0], self._task['rotation'][0].ravel()])
+        if self._reference is None or (
+                np.abs(reference - self._reference).max() > COMMANDED_WAY):
+            self.forget()
+            self._reference = reference
+
     @property
     def presses(self) -> bool:
         """Whether a contact is still pressed, since the law held it."""
         return self._pressing is not None and bool((np.abs(self._pressing) > DROPPED).any())
 
-    def torque(self, reaction: str, arm: ArmState | None, wrench_known: bool) -> Vector:
-        """Return what answers instead of the law, shape (n,) [N m]; `wrench_known` as of now."""
+    def torque(
+        self, reaction: str, arm: ArmState | None, wrench_known: bool, rate: Vector,
+    ) -> Vector:
+        """
+        Return what answers instead of the law, shape (n,) [N m].
+
+        `wrench_known` as of now; `rate` has the velocities that positions make up for, [rad/s].
+        """
         self._coasting = self._coasting + 1 if reaction == FLOAT else 0
         if arm is None:
             return np.zeros(self._robot.joint_count)
         does = SAFE_BEHAVIOURS[self.safe_behaviour] if reaction == SAFE else reaction
         if does in (DAMP, SAFE):
-            self.end()  # it may be moved away
+            self.forget()  # it may be moved away
             # Zero is what is commanded: what the drives add goes on acting.
             return _damped(arm, DAMPING_RATE) if does == DAMP else self._added.copy()
         pressing = self._press(wrench_known)
         if does == HOLD:
-            if self._posture is None:
-                self._posture = arm.q.copy()
-            held: Vector = _damped(arm, 2.0 * HOLD_FREQUENCY) + arm.inertia * (
-                HOLD_FREQUENCY ** 2 * (self._posture - arm.q))
-            return held + pressing
+            return self._hold(arm, rate) + pressing
         self._posture = None  # wherever it has gone meanwhile
+        if self._coasting * self._period > COAST_TIME:
+            self._first = None
         fade = math.exp(-self._coasting * self._period / COAST_TIME)
         state = self._robot.update(arm.q, arm.velocity)
         braking = state.mass_matrix @ state.velocity * (fade / COAST_TIME)
         floating: Vector = state.gravity - braking + pressing
         return floating
+
+    def _hold(self, arm: ArmState, rate: Vector) -> Vector:
+        """Return the torque that keeps the arm where it is, or leads it back, shape (n,) [N m]."""
+        if self._posture is None:
+            self._posture = arm.q.copy()
+            self._begin_swings()
+        if self._first is None or np.abs(self._first - self._posture).max() > RETURN_WAY:
+            self._first = self._posture.copy()
+        step = RETURN_SPEED * self._period
+        self._posture += np.clip(self._first - self._posture, -step, step)
+        turns = count_turns(rate, self._swings, self._keep_turns)
+        self._settling = max(self._settling - self._period, 0.0)
+        if turns > TURNS and not self._settling:
+            self._soften()
+        # What may soon be refuted would push the arm: the estimate damps it already.
+        unlikely = np.abs(arm.velocity - rate) > OFFSET + SHARE * np.abs(rate)
+        self._unlikely = UNLIKELY_TIME if unlikely.any() else self._unlikely - self._period
+        velocity = rate if self._unlikely > 0.0 else arm.velocity
+        terms = self._robot.terms
+        return hold_torque(
+            self._posture - arm.q, velocity, arm.bias_torque, terms.mass_matrix,
+            terms.jacobian, self._frequency, self._damping, self._law)
+
+    def _begin_swings(self) -> None:
+        self._swings[:] = 0.0
+        self._swings[DIRECTION] = 1.0
+
+    def _soften(self) -> None:
+        """Reduce what makes the rotors shake: damping by velocities that come late."""
+        self._settling = SETTLING_TIME
+        if self._damping > LESS_DAMPING:
+            self._damping = LESS_DAMPING
+        else:
+            self._frequency = max(SOFTER * self._frequency, min(SOFTEST, self._stiffest))
 
     def _press(self, wrench_known: bool) -> Vector | float:
         """Return what is left of the contacts' forces at the next tick, shape (n,) [N m]."""
@@ -119,6 +268,37 @@ def _damped(arm: ArmState, rate: float) -> Vector:
     """Return Gamma = C v + g - c diag(M) v, shape (n,) [N m], with c in [1/s]."""
     torque: Vector = arm.bias_torque - rate * arm.inertia * arm.velocity
     return torque
+
+
+class Steadiness:
+    """Keeps to the severer of two reactions that take turns, as with joints that come and go."""
+
+    def __init__(self, period: float) -> None:
+        self._keep, self._calm_ticks = math.exp(-period / FLICKER_TIME), round(CALM_TIME / period)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._before = self._severer = ''
+        self._changes, self._calm = 0.0, 0
+
+    def of(self, reaction: str) -> str:
+        """Return what answers a tick for which a reaction is called for, the law aside."""
+        self._changes *= self._keep
+        if self._before and reaction != self._before:
+            self._changes += 1.0
+            if self._changes > FLICKERS:
+                self._severer = max(reaction, self._before, self._severer, key=_severity)
+        self._before = reaction
+        self._calm = self._calm + 1 if _severity(reaction) < _severity(self._severer) else 0
+        if self._calm > self._calm_ticks:
+            self._severer = ''
+        return max(reaction, self._severer, key=_severity)
+
+
+def _severity(reaction: str) -> int:
+    """Return how severe a reaction is, -1 for none that is known."""
+    return SEVERITY.index(reaction) if reaction in SEVERITY else -1
 
 
 class Recovery:
@@ -144,14 +324,15 @@ class Recovery:
         """Let control resume although it is latched; the next relapse is the first."""
         self.latched, self._relapses = False, 0
 
-    def stopped(self, causes: tuple[str, ...], tick: int) -> None:
-        """Take note that a reaction has begun at a tick of control's count."""
+    def stopped(self, causes: tuple[str, ...], tick: int) -> bool:
+        """Take note of a reaction that begins at a tick of control; return if it is new."""
         self.latched = self.latched or 'wrench_stray' in causes  # it presses on what is there
         soon = RELAPSE_TIME if _is_physical(causes) else SOON
         if (tick - self.resumed_at) * self._period > soon:
             self._relapses, self._wait = 0, self._shortest
-        else:
-            self.relapsed(causes)
+            return True
+        self.relapsed(causes)
+        return False
 
     def relapsed(self, causes: tuple[str, ...]) -> None:
         """Take note that control has stopped too soon, or could not even resume."""

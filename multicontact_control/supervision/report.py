@@ -22,6 +22,7 @@ class SupervisorStatus(NamedTuple):
     limits: tuple[str, ...]  # that were enforced
     contact_states: tuple[str, ...]
     task_time: float  # which stands still during a reaction [s]
+    unwatched: str = ''  # whose measured torques are of no use, and what is not watched therefore
 
 
 def no_answer(joints: int, contacts: int) -> ControlOutput:

@@ -25,6 +25,8 @@ import numpy as np
 CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
 STRAY_TORQUE = 0.5  # N m at the operational point that is worth a report
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
+DOUBTED = ('Held by estimates from the positions until ten readings of such joints in motion '
+           'agree, or an operator resumes control (~/retry)')
 CONTROLLED = (NONE, reactions.INFLATE)  # what the control law answers
 Answer = tuple[ControlOutput, SupervisorStatus | None]
 
@@ -61,6 +63,7 @@ class Supervisor:
         self.gate = TorqueGate(config, controller.arm, guarded=guarded)
         self.reactions = reactions.Reactions(config, controller)
         self._recovery = reactions.Recovery(config.watchdog.recovery_time, config.period)
+        self._steadiness = reactions.Steadiness(config.period)
         self._adopt(config)
         checks.check_plausibility(*self._answered)  # compiled here: no sample waits for it
         self.reset()
@@ -86,7 +89,9 @@ class Supervisor:
         self._task_ticks = self._good_ticks = self._contradictions = 0
         self.started = self._paused = False
         self._recovery.reset()
-        self.reactions.end()
+        self._steadiness.reset()
+        self._trusted = False
+        self.reactions.forget()
 
     def stop(self) -> None:
         """Answer by the declared safe behaviour from the next tick on, until a `reset`."""
@@ -178,6 +183,10 @@ class Supervisor:
         arm = self._arm
         if self.safe:
             return SAFE, causes
+        if checks.CONTRADICTED in causes:
+            self._trusted = False
+        elif self.velocities_in_doubt:
+            causes = (checks.CONTRADICTED, *causes)
         if self.started and not self._paused:
             return checks.reaction_to(causes, self.config) if causes else NONE, causes
         if self.guarded and not self.started and arm is not None:
@@ -192,6 +201,15 @@ class Supervisor:
                 floats = self._reaction == FLOAT and self._good_ticks * self._period < SEEN_TIME
                 return FLOAT if floats else HOLD, missing
         return reaction, causes
+
+    @property
+    def velocities_in_doubt(self) -> bool:
+        """
+        Whether velocities were refuted, and neither motion nor an operator says otherwise.
+
+        At rest nothing contradicts them: the arm is held, by estimates from its positions.
+        """
+        return self.guarded and self.inputs.refuted and not self._trusted
 
     def _resume(self) -> None:
         """Start the control law, or go on with it after a reaction."""
@@ -231,12 +249,11 @@ class Supervisor:
         """Let the torque start from the one that acts before any command."""
         if self.gate.begun:
             return
-        effort, acting = self.inputs.effort, np.zeros(self._robot.joint_count)
-        if effort is not None:
-            acting = effort + self._joints['added']
-        elif self._arm is not None:
+        acting = np.zeros(self._robot.joint_count)
+        if self._arm is not None:
             acting = self._robot.update(self._arm.q, acting).gravity
-        self.gate.begin(acting)
+        measured = self.inputs.effort + self._joints['added']
+        self.gate.begin(np.where(np.isnan(measured), acting, measured))
 
     def _refuse(self, cause: str) -> Answer:
         """Answer without the control law because of what it says, or raise without guards."""
@@ -251,13 +268,17 @@ class Supervisor:
         arm, blind = self._arm, self._seen.blind
         if blind and arm is not None:
             reaction = FLOAT  # what is not seen can be neither held nor slowed down
+        if reaction != SAFE:
+            reaction = self._steadiness.of(reaction)
         if causes not in reactions.WAITING:
             self._good_ticks = 0
             if causes != self._causes or not self.findings:
                 self._causes = causes
                 self.findings = tuple(filter(None, map(self._explain, causes))) or self.findings
         if self.started and not self._paused:
-            self._recovery.stopped(causes, self._task_ticks)
+            if self._recovery.stopped(causes, self._task_ticks):
+                self.reactions.forget()
+            self.reactions.go_back()
             self.reactions.begin(self._output)
         self._paused = True
         self._begin()
@@ -266,9 +287,11 @@ class Supervisor:
         with np.errstate(all='ignore'):  # the gate finds numbers that are not finite
             # What blocks the arm may be what the contacts' forces press it against: they fade.
             felt = self._wrench_known and not self.controller.arm.flags & TOUCHED
+            # Bare, velocities and angles are used as they come.
+            rate = self.inputs.rate if self.guarded else self.controller.arm.velocity
+            torque = self.reactions.torque(reaction, arm, felt, rate).copy()
             torque, limits = self.gate.apply(
-                reaction, self.reactions.torque(reaction, arm, felt).copy(),
-                seen=arm is not None and not blind)
+                reaction, torque, seen=arm is not None and not blind)
         return self._report(
             torque, NONE if reaction == SAFE else reaction, causes, limits, controlled=False)
 
@@ -280,7 +303,11 @@ class Supervisor:
         if not touched and cause != checks.CONTRADICTED:
             return ''
         text = explain_velocities(*self.inputs.history, names, self._period)
-        if touched and not text:
+        if text:
+            if touched:  # by what the law made of such a velocity
+                self.inputs.refute()
+            return f'{text}. {DOUBTED}'
+        if touched:
             residual = checks.explain_collision(self._joints, self._controls['momentum'][0], names)
             text = '; '.join(filter(None, (residual, self.stray_force)))
         return text
@@ -296,6 +323,24 @@ class Supervisor:
         stray = force > self.config.contact_state.smallest_force or torque > STRAY_TORQUE
         return (f'{force:.1f} N and {torque:.2g} N m while no contact is commanded: if nothing '
                 'touches the tool, bias or tool weight (tare or calibrate)') if stray else ''
+
+    def _unwatched(self) -> str:
+        """Return whose measured torques are of no use, and what that leads to; empty if none."""
+        config, faults = self.config, self.inputs.unheard_joints
+        if not (config.robot.measures_torque and faults):
+            return ''
+        names, count = config.robot.joint_names, sum(map(len, faults.values()))
+        texts = [f'of {", ".join(names[j] for j in joints) if len(joints) < len(names) else "all"}'
+                 f' {fault}' for fault, joints in faults.items()]
+        if config.wrench_input == 'momentum':
+            effect = 'there is no wrench of the contacts without them'
+        elif config.collision.command_delay >= 0:
+            effect = 'the commands stand in for them'
+        elif count == len(names):
+            effect = 'collisions are not watched'
+        else:
+            effect = 'what touches the arm is not seen in these joints, but in the others'
+        return f'effort in joint_states: {", ".join(texts)}; {effect}'
 
     def _survive(self, part: str, error: Exception) -> Answer:
         """Answer after an exception, in the law or in what is around it."""
@@ -326,7 +371,7 @@ class Supervisor:
         self._output = output
         return output, SupervisorStatus(
             reaction, causes, self._seen.rejected, limits, self.task.state_names,
-            self._task_ticks * self._period) if self.guarded else None
+            self._task_ticks * self._period, self._unwatched()) if self.guarded else None
 
     def reconfigure(self, config: ControllerConfig) -> None:
         """Go on with other live parameters, without a jump; or ConfigError, as it was before."""
@@ -338,18 +383,26 @@ class Supervisor:
     def _adopt(self, config: ControllerConfig) -> None:
         """Set what follows from the values that may change while the arm is controlled."""
         self.config = config
-        self.gate.pace, self.reactions.safe_behaviour = config.transition, config.safe_behaviour
+        self.gate.pace = config.transition
+        self.reactions.retune(config)
         self.task.retune(config)
         self._answered = (  # what an answer is checked by
             checks.plausibility_limits(config), self._controls, self._joints,
             self.controller.contacts, self.task.states)
 
     def try_again(self) -> bool:
-        """Resume control that is latched, seek contacts given up; return if there was any."""
-        given_up, latched = self.task.states['state'] == GIVEN_UP, self._recovery.latched
+        """
+        Resume control that is latched, seek contacts given up; return if there was any.
+
+        Control resumes on estimates as well, if velocities were refuted and not proven since.
+        """
+        given_up = self.task.states['state'] == GIVEN_UP
+        waited = self._recovery.latched or self.velocities_in_doubt
         self.task.states['again'] |= given_up
         self._recovery.allow()
-        return bool(given_up.any()) or latched
+        self.reactions.stay()
+        self._trusted = self.inputs.refuted
+        return bool(given_up.any()) or waited
 
 
 def not_supervised() -> CommandError:

@@ -126,6 +126,20 @@ def test_reader_in_place_reads_what_message_objects_have(sent, names):
                 reader(data[:length])
 
 
+def test_efforts_of_some_joints_are_read_beside_those_that_are_no_numbers():
+    fields = {'names': JOINTS, 'fields': JOINT_FIELDS[:1], 'optional': JOINT_FIELDS[1:2],
+              'partial': JOINT_FIELDS[2:]}
+    reader = MessageReader(JointState, partial(messages.read_named, **fields))
+    message = six()
+    for number in (1.0, math.nan, 2.0):
+        message.effort[2] = number
+        effort = reader(serialize_message(message))[3]
+        np.testing.assert_array_equal(effort, [message.effort[message.name.index(name)]
+                                               for name in JOINTS])
+    message.effort = message.effort[:-1]
+    assert reader(serialize_message(message))[3] is None
+
+
 def six(scale=1.0):
     numbers = np.arange(6.0)
     return messages.joint_state_message(
