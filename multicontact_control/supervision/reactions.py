@@ -83,8 +83,9 @@ def hold_torque(
     torque: Vector = bias_torque + (upper + np.triu(upper, 1).T) @ free
     L, Y = np.empty((n, n)), np.empty((n, 6))
     mobility, Lambda = np.empty((6, 6)), np.empty((6, 6))
-    if mobility_and_inertia(
-            mass_matrix, jacobian, laws['singular_mobility'][0], L, Y, mobility, Lambda) < 0.0:
+    singular, _ = mobility_and_inertia(
+        mass_matrix, jacobian, laws['singular_mobility'][0], L, Y, mobility, Lambda)
+    if singular < 0.0:
         return torque
     stiffer = frequency ** 2 * way - 2.0 * damping * frequency * velocity - free
     torque += jacobian.T @ (Lambda @ (jacobian @ stiffer))
