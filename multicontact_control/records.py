@@ -30,6 +30,7 @@ LAW = np.dtype([
     ('decoupled', B),  # whether the contact points are driven, or the coordinates along N_i
     ('separated', B),  # whether friction is expected or allowed for in the measured wrench
     ('force_noise', F), ('torque_noise', F),  # of the wrist sensor, per axis [N], [N m]
+    ('period', F),  # h [s]
 ], align=True)
 
 # What the residual of a joint has followed: `REGRESSORS` of `control.arm`; sums fade within 1 s.
@@ -145,7 +146,10 @@ CONTACT_CONFIG = np.dtype([
 CONTACT = np.dtype([
     ('config', CONTACT_CONFIG),
     ('N', F, 6),  # column of N: the wrench of a unit force, world axes
-    ('alpha_meas', F),  # measured force [N]
+    ('alpha_meas', F),  # measured force, without `untared` [N]
+    ('untared', F),  # what was read in free space, before a touch [N]
+    ('speed_bound', F),  # into a surface that has not answered, 0 for none [m/s]
+    ('borne', F),  # what such a surface was found to bear, as an acceleration [m/s^2]
     ('noise_variance', F),  # R_k [N^2]
     ('guarded', B),  # whether the measured force is fed forward, as the surface seems to be gone
     ('normal', F, 3),  # estimated unit normal, world axes
@@ -263,13 +267,24 @@ CONTACT_STATE = np.dtype([
     ('target', F),  # displacement to go to [m]
     ('stiffness', F),  # modelled, of the surface [N/m]
     ('surface_speed', F),  # along the normal, as far as it is known [m/s]
+    ('averaged', F),  # samples in `baseline`, up to as many as are averaged
+    ('baseline', F),  # what is read without a touch [N]
+    ('untared', F),  # of that, what is taken off the measured force [N]
+    ('free_way', F),  # of the search, on which nothing was felt [m]
+    ('free_baseline', F),  # `baseline` at its end [N]
+    ('answered', B),  # whether a force has risen with the way into the surface
+    ('resumed', B),  # whether it was pressed before a pause, and has not answered since
+    ('resting', F),  # force that the tip is said to rest on before a search, 0 if not [N]
+    ('seen', F),  # for how long a force is seen that has not answered [s]
+    ('felt', F),  # that force, smoothed [N]
+    ('least', F), ('least_place', F),  # its minimum, and where the tip was then [N], [m]
 ], align=True)
 
 # What is set for all contacts: `ContactStateConfig`, h, and times of at least some periods; one.
 CONTACT_SETTINGS = np.dtype([(name, F) for name in (
     'period', 'loss_time', 'bounce_time', 'approach_speed', 'approach_ramp_time',
     'approach_distance', 'contact_threshold', 'release_threshold', 'preload', 'force_ceiling',
-    'retry_time')])
+    'retry_time', 'settling_time')])
 
 # Bounds of a task, and what a pause has left; one.
 TASK_LIMITS = np.dtype([

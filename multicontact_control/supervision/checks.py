@@ -86,7 +86,7 @@ def check_plausibility(
         if contact.config.leader != i:
             continue
         pressed += abs(contact.alpha_meas)
-        sideways -= contact.alpha_meas * contact.normal
+        sideways -= (contact.alpha_meas + contact.untared) * contact.normal
         allowance = bounds.inertia if states[i].state == LOST else 0.0
         if contact.alpha_meas < -(PULL_LIMIT + allowance):
             flags |= PULL

@@ -50,7 +50,7 @@ class ContactTask:
         self._limits: Any = np.zeros(1, dtype=TASK_LIMITS)
         self._limits['contacts'] = contacts.contact_settings(validate(
             ContactStateConfig, {**config.contact_state.model_dump(), **source.contact_state},
-            'reference.approach'), config.period)
+            'reference.approach'), config.period, config.measuring_delay)
         self._limits['box'] = [config.limits.workspace_lower or [-np.inf] * 3,
                                config.limits.workspace_upper or [np.inf] * 3]
         self.retune(config)
@@ -83,6 +83,7 @@ class ContactTask:
             forces[pressed] = self._task.alpha_des[pressed]
         self._task: Task = Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces)
         self.states[~pressed] = contacts.FREE_CONTACT
+        self._columns['untared'][~pressed] = self._columns['speed_bound'][~pressed] = 0.0
         self._limits['offset'] = self._limits['turned'] = 0.0
         self._kept: Mask | None = None  # contacts, from the end of a pause to the next tick
 
@@ -132,8 +133,11 @@ class ContactTask:
     def resume(self) -> Mask:
         """Go on from where the arm is; return which contacts are kept: pressed and felt, (r,)."""
         felt = self._columns['alpha_meas'] > self._limits['contacts']['contact_threshold']
-        self._kept = (self._active & felt)[self._columns['config']['leader']]
-        return self._kept
+        self._kept = kept = (self._active & felt)[self._columns['config']['leader']]
+        # The surface may have gone meanwhile: it has to answer anew.
+        self.states['answered'], self.states['resumed'] = False, kept
+        self.states['seen'] = self.states['resting'] = 0.0
+        return kept
 
     def _return(self, kept: Mask) -> None:
         """Go from where the arm is back to the task: along normals by means of the contacts."""
@@ -183,6 +187,9 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
             bound = LARGEST_OFFSET * force.answer.alpha_des
             answer.alpha_des = min(max(state.asked, -bound), bound)
             column.guarded = force.guarded
+            # What turns the tool in free space is no couple.
+            answer.active = contacts.is_active(leader) and (leader.answered or leader.resumed)
+            contacts.follow_couple(state, leader, limit.contacts, column.alpha_meas)
         else:
             state.stiffness = column.stiffness
             # Of the surface, as far as it is known: what is as fast does not leave it.
@@ -193,19 +200,34 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
                     others += dot(normal, columns[j].normal) * moved[j]
             # Turning about the tool moves the operational point, and a surface that is not where
             # the task has it moves the contact point: what escapes does both.
+            place = dot(normal, away) - others
+            if contacts.is_refuted(state, limit.contacts, place):
+                contacts.refute(state, limit.contacts, place, speed)
+                take_off(column, state)
             contacts.advance_contact(
-                state, limit.contacts, column.alpha_meas, dot(normal, away) - others, speed,
+                state, limit.contacts, column.alpha_meas, place, speed,
                 min(speed, dot(column.N, frame.twist)) - state.surface_speed)
             answer.alpha_des = min(state.asked, state.force_limit)
             column.guarded = state.state == contacts.HOLDING and state.in_state > GUARD_TIME and (
                 column.alpha_meas < GUARD_SHARE * min(state.level, state.asked))
+            answer.active = contacts.is_active(state)
+            column.speed_bound = 0.0
+            if answer.active and not state.answered:
+                column.speed_bound = contacts.GENTLE * limit.contacts.approach_speed
         shift += state.displacement * normal
-        answer.active = contacts.is_active(state)
+        take_off(column, state)
         if not answer.active:
             answer.alpha_des = 0.0
             twist[:3] += state.speed * normal
             acceleration[:3] += state.acceleration * normal
     position += shift
+
+
+@compiled
+def take_off(column: Any, state: Any) -> None:
+    """Take what is read without a touch off the measured force from now on."""
+    column.alpha_meas += column.untared - state.untared
+    column.untared = state.untared
 
 
 @compiled
