@@ -275,16 +275,18 @@ CONTACT_STATE = np.dtype([
     ('answered', B),  # whether a force has risen with the way into the surface
     ('resumed', B),  # whether it was pressed before a pause, and has not answered since
     ('resting', F),  # force that the tip is said to rest on before a search, 0 if not [N]
+    ('last_speed', F),  # of the tip along the normal, at the sample before [m/s]
     ('seen', F),  # for how long a force is seen that has not answered [s]
     ('felt', F),  # that force, smoothed [N]
     ('least', F), ('least_place', F),  # its minimum, and where the tip was then [N], [m]
 ], align=True)
 
-# What is set for all contacts: `ContactStateConfig`, h, and times of at least some periods; one.
+# What is set for all contacts: `ContactStateConfig`, h, times of at least some periods, and the
+# mass whose inertia the wrench has in it [kg]; one.
 CONTACT_SETTINGS = np.dtype([(name, F) for name in (
     'period', 'loss_time', 'bounce_time', 'approach_speed', 'approach_ramp_time',
     'approach_distance', 'contact_threshold', 'release_threshold', 'preload', 'force_ceiling',
-    'retry_time', 'settling_time')])
+    'retry_time', 'settling_time', 'tool_mass')])
 
 # Bounds of a task, and what a pause has left; one.
 TASK_LIMITS = np.dtype([

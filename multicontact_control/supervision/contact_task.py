@@ -61,6 +61,8 @@ class ContactTask:
 
     def retune(self, config: ControllerConfig) -> None:
         """Let the task be so far ahead of the arm that the motion law asks for its limits."""
+        felt = config.wrench_input != 'momentum'  # whose observer knows of the tool
+        self._limits['contacts']['tool_mass'] = config.tool.mass if felt else 0.0
         lead = 2.0 * config.motion.damping_ratio / config.motion.natural_frequency  # k_v / k_p
         self._limits['lead'] = lead
         self._limits['reach'] = lead * config.limits.operational_speed
@@ -137,6 +139,10 @@ class ContactTask:
         # The surface may have gone meanwhile: it has to answer anew.
         self.states['answered'], self.states['resumed'] = False, kept
         self.states['seen'] = self.states['resting'] = 0.0
+        for state, column, is_kept in zip(self.states, self._columns, kept):
+            if not is_kept:
+                contacts.read_anew(state, self._limits['contacts'][0], column['alpha_meas'])
+                take_off(column, state)
         return kept
 
     def _return(self, kept: Mask) -> None:
@@ -207,7 +213,7 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
             contacts.advance_contact(
                 state, limit.contacts, column.alpha_meas, place, speed,
                 min(speed, dot(column.N, frame.twist)) - state.surface_speed)
-            answer.alpha_des = min(state.asked, state.force_limit)
+            answer.alpha_des = contacts.desired_force(state, limit.contacts)
             column.guarded = state.state == contacts.HOLDING and state.in_state > GUARD_TIME and (
                 column.alpha_meas < GUARD_SHARE * min(state.level, state.asked))
             answer.active = contacts.is_active(state)

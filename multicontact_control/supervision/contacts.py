@@ -53,12 +53,12 @@ POSITION_RATE = 20.0  # 1/s, of the way left: how a displacement settles
 TARE_SHARE = 1.0 / 3.0  # of the contact threshold, from which on what is read freely is taken off
 AVERAGE_TIME = 0.1  # s, over which that is averaged where the tip stands
 AVERAGE_WAY = 0.02  # m, the same on the way: a sensor drifts, and a soft surface is no drift
-FALL_TIME = 0.05  # s, the same of a fall, which is no touch
+FALL_TIME = 0.5  # s, the same of a fall, which is no touch; a flipped sign falls faster
 FREE_WAY = 3e-3  # m without a change, after which what is read is no force of a surface
 ANSWER_SHARE = 0.5  # of the contact threshold, by which a force has to rise to answer
 SOFTEST = 150.0  # N/m; what rises less on the way is no surface
 SLIPPING = 2e-4  # m back, at which a force that rises still answers: drives and tools bend
-SMOOTHING = 0.3  # per period, of the force that is to answer
+SMOOTHING = 0.2  # per period, of the force that is to answer
 YIELDING, RETREATING = 0.01, 5e-3  # m forth and back without an answer, after which it is none
 GENTLE = 1.5  # times the approach speed, at most, until a force has answered
 SETTLING_PERIODS, SETTLING_DELAYS = 2, 3  # in which a step of what is read has passed the filters
@@ -73,11 +73,12 @@ def contact_settings(
     """
     Return what is set for all contacts as one record of `CONTACT_SETTINGS`.
 
-    h and the delay of what low-passes the wrench in [s].
+    h and the delay of what low-passes the wrench in [s]; `tool_mass` is left at 0.
     """
     values = config.model_dump() | {
         'period': period, 'loss_time': max(LOSS_TIME, LOSS_PERIODS * period),
         'bounce_time': max(BOUNCE_TIME, BOUNCE_PERIODS * period),
+        'tool_mass': 0.0,
         'settling_time': SETTLING_PERIODS * period + SETTLING_DELAYS * delay}
     return np.array([tuple(values[name] for name in CONTACT_SETTINGS.names or ())],
                     dtype=CONTACT_SETTINGS)
@@ -140,6 +141,18 @@ def follow_reading(contact: Any, settings: Any, alpha: float, way: float) -> Non
 
 
 @compiled
+def read_anew(contact: Any, settings: Any, alpha: float) -> None:
+    """Take what is read after a pause for what a search begins with."""
+    if contact.state == FREE or contact.state == APPROACHING or contact.state == GIVEN_UP:
+        contact.averaged = 0.0
+        average_reading(contact, settings, alpha)
+    if contact.state == APPROACHING:
+        contact.free_way = 0.0
+        contact.start = contact.displacement
+        _take_off(contact, settings, contact.baseline)
+
+
+@compiled
 def follow_couple(couple: Any, force: Any, settings: Any, alpha: float) -> None:
     """Take what a couple reads before the touch of its contact off, as of its normal force."""
     if force.state == FREE:
@@ -160,14 +173,18 @@ def _begin_answer(contact: Any) -> None:
 
 
 @compiled
-def _watch_answer(contact: Any, settings: Any, alpha: float, place: float) -> None:
+def _watch_answer(
+    contact: Any, settings: Any, alpha: float, place: float, speed: float,
+) -> None:
     """
     Notice whether a force that is seen answers the motion.
 
     What a step of the reading brings is seen at once, at the place where it was: what counts is
     by how much the force rises after that, from where it was least, and how far the tip goes.
+    The inertia of the tool is no force.
     """
     contact.seen += settings.period
+    alpha -= settings.tool_mass * (speed - contact.last_speed) / settings.period
     if contact.seen <= settings.settling_time + 1e-9:
         contact.felt = contact.least = alpha
         contact.least_place = place
@@ -183,6 +200,18 @@ def _watch_answer(contact: Any, settings: Any, alpha: float, place: float) -> No
     needed = max(ANSWER_SHARE * settings.contact_threshold, SOFTEST * way)
     contact.answered = (
         contact.resting == 0.0 and way > -SLIPPING and contact.felt - contact.least >= needed)
+
+
+@compiled
+def desired_force(contact: Any, settings: Any) -> float:
+    """Return what is asked of a contact as far as it may have it [N]."""
+    desired = min(contact.asked, contact.force_limit)
+    if contact.answered:
+        return desired
+    # No more than is needed to find out: what is fed forward moves a tool that nothing bears.
+    if contact.resting > 0.0:
+        return min(desired, settings.preload)
+    return min(desired, max(contact.felt + settings.contact_threshold, settings.preload))
 
 
 @compiled
@@ -207,7 +236,7 @@ def refute(contact: Any, settings: Any, place: float, speed: float) -> None:
 
 
 @compiled
-def _search(contact: Any, settings: Any, alpha: float, place: float) -> None:
+def _search(contact: Any, settings: Any, alpha: float, place: float, speed: float) -> None:
     """Tell on the way to a surface what is read freely from what comes of it."""
     seen = TARE_SHARE * settings.contact_threshold
     if alpha < seen:
@@ -215,7 +244,7 @@ def _search(contact: Any, settings: Any, alpha: float, place: float) -> None:
         contact.free_way = max(contact.free_way, contact.displacement - contact.start)
         contact.free_baseline = contact.baseline
     else:
-        _watch_answer(contact, settings, alpha, place)
+        _watch_answer(contact, settings, alpha, place, speed)
 
 
 @compiled
@@ -240,14 +269,16 @@ def _touch(contact: Any, settings: Any, alpha: float) -> float:
 
 
 @compiled
-def _watch_search(contact: Any, settings: Any, alpha: float, place: float) -> None:
+def _watch_search(
+    contact: Any, settings: Any, alpha: float, place: float, speed: float,
+) -> None:
     """Touch, or give up, or begin to look for a lost surface."""
     threshold = settings.contact_threshold
     if contact.state == LOST:  # a tool that is being braked reads its own inertia
         threshold = max(2.0 * threshold, TOUCH_SHARE * contact.level)
         _begin_answer(contact)
     else:
-        _search(contact, settings, alpha, place)
+        _search(contact, settings, alpha, place, speed)
     met_before = not np.isnan(contact.origin)
     if alpha > threshold:
         if contact.state == APPROACHING:
@@ -275,7 +306,7 @@ def _watch_hold(
     """Notice a loss, or that a touch has lasted."""
     h = settings.period
     if not contact.answered:
-        _watch_answer(contact, settings, alpha, place)
+        _watch_answer(contact, settings, alpha, place, speed)
     threshold = max(settings.release_threshold, RELEASE_SHARE * min(
         contact.level, contact.asked, contact.force_limit))
     if alpha >= threshold:
@@ -340,7 +371,7 @@ def _switch_state(
             contact.start = contact.origin if met_before else contact.target
             _begin_search(contact, settings)
     else:
-        _watch_search(contact, settings, alpha, place)
+        _watch_search(contact, settings, alpha, place, speed)
 
 
 @compiled
@@ -361,14 +392,13 @@ def advance_contact(
     elif before == APPROACHING:
         follow_reading(contact, settings, alpha, contact.speed * h)
     _switch_state(contact, settings, alpha, place, speed, escape)
+    contact.last_speed = speed
     if contact.state != before:
         contact.in_state = contact.averaged = 0.0
     if is_active(contact):
         contact.acceleration = 0.0
         # It has what is asked for once it holds; after a loss at a bounded rate.
-        if contact.resting > 0.0:
-            contact.force_limit = min(contact.force_limit, settings.preload)
-        elif contact.state == HOLDING and contact.losses == 0:
+        if contact.state == HOLDING and contact.losses == 0:
             contact.force_limit = max(contact.force_limit, contact.asked)
         elif contact.state == HOLDING or not np.isnan(contact.origin) and contact.losses > 0:
             contact.force_limit += min(max(
