@@ -67,10 +67,10 @@ def check_plausibility(
     """
     Check the answer of the control law that is in the joints.
 
-    Returns the sum of NOT_FINITE, PULL (a surface pulls, beyond what was read before; after the loss of a contact the inertia of the tool that is braked is allowed
-    for), SIDEWAYS (more than friction can explain), STRAY
-    (a contact that is free is beyond the force ceiling) and OUTSIDE (the operational point is out
-    of its box).
+    Returns the sum of NOT_FINITE, PULL (a surface pulls, beyond what was read before; after the
+    loss of a contact the inertia of the tool that is braked is allowed for), SIDEWAYS (more than
+    friction can explain), STRAY (a contact that is free is beyond the force ceiling) and OUTSIDE
+    (the operational point is out of its box).
     """
     bounds, control, flags = limits[0], controls[0], 0
     if not np.isfinite(joints['torque']).all():

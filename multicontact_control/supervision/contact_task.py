@@ -55,7 +55,11 @@ class ContactTask:
                                config.limits.workspace_upper or [np.inf] * 3]
         self.retune(config)
         self.locked = config.sensor.require_push_test  # at first
-        contacts.let_go(self.states[0], 0.0, 0.0)  # no tick waits for numba
+        first = self.states[0], self._limits['contacts'][0]  # no tick waits for numba
+        contacts.let_go(first[0], 0.0, 0.0)
+        contacts.go_on(first[0], 0.0, 0.0)
+        contacts.read_anew(*first, 0.0)
+        take_off(self._columns[0], first[0])
         _limit_task(self._limits, self._controls, self._columns, self.states)
         self.reset()
 
@@ -135,26 +139,22 @@ class ContactTask:
     def resume(self) -> Mask:
         """Go on from where the arm is; return which contacts are kept: pressed and felt, (r,)."""
         felt = self._columns['alpha_meas'] > self._limits['contacts']['contact_threshold']
-        self._kept = kept = (self._active & felt)[self._columns['config']['leader']]
-        # The surface may have gone meanwhile: it has to answer anew.
-        self.states['answered'], self.states['resumed'] = False, kept
-        self.states['seen'] = self.states['resting'] = 0.0
-        for state, column, is_kept in zip(self.states, self._columns, kept):
-            if not is_kept:
-                contacts.read_anew(state, self._limits['contacts'][0], column['alpha_meas'])
-                take_off(column, state)
-        return kept
+        self._kept = (self._active & felt)[self._columns['config']['leader']]
+        return self._kept
 
     def _return(self, kept: Mask) -> None:
         """Go from where the arm is back to the task: along normals by means of the contacts."""
         self._kept, normals, pose = None, self._columns['normal'], self._task.pose_des
         gap = self._frame['position'] - pose.position_world
         along = np.linalg.lstsq(normals.T, gap, rcond=None)[0]
-        for state, place, is_kept in zip(self.states, along.tolist(), kept):
+        for state, column, place, is_kept in zip(
+                self.states, self._columns, along.tolist(), kept):
             if is_kept:
-                state['displacement'] = place
+                contacts.go_on(state, column['alpha_meas'], place)
             else:
                 contacts.let_go(state, place, 0.0)
+                contacts.read_anew(state, self._limits['contacts'][0], column['alpha_meas'])
+                take_off(column, state)
         self._limits['offset'] = gap - along @ normals
         self._limits['turned'] = Rotation.from_matrix(
             self._frame['rotation'] @ pose.rotation_world.T).as_rotvec()

@@ -58,8 +58,9 @@ FREE_WAY = 3e-3  # m without a change, after which what is read is no force of a
 ANSWER_SHARE = 0.5  # of the contact threshold, by which a force has to rise to answer
 SOFTEST = 150.0  # N/m; what rises less on the way is no surface
 SLIPPING = 2e-4  # m back, at which a force that rises still answers: drives and tools bend
-SMOOTHING = 0.2  # per period, of the force that is to answer
+ANSWER_TIME = 0.015  # s, over which a force that is to answer is averaged: drives let a tool swing
 YIELDING, RETREATING = 0.01, 5e-3  # m forth and back without an answer, after which it is none
+STAYING = 1e-3  # m out of a surface during a pause, at most, of a contact that stays
 GENTLE = 1.5  # times the approach speed, at most, until a force has answered
 SETTLING_PERIODS, SETTLING_DELAYS = 2, 3  # in which a step of what is read has passed the filters
 
@@ -130,14 +131,29 @@ def average_reading(contact: Any, settings: Any, alpha: float) -> None:
 @compiled
 def follow_reading(contact: Any, settings: Any, alpha: float, way: float) -> None:
     """Follow what is read on a way towards a surface [m], and take it off."""
-    if contact.averaged * settings.period < AVERAGE_TIME:
+    seen = TARE_SHARE * settings.contact_threshold
+    if contact.averaged * settings.period < AVERAGE_TIME and abs(alpha) < seen:
         average_reading(contact, settings, alpha)
     else:
         share = abs(way) / AVERAGE_WAY
-        if alpha < -TARE_SHARE * settings.contact_threshold:
+        if alpha < -seen:
             share = max(share, settings.period / FALL_TIME)
         contact.baseline += min(share, 1.0) * (alpha + contact.untared - contact.baseline)
     _take_off(contact, settings, contact.baseline)
+
+
+@compiled
+def go_on(contact: Any, alpha: float, place: float) -> None:
+    """
+    Go on with a contact that was pressed before a pause.
+
+    It has to answer anew unless it is where the surface was, with a good part of the force.
+    """
+    contact.displacement = place
+    contact.answered = contact.answered and (
+        place > contact.origin - STAYING and alpha > TOUCH_SHARE * contact.level)
+    contact.resumed = True
+    contact.seen = contact.resting = 0.0
 
 
 @compiled
@@ -189,7 +205,8 @@ def _watch_answer(
         contact.felt = contact.least = alpha
         contact.least_place = place
         return
-    contact.felt += SMOOTHING * (alpha - contact.felt)
+    share = settings.period / (ANSWER_TIME + settings.period)
+    contact.felt += share * (alpha - contact.felt)
     if contact.felt < contact.least:
         contact.least = contact.felt
         contact.least_place = place
@@ -394,7 +411,9 @@ def advance_contact(
     _switch_state(contact, settings, alpha, place, speed, escape)
     contact.last_speed = speed
     if contact.state != before:
-        contact.in_state = contact.averaged = 0.0
+        contact.in_state = 0.0
+        if contact.state == FREE or contact.state == GIVEN_UP:
+            contact.averaged = 0.0
     if is_active(contact):
         contact.acceleration = 0.0
         # It has what is asked for once it holds; after a loss at a bounded rate.
