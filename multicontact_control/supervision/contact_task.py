@@ -217,9 +217,7 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
             column.guarded = state.state == contacts.HOLDING and state.in_state > GUARD_TIME and (
                 column.alpha_meas < GUARD_SHARE * min(state.level, state.asked))
             answer.active = contacts.is_active(state)
-            column.speed_bound = 0.0
-            if answer.active and not state.answered:
-                column.speed_bound = contacts.GENTLE * limit.contacts.approach_speed
+            column.speed_bound = contacts.speed_bound(state, limit.contacts)
         shift += state.displacement * normal
         take_off(column, state)
         if not answer.active:

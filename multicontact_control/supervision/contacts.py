@@ -61,7 +61,8 @@ SLIPPING = 2e-4  # m back, at which a force that rises still answers: drives and
 ANSWER_TIME = 0.015  # s, over which a force that is to answer is averaged: drives let a tool swing
 YIELDING, RETREATING = 0.01, 5e-3  # m forth and back without an answer, after which it is none
 STAYING = 1e-3  # m out of a surface during a pause, at most, of a contact that stays
-GENTLE = 1.5  # times the approach speed, at most, until a force has answered
+GENTLE = 0.9  # times the approach speed, at most, until a force has answered
+TOUCHING = 1.5  # the same at a touch, which comes down to that within `IMPACT_TIME`
 SETTLING_PERIODS, SETTLING_DELAYS = 2, 3  # in which a step of what is read has passed the filters
 
 FREE_CONTACT: Records = np.zeros((), dtype=CONTACT_STATE)
@@ -229,6 +230,17 @@ def desired_force(contact: Any, settings: Any) -> float:
     if contact.resting > 0.0:
         return min(desired, settings.preload)
     return min(desired, max(contact.felt + settings.contact_threshold, settings.preload))
+
+
+@compiled
+def speed_bound(contact: Any, settings: Any) -> float:
+    """Return the largest speed into a surface that has not answered, 0 for none [m/s]."""
+    if contact.answered or not is_active(contact):
+        return 0.0
+    times = GENTLE
+    if contact.state == IMPACT:
+        times += (TOUCHING - GENTLE) * max(0.0, 1.0 - contact.in_state / IMPACT_TIME)
+    return times * settings.approach_speed
 
 
 @compiled
