@@ -279,6 +279,8 @@ CONTACT_STATE = np.dtype([
     ('seen', F),  # for how long a force is seen that has not answered [s]
     ('felt', F),  # that force, smoothed [N]
     ('least', F), ('least_place', F),  # its minimum, and where the tip was then [N], [m]
+    ('touch_place', F), ('flat_place', F),  # of the touch, and of the last force near that [m]
+    ('calm', F),  # until it has more than the preload, of one that has answered late [s]
 ], align=True)
 
 # What is set for all contacts: `ContactStateConfig`, h, times of at least some periods, and the

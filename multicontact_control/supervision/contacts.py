@@ -211,8 +211,11 @@ def _watch_answer(
     if contact.felt < contact.least:
         contact.least = contact.felt
         contact.least_place = place
+    changed = TARE_SHARE * settings.contact_threshold
+    if contact.felt < contact.least + changed:
+        contact.flat_place = place
     # What the tip is said to rest on has to let go of it, too.
-    if contact.felt < contact.resting - TARE_SHARE * settings.contact_threshold:
+    if contact.felt < contact.resting - changed:
         contact.resting = 0.0
     way = place - contact.least_place
     needed = max(ANSWER_SHARE * settings.contact_threshold, SOFTEST * way)
@@ -221,11 +224,25 @@ def _watch_answer(
 
 
 @compiled
+def _take_answer(contact: Any, settings: Any) -> None:
+    """
+    Begin with the preload where a force that held has answered only now.
+
+    If the tip has gone on before that, it touches the surface only now, too, and what it has read
+    until then is no force.
+    """
+    contact.calm = IMPACT_TIME
+    if contact.flat_place - contact.touch_place > FREE_WAY:
+        contact.free_way = FREE_WAY
+        _take_off(contact, settings, contact.untared + contact.least)
+
+
+@compiled
 def desired_force(contact: Any, settings: Any) -> float:
     """Return what is asked of a contact as far as it may have it [N]."""
     desired = min(contact.asked, contact.force_limit)
     if contact.answered:
-        return desired
+        return min(desired, settings.preload) if contact.calm > 0.0 else desired
     # No more than is needed to find out: what is fed forward moves a tool that nothing bears.
     if contact.resting > 0.0:
         return min(desired, settings.preload)
@@ -313,8 +330,8 @@ def _watch_search(
         if contact.state == APPROACHING:
             alpha = _touch(contact, settings, alpha)
         contact.force_limit = max(alpha, settings.preload) if met_before else settings.preload
-        contact.below = 0.0
-        contact.level = 0.0
+        contact.below = contact.level = contact.calm = 0.0
+        contact.touch_place = contact.flat_place = place
         contact.state = IMPACT
     elif contact.state == LOST:
         if contact.in_state >= LOST_TIME and (
@@ -334,8 +351,11 @@ def _watch_hold(
 ) -> None:
     """Notice a loss, or that a touch has lasted."""
     h = settings.period
+    contact.calm = max(0.0, contact.calm - h)
     if not contact.answered:
         _watch_answer(contact, settings, alpha, place, speed)
+        if contact.answered and contact.state == HOLDING and not contact.resumed:
+            _take_answer(contact, settings)
     threshold = max(settings.release_threshold, RELEASE_SHARE * min(
         contact.level, contact.asked, contact.force_limit))
     if alpha >= threshold:
