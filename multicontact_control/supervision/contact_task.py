@@ -46,6 +46,7 @@ class ContactTask:
             'position', 'rotation', 'twist', 'acceleration')]
         self._active, self._alpha_des = answer['active'], answer['alpha_des']
         self.states: Any = np.zeros(len(config.columns), dtype=CONTACT_STATE)
+        self._names = config.column_names
         self._codes, self._leaders = self.states['state'], np.array(config.leaders)
         self._limits: Any = np.zeros(1, dtype=TASK_LIMITS)
         self._limits['contacts'] = contacts.contact_settings(validate(
@@ -119,6 +120,16 @@ class ContactTask:
     def state_names(self) -> tuple[str, ...]:
         """Return the state of each contact's normal force."""
         return tuple([contacts.NAMES[code] for code in self._codes[self._leaders].tolist()])
+
+    @property
+    def read_before(self) -> tuple[str, ...]:
+        """Return a sentence for each force or couple that was read before anything was touched."""
+        untared, resting = self.states['untared'], self.states['resting']
+        if not (untared.any() or resting.any()):
+            return ()
+        return tuple(
+            f'{name} reads {reading:+.1f} N before it touches: nothing should press, tare'
+            for name, reading in zip(self._names, (untared + resting).tolist()) if reading)
 
     def hold(self, wanted: bool) -> None:
         """Stay where the arm is and press as it does, or go on from there."""

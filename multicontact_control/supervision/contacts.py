@@ -351,20 +351,21 @@ def _watch_hold(
 ) -> None:
     """Notice a loss, or that a touch has lasted."""
     h = settings.period
-    contact.calm = max(0.0, contact.calm - h)
     if not contact.answered:
         _watch_answer(contact, settings, alpha, place, speed)
         if contact.answered and contact.state == HOLDING and not contact.resumed:
             _take_answer(contact, settings)
     threshold = max(settings.release_threshold, RELEASE_SHARE * min(
         contact.level, contact.asked, contact.force_limit))
+    held = contact.state == HOLDING and contact.calm == 0.0
     if alpha >= threshold:
         contact.below = 0.0
+        contact.calm = max(0.0, contact.calm - h)
         if contact.answered or contact.resumed:  # where it would not press any more
             contact.origin = place - alpha / contact.stiffness
         contact.level += h / (LEVEL_TIME + h) * (alpha - contact.level)
     else:
-        if contact.below == 0.0 and contact.state == HOLDING and (
+        if contact.below == 0.0 and held and (
                 speed - contact.surface_speed < -REBOUND_SPEED and contact.shaken <= 0.0):
             # Thrown back by a surface that is stiffer than its model: it returns by itself,
             # once; one that is thrown back again and again swings, and is better let go.
@@ -372,7 +373,7 @@ def _watch_hold(
             contact.shaken = REBOUNDS_APART
         contact.below += h
     contact.shaken = max(0.0, contact.shaken - h)
-    patience = settings.bounce_time if contact.state == IMPACT else settings.loss_time
+    patience = settings.loss_time if held else settings.bounce_time
     # A step of the force is a motion, too: into a surface that yields as its model.
     step = abs(min(contact.asked, contact.force_limit) - contact.level)
     fastest = ESCAPE_SPEED + step / (contact.stiffness * STEP_TIME)

@@ -325,7 +325,7 @@ class Supervisor:
         self._output = output
         return output, SupervisorStatus(
             reaction, causes, self._seen.rejected, limits, self.task.state_names,
-            self._task_ticks * self._period) if self.guarded else None
+            self._task_ticks * self._period, self.task.read_before) if self.guarded else None
 
     def reconfigure(self, config: ControllerConfig) -> None:
         """Go on with other live parameters, without a jump; or ConfigError, as it was before."""
