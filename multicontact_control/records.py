@@ -324,6 +324,7 @@ INPUT_SETTINGS = np.dtype([
     ('frozen_joint_ticks', I), ('frozen_ticks', I),  # equal readings that are frozen, 0 for never
     ('adds_gravity', B),  # see `robot`
     ('full_scale', F, 6),  # from where on an axis is saturated [N, N m]
+    ('leaves_out', B),  # whether a single wrench far from the others is left out
     ('order', I),  # of the low-pass, 0 for none
     ('b', F, 3), ('a', F, 3),  # its coefficients, highest power of z first
 ], align=True)
@@ -343,6 +344,11 @@ INPUT_STATE = np.dtype([
     ('silent', B), ('estimated', B),  # whether no velocities come; whether positions give them
     ('equal_joints', I), ('equal_wrenches', I),  # readings in a row, the newest counted
     ('faults', I),  # frozen or saturated wrenches in a row
+    ('suspect', B),  # whether the wrench before was left out as an outlier
+    ('trusted', F),  # for how long still wrenches are taken as they come, after a change [s]
+    ('outliers', F),  # count of those that were left out, which fades
+    ('learnt', I),  # wrenches that `mean_square` knows
+    ('mean_square', F, 6),  # of what changes from one to the next [N^2, N^2 m^2]
     ('raw', F, 6), ('last', F, 6),  # the newest wrench and the one before [N, N m]
     ('filtered', F, 6),  # behind the low-pass [N, N m]
     ('memory', F, (2, 6)),  # of the low-pass, NaN before its first wrench [N, N m]

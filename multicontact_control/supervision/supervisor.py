@@ -57,7 +57,7 @@ class Supervisor:
         self.controller = controller = Controller(config, robot)
         self._joints, self._controls = controller.arm.joints, controller.controls
         self.task = ContactTask(config, source, controller, guarded=guarded)
-        self.inputs = Inputs(config, controller)
+        self.inputs = Inputs(config, controller, guarded=guarded)
         self.gate = TorqueGate(config, self._joints, guarded=guarded)
         self.reactions = reactions.Reactions(config, controller)
         self._recovery = reactions.Recovery(config.watchdog.recovery_time, config.period)
