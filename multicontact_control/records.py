@@ -345,6 +345,7 @@ INPUT_STATE = np.dtype([
     ('equal_joints', I), ('equal_wrenches', I),  # readings in a row, the newest counted
     ('faults', I),  # frozen or saturated wrenches in a row
     ('suspect', B),  # whether the wrench before was left out as an outlier
+    ('suspected', F, 6),  # the newest that was [N, N m]
     ('trusted', F),  # for how long still wrenches are taken as they come, after a change [s]
     ('outliers', F),  # count of those that were left out, which fades
     ('learnt', I),  # wrenches that `mean_square` knows

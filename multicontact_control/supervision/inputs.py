@@ -40,14 +40,14 @@ SATURATED_SHARE = 0.99  # of full scale, from which on a reading is saturated
 FAULTS = 2  # wrong velocities, or frozen or saturated wrenches, in a row that are not bridged
 WRENCH_AGE = 1.501  # periods, up to which a wrench is that of its tick
 HARDEST = 1e6  # N or N m; no wrench is beyond it
-# The innovation of a wrench that is an outlier: against the wrench before, in each axis. Roughness
-# that is slid over at 0.12 m/s changes a force by 6 N and a torque by 0.8 N m from sample to sample.
+# The innovation of a wrench that is an outlier: against the wrench before, in each axis. Sliding
+# over roughness at 0.12 m/s changes a force by 6 N and a torque by 0.8 N m in a period.
 FORCE_OUTLIER, TORQUE_OUTLIER = 6.5, 1.0  # N, N m, at least
 OUTLIER_FACTOR = 6.0  # and times the root mean square of what usually changes
 USUAL_TIME = 0.5  # s, over which that is averaged
-LEARNT_WRENCHES = 50  # from which on it is known
+LEARNT_WRENCHES, UNLEARNT = 50, 20.0  # from which on it is known; N, N m, at least until then
 CHANGE_TIME = 0.02  # s after a change, in which wrenches are taken as they come
-OUTLIER_TIME, MOST_OUTLIERS = 2.0, 10.0  # s, and how many in that are a fault of the sensor
+OUTLIER_TIME, MOST_OUTLIERS = 2.0, 16.0  # s, and how many in that are a fault of the sensor
 FARTHEST = 1e3  # rad; no joint is beyond it
 SPEED_EXCESS = 3.0  # times the speed limit of a joint; no joint is faster
 STILL = 1e-4  # rad/s; below it a joint state may repeat itself
@@ -196,15 +196,19 @@ def _is_outlier(state: Any, settings: Any, span: float) -> bool:
         return False
     known, far = state.learnt >= LEARNT_WRENCHES, False
     for i in range(6):
-        least = FORCE_OUTLIER if i < 3 else TORQUE_OUTLIER
+        least = UNLEARNT
+        if known:
+            least = FORCE_OUTLIER if i < 3 else TORQUE_OUTLIER
         usual = OUTLIER_FACTOR * np.sqrt(state.mean_square[i])
-        # Not <=: what is no number is for the other checks.
+        if not abs(state.raw[i]) < min(settings.full_scale[i], HARDEST):
+            return False  # that is a fault of its own
         far = far or abs(state.raw[i] - state.last[i]) > max(least, usual)
-    if far and known and state.trusted == 0.0:
+    if far and state.trusted == 0.0:
         if not state.suspect:
             return True
         state.trusted = CHANGE_TIME
-        state.outliers -= 1.0  # the one before was none
+        state.outliers -= 1.0  # the one before was none, and counts for what follows
+        state.last[:], state.equal_wrenches = state.suspected, 1
     if state.trusted == 0.0:
         state.learnt += 1
         share = max(h / USUAL_TIME, 1.0 / state.learnt)
@@ -304,6 +308,7 @@ def check_inputs(
         problem[WRENCH] = OUTLIER
         state.suspect = True
         state.outliers += 1.0
+        state.suspected[:] = state.raw
         state.raw[:] = state.last
     elif problem[WRENCH] == FINE:
         problem[WRENCH] = _take_wrench(state, settings)
