@@ -30,6 +30,7 @@ LAW = np.dtype([
     ('decoupled', B),  # whether the contact points are driven, or the coordinates along N_i
     ('separated', B),  # whether friction is expected or allowed for in the measured wrench
     ('force_noise', F), ('torque_noise', F),  # of the wrist sensor, per axis [N], [N m]
+    ('period', F),  # h [s]
 ], align=True)
 
 # What the residual of a joint has followed: `REGRESSORS` of `control.arm`; sums fade within 1 s.
@@ -150,7 +151,10 @@ CONTACT_CONFIG = np.dtype([
 CONTACT = np.dtype([
     ('config', CONTACT_CONFIG),
     ('N', F, 6),  # column of N: the wrench of a unit force, world axes
-    ('alpha_meas', F),  # measured force [N]
+    ('alpha_meas', F),  # measured force, without `untared` [N]
+    ('untared', F),  # what was read in free space, before a touch [N]
+    ('speed_bound', F),  # into a surface that has not answered, 0 for none [m/s]
+    ('borne', F),  # what such a surface was found to bear, as an acceleration [m/s^2]
     ('noise_variance', F),  # R_k [N^2]
     ('guarded', B),  # whether the measured force is fed forward, as the surface seems to be gone
     ('normal', F, 3),  # estimated unit normal, world axes
@@ -268,13 +272,28 @@ CONTACT_STATE = np.dtype([
     ('target', F),  # displacement to go to [m]
     ('stiffness', F),  # modelled, of the surface [N/m]
     ('surface_speed', F),  # along the normal, as far as it is known [m/s]
+    ('averaged', F),  # samples in `baseline`, up to as many as are averaged
+    ('baseline', F),  # what is read without a touch [N]
+    ('untared', F),  # of that, what is taken off the measured force [N]
+    ('free_way', F),  # of the search, on which nothing was felt [m]
+    ('free_baseline', F),  # `baseline` at its end [N]
+    ('answered', B),  # whether a force has risen with the way into the surface
+    ('resumed', B),  # whether it was pressed before a pause, and has not answered since
+    ('resting', F),  # force that the tip is said to rest on before a search, 0 if not [N]
+    ('last_speed', F),  # of the tip along the normal, at the sample before [m/s]
+    ('seen', F),  # for how long a force is seen that has not answered [s]
+    ('felt', F),  # that force, smoothed [N]
+    ('least', F), ('least_place', F),  # its minimum, and where the tip was then [N], [m]
+    ('touch_place', F), ('flat_place', F),  # of the touch, and of the last force near that [m]
+    ('calm', F),  # until it has more than the preload, of one that has answered late [s]
 ], align=True)
 
-# What is set for all contacts: `ContactStateConfig`, h, and times of at least some periods; one.
+# What is set for all contacts: `ContactStateConfig`, h, times of at least some periods, and the
+# mass whose inertia the wrench has in it [kg]; one.
 CONTACT_SETTINGS = np.dtype([(name, F) for name in (
     'period', 'loss_time', 'bounce_time', 'approach_speed', 'approach_ramp_time',
     'approach_distance', 'contact_threshold', 'release_threshold', 'preload', 'force_ceiling',
-    'retry_time')])
+    'retry_time', 'settling_time', 'tool_mass')])
 
 # Bounds of a task, and the reference that follows it; one.
 TASK_LIMITS = np.dtype([
@@ -313,6 +332,7 @@ INPUT_SETTINGS = np.dtype([
     ('frozen_joint_ticks', I), ('frozen_ticks', I),  # equal readings that are frozen, 0 for never
     ('adds_gravity', B),  # see `robot`
     ('full_scale', F, 6),  # from where on an axis is saturated [N, N m]
+    ('leaves_out', B),  # whether a single wrench far from the others is left out
     ('order', I),  # of the low-pass, 0 for none
     ('b', F, 3), ('a', F, 3),  # its coefficients, highest power of z first
 ], align=True)
@@ -332,6 +352,12 @@ INPUT_STATE = np.dtype([
     ('silent', B), ('estimated', B),  # whether no velocities come; whether positions give them
     ('equal_joints', I), ('equal_wrenches', I),  # readings in a row, the newest counted
     ('faults', I),  # frozen or saturated wrenches in a row
+    ('suspect', B),  # whether the wrench before was left out as an outlier
+    ('suspected', F, 6),  # the newest that was [N, N m]
+    ('trusted', F),  # for how long still wrenches are taken as they come, after a change [s]
+    ('outliers', F),  # count of those that were left out, which fades
+    ('learnt', I),  # wrenches that `mean_square` knows
+    ('mean_square', F, 6),  # of what changes from one to the next [N^2, N^2 m^2]
     ('raw', F, 6), ('last', F, 6),  # the newest wrench and the one before [N, N m]
     ('filtered', F, 6),  # behind the low-pass [N, N m]
     ('memory', F, (2, 6)),  # of the low-pass, NaN before its first wrench [N, N m]

@@ -168,8 +168,13 @@ class ControllerConfig(Config):
     @property
     def loop_delay(self) -> float:
         """T_d of the force loop: force.input_delay and that of the measurement of forces [s]."""
+        return self.force.input_delay + self.measuring_delay
+
+    @property
+    def measuring_delay(self) -> float:
+        """Delay of the low-pass of the wrench and, by momentum, of its observer [s]."""
         observed = 1.0 / self.momentum_bandwidth if self.wrench_input == 'momentum' else 0.0
-        return self.force.input_delay + self.sensor.filter_delay(self.rate) + observed
+        return self.sensor.filter_delay(self.rate) + observed
 
     @property
     def columns(self) -> tuple[Column, ...]:

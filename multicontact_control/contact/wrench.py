@@ -62,8 +62,8 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
 
     alpha = (N^T N)^-1 N^T f_c (P04 eqs 2, 5, 7), or as `allow_for_friction` says, of all contacts
     together. To the friction that is expected of each the likeliest other is added,
-    s^2 T^T W^-1 (f_c - N alpha). `N`, `alpha_meas` and `friction` of the contacts, records of
-    `CONTACT`, shape (r,), are filled in.
+    s^2 T^T W^-1 (f_c - N alpha). `N`, `alpha_meas`, without what is `untared`, and `friction` of
+    the contacts, records of `CONTACT`, shape (r,), are filled in.
     """
     count, law, frame = contacts.shape[0], control.law, control.frame
     wrench, alpha = np.empty(6), np.empty(count)
@@ -80,7 +80,8 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
         return False
     multiply(rows, wrench, alpha)
     solve_cholesky(factor, alpha)
-    contacts['alpha_meas'][:] = alpha
+    for i in range(count):
+        contacts[i].alpha_meas = alpha[i] - contacts[i].untared
     if not law.separated:
         return True
     for i in range(count):

@@ -320,6 +320,7 @@ def law_record(config: ControllerConfig) -> Records:
     law['separated'] = any(
         config.contacts[name].friction_std or config.contacts[name].friction_coefficient
         for name in config.contact_names)
+    law['period'] = config.period
     law['force_noise'] = config.sensor.force_noise_std
     law['torque_noise'] = config.sensor.torque_noise_std
     return law

@@ -42,6 +42,11 @@ from multicontact_control.records import FORCE_LAW, LIMITS, Records
 import numpy as np
 
 ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
+# By which a tip is kept at the speed it may have where no surface has answered: well damped with
+# the delays of a loop, and so gentle that the tool's inertia is not taken for an answer.
+BOUND_RATE, BOUND_STIFFNESS = 60.0, 400.0  # 1/s, 1/s^2
+GENTLEST = 0.75  # m/s^2
+BORNE_TIME = 0.05  # s, in which it is forgotten what a surface bears
 RATIOS = tuple(np.geomspace(1.0, 100.0, 9).tolist())  # where the loop's limit is looked for
 
 
@@ -245,12 +250,44 @@ def force_to_feed(law: Any, contact: Any, K_2: float, mobility: Matrix) -> float
     desired = law.stiffness.alpha_ref if law.stiffness.adaptive else contact.answer.alpha_des
     if law.fed == DESIRED:
         return desired
-    N = contact.N
+    share = min(K_2 * K_2 / (2.0 * law.stiffness.k * mobility_along(contact, mobility)), 1.0)
+    return contact.answer.alpha_est + share * (desired - contact.answer.alpha_est)
+
+
+@compiled
+def mobility_along(contact: Any, mobility: Matrix) -> float:
+    """Return N_i^T Lambda^-1 N_i of a contact [1/kg]."""
     along = 0.0
     for i in range(6):
-        along += N[i] * dot(mobility[i], N)
-    share = min(K_2 * K_2 / (2.0 * law.stiffness.k * along), 1.0)
-    return contact.answer.alpha_est + share * (desired - contact.answer.alpha_est)
+        along += contact.N[i] * dot(mobility[i], contact.N)
+    return along
+
+
+@compiled
+def bound_speed(
+    contact: Any, law: Any, control: Any, u: float, speed: float, mobility: Matrix,
+) -> float:
+    """
+    Return u within what keeps the tip at `speed_bound` if nothing bears it [m/s^2].
+
+    The tip accelerates by a = u - K_2 v + N^T Lambda^-1 N alpha_fed into free space. It is kept
+    at or below min(G (v_max - v), a_0) + b, where b is what a surface turns out to bear: it grows
+    while the tip is slower than it may be although it is pushed, and is forgotten. The force law
+    is told what acts. `speed` is that of the contact point INTO the surface [m/s].
+    """
+    period = control.law.period
+    damping = control.law.K_2 * speed
+    fed = contact.answer.alpha_fed * mobility_along(contact, mobility)
+    slower = contact.speed_bound - speed
+    largest = min(BOUND_RATE * slower, GENTLEST) + contact.borne
+    if u - damping + fed <= largest:
+        contact.borne *= 1.0 - min(period / BORNE_TIME, 1.0)
+        return u
+    contact.borne = max(contact.borne + BOUND_STIFFNESS * slower * period, 0.0)
+    bounded = largest + damping - fed
+    law.observer.command += bounded - u
+    law.linear.extra += bounded - u
+    return bounded
 
 
 @compiled
@@ -297,3 +334,7 @@ def answer_forces(
             observe(observer, contact, control.measured, 0.0)
             inputs[i] = command(observer, answer.alpha_des)
         answer.alpha_fed = force_to_feed(law, contact, control.law.K_2, mobility)
+        if contact.speed_bound > 0.0:
+            inputs[i] = bound_speed(contact, law, control, inputs[i], speed, mobility)
+        else:
+            contact.borne = 0.0

@@ -70,11 +70,12 @@ class ControllerReport:
         loop, status = self._loop, self._loop.status or QUIET
         instruction = loop.push_gate.instruction
         now = (status.reaction, status.causes, loop.supervisor.findings, instruction,
-               status.unwatched, status.contact_states, loop.supervisor.safe, loop.held,
-               self._node.state,
+               status.unwatched, status.contact_states, len(status.read_before),
+               loop.supervisor.safe, loop.held, self._node.state,
                *loop.commanded_forces.values())
         for name in status.rejected:
             self._warn(name, f'a reading is not used: {name}')
+        self._warn('read before', '; '.join(status.read_before))
         if now == self._before or time.monotonic_ns() < self._next_state:
             return
         before, self._before = self._before, now
@@ -101,7 +102,8 @@ class ControllerReport:
     ) -> None:
         loop, status, reaction = self._loop, self._loop.status or QUIET, self._reaction()
         text = refusal or reaction or loop.push_gate.instruction or (
-            'safe behaviour' if loop.supervisor.safe else 'held' if loop.held else 'ok')
+            'safe behaviour' if loop.supervisor.safe else 'held' if loop.held else
+            '; '.join(status.read_before) or 'ok')
         self._publisher.publish(ControllerStatus(
             event=event, command=identifier, text=text, life_cycle=self._node.state,
             reaction=status.reaction, causes=' '.join(status.causes),
@@ -199,6 +201,7 @@ class ControllerReport:
         trouble = [f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
                    f'contacts.{where}.friction_std' for where, what, gain in misread_friction(
                        config, output.contacts, output.pose.rotation_world)]
+        trouble += loop.status.read_before if loop.status else ()
         trouble += [f'{name} is {state}' for name, state in states.items() if state in TROUBLED]
         return Status('contacts', values | states, '; '.join(trouble))
 

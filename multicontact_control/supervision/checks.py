@@ -32,6 +32,7 @@ SPEEDS = (('motion_operational_speed', OPERATIONAL_SPEED), ('motion_joint_speed'
 TOO_FAST = tuple(tuple(cause for cause, bit in SPEEDS if flags & bit) for flags in range(16))
 
 PULL_LIMIT = 4.0  # N, measured pull of a surface that is accepted
+READ_PULL_LIMIT = 8.0  # N, pull that is read and accepted with what is taken off as no force
 LOSS_ACCELERATION = 20.0  # m/s^2, of a tool that is braked after a contact is lost
 SIDEWAYS_LIMIT = 5.0  # N of sideways force that is always accepted
 SPEED_EXCESS = 1.1  # times a speed limit, beyond which gate and reference have failed
@@ -66,10 +67,10 @@ def check_plausibility(
     """
     Check the answer of the control law that is in the joints.
 
-    Returns the sum of NOT_FINITE, PULL (a surface pulls; after the loss of a contact the inertia
-    of the tool that is braked is allowed for), SIDEWAYS (more than friction can explain), STRAY
-    (a contact that is free is beyond the force ceiling) and OUTSIDE (the operational point is out
-    of its box).
+    Returns the sum of NOT_FINITE, PULL (a surface pulls, beyond what was read before; after the
+    loss of a contact the inertia of the tool that is braked is allowed for), SIDEWAYS (more than
+    friction can explain), STRAY (a contact that is free is beyond the force ceiling) and OUTSIDE
+    (the operational point is out of its box).
     """
     bounds, control, flags = limits[0], controls[0], 0
     if not np.isfinite(joints['torque']).all():
@@ -86,9 +87,12 @@ def check_plausibility(
         if contact.config.leader != i:
             continue
         pressed += abs(contact.alpha_meas)
-        sideways -= contact.alpha_meas * contact.normal
+        sideways -= (contact.alpha_meas + contact.untared) * contact.normal
         allowance = bounds.inertia if states[i].state == LOST else 0.0
-        if contact.alpha_meas < -(PULL_LIMIT + allowance):
+        # What a free contact is read with is what its search begins with.
+        known = min(states[i].baseline, 0.0) if states[i].state == FREE else 0.0
+        if contact.alpha_meas - known < -(PULL_LIMIT + allowance) or (
+                contact.alpha_meas + contact.untared < -(READ_PULL_LIMIT + allowance)):
             flags |= PULL
         if contact.alpha_meas > bounds.force_ceiling and states[i].state == FREE:
             flags |= STRAY

@@ -50,21 +50,28 @@ class ContactTask:
             'position', 'rotation', 'twist', 'acceleration')]
         self._active, self._alpha_des = answer['active'], answer['alpha_des']
         self.states: Any = np.zeros(len(config.columns), dtype=CONTACT_STATE)
+        self._names = config.column_names
         self._codes, self._leaders = self.states['state'], np.array(config.leaders)
         self._limits: Any = np.zeros(1, dtype=TASK_LIMITS)
         self._limits['contacts'] = contacts.contact_settings(validate(
             ContactStateConfig, {**config.contact_state.model_dump(), **source.contact_state},
-            'reference.approach'), config.period)
+            'reference.approach'), config.period, config.measuring_delay)
         self._limits['box'] = [config.limits.workspace_lower or [-np.inf] * 3,
                                config.limits.workspace_upper or [np.inf] * 3]
         self.retune(config)
         self.locked = config.sensor.require_push_test  # at first
-        contacts.let_go(self.states[0], 0.0, 0.0)  # no tick waits for numba
+        first = self.states[0], self._limits['contacts'][0]  # no tick waits for numba
+        contacts.let_go(first[0], 0.0, 0.0)
+        contacts.go_on(first[0], 0.0, 0.0)
+        contacts.read_anew(*first, 0.0)
+        take_off(self._columns[0], first[0])
         _limit_task(self._limits, self._controls, self._columns, self.states)
         self.reset()
 
     def retune(self, config: ControllerConfig) -> None:
         """Let the task be so far ahead of the arm that the motion law asks for its limits."""
+        felt = config.wrench_input != 'momentum'  # whose observer knows of the tool
+        self._limits['contacts']['tool_mass'] = config.tool.mass if felt else 0.0
         lead = 2.0 * config.motion.damping_ratio / config.motion.natural_frequency  # k_v / k_p
         self._limits['lead'] = lead
         self._limits['reach'] = lead * config.limits.operational_speed
@@ -87,6 +94,7 @@ class ContactTask:
             forces[pressed] = self._task.alpha_des[pressed]
         self._task: Task = Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces)
         self.states[~pressed] = contacts.FREE_CONTACT
+        self._columns['untared'][~pressed] = self._columns['speed_bound'][~pressed] = 0.0
         self._limits['bounded'] = self._limits['behind'] = False
         self._kept: Mask | None = None  # contacts, from the end of a pause to the next tick
 
@@ -121,6 +129,16 @@ class ContactTask:
         """Return the state of each contact's normal force."""
         return tuple([contacts.NAMES[code] for code in self._codes[self._leaders].tolist()])
 
+    @property
+    def read_before(self) -> tuple[str, ...]:
+        """Return a sentence for each force or couple that was read before anything was touched."""
+        untared, resting = self.states['untared'], self.states['resting']
+        if not (untared.any() or resting.any()):
+            return ()
+        return tuple(
+            f'{name} reads {reading:+.1f} N before it touches: nothing should press, tare'
+            for name, reading in zip(self._names, (untared + resting).tolist()) if reading)
+
     def hold(self, wanted: bool) -> None:
         """Stay where the arm is and press as it does, or go on from there."""
         self.held = wanted
@@ -148,11 +166,14 @@ class ContactTask:
         self._kept, normals, pose = None, self._columns['normal'], self._task.pose_des
         gap = self._frame['position'] - pose.position_world
         along = np.linalg.lstsq(normals.T, gap, rcond=None)[0]
-        for state, place, is_kept in zip(self.states, along.tolist(), kept):
+        for state, column, place, is_kept in zip(
+                self.states, self._columns, along.tolist(), kept):
             if is_kept:
-                state['displacement'] = place
+                contacts.go_on(state, column['alpha_meas'], place)
             else:
                 contacts.let_go(state, place, 0.0)
+                contacts.read_anew(state, self._limits['contacts'][0], column['alpha_meas'])
+                take_off(column, state)
         limits = self._limits
         limits['position'] = self._frame['position'] - along @ normals
         limits['rotation'] = self._frame['rotation']
@@ -256,6 +277,9 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
             bound = LARGEST_OFFSET * force.answer.alpha_des
             answer.alpha_des = min(max(state.asked, -bound), bound)
             column.guarded = force.guarded
+            # What turns the tool in free space is no couple.
+            answer.active = contacts.is_active(leader) and (leader.answered or leader.resumed)
+            contacts.follow_couple(state, leader, limit.contacts, column.alpha_meas)
         else:
             state.stiffness = column.stiffness
             # Of the surface, as far as it is known: what is as fast does not leave it.
@@ -266,19 +290,32 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
                     others += dot(normal, columns[j].normal) * moved[j]
             # Turning about the tool moves the operational point, and a surface that is not where
             # the task has it moves the contact point: what escapes does both.
+            place = dot(normal, away) - others
+            if contacts.is_refuted(state, limit.contacts, place):
+                contacts.refute(state, limit.contacts, place, speed)
+                take_off(column, state)
             contacts.advance_contact(
-                state, limit.contacts, column.alpha_meas, dot(normal, away) - others, speed,
+                state, limit.contacts, column.alpha_meas, place, speed,
                 min(speed, dot(column.N, frame.twist)) - state.surface_speed)
-            answer.alpha_des = min(state.asked, state.force_limit)
+            answer.alpha_des = contacts.desired_force(state, limit.contacts)
             column.guarded = state.state == contacts.HOLDING and state.in_state > GUARD_TIME and (
                 column.alpha_meas < GUARD_SHARE * min(state.level, state.asked))
+            answer.active = contacts.is_active(state)
+            column.speed_bound = contacts.speed_bound(state, limit.contacts)
         shift += state.displacement * normal
-        answer.active = contacts.is_active(state)
+        take_off(column, state)
         if not answer.active:
             answer.alpha_des = 0.0
             twist[:3] += state.speed * normal
             acceleration[:3] += state.acceleration * normal
     position += shift
+
+
+@compiled
+def take_off(column: Any, state: Any) -> None:
+    """Take what is read without a touch off the measured force from now on."""
+    column.alpha_meas += column.untared - state.untared
+    column.untared = state.untared
 
 
 @compiled

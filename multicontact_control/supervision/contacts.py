@@ -9,9 +9,15 @@ gone too far without a surface, until it is time for another search. Beyond the 
 where it leads out of the workspace: retracting, then given up until it is commanded again. It is
 free as long as the task does not ask for it.
 
+A touch is a change since the approach began: what a sensor reads in free space is no force. It is
+averaged before the approach, follows what is read on the way, and is taken off (`untared`). A
+touch is a touch until the force answers the motion: it rises while the tip advances, as it does on
+any surface of `SOFTEST` and more. Until then the tip is no faster than an approach, and a contact
+that yields further than that is let go: all that it reads is no force, and the search goes on.
+
 A `contact` is a record of `CONTACT_STATE`, changed, `settings` are one of `CONTACT_SETTINGS`;
-`alpha` is the measured force [N], `place` and `speed` are those of the tip along the normal,
-relative to the task without displacement [m, m/s].
+`alpha` is the measured force without what is taken off [N], `place` and `speed` are those of the
+tip along the normal, relative to the task without displacement [m, m/s].
 """
 
 from __future__ import annotations
@@ -44,16 +50,38 @@ REBOUND_SPEED = 2e-3  # m/s, away from the surface, from which on it is thrown b
 REBOUNDS_APART = 0.5  # s
 LOSS_PERIODS, BOUNCE_PERIODS = 2, 3  # the same, at least: one sample says nothing
 POSITION_RATE = 20.0  # 1/s, of the way left: how a displacement settles
+TARE_SHARE = 1.0 / 3.0  # of the contact threshold, from which on what is read freely is taken off
+AVERAGE_TIME = 0.1  # s, over which that is averaged where the tip stands
+AVERAGE_WAY = 0.02  # m, the same on the way: a sensor drifts, and a soft surface is no drift
+FALL_TIME = 0.5  # s, the same of a fall, which is no touch; a flipped sign falls faster
+FREE_WAY = 3e-3  # m without a change, after which what is read is no force of a surface
+ANSWER_SHARE = 0.5  # of the contact threshold, by which a force has to rise to answer
+SOFTEST = 150.0  # N/m; what rises less on the way is no surface
+SLIPPING = 2e-4  # m back, at which a force that rises still answers: drives and tools bend
+ANSWER_TIME = 0.015  # s, over which a force that is to answer is averaged: drives let a tool swing
+YIELDING, RETREATING = 0.01, 5e-3  # m forth and back without an answer, after which it is none
+STAYING = 1e-3  # m out of a surface during a pause, at most, of a contact that stays
+GENTLE = 0.9  # times the approach speed, at most, until a force has answered
+TOUCHING = 1.5  # the same at a touch, which comes down to that within `IMPACT_TIME`
+SETTLING_PERIODS, SETTLING_DELAYS = 2, 3  # in which a step of what is read has passed the filters
 
 FREE_CONTACT: Records = np.zeros((), dtype=CONTACT_STATE)
 FREE_CONTACT['origin'] = np.nan
 
 
-def contact_settings(config: ContactStateConfig, period: float) -> Records:
-    """Return what is set for all contacts as one record of `CONTACT_SETTINGS`; h in [s]."""
+def contact_settings(
+    config: ContactStateConfig, period: float, delay: float = 0.0,
+) -> Records:
+    """
+    Return what is set for all contacts as one record of `CONTACT_SETTINGS`.
+
+    h and the delay of what low-passes the wrench in [s]; `tool_mass` is left at 0.
+    """
     values = config.model_dump() | {
         'period': period, 'loss_time': max(LOSS_TIME, LOSS_PERIODS * period),
-        'bounce_time': max(BOUNCE_TIME, BOUNCE_PERIODS * period)}
+        'bounce_time': max(BOUNCE_TIME, BOUNCE_PERIODS * period),
+        'tool_mass': 0.0,
+        'settling_time': SETTLING_PERIODS * period + SETTLING_DELAYS * delay}
     return np.array([tuple(values[name] for name in CONTACT_SETTINGS.names or ())],
                     dtype=CONTACT_SETTINGS)
 
@@ -71,27 +99,245 @@ def let_go(contact: Any, place: float, speed: float) -> None:
     if is_active(contact):
         contact.losses += 1
         contact.speed = speed
-        contact.start = place if np.isnan(contact.origin) else contact.origin
-        contact.target = contact.start
+        contact.target = place
+        if not np.isnan(contact.origin):
+            contact.start = contact.target = contact.origin
         contact.state, contact.in_state = LOST, 0.0
 
 
 @compiled
-def _watch_search(contact: Any, settings: Any, alpha: float) -> None:
+def _take_off(contact: Any, settings: Any, baseline: float) -> None:
+    """Take what is read without a touch off the measured force, if it is worth it [N]."""
+    contact.baseline = baseline
+    least = TARE_SHARE * settings.contact_threshold
+    contact.untared = baseline if abs(baseline) >= least else 0.0
+
+
+@compiled
+def _begin_search(contact: Any, settings: Any) -> None:
+    """Go to a surface, and take off what is read before."""
+    contact.free_way = 0.0
+    _take_off(contact, settings, contact.baseline)
+    contact.state = APPROACHING
+
+
+@compiled
+def average_reading(contact: Any, settings: Any, alpha: float) -> None:
+    """Average what is read where a contact is not sought, over `AVERAGE_TIME`."""
+    longest = max(1.0, np.round(AVERAGE_TIME / settings.period))
+    contact.averaged = min(contact.averaged + 1.0, longest)
+    contact.baseline += (alpha + contact.untared - contact.baseline) / contact.averaged
+
+
+@compiled
+def follow_reading(contact: Any, settings: Any, alpha: float, way: float) -> None:
+    """Follow what is read on a way towards a surface [m], and take it off."""
+    seen = TARE_SHARE * settings.contact_threshold
+    if contact.averaged * settings.period < AVERAGE_TIME and abs(alpha) < seen:
+        average_reading(contact, settings, alpha)
+    else:
+        share = abs(way) / AVERAGE_WAY
+        if alpha < -seen:
+            share = max(share, settings.period / FALL_TIME)
+        contact.baseline += min(share, 1.0) * (alpha + contact.untared - contact.baseline)
+    _take_off(contact, settings, contact.baseline)
+
+
+@compiled
+def go_on(contact: Any, alpha: float, place: float) -> None:
+    """
+    Go on with a contact that was pressed before a pause.
+
+    It has to answer anew unless it is where the surface was, with a good part of the force.
+    """
+    contact.displacement = place
+    contact.answered = contact.answered and (
+        place > contact.origin - STAYING and alpha > TOUCH_SHARE * contact.level)
+    contact.resumed = True
+    contact.seen = contact.resting = 0.0
+
+
+@compiled
+def read_anew(contact: Any, settings: Any, alpha: float) -> None:
+    """Take what is read after a pause for what a search begins with."""
+    if contact.state == FREE or contact.state == APPROACHING or contact.state == GIVEN_UP:
+        contact.averaged = 0.0
+        average_reading(contact, settings, alpha)
+    if contact.state == APPROACHING:
+        contact.free_way = 0.0
+        contact.start = contact.displacement
+        _take_off(contact, settings, contact.baseline)
+
+
+@compiled
+def follow_couple(couple: Any, force: Any, settings: Any, alpha: float) -> None:
+    """Take what a couple reads before the touch of its contact off, as of its normal force."""
+    if force.state == FREE:
+        couple.untared = 0.0
+    if force.state == FREE or force.state == GIVEN_UP:
+        average_reading(couple, settings, alpha)
+    elif force.state == APPROACHING:
+        follow_reading(couple, settings, alpha, force.speed * settings.period)
+    elif force.state == IMPACT and force.free_way < FREE_WAY:
+        couple.untared = 0.0
+
+
+@compiled
+def _begin_answer(contact: Any) -> None:
+    """Wait for an answer from now on."""
+    contact.answered = contact.resumed = False
+    contact.seen = contact.resting = 0.0
+
+
+@compiled
+def _watch_answer(
+    contact: Any, settings: Any, alpha: float, place: float, speed: float,
+) -> None:
+    """
+    Notice whether a force that is seen answers the motion.
+
+    What a step of the reading brings is seen at once, at the place where it was: what counts is
+    by how much the force rises after that, from where it was least, and how far the tip goes.
+    The inertia of the tool is no force.
+    """
+    contact.seen += settings.period
+    alpha -= settings.tool_mass * (speed - contact.last_speed) / settings.period
+    if contact.seen <= settings.settling_time + 1e-9:
+        contact.felt = contact.least = alpha
+        contact.least_place = place
+        return
+    share = settings.period / (ANSWER_TIME + settings.period)
+    contact.felt += share * (alpha - contact.felt)
+    if contact.felt < contact.least:
+        contact.least = contact.felt
+        contact.least_place = place
+    changed = TARE_SHARE * settings.contact_threshold
+    if contact.felt < contact.least + changed:
+        contact.flat_place = place
+    # What the tip is said to rest on has to let go of it, too.
+    if contact.felt < contact.resting - changed:
+        contact.resting = 0.0
+    way = place - contact.least_place
+    needed = max(ANSWER_SHARE * settings.contact_threshold, SOFTEST * way)
+    contact.answered = (
+        contact.resting == 0.0 and way > -SLIPPING and contact.felt - contact.least >= needed)
+
+
+@compiled
+def _take_answer(contact: Any, settings: Any) -> None:
+    """
+    Begin with the preload where a force that held has answered only now.
+
+    If the tip has gone on before that, it touches the surface only now, too, and what it has read
+    until then is no force.
+    """
+    contact.calm = IMPACT_TIME
+    if contact.flat_place - contact.touch_place > FREE_WAY:
+        contact.free_way = FREE_WAY
+        _take_off(contact, settings, contact.untared + contact.least)
+
+
+@compiled
+def desired_force(contact: Any, settings: Any) -> float:
+    """Return what is asked of a contact as far as it may have it [N]."""
+    desired = min(contact.asked, contact.force_limit)
+    if contact.answered:
+        return min(desired, settings.preload) if contact.calm > 0.0 else desired
+    # No more than is needed to find out: what is fed forward moves a tool that nothing bears.
+    if contact.resting > 0.0:
+        return min(desired, settings.preload)
+    return min(desired, max(contact.felt + settings.contact_threshold, settings.preload))
+
+
+@compiled
+def speed_bound(contact: Any, settings: Any) -> float:
+    """Return the largest speed into a surface that has not answered, 0 for none [m/s]."""
+    if contact.answered or not is_active(contact):
+        return 0.0
+    times = GENTLE
+    if contact.state == IMPACT:
+        times += (TOUCHING - GENTLE) * max(0.0, 1.0 - contact.in_state / IMPACT_TIME)
+    return times * settings.approach_speed
+
+
+@compiled
+def is_refuted(contact: Any, settings: Any, place: float) -> bool:
+    """Return whether the tip has gone too far for a surface, which has not answered."""
+    way = place - contact.least_place
+    if not is_active(contact) or contact.answered or contact.seen <= settings.settling_time:
+        return False
+    if contact.resumed:  # it may slide along a slope meanwhile
+        return way > settings.approach_distance
+    return way > YIELDING or way < -RETREATING
+
+
+@compiled
+def refute(contact: Any, settings: Any, place: float, speed: float) -> None:
+    """Let a contact go that was none: all that is read is no force."""
+    _take_off(contact, settings, contact.untared + contact.felt)
+    contact.free_way = FREE_WAY
+    contact.origin = np.nan
+    contact.level = 0.0
+    let_go(contact, place, speed)
+
+
+@compiled
+def _search(contact: Any, settings: Any, alpha: float, place: float, speed: float) -> None:
+    """Tell on the way to a surface what is read freely from what comes of it."""
+    seen = TARE_SHARE * settings.contact_threshold
+    if alpha < seen:
+        _begin_answer(contact)
+        contact.free_way = max(contact.free_way, contact.displacement - contact.start)
+        contact.free_baseline = contact.baseline
+    else:
+        _watch_answer(contact, settings, alpha, place, speed)
+
+
+@compiled
+def _touch(contact: Any, settings: Any, alpha: float) -> float:
+    """
+    Begin to press; return the measured force without what was read before [N].
+
+    What was read from the first moment on, without a way in free space, may be the force of a
+    surface that the tip rests on; it stays in, unless it pulls.
+    """
+    reading = alpha + contact.untared
+    if contact.free_way < FREE_WAY and contact.untared > 0.0:
+        if contact.untared > settings.preload:
+            contact.answered, contact.resting = False, contact.untared
+        contact.baseline = contact.untared = 0.0
+    elif contact.untared != 0.0:
+        _take_off(contact, settings, contact.free_baseline)
+    taken = reading - contact.untared
+    contact.felt += taken - alpha
+    contact.least += taken - alpha
+    return taken
+
+
+@compiled
+def _watch_search(
+    contact: Any, settings: Any, alpha: float, place: float, speed: float,
+) -> None:
     """Touch, or give up, or begin to look for a lost surface."""
     threshold = settings.contact_threshold
     if contact.state == LOST:  # a tool that is being braked reads its own inertia
         threshold = max(2.0 * threshold, TOUCH_SHARE * contact.level)
+        _begin_answer(contact)
+    else:
+        _search(contact, settings, alpha, place, speed)
     met_before = not np.isnan(contact.origin)
     if alpha > threshold:
+        if contact.state == APPROACHING:
+            alpha = _touch(contact, settings, alpha)
         contact.force_limit = max(alpha, settings.preload) if met_before else settings.preload
-        contact.below = 0.0
-        contact.level = 0.0
+        contact.below = contact.level = contact.calm = 0.0
+        contact.touch_place = contact.flat_place = place
         contact.state = IMPACT
     elif contact.state == LOST:
         if contact.in_state >= LOST_TIME and (
                 abs(contact.target - contact.displacement) < 2e-4 and abs(contact.speed) < 2e-3):
-            contact.start = contact.displacement
+            if met_before:
+                contact.start = contact.displacement
             contact.state = APPROACHING
     elif contact.displacement - contact.start > (
             SEARCH_DISTANCE if met_before else settings.approach_distance):
@@ -105,14 +351,21 @@ def _watch_hold(
 ) -> None:
     """Notice a loss, or that a touch has lasted."""
     h = settings.period
+    if not contact.answered:
+        _watch_answer(contact, settings, alpha, place, speed)
+        if contact.answered and contact.state == HOLDING and not contact.resumed:
+            _take_answer(contact, settings)
     threshold = max(settings.release_threshold, RELEASE_SHARE * min(
         contact.level, contact.asked, contact.force_limit))
+    held = contact.state == HOLDING and contact.calm == 0.0
     if alpha >= threshold:
         contact.below = 0.0
-        contact.origin = place - alpha / contact.stiffness  # where it would not press any more
+        contact.calm = max(0.0, contact.calm - h)
+        if contact.answered or contact.resumed:  # where it would not press any more
+            contact.origin = place - alpha / contact.stiffness
         contact.level += h / (LEVEL_TIME + h) * (alpha - contact.level)
     else:
-        if contact.below == 0.0 and contact.state == HOLDING and (
+        if contact.below == 0.0 and held and (
                 speed - contact.surface_speed < -REBOUND_SPEED and contact.shaken <= 0.0):
             # Thrown back by a surface that is stiffer than its model: it returns by itself,
             # once; one that is thrown back again and again swings, and is better let go.
@@ -120,7 +373,7 @@ def _watch_hold(
             contact.shaken = REBOUNDS_APART
         contact.below += h
     contact.shaken = max(0.0, contact.shaken - h)
-    patience = settings.bounce_time if contact.state == IMPACT else settings.loss_time
+    patience = settings.loss_time if held else settings.bounce_time
     # A step of the force is a motion, too: into a surface that yields as its model.
     step = abs(min(contact.asked, contact.force_limit) - contact.level)
     fastest = ESCAPE_SPEED + step / (contact.stiffness * STEP_TIME)
@@ -144,6 +397,7 @@ def _switch_state(
         contact.losses = 0
         contact.origin = np.nan
         contact.target = 0.0
+        contact.untared = 0.0
     elif (alpha > settings.force_ceiling and contact.state != RETRACTING) or (
             contact.left and is_active(contact)):
         contact.displacement = place
@@ -153,7 +407,7 @@ def _switch_state(
         contact.state = RETRACTING
     elif contact.state == FREE:
         contact.start = contact.displacement
-        contact.state = APPROACHING
+        _begin_search(contact, settings)
     elif is_active(contact):
         _watch_hold(contact, settings, alpha, place, speed, escape)
     elif contact.state == RETRACTING:
@@ -165,9 +419,9 @@ def _switch_state(
             contact.left = False
             # As far as before, wherever the tip has come to meanwhile.
             contact.start = contact.origin if met_before else contact.target
-            contact.state = APPROACHING
+            _begin_search(contact, settings)
     else:
-        _watch_search(contact, settings, alpha)
+        _watch_search(contact, settings, alpha, place, speed)
 
 
 @compiled
@@ -183,9 +437,16 @@ def advance_contact(
     contact.in_state += h
     contact.again = contact.again and contact.state == GIVEN_UP
     before = contact.state
+    if before == FREE or before == GIVEN_UP:
+        average_reading(contact, settings, alpha)
+    elif before == APPROACHING:
+        follow_reading(contact, settings, alpha, contact.speed * h)
     _switch_state(contact, settings, alpha, place, speed, escape)
+    contact.last_speed = speed
     if contact.state != before:
         contact.in_state = 0.0
+        if contact.state == FREE or contact.state == GIVEN_UP:
+            contact.averaged = 0.0
     if is_active(contact):
         contact.acceleration = 0.0
         # It has what is asked for once it holds; after a loss at a bounded rate.

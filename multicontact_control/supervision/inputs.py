@@ -8,7 +8,8 @@ valid one stands in for it, and calls for a reaction (`checks.reaction_to`) once
 A fault is called ``<part>_<problem>``; the parts are `joints`, `wrench`, `variance` and `clock`:
 `invalid` (no number, or an impossible one), `jump` (a joint is not where its speed has taken it),
 `velocity` (positions contradict it, and make up for it, see `velocities`), `frozen` (identical
-readings in a row), `saturated` (at full scale), `stamp` (none, in the future, before an earlier
+readings in a row), `saturated` (at full scale), `outlier` (a wrench far from the one before, and
+the only one: two in a row are a change), `stamp` (none, in the future, before an earlier
 one, or of a wrench that comes more than a period late), `stale` (too old, and nothing newer has
 come), and of the clock `backwards` and `rate` (a wrong period twice).
 """
@@ -30,14 +31,23 @@ PARTS = ('joints', 'wrench', 'variance', 'clock')
 JOINTS, WRENCH, VARIANCE, CLOCK, TORQUES = range(5)
 # What is wrong; FINE: nothing, ABSENT: no reading has come.
 PROBLEMS = (
-    '', 'invalid', 'jump', 'frozen', 'saturated', 'stamp', 'backwards', 'rate', 'velocity')
-FINE, INVALID, JUMP, FROZEN, SATURATED, STAMP, BACKWARDS, RATE, VELOCITY = range(9)
+    '', 'invalid', 'jump', 'frozen', 'saturated', 'stamp', 'backwards', 'rate', 'velocity',
+    'outlier')
+FINE, INVALID, JUMP, FROZEN, SATURATED, STAMP, BACKWARDS, RATE, VELOCITY, OUTLIER = range(10)
 ABSENT = -1
 
 SATURATED_SHARE = 0.99  # of full scale, from which on a reading is saturated
 FAULTS = 2  # wrong velocities, or frozen or saturated wrenches, in a row that are not bridged
 WRENCH_AGE = 1.501  # periods, up to which a wrench is that of its tick
 HARDEST = 1e6  # N or N m; no wrench is beyond it
+# The innovation of a wrench that is an outlier: against the wrench before, in each axis. Sliding
+# over roughness at 0.12 m/s changes a force by 6 N and a torque by 0.8 N m in a period.
+FORCE_OUTLIER, TORQUE_OUTLIER = 6.5, 1.0  # N, N m, at least
+OUTLIER_FACTOR = 6.0  # and times the root mean square of what usually changes
+USUAL_TIME = 0.5  # s, over which that is averaged
+LEARNT_WRENCHES, UNLEARNT = 50, 20.0  # from which on it is known; N, N m, at least until then
+CHANGE_TIME = 0.02  # s after a change, in which wrenches are taken as they come
+OUTLIER_TIME, MOST_OUTLIERS = 2.0, 16.0  # s, and how many in that are a fault of the sensor
 FARTHEST = 1e3  # rad; no joint is beyond it
 SPEED_EXCESS = 3.0  # times the speed limit of a joint; no joint is faster
 STILL = 1e-4  # rad/s; below it a joint state may repeat itself
@@ -173,6 +183,44 @@ def _check_joints(
 
 
 @compiled
+def _is_outlier(state: Any, settings: Any, span: float) -> bool:
+    """
+    Return whether a wrench, `span` after the valid one before [s], is to be left out.
+
+    It is far from the one before in any axis, and the first such one. What usually changes from
+    one wrench to the next is learnt from those that are taken.
+    """
+    h = settings.period
+    state.outliers *= np.exp(-h / OUTLIER_TIME)
+    state.trusted = max(0.0, state.trusted - h)
+    apart = span > (2.5 if state.suspect else 1.5) * h
+    if not settings.leaves_out or apart or np.isnan(span) or np.isnan(state.last[0]):
+        return False
+    known, far = state.learnt >= LEARNT_WRENCHES, False
+    for i in range(6):
+        least = UNLEARNT
+        if known:
+            least = FORCE_OUTLIER if i < 3 else TORQUE_OUTLIER
+        usual = OUTLIER_FACTOR * np.sqrt(state.mean_square[i])
+        if not abs(state.raw[i]) < min(settings.full_scale[i], HARDEST):
+            return False  # that is a fault of its own
+        far = far or abs(state.raw[i] - state.last[i]) > max(least, usual)
+    if far and state.trusted == 0.0:
+        if not state.suspect:
+            return True
+        state.trusted = CHANGE_TIME
+        state.outliers -= 1.0  # the one before was none, and counts for what follows
+        state.last[:], state.equal_wrenches = state.suspected, 1
+    if state.trusted == 0.0:
+        state.learnt += 1
+        share = max(h / USUAL_TIME, 1.0 / state.learnt)
+        for i in range(6):
+            change = state.raw[i] - state.last[i]
+            state.mean_square[i] += share * (change * change - state.mean_square[i])
+    return False
+
+
+@compiled
 def _take_wrench(state: Any, settings: Any) -> int:
     """Check a wrench, and low-pass it: transposed direct form II, settled on its first wrench."""
     equal, saturated = True, False
@@ -196,6 +244,7 @@ def _take_wrench(state: Any, settings: Any) -> int:
             memory[1, i] = b[2] * raw - a[2] * filtered
         state.filtered[i] = filtered
     state.equal_wrenches = state.equal_wrenches + 1 if equal else 1
+    state.suspect = False
     frozen = 0 < settings.frozen_ticks <= state.equal_wrenches
     state.faults = state.faults + 1 if saturated or frozen else 0
     return SATURATED if saturated else FROZEN if frozen else FINE
@@ -288,7 +337,14 @@ def check_inputs(
             state.blind_ticks = 0
         elif problem[JOINTS] != JUMP:  # it says nothing of where the joints are now
             state.seen[JOINTS] = before
-    if problem[WRENCH] == FINE:
+    if problem[WRENCH] == FINE and _is_outlier(
+            state, settings, state.stamp[WRENCH] - state.valid[WRENCH]):
+        problem[WRENCH] = OUTLIER
+        state.suspect = True
+        state.outliers += 1.0
+        state.suspected[:] = state.raw
+        state.raw[:] = state.last
+    elif problem[WRENCH] == FINE:
         problem[WRENCH] = _take_wrench(state, settings)
         if problem[WRENCH] == FINE:
             controls[0].wrench[:] = state.filtered
@@ -305,7 +361,8 @@ def check_inputs(
     contradicted = problem[JOINTS] == VELOCITY and state.contradicted >= FAULTS
     stale[JOINTS] = stale[JOINTS] or contradicted or (
         problem[JOINTS] == JUMP or problem[JOINTS] == FROZEN)
-    stale[WRENCH] = stale[WRENCH] or state.faults >= FAULTS
+    stale[WRENCH] = stale[WRENCH] or state.faults >= FAULTS or (
+        problem[WRENCH] == OUTLIER and state.outliers > MOST_OUTLIERS)
     stale[CLOCK] = problem[CLOCK] != FINE
     for i in range(new_variance.shape[0]):
         variance = contacts[i].noise_variance * (VARIANCE_GROWTH if stale[VARIANCE] else 1.0)
@@ -325,14 +382,18 @@ class Inputs:
     """
     The input stage of a controller, into whose records goes what is valid.
 
+    If not `guarded`, outliers of the wrench stay in.
+
     Attributes
     ----------
     raw, filtered
-        The newest wrench before and behind the low-pass, shape (6,) [N, N m].
+        The newest wrench that was no outlier before and behind the low-pass, shape (6,) [N, N m].
 
     """
 
-    def __init__(self, config: ControllerConfig, controller: Controller) -> None:
+    def __init__(
+        self, config: ControllerConfig, controller: Controller, *, guarded: bool = True,
+    ) -> None:
         motion, joints = controller.arm.motion, controller.arm.joints
         controls, contacts = controller.controls, controller.contacts
         n = len(joints)
@@ -343,6 +404,7 @@ class Inputs:
         readings[5] = np.where(controller.robot.turning, 2.0 * math.pi, 0.0)
         variance = np.clip(config.initial_noise_variance, VARIANCE_FLOOR, VARIANCE_CEILING)
         self._stage: Any = _stage_record(config)
+        self._stage['settings']['leaves_out'] = guarded and config.wrench_input != 'momentum'
         self._initial = self._stage.copy(), readings.copy(), variance
         self._readings, self._new_variance = readings, np.zeros(len(contacts))
         self._history: Matrix = np.zeros((velocities.HISTORY, 2 * n))
@@ -393,7 +455,7 @@ class Inputs:
     @property
     def fresh(self) -> bool:
         """Whether a wrench came with this tick, valid or not."""
-        return self._state['problem'][WRENCH] not in (ABSENT, STAMP)
+        return self._state['problem'][WRENCH] not in (ABSENT, STAMP, OUTLIER)
 
     @property
     def sensor_fault(self) -> str:

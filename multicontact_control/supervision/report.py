@@ -23,6 +23,7 @@ class SupervisorStatus(NamedTuple):
     contact_states: tuple[str, ...]
     task_time: float  # which stands still during a reaction [s]
     unwatched: str = ''  # whose measured torques are of no use, and what is not watched therefore
+    read_before: tuple[str, ...] = ()  # what was read of contacts before a touch, in words
 
 
 def no_answer(joints: int, contacts: int) -> ControlOutput:
@@ -50,7 +51,8 @@ class EventLog:
             self.rejected.update(status.rejected)
         if status.limits:
             self.limited.update(status.limits)
-        now = (status.reaction, status.causes, status.limits, status.contact_states)
+        now = (status.reaction, status.causes, status.limits, status.contact_states,
+               len(status.read_before))
         if now == self._before:
             return
         self.collisions.update(cause for cause in status.causes if cause.startswith(COLLISION)
@@ -59,4 +61,4 @@ class EventLog:
         if len(self.events) < CAPACITY:
             self.events.append((time, ' | '.join([
                 status.reaction, ' '.join(status.causes + status.limits),
-                ', '.join(status.contact_states)])))
+                ', '.join(status.contact_states), *status.read_before])))

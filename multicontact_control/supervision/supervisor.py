@@ -59,7 +59,7 @@ class Supervisor:
         self.controller = controller = Controller(config, robot)
         self._joints, self._controls = controller.arm.joints, controller.controls
         self.task = ContactTask(config, source, controller, guarded=guarded)
-        self.inputs = Inputs(config, controller)
+        self.inputs = Inputs(config, controller, guarded=guarded)
         self.gate = TorqueGate(config, controller.arm, guarded=guarded)
         self.reactions = reactions.Reactions(config, controller)
         self._recovery = reactions.Recovery(config.watchdog.recovery_time, config.period)
@@ -371,7 +371,8 @@ class Supervisor:
         self._output = output
         return output, SupervisorStatus(
             reaction, causes, self._seen.rejected, limits, self.task.state_names,
-            self._task_ticks * self._period, self._unwatched()) if self.guarded else None
+            self._task_ticks * self._period, self._unwatched(),
+            self.task.read_before) if self.guarded else None
 
     def reconfigure(self, config: ControllerConfig) -> None:
         """Go on with other live parameters, without a jump; or ConfigError, as it was before."""

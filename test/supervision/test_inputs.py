@@ -212,6 +212,42 @@ def sensed(wrenches, **sensor):
     return stage, np.array(passed), rejected
 
 
+@pytest.mark.parametrize(('order', 'axis', 'size'), [(0, 2, 8.0), (0, 4, -1.5), (2, 0, 40.0)])
+def test_single_wrench_far_from_the_others_is_left_out_and_two_in_a_row_are_taken(
+        order, axis, size):
+    random = np.random.default_rng(0)
+    signal = 0.05 * random.standard_normal((400, 6))
+    struck, changed = signal.copy(), signal.copy()
+    struck[200, axis] += size
+    changed[200:, axis] += size
+    sensor = {'filter_order': order, 'filter_cutoff': 40.0}
+    left_out = [('wrench_outlier',) if k == 200 else () for k in range(400)]
+    calm = sensed(signal, **sensor)[1]
+    _, passed, rejected = sensed(struck, **sensor)
+    assert rejected == left_out
+    assert np.abs(passed - calm).max() < 0.3
+    stage, passed, rejected = sensed(changed, **sensor)
+    assert rejected == left_out
+    np.testing.assert_array_equal(stage.raw, changed[-1])
+    if not order:
+        np.testing.assert_array_equal(passed[201:], changed[201:])
+
+
+def test_outlier_of_a_wrench_is_not_looked_for_without_guards_and_after_a_gap():
+    signal = 0.05 * np.random.default_rng(0).standard_normal((200, 6))
+    stage, bare = make(), Inputs(CONFIG, SimpleNamespace(
+        arm=SimpleNamespace(motion=np.zeros((2, 6)), joints=np.zeros(6, JOINT)),
+        controls=np.zeros(1, CONTROL), contacts=np.zeros(CONTACTS, CONTACT),
+        robot=SimpleNamespace(turning=False)), guarded=False)
+    for k, wrench in enumerate(signal):
+        if k == 150:
+            wrench = wrench + 20.0
+        time = (k + 5 * (k >= 150)) * H
+        for each, gap in ((stage, time), (bare, k * H)):
+            seen = each.validate(TickInputs(gap, wrench=WrenchInput(gap, wrench)))
+            assert 'wrench_outlier' not in seen.rejected or (each is stage and k == 151)
+
+
 @pytest.mark.parametrize('order', [1, 2])
 def test_low_pass_is_scipys_butterworth_from_a_settled_start(order):
     """It goes on behind a missing number."""

@@ -1,0 +1,210 @@
+"""A wrench that is read in free space is no touch, and a single far one is no force."""
+
+from contextlib import closing
+
+from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.supervision.inputs import WrenchInput
+import numpy as np
+import pytest
+
+ROBOTS = ('puma', 'panda', 'iiwa', 'ur5', 'kinova')
+APPROACH = 0.02  # m/s
+SMOOTH = {'table': {'roughness_std': 0.0}}
+
+
+class Biased:
+    """An arm that is commanded to press, with something added to what its wrist sensor reads."""
+
+    def __init__(self, robot, bias, *, scenario='quick', surfaces=SMOOTH, **setup):
+        self.loop = ClosedLoop(resolve(
+            scenario, robot=robot, plant_overrides={'surfaces': surfaces}, **setup),
+            commanded=True)
+        self.bias, self.period = bias, self.loop.setup.controller.period
+        self.true, self.measured, self.speed = [], [], []
+        self.states, self.rejected, self.reactions = set(), [], set()
+
+    def close(self):
+        self.loop.close()
+
+    @property
+    def status(self):
+        return self.loop.status
+
+    def run(self, seconds, *, blind=False):
+        """Go on, and keep the true and measured force of the first contact, and its speed."""
+        for _ in range(round(seconds / self.period)):
+            added = np.asarray(self.bias(self.loop.tick * self.period), dtype=float)
+            self.true.append(self.loop.sample.contact_force[0])
+            output = self.loop.advance(lambda inputs, added=added: inputs._replace(
+                wrench=None if blind else WrenchInput(
+                    inputs.wrench.stamp, inputs.wrench.wrench + added)))
+            self.measured.append(output.contacts['alpha_meas'][0])
+            self.speed.append(output.contacts['N'][0] @ output.controls['frame']['twist'][0])
+            self.states.add(self.status.contact_states[0])
+            self.reactions.add(self.status.reaction)
+            self.rejected += self.status.rejected
+
+    def press(self, seconds, **forces):
+        self.loop.control.set_forces(forces)
+        self.run(seconds)
+
+    @property
+    def first(self):
+        """Return the tick of the first true touch, or how many ticks there were."""
+        touched = np.array(self.true) > 0.1
+        return int(np.argmax(touched)) if touched.any() else len(touched)
+
+    @property
+    def fastest(self):
+        """Return the largest speed to the surface before it is touched [m/s]."""
+        return max(self.speed[:self.first])
+
+
+def constant(*bias):
+    return lambda time: bias
+
+
+def step(size, begin, axis=2):
+    return lambda time: size * np.eye(6)[axis] * (time >= begin)
+
+
+@pytest.mark.parametrize('robot', ROBOTS)
+@pytest.mark.parametrize('bias', [
+    (0, 0, 2.4, 0, 0, 0), (0, 0, -4.0, 0, 0, 0), (2.3, -2.3, 4.0, 0.1, -0.1, 0.1)])
+def test_bias_is_no_touch_and_is_taken_off_the_force(robot, bias):
+    with closing(Biased(robot, constant(*bias))) as arm:
+        arm.run(0.2)
+        arm.press(2.0, table=30.0)
+        assert arm.fastest < 1.2 * APPROACH
+        assert max(arm.true) < 36.0
+        assert np.mean(arm.true[-100:]) == pytest.approx(30.0, abs=0.3)
+        assert arm.status.contact_states[0] == 'holding'
+        line = arm.status.read_before[0]
+        assert line.startswith(f'table reads {bias[2]:+.1f} N') and line.endswith('tare')
+        assert any(line in event for _, event in arm.loop.control.events.events)
+
+
+@pytest.mark.parametrize('robot', ROBOTS)
+@pytest.mark.parametrize('size', [2.0, 2.4, 4.0])
+def test_step_of_the_bias_on_the_way_is_no_touch(robot, size):
+    """It is touched at the speed of an approach at most, whatever is commanded."""
+    with closing(Biased(robot, step(size, 0.5))) as arm:
+        arm.run(0.2)
+        arm.press(1.3, table=30.0)
+        assert 0.5 < arm.first * arm.period < 1.2
+        assert arm.fastest < 1.2 * APPROACH
+        assert max(arm.true) < 30.0 + 20.0
+
+
+def test_force_of_the_bias_is_commanded():
+    """4 N that are read are not 4 N that are reached."""
+    with closing(Biased('panda', constant(0, 0, 4.0, 0, 0, 0))) as arm:
+        arm.run(0.2)
+        arm.press(2.0, table=4.0)
+        assert np.mean(arm.true[-100:]) == pytest.approx(4.0, abs=0.2)
+        assert 'lost' not in arm.states
+
+
+def test_contact_that_yields_without_end_is_given_up_as_a_surface_that_is_not_met():
+    """Two steps in free space are taken for touches, and the search goes on behind each."""
+    away = {'table': {'point_world': [0.0, 0.55, -1.0], 'roughness_std': 0.0}}
+    with closing(Biased('panda', lambda time: step(2.0, 0.5)(time) + step(2.5, 2.5)(time),
+                        surfaces=away)) as arm:
+        arm.run(0.2)
+        arm.press(8.0, table=30.0)
+        assert not any(arm.true)
+        assert max(arm.speed) < 1.2 * APPROACH
+        assert {'impact', 'lost', 'given up'} <= arm.states
+        assert arm.reactions == {'none'}
+
+
+@pytest.mark.parametrize(('stiffness', 'damping', 'most', 'seconds'), [
+    (300.0, 5.0, 15.0, 6.0), (6000.0, 30.0, 11.0, 2.0), (1e6, 100.0, 60.0, 3.0)])
+@pytest.mark.parametrize('size', [0.0, 3.0])
+def test_surface_answers_however_stiff_it_is(stiffness, damping, most, seconds, size):
+    """A loop that is designed for 6000 N/m is slow on a soft one."""
+    surface = {'table': {
+        'roughness_std': 0.0, 'stiffness': stiffness, 'damping': damping}}
+    with closing(Biased('panda', constant(0, 0, size, 0, 0, 0), surfaces=surface)) as arm:
+        arm.run(0.2)
+        arm.press(seconds, table=10.0)
+        assert np.mean(arm.true[-100:]) == pytest.approx(10.0, abs=0.5)
+        assert max(arm.true) < most
+
+
+@pytest.mark.parametrize(('depth', 'force'), [(1e-3, 10.0), (5e-4, 4.0), (1e-3, 3.0)])
+def test_tip_that_rests_on_a_surface_presses_with_what_is_commanded(depth, force):
+    """What is read there is its force: there is no way in free space."""
+    setup = resolve('quick', robot='puma')
+    table = setup.plant.surfaces['table']
+    point = np.array(table.point_world) - (0.007 + depth) * np.array(table.normal_world)
+    resting = {'table': {'point_world': point.tolist(), 'roughness_std': 0.0}}
+    with closing(Biased('puma', constant(*np.zeros(6)), surfaces=resting)) as arm:
+        arm.run(0.3)
+        assert arm.true[-1] > 1.5
+        arm.press(1.5, table=force)
+        assert np.mean(arm.true[-100:]) == pytest.approx(force, abs=0.2)
+        assert max(arm.true) < max(force, arm.true[149]) + 3.0
+
+
+@pytest.mark.parametrize('scenario', ['edge', 'plane'])
+def test_bias_of_a_couple_does_not_turn_the_tool_in_free_space(scenario):
+    name = {'edge': 'edge', 'plane': 'face'}[scenario]
+    with closing(Biased('puma', lambda time: step(2.5, 0.5)(time) + [0, 0, 0, 0.2, 0.2, 0],
+                        scenario=scenario, surfaces={})) as arm:
+        arm.run(0.2)
+        turns = []
+        arm.loop.control.set_forces({name: 10.0})
+        for _ in range(100):
+            arm.run(0.02)
+            turns.append(np.abs(arm.loop.control.output.controls['frame']['twist'][0][3:]).max())
+        assert arm.fastest < 1.2 * APPROACH
+        assert max(turns[:arm.first // 10 - 10]) < 0.05
+        assert np.mean(arm.measured[-100:]) == pytest.approx(10.0, abs=0.3)
+        assert arm.status.contact_states[0] == 'holding'
+
+
+def test_surface_that_goes_while_control_pauses_has_to_be_met_again():
+    """A bias beyond the threshold does not stand for it."""
+    leaving = {'table': {'roughness_std': 0.0, 'velocity': 0.1, 'motion_start': 1.5}}
+    with closing(Biased('panda', step(2.4, 1.6), surfaces=leaving)) as arm:
+        arm.run(0.2)
+        arm.press(1.29, table=10.0)
+        assert arm.true[-1] > 9.0
+        arm.run(0.3, blind=True)
+        assert arm.status.reaction == 'hold'
+        arm.run(1.0)
+        assert arm.status.reaction == 'none'
+        assert not any(arm.true[-400:])
+        assert max(arm.speed[-450:]) < 1.2 * APPROACH
+
+
+def spikes(size, rate, seed=0):
+    random = np.random.default_rng(seed)
+    struck = random.random(10_000) < rate / 500.0
+    signs = random.choice([-1.0, 1.0], 10_000)
+    return lambda time: np.eye(6)[2] * (
+        size * signs[round(time * 500)] * struck[round(time * 500)])
+
+
+@pytest.mark.parametrize('robot', ['puma', 'panda'])
+@pytest.mark.parametrize('size', [8.0, 40.0])
+def test_single_wrenches_far_from_the_others_cost_no_force(robot, size):
+    with closing(Biased(robot, spikes(size, 2.0))) as arm:
+        arm.run(0.2)
+        arm.press(2.0, table=10.0)
+        arm.run(2.0)
+        assert arm.reactions == {'none'}
+        assert np.mean(arm.true[-1000:]) == pytest.approx(10.0, abs=0.2)
+        assert np.abs(np.array(arm.true[-1000:]) - 10.0).max() < 0.5
+        assert set(arm.rejected) == {'wrench_outlier'}
+        assert arm.loop.control.events.rejected['wrench_outlier'] == len(arm.rejected)
+
+
+def test_wrench_with_many_outliers_is_a_fault_of_the_sensor():
+    with closing(Biased('panda', spikes(40.0, 25.0))) as arm:
+        arm.run(0.2)
+        arm.press(2.5, table=10.0)
+        assert 'hold' in arm.reactions
+        assert max(arm.true) < 15.0
