@@ -70,7 +70,8 @@ class ControlLoop:
         if config.wrench_input == 'momentum' and not supervised:
             raise ConfigError('wrench_input', 'raw or filtered without a supervisor', 'momentum')
         self.limits = limits
-        source = scenario or CommandedTask(config.column_names, config.leader_of)
+        source = scenario or CommandedTask(
+            config.column_names, config.leader_of, config.limits)
         self._commanded = source if isinstance(source, CommandedTask) else None
         robot = RobotModel(config.robot, base_dir)
         self.warnings = robot.warnings(config.torque_limit)

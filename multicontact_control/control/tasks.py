@@ -8,11 +8,13 @@ import math
 from typing import NamedTuple, Protocol
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.config import Config, parameter, UnitVector3
+from multicontact_control.config import Config, LimitsConfig, parameter, UnitVector3
+from multicontact_control.control.steps import Remainder
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
 
+QUINTIC_SPEED, QUINTIC_ACCELERATION = 15.0 / 8.0, 10.0 / math.sqrt(3.0)  # peaks of b' and b''
 STILL = np.zeros(6)  # twist and acceleration
 STILL.flags.writeable = False
 
@@ -102,6 +104,18 @@ def quintic(elapsed: float, duration: float) -> tuple[float, float, float]:
     return (x ** 3 * (10.0 + x * (-15.0 + 6.0 * x)),
             30.0 * x ** 2 * (1.0 - x) ** 2 / duration,
             60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration ** 2)
+
+
+def shortest_duration(change: Vector, limits: LimitsConfig) -> float:
+    """Return the least time of a `quintic` over a way, shape (6,) [m, rad], within limits [s]."""
+    durations = [0.0]
+    for part, speed, acceleration in (
+            (change[:3], limits.operational_speed, limits.operational_acceleration),
+            (change[3:], limits.operational_turn, limits.operational_turn_acceleration)):
+        way = float(np.linalg.norm(part))
+        durations += [QUINTIC_SPEED * way / speed,
+                      math.sqrt(QUINTIC_ACCELERATION * way / acceleration)]
+    return max(durations)
 
 
 def sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:
@@ -216,19 +230,27 @@ class CommandedTask:
     The task that a user sets, over topics or from a program; `CommandLimits` checks the commands.
 
     Names and leaders are those of a `ScenarioTask`. Until a motion is commanded, `pose` is that
-    of the start, and None before. A contact with a force above 0 is force controlled.
+    of the start, and None before. A contact with a force above 0 is force controlled. With
+    `limits`, a step of the motion is walked within them; see `Remainder`.
     """
 
     contact_state: Mapping[str, float] = {}
 
-    def __init__(self, names: Sequence[str], leader_of: Sequence[int] | None = None) -> None:
+    def __init__(
+        self, names: Sequence[str], leader_of: Sequence[int] | None = None,
+        limits: LimitsConfig | None = None,
+    ) -> None:
         self._names = tuple(names)
+        self._remainder = None if limits is None else Remainder(limits)
         self._leader_of = np.array(range(len(names)) if leader_of is None else leader_of)
         self.start(None, np.empty((0, 3)))
 
     def start(self, pose: Pose | None, normals_world: Matrix) -> None:
         """Forget all commands, and begin from a pose at rest; see `TaskSource.start`."""
         self.pose = pose
+        self._normals, self._time = normals_world, math.nan
+        if self._remainder is not None:
+            self._remainder.forget()
         self._twist = self._acceleration = STILL
         self._lasting = self._until = math.inf  # of these two [s]; NaN until the next tick
         self._alpha_des = np.zeros(len(self._names))
@@ -252,7 +274,16 @@ class CommandedTask:
         known = ~np.isnan(followed)
         desired[known] = followed[known] * desired[self._leader_of][known]
         self._alpha_des, self._shares = desired, followed
+        self._leave_normals()
         return bool((desired != before).any())
+
+    def _leave_normals(self) -> None:
+        """Stay beside the surfaces that are wanted: these place the tip from now on."""
+        wanted, left = self._alpha_des > 0.0, self._remainder
+        if self.pose is not None and left is not None and left.left and wanted.any():
+            given_up = left.leave(self._normals[wanted].T)
+            position, rotation = self.pose
+            self.pose = Pose(position + given_up, rotation)
 
     @property
     def forces(self) -> dict[str, float]:
@@ -281,7 +312,9 @@ class CommandedTask:
             start = self.pose.position_world
             position = start + across @ (position - start)
             twist[:3], acceleration[:3] = across @ twist[:3], across @ acceleration[:3]
-        self.pose = Pose.from_quaternion(position, quaternion)
+        before, self.pose = self.pose, Pose.from_quaternion(position, quaternion)
+        if self._remainder is not None and before is not None:
+            self._remainder.take(before, self.pose, self._twist, twist)
         self._twist, self._acceleration = twist, acceleration
         self._lasting, self._until = lasting, math.nan
 
@@ -293,5 +326,13 @@ class CommandedTask:
             self._until = time + self._lasting
         if time > self._until:
             self._twist = self._acceleration = STILL
-        return Task(self.pose, self._twist, self._acceleration,
+        pose, twist, acceleration = self.pose, self._twist, self._acceleration
+        period, self._time = time - self._time, time
+        if self._remainder is not None and self._remainder.left and period > 0.0:
+            self._remainder.advance(period)
+        if self._remainder is not None and self._remainder.left:
+            pose = self._remainder.of(pose)
+            twist = twist + self._remainder.rate
+            acceleration = acceleration + self._remainder.acceleration
+        return Task(pose, twist, acceleration,
                     (self._alpha_des > 0.0)[self._leader_of], self._alpha_des)

@@ -234,7 +234,7 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
             along, ahead = dot(gap, axis), dot(way, axis)
             gap -= along * axis
             way -= ahead * axis
-    share = _share_within(gap, way, limit.reach, twist, acceleration)
+    share = _share_within(gap, way, limit.reach, twist[:3], acceleration[:3])
     if share < 1.0:
         position -= gap * (1.0 - share)
     rotation_vector(task.rotation, frame.rotation, turn)
@@ -251,11 +251,22 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
 def _share_within(
     gap: Vector, way: Vector, reach: float, twist: Vector, acceleration: Vector,
 ) -> float:
-    """Return the share of a gap within reach, with the motion zeroed; 2 if all is within."""
+    """
+    Return the share of a gap within reach, with the motion shortened as much; 2 if all is within.
+
+    Gap and way ahead are then together as long as the reach: what the motion law is asked for
+    comes to the largest speed without a jump. Of a gap that alone is longer nothing is left but
+    the reach.
+    """
     length = np.sqrt(dot(gap, gap))
     together = dot(gap, gap) + 2.0 * dot(gap, way) + dot(way, way)
     if not (length > reach or together > reach * reach):
         return 2.0
-    twist[:] = 0.0
-    acceleration[:] = 0.0
-    return min(reach / length, 1.0)
+    if length > reach:
+        twist[:] = 0.0
+        acceleration[:] = 0.0
+        return reach / length
+    share = reach / np.sqrt(together)
+    twist *= share
+    acceleration *= share
+    return share
