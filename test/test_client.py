@@ -153,11 +153,11 @@ def test_push_that_no_person_can_give_is_refused_and_moves_nothing(arm, domain_i
 
         def refusal():
             push.publish(message)
-            return [value.value for report in take(heard) for part in report.status
-                    if 'sim_node' in part.name for value in part.values
-                    if 'push' in value.key]
+            taken = take(heard)
+            return taken and [value.key for part in taken[0].status for value in part.values
+                              if 'sim_node/push: vector' in value.key]
 
-        wait_for(refusal, 'the refusal')
+        assert 'expected at most 150 N' in wait_for(refusal, 'the refusal')[0]
     assert np.linalg.norm(arm.read().position_world - before.position_world) < 0.002
 
 
