@@ -146,7 +146,8 @@ def test_push_that_no_person_can_give_is_refused_and_moves_nothing(arm, domain_i
     before = arm.read()
     with GuestNode('pusher', domain_id, 'arm') as pusher:
         heard = pusher.node.create_subscription(
-            topics.DIAGNOSTICS.message, topics.DIAGNOSTICS.name, ignore, topics.DIAGNOSTICS.profile)
+            topics.DIAGNOSTICS.message, topics.DIAGNOSTICS.name, ignore,
+            topics.DIAGNOSTICS.profile)
         push = create_publisher(pusher.node, topics.PUSH)
         message = Vector3Stamped()
         message.vector.z = 1e6
