@@ -20,6 +20,9 @@ from scipy.spatial.transform import Rotation
 
 GUARD_SHARE = 0.3  # of the force held, below which the measured force is fed forward
 GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bounces
+# An error of the averaged force that lasts is none of noise: N and share of the force asked for,
+# and how long that must have been the same [s].
+LASTING_ERROR, LASTING_SHARE, LASTING_TIME = 1.5, 0.25, 0.3
 RETURN_RATE = 2.0  # 1/s, of the way left, at which the task is caught up with after a pause
 RETURN_SHARE = 0.2  # of the largest speeds, at which it is at most
 PARALLEL = 1e-6  # length that is left of a normal that the others span already
@@ -175,6 +178,9 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
     for i in range(columns.shape[0]):
         column, state = columns[i], states[i]
         answer, normal = column.answer, column.normal
+        state.asked_for += limit.contacts.period
+        if state.asked != answer.alpha_des:
+            state.asked_for = 0.0
         state.wanted, state.asked = answer.active, answer.alpha_des
         first = column.config.leader
         if first != i:  # a couple is in the state of its normal force, which comes before
@@ -197,6 +203,7 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
                 state, limit.contacts, column.alpha_meas, dot(normal, away) - others, speed,
                 min(speed, dot(column.N, frame.twist)) - state.surface_speed)
             answer.alpha_des = min(state.asked, state.force_limit)
+            _follow_slide(limit.contacts.period, frame, column, state)
             column.guarded = state.state == contacts.HOLDING and state.in_state > GUARD_TIME and (
                 column.alpha_meas < GUARD_SHARE * min(state.level, state.asked))
         shift += state.displacement * normal
@@ -206,6 +213,28 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
             twist[:3] += state.speed * normal
             acceleration[:3] += state.acceleration * normal
     position += shift
+
+
+@compiled
+def _follow_slide(period: float, frame: Any, column: Any, state: Any) -> None:
+    """
+    Allow for a surface that is not as told where the tip slides on it.
+
+    Its force changes all the time, which counts as noise, R grows to hundreds of N^2, and the law
+    is blind while the surface falls away. The error e of the averaged force that lasts bounds it:
+    R <= e^2. After a loss the surface is sought as much deeper as it may be within `normal_range`.
+    """
+    config = column.config
+    error = abs(state.level - state.asked)
+    if state.state == contacts.HOLDING and min(state.in_state, state.asked_for) > LASTING_TIME:
+        if error > max(LASTING_ERROR, LASTING_SHARE * state.asked):
+            column.noise_variance = min(column.noise_variance, error * error)
+    if contacts.is_active(state):
+        state.fall = 0.0
+        return
+    velocity = frame.twist[:3] - dot(frame.twist[:3], config.normal) * config.normal
+    slope = np.sqrt(1.0 - config.smallest_cosine ** 2) / config.smallest_cosine
+    state.fall += slope * np.sqrt(dot(velocity, velocity)) * period
 
 
 @compiled

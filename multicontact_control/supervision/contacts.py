@@ -94,7 +94,8 @@ def _watch_search(contact: Any, settings: Any, alpha: float) -> None:
             contact.start = contact.displacement
             contact.state = APPROACHING
     elif contact.displacement - contact.start > (
-            SEARCH_DISTANCE if met_before else settings.approach_distance):
+            min(SEARCH_DISTANCE + contact.fall, settings.approach_distance) if met_before
+            else settings.approach_distance):
         contact.target = contact.start
         contact.state = GIVEN_UP
 
