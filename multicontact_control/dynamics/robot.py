@@ -163,6 +163,23 @@ class RobotModel:
         torque: Vector = -jacobian.T @ np.concatenate([weight, np.cross(lever, weight)])
         return torque
 
+    def gravity_shares(self, q: Vector, load: ToolConfig) -> Matrix:
+        """
+        Return dg/d(gravity) of the arm without a load where `compute` was called last, at q [rad].
+
+        g(q) is linear in the vector of gravity: a column for each world axis, shape (n, 3)
+        [N m per m/s^2].
+        """
+        model, data = self._model, self._model.createData()
+        known = model.gravity.linear.copy()
+        columns = []
+        for axis in np.eye(3):
+            model.gravity.linear = axis
+            columns.append(
+                pin.computeGeneralizedGravity(model, data, q) - self.load_torque(load))
+        model.gravity.linear = known
+        return np.array(columns).T
+
     def carry(self, load: ToolConfig, in_urdf: ToolConfig) -> None:
         """Let the model carry a point mass on the sensor in place of one that its URDF has."""
         parameters = self._body.toDynamicParameters()  # linear in mass, first and second moments
