@@ -8,7 +8,7 @@ import time
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import LimitsConfig
-from multicontact_control.control.tasks import quintic
+from multicontact_control.control.tasks import quintic, shortest_duration
 from multicontact_control.errors import CommandError, RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.link import CommandRefusedError, ControllerLink, DEACTIVATE
@@ -29,7 +29,6 @@ STATE_TOPICS = (
     topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.POSE,
     topics.POSE_DESIRED)
 LONGEST_ADVANCE = 0.1  # s between two set points of a motion; a late program makes no step
-WORKSPACE = ('limits.workspace_lower', 'limits.workspace_upper')
 
 
 class NotReachedError(RunError):
@@ -125,27 +124,27 @@ class MultiContactClient(ControllerLink):
         Along a straight line to a position, shape (3,) [m], with a quintic in time over a duration
         [s], longer if this program is late, at rest at both ends; the orientation is the present
         one by default. Without effect along the normals of controlled contacts.
-        CommandRefusedError if the goal is out of the workspace or not obeyed: the arm stays where
-        it got to.
+        CommandRefusedError if the goal is out of the workspace, if the limits of speed and
+        acceleration need a longer duration, or if it is not obeyed: the arm stays where it got to.
         """
         if not 0.0 < duration < np.inf:
             raise messages.MessageError('duration', 'above 0 s', f'{duration:g} s')
         goal = messages.finite_array(position_world, 3, 'position_world')
-        lower, upper = self.parameters(topics.CONTROLLER, *WORKSPACE)
+        limits = self._limits()
         try:
-            check_position(goal, LimitsConfig(workspace_lower=lower, workspace_upper=upper))
+            check_position(goal, limits)
         except CommandError as error:
             raise CommandRefusedError(f'{topics.MOTION_COMMAND.name}: {error}') from None
-        # All that takes time comes first: the motion runs from the sample that it starts at.
         start = self.read()
+        last = start.quaternion_desired if quaternion_xyzw is None else messages.finite_array(
+            quaternion_xyzw, 4, 'quaternion_xyzw')
+        _require_time(duration, _way(start, goal, last), limits)
+        # All that takes time comes first: the motion runs from the sample that it starts at.
         self.command(topics.MOTION_COMMAND, messages.motion_message(
             start.position_desired, start.quaternion_desired, np.zeros(6), np.zeros(6)))
         start, identifier = self.read(), new_identifier()
         turn = Rotation.from_quat(start.quaternion_desired)
-        last = turn if quaternion_xyzw is None else Rotation.from_quat(
-            messages.finite_array(quaternion_xyzw, 4, 'quaternion_xyzw'))
-        rotation_vector = (last * turn.inv()).as_rotvec()
-        change = np.concatenate([goal - start.position_desired, rotation_vector])
+        change = _way(start, goal, last)
         elapsed, now = 0.0, start.time
         while elapsed < duration:
             before, now = now, self.read().time
@@ -153,12 +152,19 @@ class MultiContactClient(ControllerLink):
             s, ds, dds = quintic(elapsed, duration)
             point = messages.motion_message(
                 start.position_desired + s * change[:3],
-                (Rotation.from_rotvec(s * rotation_vector) * turn).as_quat(),
+                (Rotation.from_rotvec(s * change[3:]) * turn).as_quat(),
                 ds * change, dds * change)
             self.accepted(identifier)  # what it refuses of the way ends the motion
             self.send(topics.MOTION_COMMAND, point, identifier)
         self.command(topics.MOTION_COMMAND, point)
         self.read()
+
+    def _limits(self) -> LimitsConfig:
+        """Return the controller's limits of the operational point."""
+        names = [name for name in LimitsConfig.model_fields
+                 if name.startswith(('operational_', 'workspace_'))]
+        values = self.parameters(topics.CONTROLLER, *(f'limits.{name}' for name in names))
+        return LimitsConfig(**dict(zip(names, values)))
 
     def read(self) -> ArmState:
         """Return the state of a sample that comes from now on."""
@@ -205,6 +211,22 @@ class MultiContactClient(ControllerLink):
             if state != held:
                 missing.append(f'{name} is {state}')
         return missing
+
+
+def _way(start: ArmState, goal: Vector, last_quaternion: Vector) -> Vector:
+    """Return the way to a goal, position and rotation vector, shape (6,) [m, rad]."""
+    turn = Rotation.from_quat(last_quaternion) * Rotation.from_quat(start.quaternion_desired).inv()
+    return np.concatenate([goal - start.position_desired, turn.as_rotvec()])
+
+
+def _require_time(duration: float, way: Vector, limits: LimitsConfig) -> None:
+    """Refuse to go a way, shape (6,) [m, rad], in a shorter time than the limits allow [s]."""
+    shortest = shortest_duration(way, limits)
+    if duration < shortest:
+        raise CommandRefusedError(
+            f'{topics.MOTION_COMMAND.name}: duration: expected at least {shortest:.3g} s for '
+            f'{np.linalg.norm(way[:3]):.3g} m and {np.linalg.norm(way[3:]):.3g} rad '
+            f'(limits.operational_*), got {duration:g} s')
 
 
 def _time_of(message: JointState) -> float:

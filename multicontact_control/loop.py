@@ -59,8 +59,9 @@ class ControlLoop:
         the supervisor did, None if not supervised.
     events, time
         What it did since the last restart, and the time of the newest tick [s].
-    push_gate, warnings
-        What allows force control, and what is suspicious of the arm's model.
+    push_gate, warnings, remark
+        What allows force control, what is suspicious of the arm's model, and how noisy the
+        contact forces are.
 
     """
 
@@ -76,6 +77,8 @@ class ControlLoop:
         robot = RobotModel(config.robot, base_dir)
         self.warnings = robot.warnings(config.torque_limit)
         self.supervisor = Supervisor(config, robot, source, guarded=supervised)
+        self.remark = 'standard deviation of the contact forces by the noise of the sensor: ' + (
+            ', '.join(map(str, self.supervisor.controller.resolutions)))
         self.push_gate = PushGate(
             required=config.sensor.require_push_test,
             gravity_world=np.array(config.robot.gravity_world), rate=config.rate)

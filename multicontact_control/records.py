@@ -260,6 +260,7 @@ CONTACT_STATE = np.dtype([
     ('again', B),  # whether it is to be sought although it was given up
     ('wanted', B),  # whether the task asks for it
     ('asked', F),  # force the task asks for [N]
+    ('asked_for', F),  # since when it is the same [s]
     ('displacement', F),  # of the reference along the normal, relative to the task [m]
     ('speed', F), ('acceleration', F),  # of that displacement [m/s], [m/s^2]
     ('force_limit', F),  # upper limit of the desired force [N]
@@ -269,6 +270,7 @@ CONTACT_STATE = np.dtype([
     ('level', F),  # force it is held with, averaged [N]
     ('origin', F),  # displacement at which the surface is, NaN if it was never met [m]
     ('start', F),  # displacement at which the search began [m]
+    ('fall', F),  # by which a surface may be lower where the tip has slid to since a loss [m]
     ('target', F),  # displacement to go to [m]
     ('stiffness', F),  # modelled, of the surface [N/m]
     ('surface_speed', F),  # along the normal, as far as it is known [m/s]

@@ -9,6 +9,7 @@ from multicontact_control.config import Config, parameter, UnitVector3, Vector, 
 from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import ConfigError, counted
 
+LARGEST_PUSH = 150.0  # N; ISO/TS 15066 lets an arm press a hand or a chest with 140 N
 PUSH_TIME = 0.8  # s, of a push that is asked for, longer than a push test holds
 MAX_ACTUATOR_DELAY = 5
 

@@ -10,7 +10,12 @@ import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig, validate
-from multicontact_control.dynamics.robot import check_torques, load_model
+from multicontact_control.dynamics.robot import (
+    check_torques,
+    Follower,
+    followers,
+    load_model,
+)
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.parameter_file import write_parameters
 import numpy as np
@@ -177,14 +182,45 @@ def _joints(
                 'make it fixed in the URDF')
     if tip != sensor and sensor not in way_to(root, tip):
         raise ConfigError('--tip', f"'{sensor}' or a link beyond it", f"'{tip}'")
-    locked = {}
+    locked = dict(lock)
+    coupled = followers(root)
     for name, joint in moving.items():
-        limit = joint.find('limit')
-        ends = {} if limit is None else limit.attrib
-        lower, upper = (float(ends.get(end, 0.0)) for end in ('lower', 'upper'))
-        locked[name] = min(max(0.0, lower), upper) if lower <= upper else 0.0
-    return chain, {name: place for name, place in (locked | dict(lock)).items()
-                   if name not in chain}
+        if name not in chain and name not in coupled and name not in locked:
+            locked[name] = _nearest_to_zero(joint)
+    _lock_followers(coupled, chain, locked)
+    return chain, {name: locked[name] for name in moving if name in locked}
+
+
+def _nearest_to_zero(joint: ElementTree.Element) -> float:
+    """Return the position in a joint's range that is nearest to 0 [rad or m]."""
+    limit = joint.find('limit')
+    ends = {} if limit is None else limit.attrib
+    lower, upper = (float(ends.get(end, 0.0)) for end in ('lower', 'upper'))
+    return min(max(0.0, lower), upper) if lower <= upper else 0.0
+
+
+def _lock_followers(
+    coupled: Mapping[str, Follower], chain: Sequence[str], locked: dict[str, float],
+) -> None:
+    """
+    Lock joints that mimic locked ones, as the fingers of a gripper do, where that leads them.
+
+    ConfigError if one is a joint of the arm, or follows one: then it moves, without a motor of its
+    own that the law could command.
+    """
+    waiting = [name for name in coupled if name not in locked]
+    while ready := [name for name in waiting
+                    if name not in chain and coupled[name].leader in locked]:
+        for name in ready:
+            follower = coupled[name]
+            locked[name] = follower.multiplier * locked[follower.leader] + follower.offset
+            waiting.remove(name)
+    if waiting:
+        name = waiting[0]
+        raise ConfigError(
+            '--sensor', 'an arm whose joints each have a motor of their own',
+            f'{name} follows {coupled[name].leader}, no motor of its own',
+            hint=f'add --lock {name}=POSITION if it stays there')
 
 
 def _home(arm: Arm, tip: Vector, limit: Vector) -> Vector | None:

@@ -35,7 +35,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.arm import SENSOR_FRAME
-from sim_bridge.config import PlantConfig, PUSH_TIME
+from sim_bridge.config import LARGEST_PUSH, PlantConfig, PUSH_TIME
 from sim_bridge.drives import PositionHold
 from sim_bridge.plant import Plant, Sample
 from sim_bridge.surface_patch import SurfaceMarkers
@@ -67,7 +67,7 @@ class SimNodeConfig(StartupConfig):
         ge=0.0, le=100.0)
     payload: float = parameter(
         0.0, 'Mass that the tool picks up, at its centre of mass, and lays down with 0.',
-        unit='kg', live=True, ge=0.0)
+        unit='kg', live=True, ge=0.0, le=50.0)
 
 
 def stamp_of(tick: int, rate: float) -> int:
@@ -335,8 +335,11 @@ class SimNode(Node):
             place, force = message.header.frame_id, message.vector
             if place not in ('', TOOL):
                 raise MessageError('header.frame_id', f"'{TOOL}', or none", f"'{place}'")
-            self._plant.push(messages.finite_array([force.x, force.y, force.z], 3, 'vector'),
-                             PUSH_TIME, tool=place == TOOL)
+            pushed = messages.finite_array([force.x, force.y, force.z], 3, 'vector')
+            size = float(np.linalg.norm(pushed))
+            if size > LARGEST_PUSH:
+                raise MessageError('vector', f'at most {LARGEST_PUSH:g} N', f'{size:g} N')
+            self._plant.push(pushed, PUSH_TIME, tool=place == TOOL)
 
     def _change(self, configurations: Sequence[Any]) -> None:
         """Change payload, stiffness and friction; ConfigError with native contacts."""

@@ -6,6 +6,7 @@ from functools import partial
 import time
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Vector3Stamped
 from multicontact_control.client import CommandRefusedError, MultiContactClient, NotReachedError
 from multicontact_control.errors import MessageError, RunError
 from multicontact_control.nodes import messages, topics
@@ -126,6 +127,39 @@ def test_refused_forces_and_motions_change_no_target(arm):
     with pytest.raises(CommandRefusedError, match='motion/command: position x: expected -0.6 to'):
         arm.move(start.position_desired + [2.0, 0.0, 0.0], duration=0.3)
     assert abs(arm.read().position_desired[0] - start.position_desired[0]) < 1e-4
+
+
+@pytest.mark.parametrize(('way', 'duration', 'shortest'), [
+    ([0.1, 0.0, 0.0], 0.01, 0.375), ([0.1, 0.0, 0.0], 0.37, 0.375),
+    ([0.01, 0.0, 0.0], 0.1, 0.107)])  # by the speed, and by the acceleration
+def test_move_that_the_limits_do_not_allow_is_refused_with_the_shortest_duration(
+        arm, way, duration, shortest):
+    start = arm.read()
+    with pytest.raises(CommandRefusedError, match=(
+            f'motion/command: duration: expected at least {shortest:g} s for .*'
+            f'got {duration:g} s')):
+        arm.move(start.position_desired + way, duration)
+    assert np.abs(arm.read().position_desired - start.position_desired).max() < 1e-4
+
+
+def test_push_that_no_person_can_give_is_refused_and_moves_nothing(arm, domain_id):
+    before = arm.read()
+    with GuestNode('pusher', domain_id, 'arm') as pusher:
+        heard = pusher.node.create_subscription(
+            topics.DIAGNOSTICS.message, topics.DIAGNOSTICS.name, ignore,
+            topics.DIAGNOSTICS.profile)
+        push = create_publisher(pusher.node, topics.PUSH)
+        message = Vector3Stamped()
+        message.vector.z = 1e6
+
+        def refusal():
+            push.publish(message)
+            taken = take(heard)
+            return taken and [value.key for part in taken[0].status for value in part.values
+                              if 'sim_node/push: vector' in value.key]
+
+        assert 'expected at most 150 N' in wait_for(refusal, 'the refusal')[0]
+    assert np.linalg.norm(arm.read().position_world - before.position_world) < 0.002
 
 
 def test_each_of_two_clients_learns_what_becomes_of_its_own_commands(arm, domain_id):

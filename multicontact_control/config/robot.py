@@ -71,8 +71,8 @@ class SensorFrontEndConfig(Config):
         (), 'Largest reading of each axis, force first, saturated from 99 % on; empty if unknown.',
         unit='N, N m')
     force_noise_std: float = parameter(
-        0.05, 'Noise of a force axis: the weight of a reading with contacts.*.friction_std.',
-        unit='N', gt=0.0)
+        0.05, 'Noise of a force axis: the weight of a reading with contacts.*.friction_std, and '
+        'what contacts that lie close together are lost in.', unit='N', gt=0.0)
     torque_noise_std: float = parameter(
         0.004, 'The same of a torque axis.', unit='N m', gt=0.0)
     frozen_ticks: int = parameter(
@@ -97,3 +97,17 @@ class SensorFrontEndConfig(Config):
             return 0.0
         samples = 1.0 / math.tan(math.pi * self.filter_cutoff / rate)
         return samples / ((2.0 if self.filter_order == 1 else math.sqrt(2.0)) * rate)
+
+    def noise_share(self, rate: float) -> float:
+        """
+        Return the share of the deviation of white noise that the low-pass leaves, of f_s [Hz].
+
+        With K = tan(pi f_c / f_s), the variance falls to K / (1 + K) by order 1, and to
+        (K^4 + (K - K^3) / sqrt(2)) / (1 + K^4) by order 2.
+        """
+        if self.filter_order == 0:
+            return 1.0
+        K = math.tan(math.pi * self.filter_cutoff / rate)
+        if self.filter_order == 1:
+            return math.sqrt(K / (1.0 + K))
+        return math.sqrt((K ** 4 + (K - K ** 3) / math.sqrt(2.0)) / (1.0 + K ** 4))

@@ -55,6 +55,12 @@ class LimitsConfig(Config):
         0.5, 'Largest speed of the operational point.', unit='m/s', gt=0.0, le=10.0)
     operational_turn: float = parameter(
         2.0, 'Largest angular speed of the operational frame.', unit='rad/s', gt=0.0, le=50.0)
+    operational_acceleration: float = parameter(
+        5.0, 'Largest acceleration of a commanded motion; a tool of 0.5 kg then reads 2.5 N.',
+        unit='m/s^2', gt=0.0, le=100.0)
+    operational_turn_acceleration: float = parameter(
+        20.0, 'Largest angular acceleration of a commanded motion.', unit='rad/s^2', gt=0.0,
+        le=1000.0)
     workspace_lower: Vector = parameter(
         (), 'Lower corner of the box the operational point stays in.', unit='m')
     workspace_upper: Vector = parameter((), 'Upper corner of that box.', unit='m')

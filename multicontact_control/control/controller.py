@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, NoReturn
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import ControllerConfig, ToolConfig
 from multicontact_control.contact.geometry import check_columns, loop_stiffnesses, place_columns
+from multicontact_control.contact.resolution import check_resolution
 from multicontact_control.contact.wrench import tool_between, tool_record
 from multicontact_control.control.arm import AMBIGUOUS, ArmState
 from multicontact_control.control.law import control_law, DEPENDENT, LIMITED
@@ -87,13 +88,15 @@ class Controller:
         What hangs on the sensor now, and the one that is configured; see `change_tool`.
     active, torque
         Which contacts are force controlled, shape (r,), and the answer, shape (n,) [N m].
+    resolutions
+        How well the configuration tells the contacts apart.
     started
         Whether the force laws have been designed for where the arm is.
 
     Raises
     ------
     ConfigError
-        If one wrist sensor cannot tell the contacts apart.
+        If one wrist sensor cannot tell the contacts apart, or its noise hides them.
 
     """
 
@@ -111,6 +114,7 @@ class Controller:
         self.torque: Vector = self.arm.joints['torque']
         self._adopt(config)
         check_columns(config.column_names, self.contacts)
+        self.resolutions = check_resolution(config, self.controls, self.contacts)
         self.reset()
         self.arm.pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
         self.laws: Any = self._design(config)
@@ -180,6 +184,7 @@ class Controller:
         columns = self.contacts.copy()
         place_columns(config, columns)
         check_columns(config.column_names, columns)  # normals may be others
+        check_resolution(config, self.controls, columns)
         make_force_laws(config, loop_stiffnesses(config, self.arm.pose.rotation_world))
 
     def reconfigure(self, config: ControllerConfig) -> None:

@@ -8,13 +8,14 @@ import math
 from typing import NamedTuple, Protocol
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.config import Config, parameter, UnitVector3
+from multicontact_control.config import Config, LimitsConfig, parameter, UnitVector3
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
 
 STILL = np.zeros(6)  # twist and acceleration
 STILL.flags.writeable = False
+QUINTIC_SPEED, QUINTIC_ACCELERATION = 15.0 / 8.0, 10.0 / math.sqrt(3.0)  # peaks of b' and b''
 
 
 class Task(NamedTuple):
@@ -102,6 +103,18 @@ def quintic(elapsed: float, duration: float) -> tuple[float, float, float]:
     return (x ** 3 * (10.0 + x * (-15.0 + 6.0 * x)),
             30.0 * x ** 2 * (1.0 - x) ** 2 / duration,
             60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration ** 2)
+
+
+def shortest_duration(change: Vector, limits: LimitsConfig) -> float:
+    """Return the least time of a `quintic` over a way, shape (6,) [m, rad], within limits [s]."""
+    durations = [0.0]
+    for part, speed, acceleration in (
+            (change[:3], limits.operational_speed, limits.operational_acceleration),
+            (change[3:], limits.operational_turn, limits.operational_turn_acceleration)):
+        way = float(np.linalg.norm(part))
+        durations += [QUINTIC_SPEED * way / speed,
+                      math.sqrt(QUINTIC_ACCELERATION * way / acceleration)]
+    return max(durations)
 
 
 def sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:

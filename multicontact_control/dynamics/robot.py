@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
@@ -162,6 +163,23 @@ class RobotModel:
         torque: Vector = -jacobian.T @ np.concatenate([weight, np.cross(lever, weight)])
         return torque
 
+    def gravity_shares(self, q: Vector, load: ToolConfig) -> Matrix:
+        """
+        Return dg/d(gravity) of the arm without a load where `compute` was called last, at q [rad].
+
+        g(q) is linear in the vector of gravity: a column for each world axis, shape (n, 3)
+        [N m per m/s^2].
+        """
+        model, data = self._model, self._model.createData()
+        known = model.gravity.linear.copy()
+        columns = []
+        for axis in np.eye(3):
+            model.gravity.linear = axis
+            columns.append(
+                pin.computeGeneralizedGravity(model, data, q) - self.load_torque(load))
+        model.gravity.linear = known
+        return np.array(columns).T
+
     def carry(self, load: ToolConfig, in_urdf: ToolConfig) -> None:
         """Let the model carry a point mass on the sensor in place of one that its URDF has."""
         parameters = self._body.toDynamicParameters()  # linear in mass, first and second moments
@@ -186,7 +204,8 @@ def load_model(
     Read an arm from a URDF as its vendor ships it.
 
     Continuous joints are revolute ones without limits, so that each joint has one coordinate; a
-    locked joint is rigid; a torque or speed limit that is missing is 0.
+    locked joint is rigid, also one that mimics another; a torque or speed limit that is missing
+    is 0.
 
     Parameters
     ----------
@@ -200,14 +219,17 @@ def load_model(
     Raises
     ------
     ConfigError
-        If the file cannot be read, is no URDF, has joints of more than one coordinate that are
-        not locked, does not have a joint that is, or has impossible figures (`model_check`).
+        If the file cannot be read, is no URDF, has joints of more than one coordinate or
+        without a motor of their own (`followers`) that are not locked, does not have a joint that
+        is, or has impossible figures (`model_check`).
 
     """
     source = str(urdf) if isinstance(urdf, Path) else 'text'
+    locked = dict(locked_joints or {})
     try:
         text = urdf.read_bytes() if isinstance(urdf, Path) else urdf  # which has its encoding
         root = ElementTree.fromstring(text)
+        _refuse_followers(root, locked)
         axes, endless = _complete(root)
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding='unicode'))
     except OSError as error:
@@ -216,7 +238,6 @@ def load_model(
     except (ElementTree.ParseError, ValueError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else 'not a URDF'
         raise ConfigError('robot.urdf', 'a valid URDF', f'{source} ({reason})') from None
-    locked = dict(locked_joints or {})
     names = list(model.names)[1:]
     if unknown := [name for name in locked if name not in names]:
         raise ConfigError('robot.locked_joints', f'joints among {", ".join(names)}', unknown)
@@ -231,10 +252,62 @@ def load_model(
     return model
 
 
+class Follower(NamedTuple):
+    """What a joint of a URDF does that mimics another: multiplier x leader + offset."""
+
+    leader: str
+    multiplier: float
+    offset: float  # rad or m
+
+
+def followers(root: ElementTree.Element) -> dict[str, Follower]:
+    """
+    Return the joints of a URDF that have no motor of their own, by name.
+
+    A coupling of the mechanism moves them, which neither the model nor the law knows of.
+    ConfigError if a multiplier or an offset is no number.
+    """
+    found = {}
+    for joint in root.findall('joint'):
+        mimic = joint.find('mimic')
+        if mimic is None or joint.get('type') == 'fixed':
+            continue
+        name, numbers = joint.get('name', ''), dict[str, float]()
+        for key, default in (('multiplier', '1'), ('offset', '0')):
+            text = mimic.get(key, default)
+            try:
+                numbers[key] = float(text)
+            except ValueError:
+                raise ConfigError(
+                    f'robot.urdf.{name}.mimic.{key}', 'a number', f"'{text}'") from None
+        found[name] = Follower(leader=mimic.get('joint', ''), **numbers)
+    return found
+
+
+def _refuse_followers(root: ElementTree.Element, locked: Mapping[str, float]) -> None:
+    """Refuse joints that mimic others, unless they are locked, by ConfigError with all."""
+    errors = []
+    for name, follower in followers(root).items():
+        if name not in locked:
+            errors.append(ConfigError(
+                f'robot.urdf.{name}.mimic', 'joints with a motor of their own',
+                f'{name} follows {follower.leader}, no motor of its own',
+                hint='list it in robot.locked_joints if it is no part of the arm'))
+    if errors:
+        raise ConfigError.of(errors)
+
+
 def _complete(root: ElementTree.Element) -> tuple[dict[str, Vector], set[str]]:
-    """Give joints the limits they lack; return their axes by name, and which are endless."""
+    """
+    Give joints the limits they lack; return their axes by name, and which are endless.
+
+    What mimics another is locked, and so independent: pinocchio's versions differ in what they
+    make of the element.
+    """
     axes, endless = {}, set()
     for joint in root.findall('joint'):
+        for mimic in joint.findall('mimic'):
+            joint.remove(mimic)
         name, axis, limit = joint.get('name', ''), joint.find('axis'), joint.find('limit')
         axes[name] = np.array(
             ('1 0 0' if axis is None else axis.get('xyz', '1 0 0')).split(), dtype=float)

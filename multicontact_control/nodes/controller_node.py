@@ -98,6 +98,7 @@ class ControllerNode(ManagedNode):
             supervised=node_config.supervised)
         for text in loop.warnings:
             self.get_logger().warning(text)
+        self.get_logger().info(loop.remark)
         _warm_up(loop)
         self._timing = timing = SampleTiming(
             config.rate, supervised=node_config.supervised, lockstep=node_config.lockstep,

@@ -8,6 +8,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from multicontact_control.contact.geometry import misread_friction
+from multicontact_control.contact.resolution import resolutions, SPREAD
 from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.diagnostics import Inputs, LoopStatistics, message_status, Status
@@ -202,6 +203,9 @@ class ControllerReport:
                    f'contacts.{where}.friction_std' for where, what, gain in misread_friction(
                        config, output.contacts, output.pose.rotation_world)]
         trouble += loop.status.read_before if loop.status else ()
+        trouble += [f'the noise of {each} is above 1/{SPREAD:g} of {each.field} with the tool '
+                    'turned as it is' for each in resolutions(
+                        config, output.controls, output.contacts) if not each.suffices]
         trouble += [f'{name} is {state}' for name, state in states.items() if state in TROUBLED]
         return Status('contacts', values | states, '; '.join(trouble))
 

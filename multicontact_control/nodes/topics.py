@@ -104,9 +104,9 @@ MOTION_COMMAND = Topic(
     'identifier, 0 for none.')
 PUSH = Topic(
     f'{SIM}/push', Vector3Stamped, USER, (RECORDER,), qos.EVENT, 'event',
-    '`~/push` of the simulator: a force in world axes [N] that pushes the arm for 0.8 s. '
-    'header.frame_id = `tool` to push the tool beyond the wrist sensor, empty for the operational '
-    'point.')
+    '`~/push` of the simulator: a force in world axes [N], of 150 N at most, that pushes the arm '
+    'for 0.8 s. header.frame_id = `tool` to push the tool beyond the wrist sensor, empty for the '
+    'operational point.')
 STATUS = Topic(
     f'{CONTROLLER}/status', DiagnosticStatus, CONTROLLER, (RECORDER,), qos.EVENT, 'event',
     '`~/status` of the controller: whether each command with an identifier is accepted, why one '

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from multicontact_control.algebra import dot
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
@@ -41,6 +42,10 @@ BOX_EXCESS = 0.01  # m beyond the workspace, where the reference has failed
 LEAST_THRESHOLD, LEARNT_SHARE = 1.0, 0.1
 EXPLAINED = 0.7  # share of the residual's power, from which on what it follows is its cause
 MULTIPLE = 0.95  # the same over the joints at rest, from which on it is a multiple of gravity
+# Of gravity that is another than configured: the least mass that tells it [kg], m/s^2 by which it
+# leans, cosine of the angle between two leans, share of its strength, and smallest singular value
+# that counts over the largest.
+SMALLEST_MASS, SMALLEST_LEAN, SAME_SIDE, SAME_STRENGTH, SMALLEST_SHARE = 0.2, 0.5, 0.9, 0.05, 0.03
 # What to say of a residual that follows each of `REGRESSORS`.
 FOLLOWED = (
     'follows the sign of the speed: {} N m of friction that friction.coulomb does not declare',
@@ -171,6 +176,37 @@ def _explain_rest(residual: Any, gravity: Any, loaded: int) -> str:
         return ', in this joint alone: check scale, sign and offset of its effort'
     return (': check the masses of tool and links, sign and offset of the wrench, the offsets of '
             'the effort, and that no other node commands the arm')
+
+
+@np.errstate(all='ignore')  # of impossible efforts
+def explain_gravity(
+    joints: Any, shares: Matrix, force_world: Vector, mass: float, gravity_world: Vector,
+) -> str:
+    """
+    Return what says that gravity is another than configured on an arm that stands; else empty.
+
+    What the sensor carries, of a mass m [kg], then reads -m times the change of gravity, which
+    must leave its strength as it is; and so must the residuals, of which `shares` are those of
+    `RobotModel.gravity_shares`, lean to the same side. A push does neither.
+    """
+    strength = np.linalg.norm(gravity_world)
+    down = gravity_world / strength
+    if mass < SMALLEST_MASS:
+        return ''
+    read = -force_world / mass
+    true = gravity_world + read
+    weights = 1.0 / joints['threshold']
+    fitted = np.linalg.lstsq(
+        shares * weights[:, None], joints['residual'] * weights, rcond=SMALLEST_SHARE)[0]
+    leans = [change - (change @ down) * down for change in (read, fitted)]
+    sizes = [float(np.linalg.norm(lean)) for lean in leans]
+    if min(sizes) < SMALLEST_LEAN or leans[0] @ leans[1] < SAME_SIDE * sizes[0] * sizes[1] or (
+            abs(np.linalg.norm(true) - strength) > SAME_STRENGTH * strength):
+        return ''
+    angle = np.degrees(np.arctan2(sizes[0], true @ down))
+    x, y, z = true
+    return (f'arm and tool weigh as if gravity were [{x:.1f}, {y:.1f}, {z:.1f}] m/s^2, '
+            f'{angle:.0f} deg off robot.gravity_world: check how the base is mounted')
 
 
 def undeclared_friction(joints: Any, names: Sequence[str]) -> Iterator[str]:

@@ -12,6 +12,7 @@ from multicontact_control.errors import CommandError
 import numpy as np
 
 AXES = 'position x', 'position y', 'position z'
+ROUNDING = 1e-6  # share of a speed beyond its limit, of a motion that is as fast as it may be
 START_EXCESS = 1e-3  # m or rad beyond a limit, from where control may start all the same
 
 
@@ -57,11 +58,34 @@ class CommandLimits(Config):
 
 
 def check_motion(motion: MotionReading, limits: LimitsConfig) -> None:
-    """Refuse a motion of numbers that say nothing, or one that leaves the workspace box."""
+    """
+    Refuse a motion of numbers that say nothing, or one beyond the limits, by CommandError.
+
+    These are the workspace box, the speeds, and the accelerations.
+    """
     check_position(motion.position_world, limits)
     if not (all(np.isfinite(part).all() for part in motion) and np.any(motion.quaternion_xyzw)):
         raise CommandError('motion', 'finite numbers, and a quaternion that is not 0',
                            [np.array(x).tolist() for x in motion])
+    check_twist(motion.twist_world, motion.acceleration_world, limits)
+
+
+def check_twist(twist_world: Vector, acceleration_world: Vector, limits: LimitsConfig) -> None:
+    """
+    Refuse a motion that is too fast, or becomes so too fast: CommandError names what is.
+
+    Both are of shape (6,), linear first [m/s, rad/s], [m/s^2, rad/s^2].
+    """
+    for what, part, field, unit in (
+            ('speed', twist_world[:3], 'operational_speed', 'm/s'),
+            ('angular speed', twist_world[3:], 'operational_turn', 'rad/s'),
+            ('acceleration', acceleration_world[:3], 'operational_acceleration', 'm/s^2'),
+            ('angular acceleration', acceleration_world[3:], 'operational_turn_acceleration',
+             'rad/s^2')):
+        size, largest = float(np.linalg.norm(part)), getattr(limits, field)
+        if not size <= largest * (1.0 + ROUNDING):
+            raise CommandError(
+                what, f'at most {largest:g} {unit} (limits.{field})', f'{size:.3g} {unit}')
 
 
 def check_position(position_world: Vector, limits: LimitsConfig) -> None:

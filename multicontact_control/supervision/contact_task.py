@@ -20,12 +20,18 @@ import numpy as np
 
 GUARD_SHARE = 0.3  # of the force held, below which the measured force is fed forward
 GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bounces
+# An error of the averaged force that lasts is none of noise: N and share of the force asked for,
+# and how long that must have been the same [s].
+LASTING_ERROR, LASTING_SHARE, LASTING_TIME = 1.5, 0.25, 0.3
 # How a task is caught up with: beyond its own speed by so much of the way left [1/s] and of the
 # largest speeds, with an acceleration that reaches these in so long [s].
-RETURN_RATE, RETURN_SHARE, RETURN_RAMP = 2.0, 0.2, 0.25
+RETURN_RATE, RETURN_SHARE, RETURN_RAMP = 5.0, 0.2, 0.25
 # How far the reference may be ahead of an arm at rest that cannot follow [m], [rad].
 LEAST_LEAD, LEAST_TURN = 0.003, 0.01
 THERE = 1e-5  # m or rad from the task, where it is caught up with
+# A task is a step away that is farther than the largest speeds lead in so long [s] (a stream of
+# 100 Hz is none), or faster than before by so much of them.
+STEP_TIME, STEP_SHARE = 0.01, 0.15
 PARALLEL = 1e-6  # length that is left of a normal that the others span already
 
 
@@ -96,6 +102,8 @@ class ContactTask:
         self.states[~pressed] = contacts.FREE_CONTACT
         self._columns['untared'][~pressed] = self._columns['speed_bound'][~pressed] = 0.0
         self._limits['bounded'] = self._limits['behind'] = False
+        self._limits['position'], self._limits['rotation'] = position, rotation
+        self._limits['twist'] = 0.0
         self._kept: Mask | None = None  # contacts, from the end of a pause to the next tick
 
     def start(self, pose: Pose) -> None:
@@ -199,22 +207,24 @@ def _follow_task(limit: Any, frame: Any, task: Any) -> bool:
     """
     Let the reference catch up with the task where the arm could not; return if it is behind.
 
-    Once the motion of the arm is bounded, and after a pause, the reference goes straight to the
-    task, but no farther ahead of the arm than `LEAST_LEAD`: so it slows down with the arm, does
-    not run away, and does not pull the arm along the bound.
+    Once the motion of the arm is bounded, after a pause, and where the task makes a step, the
+    reference goes straight to the task, but no farther ahead of the arm than `LEAST_LEAD`: so it
+    slows down with the arm, does not run away, and does not pull the arm along the bound.
     """
+    way, turn = task.position - limit.position, np.empty(3)
+    rotation_vector(task.rotation, limit.rotation, turn)
     if not limit.behind:
-        if not limit.bounded:
+        steps = _is_step(way, task.twist[:3], limit.twist[:3], limit.reach / limit.lead) or (
+            _is_step(turn, task.twist[3:], limit.twist[3:], limit.turn / limit.lead))
+        if not (limit.bounded or steps):
             limit.position[:], limit.rotation[:] = task.position, task.rotation
             limit.twist[:] = task.twist
             return False
         limit.behind = True
-    way, turn = task.position - limit.position, np.empty(3)
     there = _catch_up(way, task.twist[:3], task.acceleration[:3], limit, limit.twist[:3],
                       frame.twist[:3], limit.ahead, LEAST_LEAD, limit.reach)
     limit.position += way
     task.position[:] = limit.position
-    rotation_vector(task.rotation, limit.rotation, turn)
     there_turned = _catch_up(turn, task.twist[3:], task.acceleration[3:], limit, limit.twist[3:],
                              frame.twist[3:], limit.turned_ahead, LEAST_TURN, limit.turn)
     rotate_by(turn, limit.rotation)
@@ -225,6 +235,15 @@ def _follow_task(limit: Any, frame: Any, task: Any) -> bool:
 
 
 @compiled
+def _is_step(way: Vector, speed_des: Vector, speed: Vector, fastest: float) -> bool:
+    """Return whether a task is a step away from the reference, or suddenly faster."""
+    missing = speed_des - speed
+    jumps = dot(way, way) > (STEP_TIME * fastest) ** 2
+    faster = dot(speed_des, speed_des) > dot(speed, speed)
+    return jumps or (faster and dot(missing, missing) > (STEP_SHARE * fastest) ** 2)
+
+
+@compiled
 def _catch_up(
     way: Vector, speed_des: Vector, acceleration: Vector, limit: Any, speed: Vector,
     speed_of_arm: Vector, ahead: Vector, least_lead: float, reach: float,
@@ -232,8 +251,9 @@ def _catch_up(
     """
     Shorten a way to what the reference goes in a tick; return whether it has caught up.
 
-    Its velocity `speed` v_r becomes the desired one, `speed_des`. Up to v_r = v + (l - e) k_p /
-    k_v, at a distance e ahead of an arm of speed v, the motion law pulls the arm by k_p l at most.
+    Its velocity `speed` v_r becomes the desired one, `speed_des`. While the motion of the arm is
+    bounded, v_r is at most v + (l - e) k_p / k_v at a distance e ahead of an arm of speed v: the
+    motion law then pulls the arm by k_p l at most.
     """
     h, length = limit.contacts.period, np.sqrt(dot(way, way))
     fastest = reach / limit.lead
@@ -241,8 +261,9 @@ def _catch_up(
     along = min(of_task + min(RETURN_RATE * length, RETURN_SHARE * fastest), fastest)
     if length > THERE:
         along = min(along, dot(speed, way) / length + h * fastest / RETURN_RAMP)
-        along = min(along, dot(speed_of_arm, way) / length
-                    + (least_lead - dot(ahead, way) / length) / limit.lead)
+        if limit.bounded:
+            along = min(along, dot(speed_of_arm, way) / length
+                        + (least_lead - dot(ahead, way) / length) / limit.lead)
         along = max(along, 0.0)
         if length > h * along:
             way *= h * along / length
@@ -269,6 +290,9 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
     for i in range(columns.shape[0]):
         column, state = columns[i], states[i]
         answer, normal = column.answer, column.normal
+        state.asked_for += limit.contacts.period
+        if state.asked != answer.alpha_des:
+            state.asked_for = 0.0
         state.wanted, state.asked = answer.active, answer.alpha_des
         first = column.config.leader
         if first != i:  # a couple is in the state of its normal force, which comes before
@@ -298,6 +322,7 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
                 state, limit.contacts, column.alpha_meas, place, speed,
                 min(speed, dot(column.N, frame.twist)) - state.surface_speed)
             answer.alpha_des = contacts.desired_force(state, limit.contacts)
+            _follow_slide(limit.contacts.period, frame, column, state)
             column.guarded = state.state == contacts.HOLDING and state.in_state > GUARD_TIME and (
                 column.alpha_meas < GUARD_SHARE * min(state.level, state.asked))
             answer.active = contacts.is_active(state)
@@ -316,6 +341,28 @@ def take_off(column: Any, state: Any) -> None:
     """Take what is read without a touch off the measured force from now on."""
     column.alpha_meas += column.untared - state.untared
     column.untared = state.untared
+
+
+@compiled
+def _follow_slide(period: float, frame: Any, column: Any, state: Any) -> None:
+    """
+    Allow for a surface that is not as told where the tip slides on it.
+
+    Its force changes all the time, which counts as noise, R grows to hundreds of N^2, and the law
+    is blind while the surface falls away. The error e of the averaged force that lasts bounds it:
+    R <= e^2. After a loss the surface is sought as much deeper as it may be within `normal_range`.
+    """
+    config = column.config
+    error = abs(state.level - state.asked)
+    if state.state == contacts.HOLDING and min(state.in_state, state.asked_for) > LASTING_TIME:
+        if error > max(LASTING_ERROR, LASTING_SHARE * state.asked):
+            column.noise_variance = min(column.noise_variance, error * error)
+    if contacts.is_active(state):
+        state.fall = 0.0
+        return
+    velocity = frame.twist[:3] - dot(frame.twist[:3], config.normal) * config.normal
+    slope = np.sqrt(1.0 - config.smallest_cosine ** 2) / config.smallest_cosine
+    state.fall += slope * np.sqrt(dot(velocity, velocity)) * period
 
 
 @compiled
@@ -344,7 +391,7 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
             along, ahead = dot(gap, axis), dot(way, axis)
             gap -= along * axis
             way -= ahead * axis
-    share = _share_within(gap, way, limit.reach, twist, acceleration)
+    share = _share_within(gap, way, limit.reach, twist[:3], acceleration[:3])
     if share < 1.0:
         position -= gap * (1.0 - share)
     rotation_vector(task.rotation, frame.rotation, turn)

@@ -340,7 +340,8 @@ def _watch_search(
                 contact.start = contact.displacement
             contact.state = APPROACHING
     elif contact.displacement - contact.start > (
-            SEARCH_DISTANCE if met_before else settings.approach_distance):
+            min(SEARCH_DISTANCE + contact.fall, settings.approach_distance) if met_before
+            else settings.approach_distance):
         contact.target = contact.start
         contact.state = GIVEN_UP
 

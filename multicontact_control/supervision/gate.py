@@ -106,9 +106,8 @@ class TorqueGate:
         self._end_blend()
 
     def _set_range(self) -> None:
-        """Keep joints a margin off their stops; one that starts nearer may stay where it is."""
-        lower, upper = self._stops
-        q = np.clip(self._joints['q'], lower, upper)
+        """Keep joints a margin off their stops; one that starts beyond it may stay there."""
+        (lower, upper), q = self._stops, self._joints['q']
         self._limits['lower'] = np.minimum(lower + JOINT_MARGIN, q)
         self._limits['upper'] = np.maximum(upper - JOINT_MARGIN, q)
         self._ranged = True

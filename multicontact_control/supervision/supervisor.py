@@ -24,6 +24,8 @@ import numpy as np
 
 CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
 STRAY_TORQUE = 0.5  # N m at the operational point that is worth a report
+STANDING_TIME = 0.2  # s between two looks at what an arm that stands in a reaction weighs
+STANDING_SPEED = 0.01  # rad/s, of every joint, below which it stands
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
 DOUBTED = ('Held by estimates from the positions until ten readings of such joints in motion '
            'agree, or an operator resumes control (~/retry)')
@@ -86,8 +88,8 @@ class Supervisor:
     def _restart_law(self) -> None:
         self.controller.reset()
         self.task.reset()
-        self._task_ticks = self._good_ticks = self._contradictions = 0
-        self.started = self._paused = False
+        self._task_ticks = self._good_ticks = self._contradictions = self._reacting = 0
+        self.started = self._paused = self._weighed = False
         self._recovery.reset()
         self._steadiness.reset()
         self._trusted = False
@@ -275,11 +277,17 @@ class Supervisor:
             if causes != self._causes or not self.findings:
                 self._causes = causes
                 self.findings = tuple(filter(None, map(self._explain, causes))) or self.findings
+                self._weighed = False
         if self.started and not self._paused:
             if self._recovery.stopped(causes, self._task_ticks):
                 self.reactions.forget()
             self.reactions.go_back()
             self.reactions.begin(self._output)
+        self._reacting = self._reacting + 1 if self._paused else 0
+        if self._reacting % round(STANDING_TIME / self._period) == 1 and not self._weighed:
+            gravity = self._gravity()
+            self._weighed = bool(gravity)
+            self.findings = (*self.findings, *filter(None, [gravity]))
         self._paused = True
         self._begin()
         if reaction != SAFE:
@@ -311,6 +319,19 @@ class Supervisor:
             residual = checks.explain_collision(self._joints, self._controls['momentum'][0], names)
             text = '; '.join(filter(None, (residual, self.stray_force)))
         return text
+
+    def _gravity(self) -> str:
+        """Return what says that gravity is another, where a collision has led to a pause."""
+        collides = any(cause.startswith(checks.COLLISION) for cause in self._causes)
+        known = self._wrench_known and self.config.wrench_input != 'momentum'
+        stands = np.abs(self.controller.arm.velocity).max() < STANDING_SPEED
+        if not (collides and known and stands) or self.task.sought_normals().size:
+            return ''
+        wrench, tool = np.zeros(6), self.controller.tool
+        operational_wrench(self._controls[0], wrench)
+        shares = self._robot.gravity_shares(self.controller.arm.q.copy(), tool)
+        return checks.explain_gravity(
+            self._joints, shares, wrench[:3], tool.mass, np.array(self.config.robot.gravity_world))
 
     @property
     def stray_force(self) -> str:

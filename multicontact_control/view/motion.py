@@ -8,15 +8,17 @@ import math
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import LimitsConfig
 from multicontact_control.control.tasks import MotionReading, quintic, sine_motion, SineConfig
-from multicontact_control.supervision.command_limits import check_position
+from multicontact_control.supervision.command_limits import check_position, check_twist
 import numpy as np
 
-SPEED = 0.10  # m/s, of the way to a goal
-ACCELERATION = 0.5  # m/s^2
+SPEED = 0.10  # m/s, of the way to a goal, or the share of the limit if that is less
+ACCELERATION = 0.5  # m/s^2, likewise
 APPROACH_RATE = 4.0  # 1/s, at which the rest of the way shrinks
 SPEED_RATE = 20.0  # 1/s, at which the speed becomes what it should be
 ARRIVED = 1e-5  # m, m/s
 LONGEST_STEP = 0.01  # s, in which a motion is worked out
+SHARE = 0.5  # of the limits of a commanded motion
+SAMPLES = 200  # of a sine, at which its speed is looked at
 BLEND_TIME = 1.5  # s, in which a sine comes and goes
 
 
@@ -34,6 +36,13 @@ class Sine:
     def fade(self) -> None:
         """Come to the middle again, and end."""
         self._end = min(self._end, self._time + BLEND_TIME)
+
+    @property
+    def fastest(self) -> tuple[float, float]:
+        """Return its largest speed [m/s] and acceleration [m/s^2], while it comes or stays."""
+        times = np.linspace(0.0, BLEND_TIME + self._config.period, SAMPLES)
+        values = np.abs([sine_motion(self._config, time) for time in times]).max(axis=0)
+        return float(values[1]), float(values[2])
 
     @property
     def over(self) -> bool:
@@ -58,6 +67,8 @@ class Motion:
 
     def __init__(self, limits: LimitsConfig) -> None:
         self._limits = limits
+        self._largest_speed = min(SPEED, SHARE * limits.operational_speed)
+        self._largest_acceleration = min(ACCELERATION, SHARE * limits.operational_acceleration)
         self.start(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
 
     def start(self, position: Vector, quaternion: Vector) -> None:
@@ -94,8 +105,17 @@ class Motion:
         return self.go_to(self._goal + np.array(offset, dtype=float))
 
     def start_sine(self, axis: str, amplitude: float, period: float) -> str:
-        """Begin a `Sine` around the goal, and end another; CommandError if it reaches too far."""
+        """
+        Begin a `Sine` around the goal, and end another.
+
+        CommandError if it reaches too far, or is too fast for the limits beside a way to a goal.
+        """
         sine = Sine(axis, amplitude, period)
+        speed, acceleration = sine.fastest
+        twist, rate = np.zeros(6), np.zeros(6)
+        twist[0] = speed + self._largest_speed
+        rate[0] = acceleration + self._largest_acceleration
+        check_twist(twist, rate, self._limits)
         check_position(self._goal - sine.way, self._limits)
         check_position(self._goal + sine.way, self._limits)
         for other in self._sines:
@@ -135,8 +155,8 @@ class Motion:
     def _step(self, h: float) -> Vector:
         """Approach the goal for a short time [s]; return the acceleration."""
         way = self._goal - self._place
-        speed = _bounded(APPROACH_RATE * way, SPEED)
-        change = _bounded(SPEED_RATE * (speed - self._speed), ACCELERATION)
+        speed = _bounded(APPROACH_RATE * way, self._largest_speed)
+        change = _bounded(SPEED_RATE * (speed - self._speed), self._largest_acceleration)
         self._place += h * self._speed + 0.5 * h * h * change
         self._speed += h * change
         if np.abs(way).max() < ARRIVED and np.abs(self._speed).max() < ARRIVED:

@@ -152,6 +152,30 @@ def test_model_of_a_vendors_urdf_locks_fingers_and_takes_endless_joints(tmp_path
         load_model(vendor.read_text(), {'thumb': 0.0})
 
 
+def test_model_refuses_a_joint_that_mimics_another_unless_it_is_locked(tmp_path):
+    """Whatever pinocchio makes of the element, a locked one is where the configuration says."""
+    urdf = seven_joint_urdf(tmp_path)
+    plain = urdf.read_text()
+    urdf.write_text(plain.replace(
+        '<child link="l3"/>', '<child link="l3"/><mimic joint="j2" multiplier="-1"/>'))
+    config = seven_joint_config(urdf)
+    with pytest.raises(ConfigError, match=r'robot.urdf.j3.mimic: .*, got j3 follows j2, no motor '
+                       r'of its own; list it in robot.locked_joints'):
+        RobotModel(config, tmp_path)
+    others = tuple(name for name in config.joint_names if name != 'j3')
+    locked = config.model_copy(update={
+        'joint_names': others, 'locked_joints': ('j3',), 'locked_positions': (0.4,)})
+    urdf_of_six = tmp_path / 'plain.urdf'
+    urdf_of_six.write_text(plain)
+    expected = RobotModel(locked.model_copy(update={'urdf': 'plain.urdf'}), tmp_path)
+    q, v = np.linspace(-1.0, 1.0, 6), np.linspace(0.3, -0.5, 6)
+    np.testing.assert_array_equal(
+        RobotModel(locked, tmp_path).update(q, v).mass_matrix, expected.update(q, v).mass_matrix)
+    urdf.write_text(urdf.read_text().replace('multiplier="-1"', 'multiplier="half"'))
+    with pytest.raises(ConfigError, match="j3.mimic.multiplier: expected a number, got 'half'"):
+        RobotModel(config, tmp_path)
+
+
 def _acceleration(state, torque):
     """Joint acceleration of the free arm, and that of its operational point."""
     qdd = np.linalg.solve(state.mass_matrix, torque - state.coriolis - state.gravity)

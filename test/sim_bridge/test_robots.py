@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 import re
+from xml.etree import ElementTree
 
 from arms import seven_joint_urdf
 from multicontact_control.cli.robot import new_robot as command
@@ -30,7 +31,9 @@ def vendor(name):
     """Return the vendor's own model of a robot."""
     file = find_robot(name).file
     path = urdf_path(file.urdf, config_dir())
-    others = [joint for joint in list(load_model(path).names)[1:] if joint not in file.joint_names]
+    joints = [joint.get('name') for joint in ElementTree.parse(path).getroot().findall('joint')
+              if joint.get('type') != 'fixed']
+    others = [joint for joint in joints if joint not in file.joint_names]
     return load_model(path, dict.fromkeys(others, 0.0))
 
 
@@ -220,3 +223,46 @@ def test_new_robot_refuses_what_is_no_arm_in_one_line(
     with pytest.raises(ConfigError, match=message) as caught:
         command(welded, tip, sensor, lock=lock)
     assert '\n' not in str(caught.value) and not list(tmp_path.glob('*.yaml'))
+
+
+GRIPPER = """<link name="knuckle"><inertial><origin xyz="0 0 0.02"/><mass value="0.1"/>
+<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="knuckle" type="revolute"><parent link="stick"/><child link="knuckle"/>
+<axis xyz="0 1 0"/><limit lower="0.1" upper="0.8" effort="5" velocity="1"/></joint>
+<link name="finger"><inertial><origin xyz="0 0 0.02"/><mass value="0.1"/>
+<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="finger" type="revolute"><parent link="knuckle"/><child link="finger"/>
+<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="5" velocity="1"/>
+<mimic joint="pad" multiplier="2"/></joint><link name="pad"><inertial><origin xyz="0 0 0.02"/>
+<mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>
+</link><joint name="pad" type="revolute"><parent link="stick"/><child link="pad"/>
+<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="5" velocity="1"/>
+<mimic joint="knuckle" multiplier="-1" offset="0.05"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(('lock', 'knuckle'), [([], 0.1), (['knuckle=0.5'], 0.5)])
+def test_new_robot_locks_the_fingers_that_mimic_where_their_leader_leads_them(
+        tmp_path, welded, lock, knuckle):
+    welded.write_text(welded.read_text().replace('</robot>', GRIPPER))
+    mine = tmp_path / 'mine.yaml'
+    new_robot(welded, 'sensor', 'tip', mine, tmp_path / 'controller.yaml', ['lift=0', *lock])
+    file = find_robot(str(mine)).file
+    assert file.locked == pytest.approx({
+        'lift': 0.0, 'stick': 0.0, 'knuckle': knuckle, 'pad': 0.05 - knuckle,
+        'finger': 2.0 * (0.05 - knuckle)})
+
+
+@pytest.mark.parametrize(('sensor', 'joint', 'leader'), [
+    ('sensor', 'link4', 'link3'), ('sensor', 'stick', 'link5'), ('sensor', 'link4', 'nothing')])
+def test_new_robot_refuses_a_joint_that_mimics_one_of_the_arm(
+        tmp_path, welded, sensor, joint, leader):
+    """In the chain, and in the tool, which would move with the arm."""
+    opening = f'<joint name="{joint}" type="revolute">'
+    mimic = f'<mimic joint="{leader}" multiplier="0.5"/>'
+    text = welded.read_text()
+    assert opening in text
+    welded.write_text(text.replace(opening, opening + mimic))
+    with pytest.raises(ConfigError, match=f'got {joint} follows {leader}, no motor of its own'):
+        new_robot(welded, sensor, 'tip', tmp_path / 'mine.yaml', tmp_path / 'controller.yaml',
+                  ['lift=0'])
+    assert not list(tmp_path.glob('*.yaml'))

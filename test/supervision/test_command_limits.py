@@ -1,8 +1,11 @@
 """Commands beyond the limits are refused by name."""
 
 from arms import controller_config
+from multicontact_control.config import LimitsConfig
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError
-from multicontact_control.supervision.command_limits import CommandLimits
+from multicontact_control.supervision.command_limits import check_motion, CommandLimits
+import numpy as np
 import pytest
 
 EDGE = controller_config(contacts={'table': {
@@ -29,3 +32,19 @@ def test_check_forces_refuses_what_is_unknown_or_beyond_a_limit(forces, before, 
         return
     with pytest.raises(CommandError, match=message):
         LIMITS.check_forces(EDGE, forces, before, shares)
+
+
+@pytest.mark.parametrize(('twist', 'acceleration', 'message'), [
+    ([0.3, 0.4, 0, 0, 0, 2.0], [3.0, 4.0, 0, 0, 20.0, 0], ''),
+    ([0.4, 0.4, 0, 0, 0, 0], [0] * 6, r'speed: .* most 0.5 m/s \(limits.operational_speed'),
+    ([0, 0, 0, 0, 0, -2.1], [0] * 6, r'angular speed: expected at most 2 rad/s .*, got 2.1 rad/s'),
+    ([0] * 6, [0, 0, -6.0, 0, 0, 0], r'acceleration: expected at most 5 m/s\^2 .*, got 6 m/s\^2'),
+    ([0] * 6, [0, 0, 0, 30.0, 0, 0], r'angular acceleration: expected at most 20 rad/s\^2')])
+def test_check_motion_refuses_what_is_faster_than_the_limits(twist, acceleration, message):
+    motion = MotionReading(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]),
+                           np.array(twist, dtype=float), np.array(acceleration, dtype=float))
+    if not message:
+        check_motion(motion, LimitsConfig())
+        return
+    with pytest.raises(CommandError, match=message):
+        check_motion(motion, LimitsConfig())

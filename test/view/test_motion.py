@@ -74,3 +74,17 @@ def test_motion_out_of_the_workspace_is_refused_and_changes_nothing(motion):
         motion.jog([0.55, 0.0, 0.0])
     assert motion.what == 'sine along x'
     np.testing.assert_allclose(motion.goal, START + [0.0, 0.3, 0.0])
+
+
+def test_sine_faster_than_the_limits_is_refused_and_a_slow_arm_is_led_slowly(motion):
+    with pytest.raises(CommandError, match='speed: expected at most 0.5 m/s'):
+        motion.start_sine('x', 0.15, 2.0)
+    assert motion.what == ''
+    slow = Motion(LIMITS.model_copy(update={
+        'operational_speed': 0.04, 'operational_acceleration': 0.2}))
+    slow.start(START, np.array([0.0, 0.0, 0.0, 1.0]))
+    slow.go_to(START + [0.1, 0.0, 0.0])
+    position, velocity, acceleration = path(slow, 4000)
+    np.testing.assert_allclose(position[-1], START + [0.1, 0.0, 0.0], atol=1e-9)
+    assert 0.018 < np.linalg.norm(velocity, axis=1).max() <= 0.02 * 1.0001
+    assert np.linalg.norm(acceleration, axis=1).max() <= 0.1 * 1.0001
