@@ -307,6 +307,7 @@ TASK_LIMITS = np.dtype([
     ('behind', B),  # whether the reference has still to catch up with the task
     ('position', F, 3), ('rotation', F, (3, 3)),  # the reference, before contacts move it [m]
     ('twist', F, 6),  # its velocity while it catches up [m/s, rad/s]
+    ('reads_before', B),  # whether something is read that no touch explains
     ('ahead', F, 3), ('turned_ahead', F, 3),  # of the arm, a tick ago, off normals [m], [rad]
 ], align=True)
 

@@ -102,9 +102,13 @@ def new_robot(
         missing.append('home: no posture with the tool straight down was found; this one is the '
                        "middle of the joints' range")
     values['home'] = home.round(9).tolist()
-    for name, corner in zip(('workspace_lower', 'workspace_upper'),
-                            reachable_box(arm.model(), home)):
-        values[name] = corner.round(3).tolist()
+    box = reachable_box(arm.model(), home)
+    if box is None:
+        missing.append('workspace_lower, workspace_upper: around home the tool reaches no box; '
+                       'limits.workspace_* are 0.4 to 0.6 m from it')
+    else:
+        values['workspace_lower'], values['workspace_upper'] = (
+            corner.round(3).tolist() for corner in box)
     comments = dict(COMMENTS)
     for name, (guess, unit) in GUESSED_LIMITS.items():
         values[name] = np.nan_to_num(limits[name], nan=guess).tolist()

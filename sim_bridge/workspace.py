@@ -21,12 +21,13 @@ REACHED = 1e-6  # m, rad
 DAMPING = 1e-8
 
 
-def reachable_box(model: pin.Model, home: Vector) -> tuple[Vector, Vector]:
+def reachable_box(model: pin.Model, home: Vector) -> tuple[Vector, Vector] | None:
     """
     Return the lower and upper corner of the box that the operational point reaches [m].
 
     From home, joint angles of shape (n,) [rad], each of six sides moves out as long as the points
     on it are reached with the orientation at home, off the joints' stops and singular postures.
+    None if that leaves no box, as where home is at a stop.
     """
     pose = frame_pose(model, home)
     corners = np.array([pose.translation, pose.translation])
@@ -45,6 +46,8 @@ def reachable_box(model: pin.Model, home: Vector) -> tuple[Vector, Vector]:
                 continue
             known += reached
             corners = wider
+    if (corners[1] - corners[0] < STEP).any():
+        return None
     return corners[0], corners[1]
 
 

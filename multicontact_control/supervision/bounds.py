@@ -34,7 +34,7 @@ SPEED_GAIN = 50.0  # 1/s, how fast a speed is brought back to the one that is al
 STOP_RATE = 20.0  # 1/s, of the way left: the speed that is allowed near a stop
 JOINT_BRAKING = 5.0  # rad/s^2 counted on farther away from it
 STOP_ZONE = 0.1  # rad before a stop, where a joint is always looked after
-WATCHED_SHARE = 0.7  # of the speed that is allowed, from where on it is looked after elsewhere
+WATCHED_SHARE = 0.5  # of the speed that is allowed, from where on it is looked after elsewhere
 # sqrt(kg)^-1: square root of the smallest eigenvalue of Lambda^-1. Motion ends at the first, above
 # which Lambda is not damped (0.004 1/kg), and is looked after below the second.
 SINGULAR, NEAR_SINGULAR = 0.08, 0.24

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from multicontact_control.algebra import dot, rotate_by
@@ -28,7 +27,7 @@ LASTING_ERROR, LASTING_SHARE, LASTING_TIME = 1.5, 0.25, 0.3
 RETURN_RATE, RETURN_SHARE, RETURN_RAMP = 5.0, 0.2, 0.25
 # How far the reference may be ahead of an arm at rest that cannot follow [m], [rad].
 LEAST_LEAD, LEAST_TURN = 0.003, 0.01
-THERE = 1e-5  # m or rad from the task, where it is caught up with
+THERE = 5e-5  # m or rad from the task, where it is caught up with
 # A task is a step away that is farther than the largest speeds lead in so long [s] (a stream of
 # 100 Hz is none), or faster than before by so much of them.
 STEP_TIME, STEP_SHARE = 0.01, 0.15
@@ -42,7 +41,9 @@ class ContactTask:
     A hold keeps the arm where it is and pressing as it does, a lock keeps it where it is without
     contact; the time of the source stands still meanwhile. If not `guarded`, neither contact
     states nor limits apply: the source makes the contacts. `states` are records of
-    `CONTACT_STATE`, shape (r,); `limited` is whether a limit was enforced at the last tick.
+    `CONTACT_STATE`, shape (r,); `limited` is whether a limit was enforced at the last tick,
+    `bounded` whether the motion of the arm was then, which its user sets, and `reads_before`
+    whether there is anything in `read_before`.
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class ContactTask:
 
     def reset(self) -> None:
         """Let all contacts start anew, free; a hold ends."""
-        self.limited = self.held = False
+        self.limited = self.bounded = self.held = self.reads_before = False
         self._time = self._lost_time = 0.0
         self._active[:] = False
         self._stand(pressing=False)
@@ -101,7 +102,7 @@ class ContactTask:
         self._task: Task = Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces)
         self.states[~pressed] = contacts.FREE_CONTACT
         self._columns['untared'][~pressed] = self._columns['speed_bound'][~pressed] = 0.0
-        self._limits['bounded'] = self._limits['behind'] = False
+        self.bounded, self._limits['behind'] = False, False
         self._limits['position'], self._limits['rotation'] = position, rotation
         self._limits['twist'] = 0.0
         self._kept: Mask | None = None  # contacts, from the end of a pause to the next tick
@@ -126,11 +127,9 @@ class ContactTask:
         if self._guarded:
             if self._kept is not None:
                 self._return(self._kept)
+            self._limits['bounded'] = self.bounded
             self.limited = _limit_task(self._limits, self._controls, self._columns, self.states)
-
-    def note_limits(self, limits: Sequence[str]) -> None:
-        """Take in which limits the answer met: the reference waits for an arm that is bounded."""
-        self._limits['bounded'] = 'joint' in limits or 'reach' in limits
+            self.reads_before = bool(self._limits['reads_before'][0])
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -140,12 +139,10 @@ class ContactTask:
     @property
     def read_before(self) -> tuple[str, ...]:
         """Return a sentence for each force or couple that was read before anything was touched."""
-        untared, resting = self.states['untared'], self.states['resting']
-        if not (untared.any() or resting.any()):
-            return ()
+        readings = self.states['untared'] + self.states['resting']
         return tuple(
             f'{name} reads {reading:+.1f} N before it touches: nothing should press, tare'
-            for name, reading in zip(self._names, (untared + resting).tolist()) if reading)
+            for name, reading in zip(self._names, readings.tolist()) if reading)
 
     def hold(self, wanted: bool) -> None:
         """Stay where the arm is and press as it does, or go on from there."""
@@ -186,7 +183,7 @@ class ContactTask:
         limits['position'] = self._frame['position'] - along @ normals
         limits['rotation'] = self._frame['rotation']
         limits['twist'] = limits['ahead'] = limits['turned_ahead'] = 0.0
-        limits['bounded'], limits['behind'] = False, True
+        self.bounded, limits['behind'] = False, True
 
     def sought_normals(self) -> Any:
         """Return normals of what is sought or held, couples with 0, shape (k, 3)."""
@@ -251,34 +248,33 @@ def _catch_up(
     """
     Shorten a way to what the reference goes in a tick; return whether it has caught up.
 
-    Its velocity `speed` v_r becomes the desired one, `speed_des`. While the motion of the arm is
-    bounded, v_r is at most v + (l - e) k_p / k_v at a distance e ahead of an arm of speed v: the
-    motion law then pulls the arm by k_p l at most.
+    Its velocity `speed` v_r becomes the desired one, `speed_des`. It changes no faster than
+    `RETURN_RAMP` says. While the motion of the arm is bounded, v_r is at most v + (l - e) k_p /
+    k_v towards the task, at a distance e ahead of an arm of speed v: the motion law then pulls
+    the arm by k_p l at most.
     """
-    h, length = limit.contacts.period, np.sqrt(dot(way, way))
-    fastest = reach / limit.lead
-    of_task = np.sqrt(dot(speed_des, speed_des))
-    along = min(of_task + min(RETURN_RATE * length, RETURN_SHARE * fastest), fastest)
-    if length > THERE:
-        along = min(along, dot(speed, way) / length + h * fastest / RETURN_RAMP)
-        if limit.bounded:
-            along = min(along, dot(speed_of_arm, way) / length
-                        + (least_lead - dot(ahead, way) / length) / limit.lead)
-        along = max(along, 0.0)
-        if length > h * along:
-            way *= h * along / length
-            speed[:] = way / h
-            speed_des[:], acceleration[:] = speed, 0.0
-            return False
-    # It is where the task is, and goes on with it once it is as fast.
+    h, length, fastest = limit.contacts.period, np.sqrt(dot(way, way)), reach / limit.lead
+    ramp = h * fastest / RETURN_RAMP
+    wanted = speed_des.copy()
+    if length > 0.0:
+        direction = way / length
+        wanted += direction * min(RETURN_RATE * length, RETURN_SHARE * fastest)
+        wanted *= min(1.0, fastest / max(np.sqrt(dot(wanted, wanted)), THERE))
+        along = dot(wanted, direction)
+        allowed = dot(speed_of_arm, direction) + (least_lead - dot(ahead, direction)) / limit.lead
+        if limit.bounded and along > max(allowed, 0.0):
+            wanted += direction * (max(allowed, 0.0) - along)
+            speed[:] = wanted
+    change = wanted - speed
+    share = min(1.0, ramp / max(np.sqrt(dot(change, change)), THERE))
+    speed += share * change
     missing = speed_des - speed
-    change = np.sqrt(dot(missing, missing))
-    if change > 2.0 * h * fastest / RETURN_RAMP:
-        speed += missing * (h * fastest / RETURN_RAMP / change)
-        speed_des[:], acceleration[:] = speed, 0.0
-        return False
-    speed[:] = speed_des
-    return True
+    if length < THERE and dot(missing, missing) < (2.0 * ramp) ** 2:
+        speed[:] = speed_des
+        return True
+    way[:] = h * speed
+    speed_des[:], acceleration[:] = speed, 0.0
+    return False
 
 
 @compiled
@@ -287,6 +283,7 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
     position, twist, acceleration = task.position, task.twist, task.acceleration
     away, rate = frame.position - position, frame.twist[:3] - twist[:3]
     moved, shift = states['displacement'].copy(), np.zeros(3)
+    limit.reads_before = False
     for i in range(columns.shape[0]):
         column, state = columns[i], states[i]
         answer, normal = column.answer, column.normal
@@ -329,6 +326,8 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
             column.speed_bound = contacts.speed_bound(state, limit.contacts)
         shift += state.displacement * normal
         take_off(column, state)
+        if state.untared != 0.0 or state.resting != 0.0:
+            limit.reads_before = True
         if not answer.active:
             answer.alpha_des = 0.0
             twist[:3] += state.speed * normal

@@ -20,8 +20,8 @@ NOT_FINITE, JOINT_STOP, TORQUE, TORQUE_RATE, SINGULAR = 1, 2, 4, 8, 16
 NAMES = (('not_finite', NOT_FINITE), ('joint', JOINT_STOP), ('torque', TORQUE),
          ('torque_rate', TORQUE_RATE), ('reach', SINGULAR))
 ENFORCED = tuple(tuple(name for name, bit in NAMES if flags & bit) for flags in range(32))
-# Those that may last, of which the force laws are told.
-LASTING_LIMITS = frozenset(('joint', 'torque', 'reach'))
+BOUNDING_LIMITS = frozenset(('joint', 'reach'))  # of the motion of the arm
+LASTING_LIMITS = BOUNDING_LIMITS | {'torque'}  # that may last: the force laws are told of them
 JOINT_MARGIN = 0.02  # rad before its stop, where a joint comes to rest
 STEEPEST = 1.875  # largest slope of the quintic from 0 to 1
 BLEND_TIME = 0.003  # s, time constant by which a change of active contacts or laws is blended

@@ -112,6 +112,8 @@ class Seen(NamedTuple):
     blind: bool = False  # whether the joint state is neither of this tick nor of the one before
     measured: bool = True  # whether the wrench is of this tick
     skipped: int = 0  # samples that are missing before this tick
+    refuted: bool = False  # whether velocities were refuted, and not proven in motion since
+    unheard: bool = False  # whether the torques of some joints are of no use for a while
 
 
 ALL_WELL = Seen()
@@ -373,6 +375,9 @@ def check_inputs(
                     problem[WRENCH] == FINE or momentum.is_input, state, settings)
     state.blind = state.blind_ticks > 1
     well = not state.blind and problem[WRENCH] == FINE and state.skipped == 0
+    well = well and not state.unproven
+    for j in range(joints.shape[0]):
+        well = well and joints[j].unheard < REPORTED
     for i in range(4):
         well = well and not stale[i] and problem[i] <= FINE
     return bool(well)
@@ -446,8 +451,6 @@ class Inputs:
     def unheard_joints(self) -> dict[str, tuple[int, ...]]:
         """Return the joints whose torques are of no use, by what is wrong with them."""
         unheard = self._joints['unheard'] >= REPORTED
-        if not unheard.any():
-            return {}
         faults = np.where(unheard, self._joints['effort_fault'], HEARD)
         return {EFFORT_FAULTS[fault]: tuple(np.flatnonzero(faults == fault).tolist())
                 for fault in (UNHEARD, NOT_A_NUMBER, SILENT) if (faults == fault).any()}
@@ -529,7 +532,8 @@ class Inputs:
             tuple(f"{part}_{problem or 'stale'}" for part, problem, stale in problems if stale),
             tuple(f'{part}_{problem}' for part, problem, _ in problems[:CLOCK] if problem),
             bool(state['known']), bool(state['blind']),
-            bool(state['problem'][WRENCH] == FINE), int(state['skipped']))
+            bool(state['problem'][WRENCH] == FINE), int(state['skipped']),
+            bool(state['unproven']), bool((self._joints['unheard'] >= REPORTED).any()))
 
 
 def _stage_record(config: ControllerConfig) -> Records:

@@ -15,7 +15,7 @@ from multicontact_control.supervision import checks, reactions
 from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.contact_task import ContactTask
 from multicontact_control.supervision.contacts import GIVEN_UP
-from multicontact_control.supervision.gate import LASTING_LIMITS, TorqueGate
+from multicontact_control.supervision.gate import BOUNDING_LIMITS, LASTING_LIMITS, TorqueGate
 from multicontact_control.supervision.inputs import Inputs, Seen, TickInputs
 from multicontact_control.supervision.reactions import FLOAT, HOLD, NONE, SAFE
 from multicontact_control.supervision.report import no_answer, SupervisorStatus
@@ -130,7 +130,7 @@ class Supervisor:
             # A blend passes in a moment, and a limited rate is caught up with: they are left out.
             if self.guarded and not LASTING_LIMITS.isdisjoint(limits):
                 self.controller.account_for(torque)
-            self.task.note_limits(limits)
+            self.task.bounded = not BOUNDING_LIMITS.isdisjoint(limits)
             self._task_ticks += 1
             return self._report(
                 torque, reaction, causes, ('reference', *limits) if self.task.limited else limits)
@@ -187,7 +187,8 @@ class Supervisor:
             return SAFE, causes
         if checks.CONTRADICTED in causes:
             self._trusted = False
-        elif self.velocities_in_doubt:
+        elif self._seen.refuted and not self._trusted:
+            # At rest nothing contradicts them: the arm is held by estimates from its positions.
             causes = (checks.CONTRADICTED, *causes)
         if self.started and not self._paused:
             return checks.reaction_to(causes, self.config) if causes else NONE, causes
@@ -206,11 +207,7 @@ class Supervisor:
 
     @property
     def velocities_in_doubt(self) -> bool:
-        """
-        Whether velocities were refuted, and neither motion nor an operator says otherwise.
-
-        At rest nothing contradicts them: the arm is held, by estimates from its positions.
-        """
+        """Whether velocities were refuted, and neither motion nor an operator says otherwise."""
         return self.guarded and self.inputs.refuted and not self._trusted
 
     def _resume(self) -> None:
@@ -346,9 +343,9 @@ class Supervisor:
                 'touches the tool, bias or tool weight (tare or calibrate)') if stray else ''
 
     def _unwatched(self) -> str:
-        """Return whose measured torques are of no use, and what that leads to; empty if none."""
+        """Return whose measured torques are of no use, and what that leads to."""
         config, faults = self.config, self.inputs.unheard_joints
-        if not (config.robot.measures_torque and faults):
+        if not config.robot.measures_torque:
             return ''
         names, count = config.robot.joint_names, sum(map(len, faults.values()))
         texts = [f'of {", ".join(names[j] for j in joints) if len(joints) < len(names) else "all"}'
@@ -392,8 +389,8 @@ class Supervisor:
         self._output = output
         return output, SupervisorStatus(
             reaction, causes, self._seen.rejected, limits, self.task.state_names,
-            self._task_ticks * self._period, self._unwatched(),
-            self.task.read_before) if self.guarded else None
+            self._task_ticks * self._period, self._unwatched() if self._seen.unheard else '',
+            self.task.read_before if self.task.reads_before else ()) if self.guarded else None
 
     def reconfigure(self, config: ControllerConfig) -> None:
         """Go on with other live parameters, without a jump; or ConfigError, as it was before."""

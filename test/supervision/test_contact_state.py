@@ -265,4 +265,5 @@ def test_task_that_is_held_stands_still_and_then_goes_on_where_it_was():
         assert not any(x.any() for x in (out.twist, out.acceleration, out.active, out.alpha_des))
     asked.stay(Pose(before, np.eye(3)))
     asked.task.hold(False)
-    np.testing.assert_allclose(asked.ask(1.6).pose.position_world, before, atol=1e-9)
+    # From rest, with a bounded acceleration.
+    np.testing.assert_allclose(asked.ask(1.6).pose.position_world, before, atol=1e-5)
