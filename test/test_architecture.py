@@ -25,7 +25,7 @@ BUDGETS = {
     'benchmarks': 350}
 OUTSIDE = ('test', 'test/campaign', 'benchmarks')  # of the product
 MOST_LINES = 25_550  # of the product, 400 of them for the bridge to a vendor's driver
-MOST_COMPILED = 80  # functions
+MOST_COMPILED = 100  # functions
 
 
 def sources(*folders: str) -> dict[str, str]:

@@ -20,7 +20,8 @@ class ContactStateConfig(Config):
     approach_distance: float = parameter(
         0.1, 'A surface not met over this distance is given up.', unit='m', gt=0.0, le=2.0)
     contact_threshold: float = parameter(
-        1.5, 'Change of the measured force since the approach began that counts as touch.', unit='N', gt=0.0, le=100.0)
+        1.5, 'Change of the measured force since the approach began that counts as touch.',
+        unit='N', gt=0.0, le=100.0)
     release_threshold: float = parameter(
         0.5, 'Measured force below which a contact may be lost.', unit='N', ge=0.0, le=100.0)
     retry_time: float = parameter(

@@ -70,8 +70,8 @@ class ControllerReport:
         loop, status = self._loop, self._loop.status or QUIET
         instruction = loop.push_gate.instruction
         now = (status.reaction, status.causes, loop.supervisor.findings, instruction,
-               status.contact_states, len(status.read_before), loop.supervisor.safe, loop.held, self._node.state,
-               *loop.commanded_forces.values())
+               status.contact_states, len(status.read_before), loop.supervisor.safe, loop.held,
+               self._node.state, *loop.commanded_forces.values())
         for name in status.rejected:
             self._warn(name, f'a reading is not used: {name}')
         self._warn('read before', '; '.join(status.read_before))

@@ -9,11 +9,11 @@ gone too far without a surface, until it is time for another search. Beyond the 
 where it leads out of the workspace: retracting, then given up until it is commanded again. It is
 free as long as the task does not ask for it.
 
-A touch is a change since the approach began: what a sensor reads in free space is no force. It is
-averaged before the approach, follows what is read on the way, and is taken off (`untared`). A touch
-is a touch until the force answers the motion: it rises while the tip advances, as it does on any
-surface of `SOFTEST` and more. Until then the tip is no faster than an approach, and a contact that
-yields further than that is let go: all that it reads is no force, and the search goes on.
+A touch is a change since the approach began: what a sensor reads in free space is no force. That
+is averaged before the approach, followed on the way, and taken off (`untared`). A touch is proven
+once the force answers the motion: it rises while the tip advances, as on any surface of `SOFTEST`
+and more. Until then the tip is no faster than an approach, and a contact that yields farther is
+let go: all that it reads is no force, and the search goes on.
 
 A `contact` is a record of `CONTACT_STATE`, changed, `settings` are one of `CONTACT_SETTINGS`;
 `alpha` is the measured force without what is taken off [N], `place` and `speed` are those of the
