@@ -54,6 +54,7 @@ TARE_SHARE = 1.0 / 3.0  # of the contact threshold, from which on what is read f
 AVERAGE_TIME = 0.1  # s, over which that is averaged where the tip stands
 AVERAGE_WAY = 0.02  # m, the same on the way: a sensor drifts, and a soft surface is no drift
 FALL_TIME = 0.5  # s, the same of a fall, which is no touch; a flipped sign falls faster
+PRESSING_WAY = 5e-4  # m without a change, as of a preload on a surface
 FREE_WAY = 3e-3  # m without a change, after which what is read is no force of a surface
 ANSWER_SHARE = 0.5  # of the contact threshold, by which a force has to rise to answer
 SOFTEST = 150.0  # N/m; what rises less on the way is no surface
@@ -226,13 +227,15 @@ def _watch_answer(
 @compiled
 def _take_answer(contact: Any, settings: Any) -> None:
     """
-    Begin with the preload where a force that held has answered only now.
+    Begin with the preload where the tip has gone on before a force that held has answered.
 
-    If the tip has gone on before that, it touches the surface only now, too, and what it has read
-    until then is no force.
+    It may touch the surface only now; after a longer way it does, and what it has read until then
+    is no force.
     """
-    contact.calm = IMPACT_TIME
-    if contact.flat_place - contact.touch_place > FREE_WAY:
+    way = contact.flat_place - contact.touch_place
+    if way > PRESSING_WAY:
+        contact.calm = IMPACT_TIME
+    if way > FREE_WAY:
         contact.free_way = FREE_WAY
         _take_off(contact, settings, contact.untared + contact.least)
 
