@@ -306,7 +306,9 @@ def answer_forces(
         # Of the contact point into the surface, as far as it is known how that moves itself.
         speed = dot(contact.N, control.frame.twist) - (
             contact.config.surface_speed + contact.surface_speed_est)
-        if law.stiffness.adaptive:
+        if contact.borne > 0.0:  # what does not answer the motion says nothing of a surface
+            law.stiffness.felt = False
+        elif law.stiffness.adaptive:
             learn_stiffness(laws, contacts, i, control, speed)
         if not answer.active:
             law.observer.running = law.linear.running = False

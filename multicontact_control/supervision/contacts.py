@@ -54,6 +54,7 @@ TARE_SHARE = 1.0 / 3.0  # of the contact threshold, from which on what is read f
 AVERAGE_TIME = 0.1  # s, over which that is averaged where the tip stands
 AVERAGE_WAY = 0.02  # m, the same on the way: a sensor drifts, and a soft surface is no drift
 FALL_TIME = 0.5  # s, the same of a fall, which is no touch; a flipped sign falls faster
+AHEAD_TIME = 0.3  # s without an answer, from which on more than the threshold is asked beyond that
 PRESSING_WAY = 5e-4  # m without a change, as of a preload on a surface
 FREE_WAY = 3e-3  # m without a change, after which what is read is no force of a surface
 ANSWER_SHARE = 0.5  # of the contact threshold, by which a force has to rise to answer
@@ -62,6 +63,7 @@ SLIPPING = 2e-4  # m back, at which a force that rises still answers: drives and
 ANSWER_TIME = 0.015  # s, over which a force that is to answer is averaged: drives let a tool swing
 YIELDING, RETREATING = 0.01, 5e-3  # m forth and back without an answer, after which it is none
 STAYING = 1e-3  # m out of a surface during a pause, at most, of a contact that stays
+UNANSWERED_TIME = 1.0  # s of more force that is asked for, after which there is no answer
 GENTLE = 0.9  # times the approach speed, at most, until a force has answered
 TOUCHING = 1.5  # the same at a touch, which comes down to that within `IMPACT_TIME`
 SETTLING_PERIODS, SETTLING_DELAYS = 2, 3  # in which a step of what is read has passed the filters
@@ -155,7 +157,7 @@ def go_on(contact: Any, alpha: float, place: float) -> None:
     contact.answered = contact.answered and (
         place > contact.origin - STAYING and alpha > TOUCH_SHARE * contact.level)
     contact.resumed = True
-    contact.seen = contact.resting = 0.0
+    contact.seen = contact.resting = contact.asked_for = 0.0
 
 
 @compiled
@@ -187,7 +189,7 @@ def follow_couple(couple: Any, force: Any, settings: Any, alpha: float) -> None:
 def _begin_answer(contact: Any) -> None:
     """Wait for an answer from now on."""
     contact.answered = contact.resumed = False
-    contact.seen = contact.resting = 0.0
+    contact.seen = contact.resting = contact.asked_for = 0.0
 
 
 @compiled
@@ -220,6 +222,9 @@ def _watch_answer(
         contact.resting = 0.0
     way = place - contact.least_place
     needed = max(ANSWER_SHARE * settings.contact_threshold, SOFTEST * way)
+    missing = min(contact.asked, contact.force_limit) - contact.felt
+    asks = missing > ANSWER_SHARE * settings.contact_threshold
+    contact.asked_for = contact.asked_for + settings.period if asks else 0.0
     contact.answered = (
         contact.resting == 0.0 and way > -SLIPPING and contact.felt - contact.least >= needed)
 
@@ -249,7 +254,8 @@ def desired_force(contact: Any, settings: Any) -> float:
     # No more than is needed to find out: what is fed forward moves a tool that nothing bears.
     if contact.resting > 0.0:
         return min(desired, settings.preload)
-    return min(desired, max(contact.felt + settings.contact_threshold, settings.preload))
+    ahead = settings.contact_threshold * max(1.0, contact.seen / AHEAD_TIME)
+    return min(desired, max(contact.felt + ahead, settings.preload))
 
 
 @compiled
@@ -265,13 +271,14 @@ def speed_bound(contact: Any, settings: Any) -> float:
 
 @compiled
 def is_refuted(contact: Any, settings: Any, place: float) -> bool:
-    """Return whether the tip has gone too far for a surface, which has not answered."""
+    """Return whether the tip has gone too far, or too long, without an answer of a surface."""
     way = place - contact.least_place
     if not is_active(contact) or contact.answered or contact.seen <= settings.settling_time:
         return False
     if contact.resumed:  # it may slide along a slope meanwhile
         return way > settings.approach_distance
-    return way > YIELDING or way < -RETREATING
+    # A law that goes on by a way of its own, as an impedance does, may stand in free space.
+    return way > YIELDING or way < -RETREATING or contact.asked_for > UNANSWERED_TIME
 
 
 @compiled
