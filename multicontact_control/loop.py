@@ -119,9 +119,7 @@ class ControlLoop:
         if inputs.wrench is not None and inputs.wrench.stamp == inputs.time:
             self._readings.append((self.time, self.supervisor.inputs.raw.copy(),
                                    self.supervisor.controller.arm.velocity.copy()))
-        if self.push_gate.running and self.supervisor.velocities_in_doubt:
-            self.push_gate.fail(VELOCITIES_IN_DOUBT)
-        if self.push_gate.phase and self.output is not None:
+        if self.push_gate.phase:
             self._push(inputs)
         return output.torque
 
@@ -132,6 +130,10 @@ class ControlLoop:
 
     def _push(self, inputs: TickInputs) -> None:
         """Lead on with a push test by a sample with a new wrench, and obey its verdict."""
+        if self.supervisor.velocities_in_doubt:
+            self.push_gate.fail(VELOCITIES_IN_DOUBT)
+        if self.output is None or not self.push_gate.phase:
+            return
         joints, wrench, stage = inputs.joints, inputs.wrench, self.supervisor.inputs
         if stage.fresh and joints and wrench and joints.stamp == wrench.stamp and (
                 self.push_gate.update(

@@ -285,6 +285,7 @@ CONTACT_STATE = np.dtype([
     ('last_speed', F),  # of the tip along the normal, at the sample before [m/s]
     ('seen', F),  # for how long a force is seen that has not answered [s]
     ('felt', F),  # that force, smoothed [N]
+    ('unanswered', F),  # for how long clearly more than that is asked for [s]
     ('least', F), ('least_place', F),  # its minimum, and where the tip was then [N], [m]
     ('touch_place', F), ('flat_place', F),  # of the touch, and of the last force near that [m]
     ('calm', F),  # until it has more than the preload, of one that has answered late [s]

@@ -42,10 +42,9 @@ from multicontact_control.records import FORCE_LAW, LIMITS, Records
 import numpy as np
 
 ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
-# By which a tip is kept at the speed it may have where no surface has answered: well damped with
-# the delays of a loop, and so gentle that the tool's inertia is not taken for an answer.
-BOUND_RATE, BOUND_STIFFNESS = 60.0, 400.0  # 1/s, 1/s^2
-GENTLEST = 0.75  # m/s^2
+# By which a tip is kept at the speed it may have where no surface has answered: damped with the
+# delays of a loop.
+BOUND_RATE, BOUND_STIFFNESS = 80.0, 800.0  # 1/s, 1/s^2
 BORNE_TIME = 0.05  # s, in which it is forgotten what a surface bears
 RATIOS = tuple(np.geomspace(1.0, 100.0, 9).tolist())  # where the loop's limit is looked for
 
@@ -270,8 +269,8 @@ def bound_speed(
     """
     Return u within what keeps the tip at `speed_bound` if nothing bears it [m/s^2].
 
-    The tip accelerates by a = u - K_2 v + N^T Lambda^-1 N alpha_fed into free space. It is kept
-    at or below min(G (v_max - v), a_0) + b, where b is what a surface turns out to bear: it grows
+    The tip accelerates by a = u - K_2 v + N^T Lambda^-1 N alpha_fed into free space. It is kept at
+    or below G (v_max - v) + b, where b is what a surface turns out to bear: it grows
     while the tip is slower than it may be although it is pushed, and is forgotten. The force law
     is told what acts. `speed` is that of the contact point INTO the surface [m/s].
     """
@@ -279,7 +278,7 @@ def bound_speed(
     damping = control.law.K_2 * speed
     fed = contact.answer.alpha_fed * mobility_along(contact, mobility)
     slower = contact.speed_bound - speed
-    largest = min(BOUND_RATE * slower, GENTLEST) + contact.borne
+    largest = BOUND_RATE * slower + contact.borne
     if u - damping + fed <= largest:
         contact.borne *= 1.0 - min(period / BORNE_TIME, 1.0)
         return u
@@ -307,7 +306,9 @@ def answer_forces(
         # Of the contact point into the surface, as far as it is known how that moves itself.
         speed = dot(contact.N, control.frame.twist) - (
             contact.config.surface_speed + contact.surface_speed_est)
-        if law.stiffness.adaptive:
+        if contact.borne > 0.0:  # what does not answer the motion says nothing of a surface
+            law.stiffness.felt = False
+        elif law.stiffness.adaptive:
             learn_stiffness(laws, contacts, i, control, speed)
         if not answer.active:
             law.observer.running = law.linear.running = False

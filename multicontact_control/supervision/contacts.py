@@ -9,11 +9,11 @@ gone too far without a surface, until it is time for another search. Beyond the 
 where it leads out of the workspace: retracting, then given up until it is commanded again. It is
 free as long as the task does not ask for it.
 
-A touch is a change since the approach began: what a sensor reads in free space is no force. It is
-averaged before the approach, follows what is read on the way, and is taken off (`untared`). A
-touch is a touch until the force answers the motion: it rises while the tip advances, as it does on
-any surface of `SOFTEST` and more. Until then the tip is no faster than an approach, and a contact
-that yields further than that is let go: all that it reads is no force, and the search goes on.
+A touch is a change since the approach began: what a sensor reads in free space is no force. That
+is averaged before the approach, followed on the way, and taken off (`untared`). A touch is proven
+once the force answers the motion: it rises while the tip advances, as on any surface of `SOFTEST`
+and more. Until then the tip is no faster than an approach, and a contact that yields farther is
+let go: all that it reads is no force, and the search goes on.
 
 A `contact` is a record of `CONTACT_STATE`, changed, `settings` are one of `CONTACT_SETTINGS`;
 `alpha` is the measured force without what is taken off [N], `place` and `speed` are those of the
@@ -54,6 +54,8 @@ TARE_SHARE = 1.0 / 3.0  # of the contact threshold, from which on what is read f
 AVERAGE_TIME = 0.1  # s, over which that is averaged where the tip stands
 AVERAGE_WAY = 0.02  # m, the same on the way: a sensor drifts, and a soft surface is no drift
 FALL_TIME = 0.5  # s, the same of a fall, which is no touch; a flipped sign falls faster
+AHEAD_TIME = 0.3  # s without an answer, from which on more than the threshold is asked beyond that
+PRESSING_WAY = 5e-4  # m without a change, as of a preload on a surface
 FREE_WAY = 3e-3  # m without a change, after which what is read is no force of a surface
 ANSWER_SHARE = 0.5  # of the contact threshold, by which a force has to rise to answer
 SOFTEST = 150.0  # N/m; what rises less on the way is no surface
@@ -61,6 +63,7 @@ SLIPPING = 2e-4  # m back, at which a force that rises still answers: drives and
 ANSWER_TIME = 0.015  # s, over which a force that is to answer is averaged: drives let a tool swing
 YIELDING, RETREATING = 0.01, 5e-3  # m forth and back without an answer, after which it is none
 STAYING = 1e-3  # m out of a surface during a pause, at most, of a contact that stays
+UNANSWERED_TIME = 1.0  # s of more force that is asked for, after which there is no answer
 GENTLE = 0.9  # times the approach speed, at most, until a force has answered
 TOUCHING = 1.5  # the same at a touch, which comes down to that within `IMPACT_TIME`
 SETTLING_PERIODS, SETTLING_DELAYS = 2, 3  # in which a step of what is read has passed the filters
@@ -154,7 +157,7 @@ def go_on(contact: Any, alpha: float, place: float) -> None:
     contact.answered = contact.answered and (
         place > contact.origin - STAYING and alpha > TOUCH_SHARE * contact.level)
     contact.resumed = True
-    contact.seen = contact.resting = 0.0
+    contact.seen = contact.resting = contact.unanswered = 0.0
 
 
 @compiled
@@ -186,7 +189,7 @@ def follow_couple(couple: Any, force: Any, settings: Any, alpha: float) -> None:
 def _begin_answer(contact: Any) -> None:
     """Wait for an answer from now on."""
     contact.answered = contact.resumed = False
-    contact.seen = contact.resting = 0.0
+    contact.seen = contact.resting = contact.unanswered = 0.0
 
 
 @compiled
@@ -219,6 +222,9 @@ def _watch_answer(
         contact.resting = 0.0
     way = place - contact.least_place
     needed = max(ANSWER_SHARE * settings.contact_threshold, SOFTEST * way)
+    missing = min(contact.asked, contact.force_limit) - contact.felt
+    asks = missing > ANSWER_SHARE * settings.contact_threshold
+    contact.unanswered = contact.unanswered + settings.period if asks else 0.0
     contact.answered = (
         contact.resting == 0.0 and way > -SLIPPING and contact.felt - contact.least >= needed)
 
@@ -226,13 +232,15 @@ def _watch_answer(
 @compiled
 def _take_answer(contact: Any, settings: Any) -> None:
     """
-    Begin with the preload where a force that held has answered only now.
+    Begin with the preload where the tip has gone on before a force that held has answered.
 
-    If the tip has gone on before that, it touches the surface only now, too, and what it has read
-    until then is no force.
+    It may touch the surface only now; after a longer way it does, and what it has read until then
+    is no force.
     """
-    contact.calm = IMPACT_TIME
-    if contact.flat_place - contact.touch_place > FREE_WAY:
+    way = contact.flat_place - contact.touch_place
+    if way > PRESSING_WAY:
+        contact.calm = IMPACT_TIME
+    if way > FREE_WAY:
         contact.free_way = FREE_WAY
         _take_off(contact, settings, contact.untared + contact.least)
 
@@ -246,7 +254,8 @@ def desired_force(contact: Any, settings: Any) -> float:
     # No more than is needed to find out: what is fed forward moves a tool that nothing bears.
     if contact.resting > 0.0:
         return min(desired, settings.preload)
-    return min(desired, max(contact.felt + settings.contact_threshold, settings.preload))
+    ahead = settings.contact_threshold * max(1.0, contact.seen / AHEAD_TIME)
+    return min(desired, max(contact.felt + ahead, settings.preload))
 
 
 @compiled
@@ -262,13 +271,14 @@ def speed_bound(contact: Any, settings: Any) -> float:
 
 @compiled
 def is_refuted(contact: Any, settings: Any, place: float) -> bool:
-    """Return whether the tip has gone too far for a surface, which has not answered."""
+    """Return whether the tip has gone too far, or too long, without an answer of a surface."""
     way = place - contact.least_place
     if not is_active(contact) or contact.answered or contact.seen <= settings.settling_time:
         return False
     if contact.resumed:  # it may slide along a slope meanwhile
         return way > settings.approach_distance
-    return way > YIELDING or way < -RETREATING
+    # A law that goes on by a way of its own, as an impedance does, may stand in free space.
+    return way > YIELDING or way < -RETREATING or contact.unanswered > UNANSWERED_TIME
 
 
 @compiled

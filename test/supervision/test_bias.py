@@ -208,3 +208,17 @@ def test_wrench_with_many_outliers_is_a_fault_of_the_sensor():
         arm.press(2.5, table=10.0)
         assert 'hold' in arm.reactions
         assert max(arm.true) < 15.0
+
+
+@pytest.mark.parametrize('law', ['pi', 'admittance', 'impedance', 'feedforward', 'adaptive'])
+def test_step_of_the_bias_is_no_touch_for_any_force_law(law):
+    """An impedance stands still in free space, and an adaptive law must not learn from it."""
+    changes = {'preset': 'adaptive'} if law == 'adaptive' else {'controller': {
+        'force': {'law': law}}}
+    with closing(Biased('puma', step(2.4, 0.5), plant='rigid', **changes)) as arm:
+        arm.run(0.2)
+        arm.press(3.5, table=30.0)
+        assert 0.5 < arm.first * arm.period < 3.0
+        assert arm.fastest < 1.2 * APPROACH
+        assert max(arm.true) < 30.0 + 20.0
+        assert np.mean(arm.true[-100:]) > 20.0
