@@ -303,6 +303,7 @@ TASK_LIMITS = np.dtype([
     ('contacts', CONTACT_SETTINGS),
     ('lead', F),  # k_v / k_p: an error of v k_v / k_p makes the motion law move at v [s]
     ('reach', F), ('turn', F),  # greatest way and angle of the reference from the arm [m], [rad]
+    ('ramp', F), ('turn_ramp', F),  # largest accelerations of the reference [m/s^2], [rad/s^2]
     ('box', F, (2, 3)),  # lower and upper corner of the workspace [m]
     ('bounded', B),  # whether stops, speeds or the reach of the arm bound its motion a tick ago
     ('behind', B),  # whether the reference has still to catch up with the task

@@ -23,10 +23,10 @@ GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bou
 # and how long that must have been the same [s].
 LASTING_ERROR, LASTING_SHARE, LASTING_TIME = 1.5, 0.25, 0.3
 # How a task is caught up with: beyond its own speed by so much of the way left [1/s] and of the
-# largest speeds, with an acceleration that reaches these in so long [s].
-RETURN_RATE, RETURN_SHARE, RETURN_RAMP = 5.0, 0.2, 0.25
+# largest speeds.
+RETURN_RATE, RETURN_SHARE = 5.0, 0.2
 # How far the reference may be ahead of an arm at rest that cannot follow [m], [rad].
-LEAST_LEAD, LEAST_TURN = 0.003, 0.01
+LEAST_LEAD, LEAST_TURN = 0.002, 0.005
 THERE = 5e-5  # m or rad from the task, where it is caught up with
 # A task is a step away that is farther than the largest speeds lead in so long [s] (a stream of
 # 100 Hz is none), or faster than before by so much of them.
@@ -83,6 +83,8 @@ class ContactTask:
         self._limits['lead'] = lead
         self._limits['reach'] = lead * config.limits.operational_speed
         self._limits['turn'] = lead * config.limits.operational_turn
+        self._limits['ramp'] = config.limits.operational_acceleration
+        self._limits['turn_ramp'] = config.limits.operational_turn_acceleration
 
     def reset(self) -> None:
         """Let all contacts start anew, free; a hold ends."""
@@ -219,11 +221,12 @@ def _follow_task(limit: Any, frame: Any, task: Any) -> bool:
             return False
         limit.behind = True
     there = _catch_up(way, task.twist[:3], task.acceleration[:3], limit, limit.twist[:3],
-                      frame.twist[:3], limit.ahead, LEAST_LEAD, limit.reach)
+                      frame.twist[:3], limit.ahead, LEAST_LEAD, limit.reach, limit.ramp)
     limit.position += way
     task.position[:] = limit.position
     there_turned = _catch_up(turn, task.twist[3:], task.acceleration[3:], limit, limit.twist[3:],
-                             frame.twist[3:], limit.turned_ahead, LEAST_TURN, limit.turn)
+                             frame.twist[3:], limit.turned_ahead, LEAST_TURN, limit.turn,
+                             limit.turn_ramp)
     rotate_by(turn, limit.rotation)
     task.rotation[:] = limit.rotation
     behind = not (there and there_turned)
@@ -243,33 +246,34 @@ def _is_step(way: Vector, speed_des: Vector, speed: Vector, fastest: float) -> b
 @compiled
 def _catch_up(
     way: Vector, speed_des: Vector, acceleration: Vector, limit: Any, speed: Vector,
-    speed_of_arm: Vector, ahead: Vector, least_lead: float, reach: float,
+    speed_of_arm: Vector, ahead: Vector, least_lead: float, reach: float, ramp: float,
 ) -> bool:
     """
     Shorten a way to what the reference goes in a tick; return whether it has caught up.
 
-    Its velocity `speed` v_r becomes the desired one, `speed_des`. It changes no faster than
-    `RETURN_RAMP` says. While the motion of the arm is bounded, v_r is at most v + (l - e) k_p /
-    k_v towards the task, at a distance e ahead of an arm of speed v: the motion law then pulls
-    the arm by k_p l at most.
+    Its velocity `speed` v_r becomes the desired one, `speed_des`. It goes as fast as the task and
+    on towards it, never away from it, and changes by `ramp` at most [m/s^2, rad/s^2]. While the
+    motion of the arm is bounded, v_r is at most v + (l - e) k_p / k_v, at a distance e ahead of an
+    arm of speed v: the motion law then pulls the arm by k_p l at most.
     """
     h, length, fastest = limit.contacts.period, np.sqrt(dot(way, way)), reach / limit.lead
-    ramp = h * fastest / RETURN_RAMP
     wanted = speed_des.copy()
     if length > 0.0:
         direction = way / length
-        wanted += direction * min(RETURN_RATE * length, RETURN_SHARE * fastest)
-        wanted *= min(1.0, fastest / max(np.sqrt(dot(wanted, wanted)), THERE))
-        along = dot(wanted, direction)
+        along = max(0.0, dot(wanted, direction) + min(
+            RETURN_RATE * length, RETURN_SHARE * fastest))
         allowed = dot(speed_of_arm, direction) + (least_lead - dot(ahead, direction)) / limit.lead
-        if limit.bounded and along > max(allowed, 0.0):
-            wanted += direction * (max(allowed, 0.0) - along)
+        slower = limit.bounded and along > allowed
+        if slower:
+            along = max(allowed, 0.0)
+        wanted += direction * (along - dot(wanted, direction))
+        wanted *= min(1.0, fastest / max(np.sqrt(dot(wanted, wanted)), THERE))
+        if slower:
             speed[:] = wanted
     change = wanted - speed
-    share = min(1.0, ramp / max(np.sqrt(dot(change, change)), THERE))
-    speed += share * change
+    speed += change * min(1.0, h * ramp / max(np.sqrt(dot(change, change)), THERE))
     missing = speed_des - speed
-    if length < THERE and dot(missing, missing) < (2.0 * ramp) ** 2:
+    if length < THERE and dot(missing, missing) < (2.0 * h * ramp) ** 2:
         speed[:] = speed_des
         return True
     way[:] = h * speed
