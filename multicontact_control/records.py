@@ -284,9 +284,10 @@ CONTACT_STATE = np.dtype([
     ('resting', F),  # force that the tip is said to rest on before a search, 0 if not [N]
     ('last_speed', F),  # of the tip along the normal, at the sample before [m/s]
     ('seen', F),  # for how long a force is seen that has not answered [s]
-    ('felt', F),  # that force, smoothed [N]
+    ('felt', F),  # that force without the tool's inertia, smoothed [N]
+    ('read', F), ('least_read', F),  # the same with it, and its minimum [N]
     ('unanswered', F),  # for how long clearly more than that is asked for [s]
-    ('least', F), ('least_place', F),  # its minimum, and where the tip was then [N], [m]
+    ('least', F), ('least_place', F),  # minimum of `felt`, and where the tip was then [N], [m]
     ('touch_place', F), ('flat_place', F),  # of the touch, and of the last force near that [m]
     ('calm', F),  # until it has more than the preload, of one that has answered late [s]
 ], align=True)

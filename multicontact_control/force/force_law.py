@@ -42,9 +42,9 @@ from multicontact_control.records import FORCE_LAW, LIMITS, Records
 import numpy as np
 
 ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
-# By which a tip is kept at the speed it may have where no surface has answered: damped with the
-# delays of a loop.
-BOUND_RATE, BOUND_STIFFNESS = 80.0, 800.0  # 1/s, 1/s^2
+# G, by which a tip is kept at the speed it may have where no surface has answered: K_2 between
+# these, which the drives are known to bear; and what of its square the integral has.
+SLOWEST_BOUND, FASTEST_BOUND, BOUND_SHARE = 60.0, 80.0, 0.125  # 1/s, 1/s, -
 BORNE_TIME = 0.05  # s, in which it is forgotten what a surface bears
 RATIOS = tuple(np.geomspace(1.0, 100.0, 9).tolist())  # where the loop's limit is looked for
 
@@ -278,11 +278,12 @@ def bound_speed(
     damping = control.law.K_2 * speed
     fed = contact.answer.alpha_fed * mobility_along(contact, mobility)
     slower = contact.speed_bound - speed
-    largest = BOUND_RATE * slower + contact.borne
+    rate = min(max(control.law.K_2, SLOWEST_BOUND), FASTEST_BOUND)
+    largest = rate * slower + contact.borne
     if u - damping + fed <= largest:
         contact.borne *= 1.0 - min(period / BORNE_TIME, 1.0)
         return u
-    contact.borne = max(contact.borne + BOUND_STIFFNESS * slower * period, 0.0)
+    contact.borne = max(contact.borne + BOUND_SHARE * rate * rate * slower * period, 0.0)
     bounded = largest + damping - fed
     law.observer.command += bounded - u
     law.linear.extra += bounded - u

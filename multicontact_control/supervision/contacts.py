@@ -201,16 +201,20 @@ def _watch_answer(
 
     What a step of the reading brings is seen at once, at the place where it was: what counts is
     by how much the force rises after that, from where it was least, and how far the tip goes.
-    The inertia of the tool is no force.
+    The inertia of the tool is no force; behind flexible drives the encoders do not tell it, so
+    that what is read has to rise both with and without it.
     """
     contact.seen += settings.period
-    alpha -= settings.tool_mass * (speed - contact.last_speed) / settings.period
+    force = alpha - settings.tool_mass * (speed - contact.last_speed) / settings.period
     if contact.seen <= settings.settling_time + 1e-9:
-        contact.felt = contact.least = alpha
+        contact.felt = contact.least = force
+        contact.read = contact.least_read = alpha
         contact.least_place = place
         return
     share = settings.period / (ANSWER_TIME + settings.period)
-    contact.felt += share * (alpha - contact.felt)
+    contact.felt += share * (force - contact.felt)
+    contact.read += share * (alpha - contact.read)
+    contact.least_read = min(contact.least_read, contact.read)
     if contact.felt < contact.least:
         contact.least = contact.felt
         contact.least_place = place
@@ -225,8 +229,8 @@ def _watch_answer(
     missing = min(contact.asked, contact.force_limit) - contact.felt
     asks = missing > ANSWER_SHARE * settings.contact_threshold
     contact.unanswered = contact.unanswered + settings.period if asks else 0.0
-    contact.answered = (
-        contact.resting == 0.0 and way > -SLIPPING and contact.felt - contact.least >= needed)
+    rise = min(contact.felt - contact.least, contact.read - contact.least_read)
+    contact.answered = contact.resting == 0.0 and way > -SLIPPING and rise >= needed
 
 
 @compiled
@@ -321,6 +325,8 @@ def _touch(contact: Any, settings: Any, alpha: float) -> float:
     taken = reading - contact.untared
     contact.felt += taken - alpha
     contact.least += taken - alpha
+    contact.read += taken - alpha
+    contact.least_read += taken - alpha
     return taken
 
 

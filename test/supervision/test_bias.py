@@ -97,6 +97,17 @@ def test_step_of_the_bias_on_the_way_is_no_touch(robot, size):
         assert max(arm.true) < 30.0 + 20.0
 
 
+@pytest.mark.parametrize('robot', ['panda', 'iiwa'])
+def test_drives_that_swing_answer_for_no_surface(robot):
+    """Encoders on the motors do not tell how the tool is shaken."""
+    with closing(Biased(robot, step(4.0, 0.5), plant='flexible')) as arm:
+        arm.run(0.2)
+        arm.press(2.0, table=30.0)
+        assert arm.first * arm.period > 0.8
+        assert arm.fastest < 1.5 * APPROACH
+        assert np.mean(arm.true[-100:]) == pytest.approx(30.0, abs=0.8)
+
+
 def test_force_of_the_bias_is_commanded():
     """4 N that are read are not 4 N that are reached."""
     with closing(Biased('panda', constant(0, 0, 4.0, 0, 0, 0))) as arm:
