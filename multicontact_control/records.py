@@ -306,7 +306,7 @@ TASK_LIMITS = np.dtype([
     ('reach', F), ('turn', F),  # greatest way and angle of the reference from the arm [m], [rad]
     ('ramp', F), ('turn_ramp', F),  # largest accelerations of the reference [m/s^2], [rad/s^2]
     ('box', F, (2, 3)),  # lower and upper corner of the workspace [m]
-    ('bounded', B),  # whether stops, speeds or the reach of the arm bound its motion a tick ago
+    ('bounded', B),  # whether stops, speeds or the reach of the arm have just bound its motion
     ('behind', B),  # whether the reference has still to catch up with the task
     ('position', F, 3), ('rotation', F, (3, 3)),  # the reference, before contacts move it [m]
     ('twist', F, 6),  # its velocity while it catches up [m/s, rad/s]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from multicontact_control.algebra import dot, rotate_by
@@ -28,6 +29,7 @@ RETURN_RATE, RETURN_SHARE = 5.0, 0.2
 # How far the reference may be ahead of an arm at rest that cannot follow [m], [rad].
 LEAST_LEAD, LEAST_TURN = 0.002, 0.005
 THERE = 5e-5  # m or rad from the task, where it is caught up with
+BOUNDED_TIME = 0.02  # s, for which an arm counts as bounded: what holds back hardly changes
 # A task is a step away that is farther than the largest speeds lead in so long [s] (a stream of
 # 100 Hz is none), or faster than before by so much of them.
 STEP_TIME, STEP_SHARE = 0.01, 0.15
@@ -42,8 +44,8 @@ class ContactTask:
     contact; the time of the source stands still meanwhile. If not `guarded`, neither contact
     states nor limits apply: the source makes the contacts. `states` are records of
     `CONTACT_STATE`, shape (r,); `limited` is whether a limit was enforced at the last tick,
-    `bounded` whether the motion of the arm was then, which its user sets, and `reads_before`
-    whether there is anything in `read_before`.
+    `bounded_at` when the motion of the arm was bounded last [s], which its user sets, and
+    `reads_before` whether there is anything in `read_before`.
     """
 
     def __init__(
@@ -88,7 +90,7 @@ class ContactTask:
 
     def reset(self) -> None:
         """Let all contacts start anew, free; a hold ends."""
-        self.limited = self.bounded = self.held = self.reads_before = False
+        self.limited = self.held = self.reads_before = False
         self._time = self._lost_time = 0.0
         self._active[:] = False
         self._stand(pressing=False)
@@ -104,7 +106,7 @@ class ContactTask:
         self._task: Task = Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces)
         self.states[~pressed] = contacts.FREE_CONTACT
         self._columns['untared'][~pressed] = self._columns['speed_bound'][~pressed] = 0.0
-        self.bounded, self._limits['behind'] = False, False
+        self.bounded_at, self._limits['behind'] = -math.inf, False
         self._limits['position'], self._limits['rotation'] = position, rotation
         self._limits['twist'] = 0.0
         self._kept: Mask | None = None  # contacts, from the end of a pause to the next tick
@@ -129,7 +131,7 @@ class ContactTask:
         if self._guarded:
             if self._kept is not None:
                 self._return(self._kept)
-            self._limits['bounded'] = self.bounded
+            self._limits['bounded'] = time - self.bounded_at < BOUNDED_TIME
             self.limited = _limit_task(self._limits, self._controls, self._columns, self.states)
             self.reads_before = bool(self._limits['reads_before'][0])
 
@@ -185,7 +187,7 @@ class ContactTask:
         limits['position'] = self._frame['position'] - along @ normals
         limits['rotation'] = self._frame['rotation']
         limits['twist'] = limits['ahead'] = limits['turned_ahead'] = 0.0
-        self.bounded, limits['behind'] = False, True
+        self.bounded_at, limits['behind'] = -math.inf, True
 
     def sought_normals(self) -> Any:
         """Return normals of what is sought or held, couples with 0, shape (k, 3)."""
@@ -257,7 +259,7 @@ def _catch_up(
     arm of speed v: the motion law then pulls the arm by k_p l at most.
     """
     h, length, fastest = limit.contacts.period, np.sqrt(dot(way, way)), reach / limit.lead
-    wanted = speed_des.copy()
+    wanted, slower = speed_des.copy(), False
     if length > 0.0:
         direction = way / length
         along = max(0.0, dot(wanted, direction) + min(
@@ -273,7 +275,7 @@ def _catch_up(
     change = wanted - speed
     speed += change * min(1.0, h * ramp / max(np.sqrt(dot(change, change)), THERE))
     missing = speed_des - speed
-    if length < THERE and dot(missing, missing) < (2.0 * h * ramp) ** 2:
+    if length < THERE and not slower and dot(missing, missing) < (2.0 * h * ramp) ** 2:
         speed[:] = speed_des
         return True
     way[:] = h * speed

@@ -130,7 +130,8 @@ class Supervisor:
             # A blend passes in a moment, and a limited rate is caught up with: they are left out.
             if self.guarded and not LASTING_LIMITS.isdisjoint(limits):
                 self.controller.account_for(torque)
-            self.task.bounded = not BOUNDING_LIMITS.isdisjoint(limits)
+            if not BOUNDING_LIMITS.isdisjoint(limits):
+                self.task.bounded_at = self._task_ticks * self._period
             self._task_ticks += 1
             return self._report(
                 torque, reaction, causes, ('reference', *limits) if self.task.limited else limits)
