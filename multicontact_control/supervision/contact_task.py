@@ -29,6 +29,7 @@ RETURN_RATE, RETURN_SHARE = 5.0, 0.2
 # How far the reference may be ahead of an arm at rest that cannot follow [m], [rad].
 LEAST_LEAD, LEAST_TURN = 0.002, 0.005
 THERE = 5e-5  # m or rad from the task, where it is caught up with
+BRAKING_SHARE = 4.0  # times the largest acceleration, by which it slows down with the arm
 BOUNDED_TIME = 0.02  # s, for which an arm counts as bounded: what holds back hardly changes
 # A task is a step away that is farther than the largest speeds lead in so long [s] (a stream of
 # 100 Hz is none), or faster than before by so much of them.
@@ -271,7 +272,7 @@ def _catch_up(
         wanted += direction * (along - dot(wanted, direction))
         wanted *= min(1.0, fastest / max(np.sqrt(dot(wanted, wanted)), THERE))
         if slower:
-            speed[:] = wanted
+            ramp *= BRAKING_SHARE
     change = wanted - speed
     speed += change * min(1.0, h * ramp / max(np.sqrt(dot(change, change)), THERE))
     missing = speed_des - speed
