@@ -4,8 +4,9 @@ Bounds on how fast the arm may come near a joint stop, a joint speed or a singul
 What comes near is braked by a bound on its acceleration, from its distance and its speed. The
 accelerations that the torque leads to are brought within these bounds by the mass matrix, all
 joints together: where one joint must stop, the others go on with what the task can still have. The
-forces of the contacts come first, then position and orientation. These give way together, and by
-millimetres only, as the reference waits for an arm that cannot follow (`contact_task`).
+forces of the contacts come first, then the position, then the orientation. These give way by
+millimetres and hundredths of a radian only, as the reference waits for an arm that cannot follow
+(`contact_task`).
 """
 
 from __future__ import annotations
