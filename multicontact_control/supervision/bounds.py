@@ -4,8 +4,8 @@ Bounds on how fast the arm may come near a joint stop, a joint speed or a singul
 What comes near is braked by a bound on its acceleration, from its distance and its speed. The
 accelerations that the torque leads to are brought within these bounds by the mass matrix, all
 joints together: where one joint must stop, the others go on with what the task can still have. The
-forces of the contacts come first, then the position, then the orientation. These give way by
-millimetres and hundredths of a radian only, as the reference waits for an arm that cannot follow
+forces of the contacts come first, then position and orientation. These give way together, by
+millimetres and hundredths of a radian, as the reference waits for an arm that cannot follow
 (`contact_task`).
 """
 
@@ -41,8 +41,8 @@ WATCHED_SHARE = 0.5  # of the speed that is allowed, from where on it is looked 
 SINGULAR, NEAR_SINGULAR = 0.08, 0.24
 REACH_RATE = 5.0  # 1/s, of the way left to it: the rate that is allowed
 # What a change of the accelerations costs: of contact points along their normals, of the
-# operational point, of the orientation at a lever of 0.12 m, and of the joints in the metric of M.
-FORCE_COST, MOTION_COST, TURN_COST, JOINT_COST = 1e4, 1.0, 0.12 ** 2, 1e-4  # s^4/m^2, 1/kg
+# operational point, of the orientation at a lever of 0.3 m, and of the joints in the metric of M.
+FORCE_COST, MOTION_COST, TURN_COST, JOINT_COST = 1e4, 1.0, 0.3 ** 2, 1e-4  # s^4/m^2, 1/kg
 MOST_EXCHANGES = 60  # of a bound that counts for one that does not
 ROUNDING = 1e-12
 

@@ -27,7 +27,7 @@ LASTING_ERROR, LASTING_SHARE, LASTING_TIME = 1.5, 0.25, 0.3
 # largest speeds.
 RETURN_RATE, RETURN_SHARE = 5.0, 0.2
 # How far the reference may be ahead of an arm at rest that cannot follow [m], [rad].
-LEAST_LEAD, LEAST_TURN = 0.001, 0.005
+LEAST_LEAD, LEAST_TURN = 0.002, 0.005
 THERE = 5e-5  # m or rad from the task, where it is caught up with
 BRAKING_SHARE = 4.0  # times the largest acceleration, by which it slows down with the arm
 BOUNDED_TIME = 0.02  # s, for which an arm counts as bounded: what holds back hardly changes
