@@ -190,12 +190,14 @@ class Reactions:
         return self._pressing is not None and bool((np.abs(self._pressing) > DROPPED).any())
 
     def torque(
-        self, reaction: str, arm: ArmState | None, wrench_known: bool, rate: Vector,
+        self, reaction: str, arm: ArmState | None, wrench_known: bool, rate: Vector, *,
+        timed: bool = True,
     ) -> Vector:
         """
         Return what answers instead of the law, shape (n,) [N m].
 
-        `wrench_known` as of now; `rate` has the velocities that positions make up for, [rad/s].
+        `wrench_known` as of now; `rate` has the velocities that positions make up for, [rad/s],
+        which are of another size where the clock is wrong: not `timed`, a hold is soft.
         """
         self._coasting = self._coasting + 1 if reaction == FLOAT else 0
         if arm is None:
@@ -207,7 +209,7 @@ class Reactions:
             return _damped(arm, DAMPING_RATE) if does == DAMP else self._added.copy()
         pressing = self._press(wrench_known)
         if does == HOLD:
-            return self._hold(arm, rate) + pressing
+            return self._hold(arm, rate, timed=timed) + pressing
         self._posture = None  # wherever it has gone meanwhile
         if self._coasting * self._period > COAST_TIME:
             self._first = None
@@ -217,7 +219,7 @@ class Reactions:
         floating: Vector = state.gravity - braking + pressing
         return floating
 
-    def _hold(self, arm: ArmState, rate: Vector) -> Vector:
+    def _hold(self, arm: ArmState, rate: Vector, *, timed: bool = True) -> Vector:
         """Return the torque that keeps the arm where it is, or leads it back, shape (n,) [N m]."""
         if self._posture is None:
             self._posture = arm.q.copy()
@@ -237,7 +239,8 @@ class Reactions:
         terms = self._robot.terms
         return hold_torque(
             self._posture - arm.q, velocity, arm.bias_torque, terms.mass_matrix,
-            terms.jacobian, self._frequency, self._damping, self._law)
+            terms.jacobian, self._frequency if timed else min(self._frequency, FREE_FREQUENCY),
+            self._damping, self._law)
 
     def _begin_swings(self) -> None:
         self._swings[:] = 0.0

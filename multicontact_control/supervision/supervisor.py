@@ -295,7 +295,8 @@ class Supervisor:
             felt = self._wrench_known and not self.controller.arm.flags & TOUCHED
             # Bare, velocities and angles are used as they come.
             rate = self.inputs.rate if self.guarded else self.controller.arm.velocity
-            torque = self.reactions.torque(reaction, arm, felt, rate).copy()
+            timed = not any(cause.startswith('clock') for cause in causes)
+            torque = self.reactions.torque(reaction, arm, felt, rate, timed=timed).copy()
             torque, limits = self.gate.apply(
                 reaction, torque, seen=arm is not None and not blind)
         return self._report(
