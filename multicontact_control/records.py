@@ -161,6 +161,7 @@ CONTACT = np.dtype([
     ('surface_speed_est', F),  # what is added to the configured speed, estimated [m/s]
     ('friction', F, 3),  # found, world axes [N]
     ('stiffness', F),  # k of the model in use [N/m]
+    ('mass', F),  # what moves along N, 1 / (N^T Lambda^-1 N) [kg]
     ('stiffness_est', F), ('stiffness_std', F),  # estimate of k, 0 for none; its error [N/m]
     ('ratio_bound', F),  # largest likely true stiffness over that of the model in use
     ('margin', F),  # largest ratio at which the force loop is stable, over that one
@@ -274,6 +275,7 @@ CONTACT_STATE = np.dtype([
     ('target', F),  # displacement to go to [m]
     ('stiffness', F),  # modelled, of the surface [N/m]
     ('surface_speed', F),  # along the normal, as far as it is known [m/s]
+    ('approach_speed', F),  # largest one towards a surface that is not felt [m/s]
     ('averaged', F),  # samples in `baseline`, up to as many as are averaged
     ('baseline', F),  # what is read without a touch [N]
     ('untared', F),  # of that, what is taken off the measured force [N]

@@ -14,7 +14,7 @@ from multicontact_control.dynamics.operational_space import (
     mobility_and_inertia,
 )
 from multicontact_control.dynamics.rotations import rotation_vector
-from multicontact_control.force.force_law import answer_forces
+from multicontact_control.force.force_law import answer_forces, mobility_along
 import numpy as np
 
 # What `control_law` returns; LIMITED: a torque limit was enforced.
@@ -154,6 +154,7 @@ def control_law(
     rows, factor = np.zeros((count, 6)), np.empty((count, count))
     weighted_rows, weighted_factor = np.empty((count, 6)), np.empty((count, count))
     for i in range(count):
+        contacts[i].mass = 1.0 / mobility_along(contacts[i], mobility)
         if contacts[i].answer.active:
             rows[i] = contacts[i].N
         weighted_rows[i] = rows[i]

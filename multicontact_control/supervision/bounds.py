@@ -41,8 +41,8 @@ WATCHED_SHARE = 0.5  # of the speed that is allowed, from where on it is looked 
 SINGULAR, NEAR_SINGULAR = 0.08, 0.24
 REACH_RATE = 5.0  # 1/s, of the way left to it: the rate that is allowed
 # What a change of the accelerations costs: of contact points along their normals, of the
-# operational point, of the orientation at a lever of 0.3 m, and of the joints in the metric of M.
-FORCE_COST, MOTION_COST, TURN_COST, JOINT_COST = 1e4, 1.0, 0.3 ** 2, 1e-4  # s^4/m^2, 1/kg
+# operational point, of the orientation at a lever of 0.14 m, and of the joints in the metric of M.
+FORCE_COST, MOTION_COST, TURN_COST, JOINT_COST = 1e4, 1.0, 0.14 ** 2, 1e-4  # s^4/m^2, 1/kg
 MOST_EXCHANGES = 60  # of a bound that counts for one that does not
 ROUNDING = 1e-12
 

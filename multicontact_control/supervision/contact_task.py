@@ -23,6 +23,7 @@ GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bou
 # An error of the averaged force that lasts is none of noise: N and share of the force asked for,
 # and how long that must have been the same [s].
 LASTING_ERROR, LASTING_SHARE, LASTING_TIME = 1.5, 0.25, 0.3
+LASTING_STD = 0.5  # of such an error, the standard deviation of the noise at most
 # How a task is caught up with: beyond its own speed by so much of the way left [1/s] and of the
 # largest speeds.
 RETURN_RATE, RETURN_SHARE = 5.0, 0.2
@@ -310,6 +311,8 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
             contacts.follow_couple(state, leader, limit.contacts, column.alpha_meas)
         else:
             state.stiffness = column.stiffness
+            state.approach_speed = contacts.approach_speed(
+                limit.contacts, column.stiffness, column.mass)
             # Of the surface, as far as it is known: what is as fast does not leave it.
             state.surface_speed = column.config.surface_speed + column.surface_speed_est
             others, speed = 0.0, dot(normal, rate)
@@ -326,11 +329,12 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
                 state, limit.contacts, column.alpha_meas, place, speed,
                 min(speed, dot(column.N, frame.twist)) - state.surface_speed)
             answer.alpha_des = contacts.desired_force(state, limit.contacts)
-            _follow_slide(limit.contacts.period, frame, column, state)
+            fall_speed = _fall_speed(frame, column.config)
+            _follow_slide(limit.contacts.period, fall_speed, column, state)
             column.guarded = state.state == contacts.HOLDING and state.in_state > GUARD_TIME and (
                 column.alpha_meas < GUARD_SHARE * min(state.level, state.asked))
             answer.active = contacts.is_active(state)
-            column.speed_bound = contacts.speed_bound(state, limit.contacts)
+            column.speed_bound = contacts.speed_bound(state, fall_speed)
         shift += state.displacement * normal
         take_off(column, state)
         if state.untared != 0.0 or state.resting != 0.0:
@@ -350,25 +354,31 @@ def take_off(column: Any, state: Any) -> None:
 
 
 @compiled
-def _follow_slide(period: float, frame: Any, column: Any, state: Any) -> None:
+def _fall_speed(frame: Any, config: Any) -> float:
+    """Return how fast a surface within `normal_range` falls away at most while sliding [m/s]."""
+    velocity = frame.twist[:3] - dot(frame.twist[:3], config.normal) * config.normal
+    slope = np.sqrt(1.0 - config.smallest_cosine ** 2) / config.smallest_cosine
+    return slope * np.sqrt(dot(velocity, velocity))
+
+
+@compiled
+def _follow_slide(period: float, fall_speed: float, column: Any, state: Any) -> None:
     """
     Allow for a surface that is not as told where the tip slides on it.
 
     Its force changes all the time, which counts as noise, R grows to hundreds of N^2, and the law
     is blind while the surface falls away. The error e of the averaged force that lasts bounds it:
-    R <= e^2. After a loss the surface is sought as much deeper as it may be within `normal_range`.
+    R <= (e / 2)^2. After a loss the surface is sought as much deeper as it may be within `normal_range`.
     """
-    config = column.config
     error = abs(state.level - state.asked)
     if state.state == contacts.HOLDING and min(state.in_state, state.asked_for) > LASTING_TIME:
         if error > max(LASTING_ERROR, LASTING_SHARE * state.asked):
-            column.noise_variance = min(column.noise_variance, error * error)
+            bound = (LASTING_STD * error) ** 2
+            column.noise_variance = min(column.noise_variance, bound)
     if contacts.is_active(state):
         state.fall = 0.0
         return
-    velocity = frame.twist[:3] - dot(frame.twist[:3], config.normal) * config.normal
-    slope = np.sqrt(1.0 - config.smallest_cosine ** 2) / config.smallest_cosine
-    state.fall += slope * np.sqrt(dot(velocity, velocity)) * period
+    state.fall += fall_speed * period
 
 
 @compiled

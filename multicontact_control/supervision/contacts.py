@@ -43,6 +43,7 @@ RETRACT_SPEED = 0.05  # m/s
 RETRACT_DISTANCE = 0.01  # m, way back from a surface that is left
 SEARCH_DISTANCE = 0.01  # m beyond where a lost surface was, from where on it is given up
 FORCE_RATE = 100.0  # N/s, rise of the desired force of a contact that was lost, from touch on
+EXCESS = 1.5  # times that force, above which more is felt than it asks for
 LEVEL_TIME = 0.1  # s, over which the force a contact is held with is averaged
 TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
 STEP_TIME = 0.02  # s, in which a force step may be taken
@@ -65,7 +66,9 @@ YIELDING, RETREATING = 0.01, 5e-3  # m forth and back without an answer, after w
 STAYING = 1e-3  # m out of a surface during a pause, at most, of a contact that stays
 UNANSWERED_TIME = 1.0  # s of more force that is asked for, after which there is no answer
 GENTLE = 0.9  # times the approach speed, at most, until a force has answered
+IMPACT_FORCE = 10.0  # N, of a touch at the approach speed, at most, if the surface is as modelled
 TOUCHING = 1.5  # the same at a touch, which comes down to that within `IMPACT_TIME`
+LEAST_MASS = 0.1  # kg, of what moves along a normal
 SETTLING_PERIODS, SETTLING_DELAYS = 2, 3  # in which a step of what is read has passed the filters
 
 FREE_CONTACT: Records = np.zeros((), dtype=CONTACT_STATE)
@@ -263,14 +266,32 @@ def desired_force(contact: Any, settings: Any) -> float:
 
 
 @compiled
-def speed_bound(contact: Any, settings: Any) -> float:
-    """Return the largest speed into a surface that has not answered, 0 for none [m/s]."""
-    if contact.answered or not is_active(contact):
+def approach_speed(settings: Any, stiffness: float, mass: float) -> float:
+    """
+    Return the speed of an approach [m/s].
+
+    A mass m that meets a surface of stiffness k at a speed v is stopped by a force v sqrt(k m),
+    whatever is commanded meanwhile.
+    """
+    return min(settings.approach_speed, IMPACT_FORCE / np.sqrt(stiffness * max(mass, LEAST_MASS)))
+
+
+@compiled
+def speed_bound(contact: Any, fall_speed: float) -> float:
+    """
+    Return the largest speed into a surface that does not answer, 0 for none [m/s].
+
+    A contact that holds, but is not felt any more, has been thrown back, or its surface falls away
+    by `fall_speed` at most: it returns no faster than it may touch.
+    """
+    if not is_active(contact):
         return 0.0
+    if contact.answered:
+        return contact.approach_speed + fall_speed if contact.below != 0.0 else 0.0
     times = GENTLE
     if contact.state == IMPACT:
         times += (TOUCHING - GENTLE) * max(0.0, 1.0 - contact.in_state / IMPACT_TIME)
-    return times * settings.approach_speed
+    return times * contact.approach_speed
 
 
 @compiled
@@ -470,16 +491,18 @@ def advance_contact(
         if contact.state == HOLDING and contact.losses == 0:
             contact.force_limit = max(contact.force_limit, contact.asked)
         elif contact.state == HOLDING or not np.isnan(contact.origin) and contact.losses > 0:
-            contact.force_limit += min(max(
-                contact.asked - contact.force_limit, -FORCE_RATE * h), FORCE_RATE * h)
+            change = min(max(contact.asked - contact.force_limit, -FORCE_RATE * h), FORCE_RATE * h)
+            # After a bounce, which looks like noise, a law is blind for a while.
+            if change < 0.0 or alpha <= EXCESS * contact.force_limit:
+                contact.force_limit += change
         return
-    wanted, change = settings.approach_speed, BRAKING
+    wanted, change = contact.approach_speed, BRAKING
     if contact.state != APPROACHING:
         limit = RETRACT_SPEED if contact.state == RETRACTING else wanted
         wanted = min(max(
             POSITION_RATE * (contact.target - contact.displacement), -limit), limit)
-    elif abs(contact.speed) <= settings.approach_speed:
-        change = settings.approach_speed / settings.approach_ramp_time
+    elif abs(contact.speed) <= contact.approach_speed:
+        change = contact.approach_speed / settings.approach_ramp_time
     contact.acceleration = min(max((wanted - contact.speed) / h, -change), change)
     contact.speed += contact.acceleration * h
     contact.displacement += contact.speed * h

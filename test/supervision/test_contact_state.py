@@ -41,6 +41,7 @@ class Surface:
         self.config = ContactStateConfig(**config)
         self.records = np.array([contacts.FREE_CONTACT])
         self.records['stiffness'] = stiffness
+        self.records['approach_speed'] = self.config.approach_speed
         self.settings = contacts.contact_settings(self.config, H)[0]
         self.depth, self.stiffness = depth, stiffness
         self.place, self.speed = 0.0, 0.0

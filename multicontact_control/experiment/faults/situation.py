@@ -31,7 +31,6 @@ from sim_bridge.robots import DEFAULT, find_robot
 FOREIGN = 'foreign'  # in the place of a robot's name
 FOREIGN_URDF, FOREIGN_LINK = 'foreign_arm.urdf', 'l6'
 COMMAND_TIME = 0.1  # s, when the forces are commanded
-MOTION_TIME = 2.0  # s, when the motion begins: every contact has been at its force for a while
 STEP_TIME = 1.2  # s, when a scenario's forces go from the preload to their commands
 BLEND_TIME = 1.0  # s, of a sinusoid
 BOX_MARGIN = 1e-3  # m
@@ -54,6 +53,9 @@ class SituationConfig(Config):
     distance: float = parameter(
         0.0, 'How far, less where the workspace box ends.', unit='m or rad', ge=0.0)
     speed: float = parameter(0.1, 'Largest speed of the motion.', unit='m/s or rad/s', gt=0.0)
+    motion_time: float = parameter(
+        2.0, 'When the motion begins: every contact has been at its force for a while.', unit='s',
+        ge=0.0)
     legs: int = parameter(
         2, 'There, back, there...: how often it goes; two are a period of a sinusoid.', ge=1)
     stop_joint: int = parameter(
@@ -131,11 +133,12 @@ def situated(
     names = base.controller.contact_names[:situation.contacts]
     course = _course(base, situation, names)
     # A surface that is farther away is touched later, at the speed of the approach.
-    begin = MOTION_TIME + situation.farther / base.controller.contact_state.approach_speed
+    approach_speed = base.controller.contact_state.approach_speed
+    begin = situation.motion_time + situation.farther / approach_speed
     scenario: dict[str, Any] = {'duration': begin + course.duration + REST_TIME}
     if situation.motion == 'sine':
         scenario['reference'] = _sine_reference(situation, course, names)
-        scenario['duration'] = MOTION_TIME + 0.5 * situation.legs * course.period
+        scenario['duration'] = situation.motion_time + 0.5 * situation.legs * course.period
     chosen = {'contact_names': list(names)}
     setup = resolve(**merge(given, {
         'controller': {**chosen, 'limits': _stops(base, situation)},
@@ -227,5 +230,5 @@ def _sine_reference(
         'approach': {'start_time': COMMAND_TIME},
         'force_steps': [{'time': STEP_TIME, 'forces': dict.fromkeys(names, situation.force)}],
         'motion': {
-            'start_time': MOTION_TIME, 'direction_world': course.direction.tolist(),
+            'start_time': situation.motion_time, 'direction_world': course.direction.tolist(),
             'amplitude': course.distance, 'period': course.period, 'blend_time': BLEND_TIME}}

@@ -18,11 +18,7 @@ from multicontact_control.experiment.faults.judge import (
     Observation,
     SituationRow,
 )
-from multicontact_control.experiment.faults.situation import (
-    COMMAND_TIME,
-    MOTION_TIME,
-    SituationConfig,
-)
+from multicontact_control.experiment.faults.situation import COMMAND_TIME, SituationConfig
 from multicontact_control.experiment.faults.unasked import across_normals, Way
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.inputs import TickInputs
@@ -33,7 +29,6 @@ from scipy.spatial.transform import Rotation
 
 NOWHERE = 10.0  # m, how far away surfaces are that are not there
 APPEARING_TIME = 0.5  # s, when a bias comes: in the middle of the approach
-PICK_UP_TIME = MOTION_TIME  # s, of a payload
 
 
 class SituationRun:
@@ -67,9 +62,10 @@ class SituationRun:
     def _planned(self, setup: Setup) -> list[MotionReading]:
         """Return the setpoint of every tick."""
         times = self._period * np.arange(setup.ticks)
+        start = self._situation.motion_time
         motion = setup.scenario.reference.motion
         ways = [sine_motion(motion, time) if self._scenario and motion is not None
-                else self._course.way(time - MOTION_TIME) for time in times.tolist()]
+                else self._course.way(time - start) for time in times.tolist()]
         return self._course.readings(np.array(ways))
 
     def _biased(self, inputs: TickInputs) -> TickInputs:
@@ -105,7 +101,7 @@ class SituationRun:
     def _command(self, time: float) -> None:
         """Command forces, motion and payload when it is time."""
         situation, control = self._situation, self.loop.control
-        if situation.payload and time >= PICK_UP_TIME and not self.loop.plant.payload:
+        if situation.payload and time >= situation.motion_time and not self.loop.plant.payload:
             self._pick_up()
         setpoint = self._setpoints[self.loop.tick]
         if self._scenario:
@@ -115,7 +111,7 @@ class SituationRun:
             if time >= COMMAND_TIME and situation.force and not any(
                     control.commanded_forces.values()):
                 control.set_forces(dict.fromkeys(self._names, situation.force))
-            begun = self._course.legs and time >= MOTION_TIME
+            begun = self._course.legs and time >= situation.motion_time
             if begun and _differs(setpoint, self._setpoint):
                 control.set_motion(setpoint)
                 self._setpoint = setpoint

@@ -4,7 +4,7 @@ from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults.in_process import RUN_TICKS, with_obstacles
 from multicontact_control.experiment.faults.judge import judge, Observation
 from multicontact_control.experiment.faults.vocabulary import FAULTS, REST, together
-from multicontact_control.experiment.study.presets.faults import in_fork
+from multicontact_control.experiment.study.presets.faults import FaultJob, in_fork
 import numpy as np
 import pytest
 
@@ -50,3 +50,11 @@ def test_declared_reaction_that_does_not_come_is_not_safe(world, kind):
     assert not judge(FAULTS[kind], 1, world.setup, seen, phase=REST).safe
     seen = seen._replace(reactions=[*['none'] * 2, *['float'] * 598])
     assert judge(FAULTS[kind], 1, world.setup, seen, phase=REST).safe
+
+
+@pytest.mark.slow
+def test_clock_that_runs_slow_while_sliding_is_held_softly():
+    """Velocities of another size than positions make up for shake an arm that is held stiffly."""
+    job = FaultJob('quick', 'puma', 'sliding', 0, (((('too_slow', 'clock'),), 9),))
+    row, = job.run()['rows']
+    assert row['safe'] and row['peak_force_n'] < 40.0
