@@ -115,6 +115,29 @@ def operational_stiffness(k_env: float, normal_world: Vector, lever_world: Vecto
     return float(k_env * (1.0 + moment @ moment))
 
 
+def placed_way(way: Vector, columns: Matrix) -> Vector:
+    """
+    Return the part of a way of the operational point that contacts decide, shape (6,) [m, rad].
+
+    Each force places the tool along its normal, each couple turns it about its axis: a motion has
+    no effect there while they are sought or held.
+
+    Parameters
+    ----------
+    way
+        Displacement and rotation vector, world axes, shape (6,) [m, rad].
+    columns
+        N_i of these contacts as rows, shape (k, 6), see `fill_normal_space`.
+
+    """
+    placed = np.zeros(6)
+    forces = columns[:, :3].any(axis=1)
+    for part, directions in (
+            (slice(0, 3), columns[forces, :3].T), (slice(3, 6), columns[~forces, 3:].T)):
+        placed[part] = directions @ (np.linalg.pinv(directions) @ way[part])
+    return placed
+
+
 def place_columns(config: ControllerConfig, columns: Records) -> None:
     """Fill records of `CONTACT`, shape (r,), with the configuration of the columns of N."""
     for record, column in zip(columns, config.columns):

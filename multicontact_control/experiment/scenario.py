@@ -78,8 +78,7 @@ class Setup:
 
     def reference(self) -> ScenarioTask:
         """Return the scenario's reference, at its start."""
-        return ScenarioTask(self.scenario.reference, self.controller.rate,
-                            self.controller.column_names, self.controller.leader_of)
+        return ScenarioTask.of(self.scenario.reference, self.controller)
 
     def commanded(self, time: Vector) -> Matrix:
         """Return the scenario's forces at some times [s], first its preload, shape (m, r) [N]."""

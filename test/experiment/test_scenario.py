@@ -25,6 +25,8 @@ def test_every_scenario_resolves_and_is_named_as_its_file(path):
     ({'duration': -1.0}, 'duration: expected greater than or equal to 1, got -1.0'),
     ({'reference': {'force_steps': [{'time': 1.0, 'forces': {'wall': 3.0}}]}},
      "reference.force_steps.0.forces: expected contacts among table, board, got 'wall'"),
+    ({'reference': {'motion': {'start_time': 1.0, 'direction_world': [0.0, 0.6, 0.8]}}},
+     'direction_world: expected at most 30 degrees out of the surfaces of table, board'),
     ({'controller': {'rate': 250.0}}, "noise_estimator.rate: expected the controller's 250 Hz"),
     ({'noise_estimator': {'contact_names': ['table']}},
      'noise_estimator.contact_names: expected the controller'),
@@ -37,6 +39,14 @@ def test_resolve_names_what_is_wrong_in_a_scenario(tmp_path, changes, message):
         setup = resolve(str(path))
         setup.plant.substeps(setup.controller.rate)
     assert '\n' not in str(caught.value)
+
+
+def test_motion_along_a_normal_is_accepted_once_its_contact_is_let_go():
+    steps = [{'time': 2.0, 'forces': {'table': 0.0}}]
+    motion = {'start_time': 2.5, 'direction_world': [0.0, 0.0, 1.0]}
+    setup = resolve('quick', scenario_overrides={
+        'reference': {'force_steps': steps, 'motion': motion}})
+    assert setup.scenario.reference.motion.direction_world == (0.0, 0.0, 1.0)
 
 
 @pytest.mark.parametrize('name', NAMES)
