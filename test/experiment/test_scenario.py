@@ -61,6 +61,13 @@ def test_preset_says_what_it_sets_and_nothing_else_changes(name):
                      for key, value in {**force, **given['controller']['force']}.items()}
 
 
+def test_preset_paper_is_as_published():
+    force = resolve('paper', preset='paper').controller.force
+    assert (force.allocation, force.projection, force.fed_forward, force.active_state_order,
+            force.process_noise, force.time_constant) == (
+        'paper', 'euclidean', 'estimate', 1, 1e-3, 0.02)
+
+
 def test_best_is_the_default_and_options_go_before_a_preset():
     best, plain = resolve('quick', preset='best'), resolve('quick')
     assert (best.controller, best.noise_estimator) == (plain.controller, plain.noise_estimator)
