@@ -334,6 +334,18 @@ def test_stream_of_commands_does_not_seek_a_given_up_contact_again():
     assert states == {'retracting', 'given up'}
 
 
+@BARE
+def test_variances_are_bounded_alike_with_and_without_a_supervisor(supervised):
+    bench = Bench(supervised=supervised, noise_variance={'smallest': 0.5, 'largest': 50.0})
+    used = bench.loop.supervisor.controller.contacts['noise_variance']
+
+    def change(inputs):
+        return inputs._replace(variance=VarianceInput(inputs.time, np.array([0.01, 1e4])))
+
+    bench.step(3, change=change)
+    assert used.tolist() == [0.5, 50.0]
+
+
 @pytest.mark.parametrize(('part', 'cause', 'reaction'), [
     ('answer', 'law_ZeroDivisionError', 'hold'),
     ('output', 'internal_ZeroDivisionError', 'float')])

@@ -210,12 +210,18 @@ class ControllerReport:
         values: dict[str, Any] = {'held': loop.held}
         if output is None:
             return Status('contacts', values)
+        trouble: list[str] = []
         if self._timing.variance is not None:
-            values |= zip((f'{name} noise_variance_n2' for name in config.column_names),
-                          self._timing.variance.tolist())
+            variances = dict(zip(config.column_names, self._timing.variance.tolist()))
+            values |= {f'{name} noise_variance_n2': each for name, each in variances.items()}
+            bounds = config.noise_variance
+            trouble += [
+                f'R of {name} is at a bound: expected {bounds.smallest:g} to {bounds.largest:g} '
+                f'N^2 (noise_variance), got {each:.3g} N^2' for name, each in variances.items()
+                if not bounds.smallest < each < bounds.largest]
         states = dict(zip(config.contact_names, loop.status.contact_states if loop.status else [
             'force' if output.answer['active'][i] else 'motion' for i in config.leaders]))
-        trouble = [f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
+        trouble += [f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
                    f'contacts.{where}.friction_std' for where, what, gain in misread_friction(
                        config, output.contacts, output.pose.rotation_world)]
         trouble += loop.status.read_before if loop.status else ()

@@ -71,7 +71,9 @@ def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
 
 def is_number(value: object) -> TypeGuard[float]:
     """Return whether a value is one finite number; no text, truth value or array is."""
-    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real):
+        return False
+    return math.isfinite(value)
 
 
 def require_number(field: str, value: object, unit: str) -> None:

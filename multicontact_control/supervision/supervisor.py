@@ -173,8 +173,10 @@ class Supervisor:
         q[:], wrench[:] = joints.q, self.inputs.filtered
         if joints.qd is not None:
             qd[:] = joints.qd
-        own_variance[:] = (
-            self.config.initial_noise_variance if variance is None else variance.variance)
+        bounds = self.config.noise_variance
+        own_variance[:] = np.clip(
+            self.config.initial_noise_variance if variance is None else variance.variance,
+            bounds.smallest, bounds.largest)
         self._task_ticks = round(inputs.time / self._period)
         return Seen()
 

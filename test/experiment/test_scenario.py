@@ -61,6 +61,19 @@ def test_preset_says_what_it_sets_and_nothing_else_changes(name):
                      for key, value in {**force, **given['controller']['force']}.items()}
 
 
+def test_estimator_has_the_bounds_of_the_controllers_variances():
+    bounds = {'smallest': 0.2, 'largest': 400.0}
+    setup = resolve('quick', controller={'noise_variance': bounds})
+    assert setup.noise_estimator.noise_variance == setup.controller.noise_variance
+    assert setup.controller.noise_variance.largest == 400.0
+    with pytest.raises(ConfigError, match=(
+            "noise_estimator.noise_variance: expected the controller's 0.1 to 1000 N.2, "
+            'got 0.2 to 400 N')):
+        resolve('quick', noise_estimator={'noise_variance': bounds})
+    with pytest.raises(ConfigError, match='initial_noise_variance: expected 0.7 to 1000 N.2'):
+        resolve('quick', controller={'noise_variance': {'smallest': 0.7}})
+
+
 def test_preset_paper_is_as_published():
     force = resolve('paper', preset='paper').controller.force
     assert (force.allocation, force.projection, force.fed_forward, force.active_state_order,
