@@ -9,7 +9,7 @@ from equations import free_motions, operational_stiffness
 from hypothesis import given
 from hypothesis import strategies as st
 from multicontact_control.algebra import multiply, solve_cholesky
-from multicontact_control.contact.geometry import normal_space
+from multicontact_control.contact.geometry import normal_space, placed_way
 from multicontact_control.contact.projections import compose_acceleration, factorise_contacts
 from multicontact_control.control.law import drive_coordinates, force_law
 from multicontact_control.force.plant import delayed_plant, place_poles
@@ -195,3 +195,15 @@ def test_paper_allocation_decouples_orthogonal_contacts():
     k_s = [operational_stiffness(6000.0, normal, l) for normal, l in zip(normals, levers)]
     np.testing.assert_allclose(
         6000.0 * N.T @ allocate_force(N, INPUTS[:2], 'paper'), k_s * INPUTS[:2], rtol=1e-12)
+
+
+def test_placed_way_is_what_normals_and_axes_of_couples_take_of_a_way():
+    """Of an edge along x on a level surface, and of a point on an oblique one."""
+    down, oblique = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.6, -0.8])
+    force, couple = np.append(down, [0.1, 0.2, 0.0]), np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0])
+    way = np.array([0.3, 0.0, 0.5, 0.1, 0.2, 0.3])
+    np.testing.assert_allclose(
+        placed_way(way, np.array([force, couple])), [0.0, 0.0, 0.5, 0.0, 0.2, 0.0], atol=1e-15)
+    np.testing.assert_allclose(placed_way(way, np.append(oblique, np.zeros(3))[None])[:3],
+                               oblique * (oblique @ way[:3]), atol=1e-15)
+    np.testing.assert_array_equal(placed_way(way, np.empty((0, 6))), 0.0)
