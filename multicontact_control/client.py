@@ -8,14 +8,16 @@ import time
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import LimitsConfig
+from multicontact_control.contact.geometry import placed_way
 from multicontact_control.control.tasks import quintic, shortest_duration
+from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.link import CommandRefusedError, ControllerLink, DEACTIVATE
 from multicontact_control.nodes.messages import ControllerStatus, new_identifier
 from multicontact_control.supervision.command_limits import check_position
 from multicontact_control.supervision.contacts import HOLDING, NAMES
-from multicontact_control.supervision.reactions import INFLATE, NONE
+from multicontact_control.supervision.reactions import INFLATE, LATCHED, NONE
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -28,11 +30,13 @@ __all__ = [
 STATE_TOPICS = (
     topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.POSE,
     topics.POSE_DESIRED)
+LONGEST_INTERRUPTION = 5.0  # s of the samples: control resumes by itself within 2 s, or never
+LED_THERE = 2e-5  # m or rad of the reference, which the controller leads on after a late program
 LONGEST_ADVANCE = 0.1  # s between two set points of a motion; a late program makes no step
 
 
 class NotReachedError(RunError):
-    """The contact forces did not come near their commands in time."""
+    """The contact forces or the arm did not come near what was commanded in time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +52,16 @@ class ArmState:
     quaternion_xyzw: Vector
     position_desired: Vector
     quaternion_desired: Vector
+
+    @property
+    def pose(self) -> Pose:
+        """Return where the operational frame is."""
+        return Pose.from_quaternion(self.position_world, self.quaternion_xyzw)
+
+    @property
+    def pose_desired(self) -> Pose:
+        """Return where it should be."""
+        return Pose.from_quaternion(self.position_desired, self.quaternion_desired)
 
 
 class MultiContactClient(ControllerLink):
@@ -65,6 +79,7 @@ class MultiContactClient(ControllerLink):
     def __init__(
         self, namespace: str = '', *, domain_id: int | None = None, timeout: float = 10.0,
     ) -> None:
+        messages.require_positive('timeout', timeout, 's')
         super().__init__((*STATE_TOPICS, topics.NOISE_VARIANCE), namespace=namespace,
                          domain_id=domain_id, timeout=timeout)
 
@@ -86,6 +101,8 @@ class MultiContactClient(ControllerLink):
 
     def hold(self, on: bool = True) -> None:
         """Hold the arm where it is and obey no motion, or let go of it again."""
+        if not isinstance(on, bool):
+            raise messages.MessageError('on', 'true or false', repr(on))
         self.ask('hold', SetBool, SetBool.Request(data=on))
 
     def tare(self) -> None:
@@ -106,6 +123,9 @@ class MultiContactClient(ControllerLink):
         contacts that are not named keep theirs. Centres are by couple, from the middle of the
         contact [m]. CommandRefusedError if the controller refuses: then nothing changes.
         """
+        messages.require_named_numbers('forces', forces, 'N')
+        if centres is not None:
+            messages.require_named_numbers('centres', centres, 'm')
         self.fresh(topics.DESIRED_FORCES)  # before its first sample it refuses
         if forces:
             self.command(topics.FORCE_COMMAND, messages.joint_state_message(
@@ -116,19 +136,27 @@ class MultiContactClient(ControllerLink):
 
     def move(
         self, position_world: ArrayLike, duration: float, *,
-        quaternion_xyzw: ArrayLike | None = None,
+        quaternion_xyzw: ArrayLike | None = None, position_tolerance: float = 0.005,
+        rotation_tolerance: float = 0.05,
     ) -> None:
         """
-        Move the desired operational point to a goal, and return when it has got there.
+        Move the operational point to a goal, and return when it is there.
 
         Along a straight line to a position, shape (3,) [m], with a quintic in time over a duration
         [s], longer if this program is late, at rest at both ends; the orientation is the present
-        one by default. Without effect along the normals of controlled contacts.
-        CommandRefusedError if the goal is out of the workspace, if the limits of speed and
-        acceleration need a longer duration, or if it is not obeyed: the arm stays where it got to.
+        one by default. There means within tolerances [m], [rad]. Contacts that are sought or held
+        place the tool along their normals, edges and planes also about their couples' axes: there
+        the goal may differ by the tolerances from where the tool is, and where it ends does not
+        count. While a reaction takes the place of control the motion waits, for up to 5 s.
+
+        CommandRefusedError if the goal is out of the workspace, if contacts or the limits of speed
+        and acceleration do not allow the way, or if it is not obeyed: the arm stays where it got
+        to. NotReachedError, with the place and the cause, if a reaction ends the motion or control
+        waits for an operator, and if the arm is not there 5 s after the last point.
         """
-        if not 0.0 < duration < np.inf:
-            raise messages.MessageError('duration', 'above 0 s', f'{duration:g} s')
+        messages.require_positive('duration', duration, 's')
+        messages.require_positive('position_tolerance', position_tolerance, 'm')
+        messages.require_positive('rotation_tolerance', rotation_tolerance, 'rad')
         goal = messages.finite_array(position_world, 3, 'position_world')
         limits = self._limits()
         try:
@@ -136,28 +164,67 @@ class MultiContactClient(ControllerLink):
         except CommandError as error:
             raise CommandRefusedError(f'{topics.MOTION_COMMAND.name}: {error}') from None
         start = self.read()
-        last = start.quaternion_desired if quaternion_xyzw is None else messages.finite_array(
-            quaternion_xyzw, 4, 'quaternion_xyzw')
-        _require_time(duration, _way(start, goal, last), limits)
+        last = start.quaternion_desired if quaternion_xyzw is None else messages.quaternion_array(
+            quaternion_xyzw, 'quaternion_xyzw')
+        goal_pose = Pose.from_quaternion(goal, last)
+        _require_time(duration, start.pose_desired.way_to(goal_pose), limits)
         # All that takes time comes first: the motion runs from the sample that it starts at.
-        self.command(topics.MOTION_COMMAND, messages.motion_message(
+        status = self.command(topics.MOTION_COMMAND, messages.motion_message(
             start.position_desired, start.quaternion_desired, np.zeros(6), np.zeros(6)))
-        start, identifier = self.read(), new_identifier()
-        turn = Rotation.from_quat(start.quaternion_desired)
-        change = _way(start, goal, last)
-        elapsed, now = 0.0, start.time
+        start = self.read()
+        way = start.pose_desired.way_to(goal_pose)
+        _require_free(way, status, position_tolerance, rotation_tolerance)
+        _require_passing(status, start, goal_pose, 0.0)
+        self._follow(start, way, goal_pose, duration)
+        self._arrive(goal_pose, position_tolerance, rotation_tolerance)
+
+    def _follow(self, start: ArmState, way: Vector, goal: Pose, duration: float) -> None:
+        """Command the points of a way from a state, shape (6,) [m, rad], as its samples come."""
+        identifier, turn = new_identifier(), Rotation.from_quat(start.quaternion_desired)
+        elapsed = interrupted = 0.0
+        state = start
         while elapsed < duration:
-            before, now = now, self.read().time
-            elapsed += min(now - before, LONGEST_ADVANCE)
+            before, state = state, self.read()
+            advance = min(state.time - before.time, LONGEST_ADVANCE)
+            self.accepted(identifier)  # what it refuses of the way ends the motion
+            status = self._known_status()
+            if not _is_controlled(status):
+                interrupted += advance
+                _require_passing(status, state, goal, interrupted)
+                continue
+            interrupted = 0.0
+            elapsed += advance
             s, ds, dds = quintic(elapsed, duration)
             point = messages.motion_message(
-                start.position_desired + s * change[:3],
-                (Rotation.from_rotvec(s * change[3:]) * turn).as_quat(),
-                ds * change, dds * change)
-            self.accepted(identifier)  # what it refuses of the way ends the motion
+                start.position_desired + s * way[:3],
+                (Rotation.from_rotvec(s * way[3:]) * turn).as_quat(), ds * way, dds * way)
             self.send(topics.MOTION_COMMAND, point, identifier)
         self.command(topics.MOTION_COMMAND, point)
-        self.read()
+
+    def _arrive(
+        self, goal: Pose, position_tolerance: float, rotation_tolerance: float,
+    ) -> None:
+        """Wait until the arm is at a goal, as far as contacts leave that free; NotReachedError."""
+        waited, state = 0.0, self.read()
+        while True:
+            self.look()
+            status = self._known_status()
+            distance, angle = _free_distance(state.pose.way_to(goal), status)
+            left, turn_left = _free_distance(state.pose_desired.way_to(goal), status)
+            near = distance <= position_tolerance and angle <= rotation_tolerance
+            led_there = max(left, turn_left) <= LED_THERE
+            if near and led_there and _is_controlled(status):
+                return
+            _require_passing(status, state, goal, waited)
+            before, state = state, self.read()
+            waited += state.time - before.time
+
+    def _known_status(self) -> ControllerStatus:
+        """Return the status that was looked at last; RunError if the controller sends none."""
+        status = self.last_status
+        if status is None:
+            status = self._awaited(self.status, f'{topics.STATUS.name}: expected a message')
+        return status
 
     def _limits(self) -> LimitsConfig:
         """Return the controller's limits of the operational point."""
@@ -185,6 +252,9 @@ class MultiContactClient(ControllerLink):
         are within a tolerance [N] of their commands, these contacts are held, and no reaction
         takes the place of control. NotReachedError after a timeout [s] names what is still off.
         """
+        for field, value, unit in (('force_tolerance', force_tolerance, 'N'),
+                                   ('timeout', timeout, 's'), ('settle_time', settle_time, 's')):
+            messages.require_number(field, value, unit)
         give_up = time.monotonic() + timeout
         while missing := self._missing(force_tolerance, settle_time):
             if time.monotonic() > give_up:
@@ -199,8 +269,7 @@ class MultiContactClient(ControllerLink):
             seen += self.fresh(topics.MEASURED_FORCES)
         measured = dict(zip(seen[0].name, np.mean([x.effort for x in seen], axis=0)))
         status = self._awaited(self.status, f'{topics.STATUS.name}: expected a message')
-        # Control goes on with a larger R.
-        missing = [] if status.reaction in (NONE, INFLATE) else [status.text]
+        missing = [] if _is_controlled(status) else [status.text]
         for name, force in status.forces.items():
             off, held = abs(measured[name] - force), NAMES[HOLDING]
             state = status.contact_states.get(name, held)
@@ -213,10 +282,48 @@ class MultiContactClient(ControllerLink):
         return missing
 
 
-def _way(start: ArmState, goal: Vector, last_quaternion: Vector) -> Vector:
-    """Return the way to a goal, position and rotation vector, shape (6,) [m, rad]."""
-    turn = Rotation.from_quat(last_quaternion) * Rotation.from_quat(start.quaternion_desired).inv()
-    return np.concatenate([goal - start.position_desired, turn.as_rotvec()])
+def _is_controlled(status: ControllerStatus) -> bool:
+    """Return whether no reaction takes the place of control; it goes on with a larger R."""
+    return status.reaction in (NONE, INFLATE)
+
+
+def _require_passing(
+    status: ControllerStatus, state: ArmState, goal: Pose, lasted: float,
+) -> None:
+    """End a motion that does not go on by itself, or has not for so long [s]."""
+    if lasted <= LONGEST_INTERRUPTION and LATCHED not in status.causes.split():
+        return
+    distance = np.linalg.norm(goal.position_world - state.position_world)
+    place = ', '.join(f'{x:.4g}' for x in state.position_world)
+    raise NotReachedError(
+        f'{topics.MOTION_COMMAND.name}: ended at [{place}] m, {1e3 * distance:.3g} mm from the '
+        f'goal: {status.text}')
+
+
+def _free_distance(way: Vector, status: ControllerStatus) -> tuple[float, float]:
+    """Return how far it is along a way that contacts leave free: distance and angle [m, rad]."""
+    free = way - _placed(way, status)
+    return float(np.linalg.norm(free[:3])), float(np.linalg.norm(free[3:]))
+
+
+def _placed(way: Vector, status: ControllerStatus) -> Vector:
+    """Return the part of a way, shape (6,) [m, rad], that contacts decide."""
+    columns = np.array(list(status.placing.values())).reshape(-1, 6)
+    return placed_way(way, columns)
+
+
+def _require_free(
+    way: Vector, status: ControllerStatus, position_tolerance: float, rotation_tolerance: float,
+) -> None:
+    """Refuse a way, shape (6,) [m, rad], that contacts which are sought or held do not allow."""
+    placed = _placed(way, status)
+    distance, angle = np.linalg.norm(placed.reshape(2, 3), axis=1).tolist()
+    if distance > position_tolerance or angle > rotation_tolerance:
+        raise CommandRefusedError(
+            f'{topics.MOTION_COMMAND.name}: goal: expected at most {position_tolerance:g} m and '
+            f'{rotation_tolerance:g} rad (position_tolerance, rotation_tolerance) where contacts '
+            f'place the tool, got {distance:.3g} m and {angle:.3g} rad; let go of '
+            f'{", ".join(status.placing)} first: command 0 N')
 
 
 def _require_time(duration: float, way: Vector, limits: LimitsConfig) -> None:

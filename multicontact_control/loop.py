@@ -14,10 +14,11 @@ from pathlib import Path
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.contact.geometry import offset_shares
+from multicontact_control.contact.geometry import offset_shares, placed_way
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.control.tasks import CommandedTask, MotionReading, TaskSource
 from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sensor.push_test import PushGate, PushTestConfig
 from multicontact_control.sensor.tool import MAX_JOINT_SPEED, tare_bias
@@ -27,6 +28,9 @@ from multicontact_control.supervision.report import EventLog, SupervisorStatus
 from multicontact_control.supervision.supervisor import not_supervised, Supervisor
 import numpy as np
 
+# m and rad of a commanded motion that contacts do not leave free, from which on it is told:
+# a tool that follows a surface leaves the height that was commanded, too.
+UNTOLD_WAY, UNTOLD_TURN = 0.005, 0.05
 STREAM_TIME = 1.0  # s; commands that come more often than this are a stream
 VELOCITIES_IN_DOUBT = (
     'the joint velocities are in doubt (joints_velocity): prove them in motion, or ~/retry')
@@ -188,12 +192,32 @@ class ControlLoop:
                 self.supervisor.try_again()
             self._commanded_at = self.time
 
-    def set_motion(self, motion: MotionReading) -> None:
-        """Obey a commanded motion, as far as it is not along a contact that is sought or held."""
+    def set_motion(self, motion: MotionReading) -> str:
+        """
+        Obey a commanded motion, as far as contacts that are sought or held leave it free.
+
+        Returns what they do not, in words; empty if that is next to nothing.
+        """
         task = self._commandable()
         check_motion(motion, self.config.limits)
+        left_out = self._left_out(motion)
         task.set_motion(
             motion, self.supervisor.task.sought_normals(), self.limits.motion_timeout)
+        return left_out
+
+    def _left_out(self, motion: MotionReading) -> str:
+        """Return which part of the way to a commanded motion contacts do not leave free."""
+        placing = self.supervisor.task.placing_columns()
+        if self.output is None or not placing:
+            return ''
+        way = self.output.pose_des.way_to(
+            Pose.from_quaternion(motion.position_world, motion.quaternion_xyzw))
+        placed = placed_way(way, np.array(list(placing.values())))
+        distance, angle = np.linalg.norm(placed.reshape(2, 3), axis=1).tolist()
+        if distance <= UNTOLD_WAY and angle <= UNTOLD_TURN:
+            return ''
+        return (f'{1e3 * distance:.3g} mm and {angle:.3g} rad of the way are not obeyed: there '
+                f'{", ".join(placing)} place the tool until they are let go (0 N)')
 
     @property
     def commanded_forces(self) -> dict[str, float]:

@@ -337,6 +337,7 @@ INPUT_SETTINGS = np.dtype([
     ('period', F),  # [s]
     ('shortest', F), ('longest', F),  # periods that are in order [s]
     ('max_age', F, 3),  # [s]
+    ('smallest_variance', F), ('largest_variance', F),  # bounds of R [N^2]
     ('frozen_joint_ticks', I), ('frozen_ticks', I),  # equal readings that are frozen, 0 for never
     ('adds_gravity', B),  # see `robot`
     ('full_scale', F, 6),  # from where on an axis is saturated [N, N m]

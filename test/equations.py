@@ -48,6 +48,11 @@ def allocate_force(N, alpha_star, allocation):
     return N @ alpha_star if allocation == 'paper' else np.linalg.pinv(N).T @ alpha_star
 
 
+def operational_stiffness(k_env, normal, lever):
+    """Return k_s = k_env (1 + |l x n|^2) (P04 eq. 17)."""
+    return k_env * (1.0 + np.linalg.norm(np.cross(lever, normal)) ** 2)
+
+
 def contact_rates(N, twist, allocation):
     """Return N^+ theta, or N^T theta for `decoupled`."""
     return np.linalg.pinv(N) @ twist if allocation == 'paper' else N.T @ twist

@@ -8,7 +8,7 @@ import time
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Vector3Stamped
 from multicontact_control.client import CommandRefusedError, MultiContactClient, NotReachedError
-from multicontact_control.errors import MessageError, RunError
+from multicontact_control.errors import MessageError, MulticontactError, RunError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph import create_publisher, ignore, take
 from multicontact_control.nodes.link import GuestNode
@@ -140,6 +140,100 @@ def test_move_that_the_limits_do_not_allow_is_refused_with_the_shortest_duration
             f'got {duration:g} s')):
         arm.move(start.position_desired + way, duration)
     assert np.abs(arm.read().position_desired - start.position_desired).max() < 1e-4
+
+
+def test_move_along_a_held_normal_is_refused_and_moves_nothing(arm):
+    reached(arm, table=8.0, board=4.0)
+    start = arm.read()
+    with pytest.raises(CommandRefusedError, match=(
+            'motion/command: goal: expected at most 0.005 m .* where contacts place the tool, '
+            'got 0.05 m .* let go of table, board first')):
+        arm.move(start.position_desired + [0.01, 0.0, 0.05], 1.0)
+    assert np.abs(arm.read().position_desired - start.position_desired)[0] < 1e-4
+
+
+def test_motion_along_a_held_normal_is_accepted_with_what_is_left_out(arm):
+    reached(arm, table=8.0, board=4.0)
+    start = arm.read()
+    point = messages.motion_message(
+        start.position_desired + [0.0, 0.0, 0.05], start.quaternion_desired, np.zeros(6),
+        np.zeros(6))
+    status = arm.command(topics.MOTION_COMMAND, point)
+    assert set(status.placing) == {'table', 'board'}
+    assert '50 mm and 0 rad of the way are not obeyed: there table, board' in status.left_out
+    assert status.left_out in status.text
+    along = messages.motion_message(
+        start.position_desired, start.quaternion_desired, np.zeros(6), np.zeros(6))
+    assert arm.command(topics.MOTION_COMMAND, along).left_out == ''
+
+
+def test_move_in_a_reaction_that_waits_for_an_operator_raises_place_and_cause(arm, monkeypatch):
+    reached(arm, table=8.0, board=4.0)
+    start = arm.read()
+    command = arm.command
+
+    def latched(*given):
+        return replace(command(*given), reaction='hold', causes='latched',
+                       text='hold instead of control: latched')
+
+    monkeypatch.setattr(arm, 'command', latched)
+    with pytest.raises(NotReachedError, match=(
+            r'motion/command: ended at \[.*\] m, 20 mm from the goal: hold instead of control: '
+            'latched')):
+        arm.move(start.position_desired + [0.02, 0.0, 0.0], 0.5)
+
+
+def test_move_returns_only_within_its_tolerance(arm):
+    reached(arm, table=8.0, board=4.0)
+    start = arm.read()
+    goal = start.position_desired + [0.02, 0.0, 0.0]
+    arm.move(goal, 0.5)
+    assert abs(arm.read().position_world[0] - goal[0]) <= 0.005
+    arm.set_forces({'table': 0.0, 'board': 0.0})
+    wait_for(lambda: not arm.status().placing, 'both contacts to be let go')
+    with pytest.raises(NotReachedError, match='mm from the goal: ok'):
+        arm.move(arm.read().position_desired, 0.5, position_tolerance=1e-18)
+
+
+@pytest.mark.parametrize(('call', 'words'), [
+    (lambda arm: arm.set_forces(None), 'forces: expected numbers by name'),
+    (lambda arm: arm.set_forces([10.0, 5.0]), 'forces: expected numbers by name'),
+    (lambda arm: arm.set_forces({'table': np.array([10.0])}), r"forces\['table'\]: expected one"),
+    (lambda arm: arm.set_forces({'table': '10'}), r"forces\['table'\]: expected one finite"),
+    (lambda arm: arm.set_forces({1: 10.0}), 'forces: expected names that are text, got 1'),
+    (lambda arm: arm.set_forces({}, [0.1]), 'centres: expected numbers by name'),
+    (lambda arm: arm.move([0.0, 0.5, 0.5], '1'), "duration: expected above 0 s, got '1'"),
+    (lambda arm: arm.move(np.zeros((3, 1)), 1.0),
+     r'position_world: expected 3 values in one row, got an array of shape \(3, 1\)'),
+    (lambda arm: arm.move(['a', 'b', 'c'], 1.0), 'position_world: expected 3 values that are'),
+    (lambda arm: arm.move([[0.0], 0.5, 0.5], 1.0), 'position_world: expected 3 values in one'),
+    (lambda arm: arm.move([0.0, 0.5, 0.5], 1.0, quaternion_xyzw=[0, 0, 0, 0]),
+     'quaternion_xyzw: expected a quaternion of a length above 0'),
+    (lambda arm: arm.move([0.0, 0.5, 0.5], 1.0, position_tolerance=None),
+     'position_tolerance: expected above 0 m, got None'),
+    (lambda arm: arm.wait_until_reached('0.5'), 'force_tolerance: expected one finite number'),
+    (lambda arm: arm.hold('yes'), "on: expected true or false, got 'yes'"),
+    (lambda arm: arm.set_parameters('controller_node', {'tool.mass': object()}),
+     'tool.mass: expected a number, a text'),
+    (lambda arm: MultiContactClient(domain_id=999), 'domain_id: expected a whole number from 0'),
+    (lambda arm: MultiContactClient(domain_id='5a'), 'domain_id: expected a whole number from 0'),
+    (lambda arm: MultiContactClient('no name', domain_id=5), 'namespace: expected names of'),
+    (lambda arm: MultiContactClient(timeout='long'), "timeout: expected above 0 s, got 'long'")])
+def test_client_names_what_is_wrong_with_what_it_is_given(arm, call, words):
+    with pytest.raises(MulticontactError, match=words):
+        call(arm)
+
+
+def test_closed_client_says_so_whatever_it_is_asked(domain_id):
+    with MultiContactClient('arm', domain_id=domain_id, timeout=PATIENCE) as client:
+        client.read()
+    client.close()  # once more makes no difference
+    for call in (client.read, client.status, client.activate, client.deactivate, client.hold,
+                 client.tare, client.retry, client.wait_until_reached,
+                 lambda: client.set_forces({'table': 5.0}),
+                 lambda: client.move([0.0, 0.5, 0.5], 1.0)):
+        with pytest.raises(RunError, match='expected an open connection, got one that is closed'):
+            call()
 
 
 def test_push_that_no_person_can_give_is_refused_and_moves_nothing(arm, domain_id):

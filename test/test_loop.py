@@ -332,3 +332,63 @@ def test_stream_of_commands_does_not_seek_a_given_up_contact_again():
         bench.step(10)
         states.add(bench.states['table'])
     assert states == {'retracting', 'given up'}
+
+
+@BARE
+def test_variances_are_bounded_alike_with_and_without_a_supervisor(supervised):
+    bench = Bench(supervised=supervised, noise_variance={'smallest': 0.5, 'largest': 50.0})
+    used = bench.loop.supervisor.controller.contacts['noise_variance']
+
+    def change(inputs):
+        return inputs._replace(variance=VarianceInput(inputs.time, np.array([0.01, 1e4])))
+
+    bench.step(3, change=change)
+    assert used.tolist() == [0.5, 50.0]
+
+
+@pytest.mark.parametrize(('part', 'cause', 'reaction'), [
+    ('answer', 'law_ZeroDivisionError', 'hold'),
+    ('output', 'internal_ZeroDivisionError', 'float')])
+def test_exception_is_told_in_words_and_logged_once_with_its_traceback(
+        monkeypatch, caplog, part, cause, reaction):
+    bench = Bench()
+    bench.step(5)
+    controller, work = bench.loop.supervisor.controller, {'broken': True}
+    right = getattr(controller, part)
+
+    def broken(*given):
+        if work.pop('broken', False) or part == 'answer':
+            raise ZeroDivisionError('the mass of nothing')
+        return right(*given)
+
+    monkeypatch.setattr(controller, part, broken)
+    bench.step()
+    assert bench.loop.status.causes == (cause,) and bench.reaction == reaction
+    bench.step(20)
+    text = 'ZeroDivisionError: the mass of nothing'
+    assert text in bench.loop.supervisor.findings
+    record, = caplog.records
+    assert record.getMessage() == f'{cause}: {text}'
+    assert 'in broken' in caplog.text and 'Traceback' in caplog.text
+
+
+def test_law_that_has_no_answer_says_why_in_the_findings(caplog):
+    # The tool is upright: the board's point lies straight above the table's.
+    above = {'normal_world': [0.0, 0.0, -1.0], 'point_operational': [0.0, 0.0, 0.3]}
+    bench = Bench(contacts={'board': above})
+    bench.step()
+    assert bench.loop.status.causes == ('law_ContactGeometryError',)
+    assert bench.loop.supervisor.findings[0].startswith(
+        'ContactGeometryError: N: expected independent columns, got normals and contact points')
+    record, = caplog.records
+    assert 'expected independent columns' in record.getMessage()
+    assert 'Traceback' not in caplog.text
+
+
+def test_singular_arm_says_why_in_the_findings(monkeypatch):
+    monkeypatch.setattr('multicontact_control.control.controller.SINGULAR_MOBILITY', 0.0)
+    bench = Bench(limits={'workspace_lower': [], 'workspace_upper': []})
+    bench.step(q=np.zeros(6))
+    assert 'law_SingularTaskError' in bench.loop.status.causes
+    assert bench.loop.supervisor.findings[0].startswith(
+        'SingularTaskError: J M^-1 J^T: expected a condition number below')

@@ -14,7 +14,7 @@ from multicontact_control.config.base import (
     Vector,
 )
 from multicontact_control.config.contact import Column, ContactConfig, FORCE, KINDS, SUFFIXES
-from multicontact_control.config.force import ForceConfig, LawName
+from multicontact_control.config.force import ForceConfig, LawName, VarianceBoundsConfig
 from multicontact_control.config.robot import RobotConfig, SensorFrontEndConfig, ToolConfig
 from multicontact_control.config.supervision import (
     CollisionConfig,
@@ -99,6 +99,7 @@ class ControllerConfig(Config):
         'that of the joint torques, for an arm without a wrist sensor.')
     initial_noise_variance: float = parameter(
         0.6, 'R until an estimate arrives.', unit='N^2', gt=0.0)
+    noise_variance: VarianceBoundsConfig = VarianceBoundsConfig()
     torque_limit: PositiveVector = parameter(
         (), 'Largest commanded torque per joint; empty for none.', unit='N m')
     nullspace_damping: float = parameter(
@@ -126,6 +127,10 @@ class ControllerConfig(Config):
                               'empty with wrench_input momentum', f"'{self.robot.sensor_frame}'")
         if momentum and self.sensor.require_push_test:
             yield ConfigError('sensor.require_push_test', 'false without a wrist sensor', True)
+        bounds, initial = self.noise_variance, self.initial_noise_variance
+        if not bounds.smallest <= initial <= bounds.largest:
+            yield ConfigError('initial_noise_variance', f'{bounds.smallest:g} to '
+                              f'{bounds.largest:g} N^2 (noise_variance)', initial)
         yield from self._delay_misfits()
 
     def _law_misfits(self) -> Iterator[ConfigError]:

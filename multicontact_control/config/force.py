@@ -105,6 +105,21 @@ class ForceConfig(Config):
         'euclidean', 'Metric of Omega_f and Omega_m: eqs 11-12 or dynamically consistent.')
 
 
+class VarianceBoundsConfig(Config):
+    """What every R lies between: of the estimator, and of the observers it comes to."""
+
+    smallest: float = parameter(
+        0.1, 'Smallest R; with less the observer outruns the drives.', unit='N^2', gt=0.0)
+    largest: float = parameter(
+        1000.0, 'Largest R; with more the law is blind to the force.', unit='N^2', gt=0.0)
+
+    def _misfits(self) -> Iterator[ConfigError]:
+        if self.largest <= self.smallest:
+            yield ConfigError('noise_variance.largest',
+                              f'above noise_variance.smallest, {self.smallest:g} N^2',
+                              self.largest)
+
+
 class NoiseEstimatorConfig(Config):
     """The on-line estimate of R_k (P04 sec. 4.2)."""
 
@@ -127,6 +142,7 @@ class NoiseEstimatorConfig(Config):
         '0 for no bound, as in the paper.', unit='s', ge=0.0, le=10.0)
     fixed_variance: float = parameter(
         0.6, 'R of the estimator `fixed`, and of others at first.', unit='N^2', gt=0.0)
+    noise_variance: VarianceBoundsConfig = VarianceBoundsConfig()
 
     def _misfits(self) -> Iterator[ConfigError]:
         for name in ('zero_frequency', 'pole_frequency'):

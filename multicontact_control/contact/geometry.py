@@ -97,22 +97,27 @@ def friction_coupling(contacts: Records, rotation_world: Matrix) -> Matrix:
     return coupling
 
 
-def operational_stiffness(k_env: float, normal_world: Vector, lever_world: Vector) -> float:
+def placed_way(way: Vector, columns: Matrix) -> Vector:
     """
-    Return k_s = k_env (1 + |l x n|^2), the stiffness along the coordinate N_i (P04 eq. 17).
+    Return the part of a way of the operational point that contacts decide, shape (6,) [m, rad].
 
-    The 1 is a number, |l x n| is in metres: k_s depends on the unit of length, as N_i does.
+    Each force places the tool along its normal, each couple turns it about its axis: a motion has
+    no effect there while they are sought or held.
 
     Parameters
     ----------
-    k_env
-        Stiffness at the contact point [N/m].
-    normal_world, lever_world
-        Unit normal and vector from the contact point to the operational point [m], shape (3,).
+    way
+        Displacement and rotation vector, world axes, shape (6,) [m, rad].
+    columns
+        N_i of these contacts as rows, shape (k, 6), see `fill_normal_space`.
 
     """
-    moment = np.cross(lever_world, normal_world)
-    return float(k_env * (1.0 + moment @ moment))
+    placed = np.zeros(6)
+    forces = columns[:, :3].any(axis=1)
+    for part, directions in (
+            (slice(0, 3), columns[forces, :3].T), (slice(3, 6), columns[~forces, 3:].T)):
+        placed[part] = directions @ (np.linalg.pinv(directions) @ way[part])
+    return placed
 
 
 def place_columns(config: ControllerConfig, columns: Records) -> None:
@@ -141,16 +146,6 @@ def place_columns(config: ControllerConfig, columns: Records) -> None:
             known['friction_std'] = contact.friction_std
             known['torsion_std'] = 0.0 if contact.type == 'point' else (
                 contact.friction_std * contact.half_length)
-
-
-def loop_stiffnesses(config: ControllerConfig, rotation_world: Matrix) -> Vector:
-    """Return the stiffness that the force loop of each contact drives, shape (r,) [N/m]."""
-    if config.force.allocation == 'decoupled':  # which drives the contact point itself
-        return np.array([column.stiffness for column in config.columns])
-    contacts = [config.contacts[name] for name in config.contact_names]
-    return np.array([operational_stiffness(  # `paper` drives the coordinate along N_i
-        contact.stiffness, np.array(contact.normal_world),
-        -rotation_world @ np.array(contact.point_operational)) for contact in contacts])
 
 
 def misread_friction(

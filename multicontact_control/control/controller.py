@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, NoReturn
 
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import ControllerConfig, ToolConfig
-from multicontact_control.contact.geometry import check_columns, loop_stiffnesses, place_columns
+from multicontact_control.contact.geometry import check_columns, place_columns
 from multicontact_control.contact.resolution import check_resolution
 from multicontact_control.contact.wrench import tool_between, tool_record
 from multicontact_control.control.arm import AMBIGUOUS, ArmState
@@ -18,14 +18,12 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError, ContactGeometryError, SingularTaskError
 from multicontact_control.force.force_law import act_beyond, continue_laws, make_force_laws
-from multicontact_control.force.observer import rescale
 from multicontact_control.records import CONTACT, CONTROL, LAW, Records
 import numpy as np
 
 STOP_RATIO = 4.0  # frequency by which joints are kept off their stops, over the posture's
 SINGULAR_MOBILITY = 0.004  # 1/kg, eigenvalue of J M^-1 J^T up to which Lambda is damped
 LEAST_TASK_SHARE = 0.5  # of the task at a torque limit; the rest is cut joint by joint
-LARGEST_DRIFT = 0.02  # of a stiffness, from which on an observer is redesigned
 
 
 class ControlOutput(NamedTuple):
@@ -91,7 +89,7 @@ class Controller:
     resolutions
         How well the configuration tells the contacts apart.
     started
-        Whether the force laws have been designed for where the arm is.
+        Whether the force laws have begun, by `start`, since a reset.
 
     Raises
     ------
@@ -117,7 +115,7 @@ class Controller:
         self.resolutions = check_resolution(config, self.controls, self.contacts)
         self.reset()
         self.arm.pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
-        self.laws: Any = self._design(config)
+        self.laws: Any = make_force_laws(config)
         with contextlib.suppress(SingularTaskError, ContactGeometryError):
             self.answer()  # all joints at 0 need not be a good posture
         self.reset()
@@ -142,7 +140,6 @@ class Controller:
         joints['torque_limit'] = config.torque_limit or np.inf
         joints['lower'] = config.limits.joint_lower or -np.inf
         joints['upper'] = config.limits.joint_upper or np.inf
-        self._coordinate_driven = config.force.allocation == 'paper'
 
     def _carry(self, tool: ToolConfig) -> None:
         """Take a tool off the readings (by momentum they are without it), and bear its weight."""
@@ -157,10 +154,6 @@ class Controller:
         elapsed = self._slewed * self.config.period
         self._carry(tool_between(self._last_tool, self.next_tool, quintic(
             elapsed, self.config.transition.slew_time)[0]))
-
-    def _design(self, config: ControllerConfig) -> Records:
-        self._stiffnesses = loop_stiffnesses(config, self.arm.pose.rotation_world)
-        return make_force_laws(config, self._stiffnesses)
 
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
@@ -185,13 +178,13 @@ class Controller:
         place_columns(config, columns)
         check_columns(config.column_names, columns)  # normals may be others
         check_resolution(config, self.controls, columns)
-        make_force_laws(config, loop_stiffnesses(config, self.arm.pose.rotation_world))
+        make_force_laws(config)
 
     def reconfigure(self, config: ControllerConfig) -> None:
         """Go on with other gains; the force laws keep what they know as far as possible."""
         self._adopt(config)
         if self.started:
-            laws = self._design(config)
+            laws = make_force_laws(config)
             continue_laws(laws, self.laws)
             self.laws = laws
 
@@ -207,8 +200,8 @@ class Controller:
         self.arm.refresh()
 
     def start(self) -> Pose:
-        """Design the force laws for where the arm is; return the pose from which a task starts."""
-        self.laws = self._design(self.config)
+        """Let the force laws begin; return the pose from which a task starts."""
+        self.laws = make_force_laws(self.config)
         joints = self.arm.joints
         joints['posture'] = np.clip(  # what lies beyond a stop would be fought over
             self.config.posture.joints or self.arm.q, joints['lower'] + STOP_MARGIN,
@@ -236,8 +229,6 @@ class Controller:
         """
         if self.arm.flags & AMBIGUOUS:  # which is in NO_NUMBERS, too
             self.refuse()
-        if self._coordinate_driven:
-            self._follow_stiffness()
         terms = self.robot.terms
         status = control_law(
             self.controls, self.arm.joints, terms.mass_matrix, terms.jacobian,
@@ -245,13 +236,6 @@ class Controller:
         if status > LIMITED:
             self.refuse(status)
         return bool(status == LIMITED)
-
-    def _follow_stiffness(self) -> None:
-        """Redesign the observers of `paper` allocation when turning has changed k_s (eq. 17)."""
-        factors = loop_stiffnesses(self.config, self.arm.pose.rotation_world) / self._stiffnesses
-        if np.abs(factors - 1.0).max() > LARGEST_DRIFT:
-            rescale(self.laws['observer'], factors)
-            self._stiffnesses = self._stiffnesses * factors
 
     def output(self, torque: Vector) -> ControlOutput:
         """Return an answer to the sample that has been seen."""
@@ -268,10 +252,9 @@ class Controller:
         """
         Tell the force laws that another torque, shape (n,) [N m], acts than the one answered.
 
-        It accelerates the contact points by N^T J M^-1 Delta Gamma more (the coordinates along
-        N_i, by `paper` allocation), and so does what is fed forward beyond the estimate, which a
-        force that cannot be reached never makes good. So much is added to the input that they
-        predict with.
+        It accelerates the contact points by N^T J M^-1 Delta Gamma more, and so does what is fed
+        forward beyond the estimate, which a force that cannot be reached never makes good. So much
+        is added to the input that they predict with.
         """
         terms, active = self.robot.terms, self.active
         if not active.any():
@@ -283,8 +266,7 @@ class Controller:
         beyond = answer['alpha_fed'] - answer['alpha_est']
         twist_rate = terms.jacobian @ np.linalg.solve(
             M, torque - self.arm.joints['unlimited'] + terms.jacobian.T @ (N @ beyond))
-        act_beyond(self.laws, active, (
-            np.linalg.pinv(N) if self._coordinate_driven else N.T) @ twist_rate)
+        act_beyond(self.laws, active, N.T @ twist_rate)
 
     def refuse(self, status: int = DEPENDENT) -> NoReturn:
         """Raise what a status of `control_law`, or a model without finite numbers, means."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import multiply, solve_cholesky, solve_lower
+from multicontact_control.algebra import dot, multiply, solve_cholesky, solve_lower
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.projections import compose_acceleration, factorise_contacts
@@ -37,6 +37,21 @@ def motion_law(law: Any, task: Any, frame: Any, f_t: Vector) -> None:
 
 
 @compiled
+def drive_coordinates(rows: Matrix, inputs: Vector) -> None:
+    """
+    Replace u of the contact points by alpha* of the coordinates along N_i, shape (r,) [m/s^2].
+
+    What goes by 1 along N_i takes its contact point N_i^T N_i = 1 + |l x n|^2 into the surface,
+    which is then as stiff as k_s = k_env (1 + |l x n|^2) (P04 eq. 17). A force loop for k_s
+    commands so much less than one for k_env; Q counts the acceleration of the contact point.
+    """
+    for i in range(inputs.shape[0]):
+        ratio = dot(rows[i], rows[i])
+        if ratio > 0.0:  # the contact is active
+            inputs[i] /= ratio
+
+
+@compiled
 def force_law(
     law: Any, rows: Matrix, factor: Matrix, twist: Vector, contacts: Any, inputs: Vector,
     f_c: Vector,
@@ -52,7 +67,8 @@ def force_law(
     surfaces' speeds.
 
     N^T of the active contacts is in `rows`, shape (r, 6), N^T N is factorised in `factor`, shape
-    (r, r); `inputs` are u of the force laws, shape (r,) [m/s^2].
+    (r, r); `inputs` are u of the contact points or, as published, of the coordinates along N_i,
+    shape (r,) [m/s^2].
     """
     alpha_star = np.empty(inputs.shape[0])
     multiply(rows, twist, alpha_star)
@@ -167,6 +183,8 @@ def control_law(
     bias, force, inputs = np.empty(6), np.empty(6), np.empty(count)
     motion_law(law, task, frame, f_t)
     answer_forces(laws, contacts, controls[0], mobility, inputs)
+    if not law.decoupled:
+        drive_coordinates(rows, inputs)
     force_law(law, rows, factor, frame.twist, contacts, inputs, f_c)
     follow_surfaces(frame, contacts)
     compose_acceleration(rows, weighted_rows, weighted_factor, f_t, f_c, acceleration)

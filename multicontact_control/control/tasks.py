@@ -8,13 +8,20 @@ import math
 from typing import NamedTuple, Protocol
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.config import Config, LimitsConfig, parameter, UnitVector3
+from multicontact_control.config import (
+    Config,
+    ControllerConfig,
+    LimitsConfig,
+    parameter,
+    UnitVector3,
+)
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
 
 STILL = np.zeros(6)  # twist and acceleration
 STILL.flags.writeable = False
+LARGEST_SINE = 0.5  # of a scenario's motion to a surface that is pressed: some are tilted
 QUINTIC_SPEED, QUINTIC_ACCELERATION = 15.0 / 8.0, 10.0 / math.sqrt(3.0)  # peaks of b' and b''
 
 
@@ -179,6 +186,31 @@ class ScenarioTask:
         rest = np.zeros(len(names))
         self._wanted = [((row > 0.0)[self._leader_of], row) for row in (*self.forces, rest)]
         self._step_times = [step.time for step in config.force_steps]
+
+    @classmethod
+    def of(cls, reference: ReferenceConfig, config: ControllerConfig) -> ScenarioTask:
+        """Return the task of a scenario for the contacts of a controller; ConfigError."""
+        task = cls(reference, config.rate, config.column_names, config.leader_of)
+        if reference.motion is not None and reference.motion.amplitude > 0.0:
+            task._require_free(reference.motion, config)
+        return task
+
+    def _require_free(self, motion: SineConfig, config: ControllerConfig) -> None:
+        """Refuse a motion into or away from surfaces that are pressed meanwhile: ConfigError."""
+        steps_before = bisect_right(self._step_times, motion.start_time)
+        rows = self.forces[steps_before:]  # those in force at its start, and later
+        pressed = [name for name, i in zip(config.contact_names, config.leaders)
+                   if (rows[:, i] > 0.0).any()]
+        normals = np.array([config.contacts[name].normal_world for name in pressed]).reshape(-1, 3)
+        direction = np.array(motion.direction_world)
+        along = float(np.linalg.norm(np.linalg.pinv(normals) @ (normals @ direction)))
+        if along > LARGEST_SINE:
+            raise ConfigError(
+                'reference.motion.direction_world',
+                f'at most {math.degrees(math.asin(LARGEST_SINE)):.0f} degrees out of the surfaces '
+                f'of {", ".join(pressed)}, which are pressed then', f'{direction.tolist()}, '
+                f'{math.degrees(math.asin(min(along, 1.0))):.0f} degrees out of them',
+                hint='a motion has no effect along the normal of a contact')
 
     def start(self, pose: Pose, normals_world: Matrix) -> None:
         """Begin from a pose at rest; see `TaskSource.start`."""

@@ -82,6 +82,11 @@ class Pose(NamedTuple):
         quaternion_of(np.array(self.rotation_world, order='C'), quaternion)
         return quaternion
 
+    def way_to(self, goal: Pose) -> Vector:
+        """Return displacement and rotation vector to another pose, world axes, (6,) [m, rad]."""
+        turn = Rotation.from_matrix(goal.rotation_world @ self.rotation_world.T)
+        return np.concatenate([goal.position_world - self.position_world, turn.as_rotvec()])
+
     @classmethod
     def from_quaternion(cls, position_world: Vector, quaternion_xyzw: Vector) -> Pose:
         """Build a pose from a position [m] and a quaternion, scalar last, of any length > 0."""

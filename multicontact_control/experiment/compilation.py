@@ -71,8 +71,7 @@ def _call_all() -> None:
     for estimator in ESTIMATORS:
         make_noise_estimator(quick.noise_estimator.model_copy(update={'estimator': estimator}))
     configs = [resolve('quick', preset=name).controller for name in ('adaptive', 'laws/dob')]
-    laws = [make_force_laws(config, np.full(len(config.columns), 6000.0))
-            for config in (configs[0], *configs)]
+    laws = [make_force_laws(config) for config in (configs[0], *configs)]
     laws[0]['observer']['running'] = True
     for new, old in zip(laws[1:], laws):
         continue_laws(new, old)

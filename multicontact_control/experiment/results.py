@@ -142,7 +142,20 @@ def summarise(
         'instabilities': list(verdict.reasons), 'unstable_at_s': verdict.unstable_at,
         'ended_early': ended_early or None, 'claims': [], 'without_truth': run.without_truth(),
         'commanded_by_topic': setup.commanded_by_topic, 'supervised': events is not None,
+        'remarks': list(_bounded_variances(data, setup)),
         'events': [{'time_s': round(time, 6), 'what': what} for time, what in during]}
+
+
+def _bounded_variances(data: recording.RunData, setup: Setup) -> Iterator[str]:
+    """Yield a remark for each contact whose R was at a bound, and how often."""
+    bounds = setup.controller.noise_variance
+    for name, variance in zip(data.contact_names, data.noise_variance.T):
+        for what, reached in (('smallest', variance <= bounds.smallest),
+                              ('largest', variance >= bounds.largest)):
+            if reached.any():
+                yield (f'{name}: R is the {what} that it may be, {getattr(bounds, what):g} N^2 '
+                       f'(noise_variance.{what}), in {100.0 * reached.mean():.2g} % of the '
+                       'samples')
 
 
 class LoadedRun(NamedTuple):
@@ -284,7 +297,8 @@ def load(path: Path, files: Sequence[Path] = (), namespace: str | None = None) -
         'unanswered_samples': content.unanswered})
     lacking = [f'not in the recording: {", ".join(content.lacking)}'] if content.lacking else []
     return LoadedRun(path, setup, content.data, {
-        **summary, 'supervised': None, 'remarks': [*lacking, *content.remarks]})
+        **summary, 'supervised': None,
+        'remarks': [*summary['remarks'], *lacking, *content.remarks]})
 
 
 def report_folder(path: Path) -> Path:

@@ -123,7 +123,7 @@ def _report_graph(result: GraphResult, spec: GraphSpec, setup: Setup) -> Ending:
         ended_early=result.ended or (judge.INTERRUPTED if interrupted else ''),
         events=result.timing[CONTROLLER].get('events', []) if (
             spec.extra_parameters[CONTROLLER]['supervised']) else None)
-    summary['remarks'] = list(content.remarks)
+    summary['remarks'] += content.remarks
     return _finish(data, setup, spec.out, summary), interrupted
 
 

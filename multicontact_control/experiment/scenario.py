@@ -78,8 +78,7 @@ class Setup:
 
     def reference(self) -> ScenarioTask:
         """Return the scenario's reference, at its start."""
-        return ScenarioTask(self.scenario.reference, self.controller.rate,
-                            self.controller.column_names, self.controller.leader_of)
+        return ScenarioTask.of(self.scenario.reference, self.controller)
 
     def commanded(self, time: Vector) -> Matrix:
         """Return the scenario's forces at some times [s], first its preload, shape (m, r) [N]."""
@@ -179,6 +178,9 @@ def resolve(
     config = scenario_with(read_yaml(path), scenario_overrides or {}, duration, path)
     laid_over = preset_values(preset)
     contacts = merge(config.controller, controller or {}).get('contact_names', ())
+    # The estimator has the controller's bounds of R, as it has its contacts.
+    bounds = merged(laid_over['controller'], config.controller, controller).get(
+        'noise_variance', {})
     special = source.robot.controller_special(source.plant) if source.plant else {}
     controller_config, estimator_config, plant_config = check_all(
         lambda: validate(ControllerConfig, merged(
@@ -186,7 +188,8 @@ def resolve(
             config.controller, controller), 'controller.yaml'),
         lambda: validate(NoiseEstimatorConfig, merged(
             read_parameters(config_dir() / 'noise_estimator.yaml'),
-            {'contact_names': source.robot.controller_base()['contact_names']},
+            {'contact_names': source.robot.controller_base()['contact_names'],
+             'noise_variance': bounds},
             laid_over['noise_estimator'], config.noise_estimator, noise_estimator),
             'noise_estimator.yaml'),
         lambda: validate(PlantConfig, merged(
@@ -220,6 +223,12 @@ def check_together(setup: Setup, path: Path) -> None:
     if setup.noise_estimator.rate != setup.controller.rate:
         raise ConfigError('noise_estimator.rate', f"the controller's {setup.controller.rate:g} Hz",
                           f'{setup.noise_estimator.rate:g} Hz')
+    bounds, expected = setup.noise_estimator.noise_variance, setup.controller.noise_variance
+    if bounds != expected:
+        raise ConfigError(
+            'noise_estimator.noise_variance',
+            f"the controller's {expected.smallest:g} to {expected.largest:g} N^2",
+            f'{bounds.smallest:g} to {bounds.largest:g} N^2')
     state = setup.controller.contact_state
     for index, step in enumerate(setup.scenario.reference.force_steps):
         for name, force in step.forces.items():
@@ -298,7 +307,8 @@ def resolve_external(
     """
     Read and check everything for a run on the user's own robot; ConfigError.
 
-    Parameter `files` are those of the controller; the noise estimator has its contacts and rate.
+    Parameter `files` are those of the controller; the noise estimator has its contacts, its rate
+    and its bounds of R.
     Without a `scenario` it obeys the command topics; `duration` is the length of the run [s], by
     default that of the scenario. The other arguments are as for `resolve`.
     """
@@ -315,7 +325,8 @@ def resolve_external(
         merged(laid_over['controller'], config.controller, controller))
     estimator_config = validate(NoiseEstimatorConfig, merged(
         read_parameters(config_dir() / 'noise_estimator.yaml'),
-        {'contact_names': list(controller_config.column_names), 'rate': controller_config.rate},
+        {'contact_names': list(controller_config.column_names), 'rate': controller_config.rate,
+         'noise_variance': controller_config.noise_variance.model_dump()},
         read.estimator, laid_over['noise_estimator'], config.noise_estimator, noise_estimator),
         'noise_estimator.yaml')
     setup = Setup(

@@ -28,7 +28,7 @@ JOINTS = 'joint_states'
 SPEED, SETTLE_TIME, AVERAGE_TIME = 0.02, 0.5, 1.0
 REST_TIME = SETTLE_TIME + AVERAGE_TIME + 0.5  # s, of a rest that is made for it
 LOOK = 0.1  # s, over which the speed of a joint is taken
-REACHED = 0.1  # rad, of a tilt
+REACHED, SAG = 0.1, 0.1  # rad and m off a tilt: a weight that is not known pulls the tool down
 ATTEMPTS = 3  # motions to it
 TIMEOUT = 10.0  # s, for an answer or a sample of the controller
 PEAK = 1.875  # largest speed of a quintic, relative to the mean
@@ -156,7 +156,8 @@ def weigh_running(
                 for columns, message in zip((joints, felt), link.fresh(*heard)):
                     columns.take(message, time.time_ns())
         tell('back to the first pose')
-        arm.move(start.position_desired, duration, quaternion_xyzw=start.quaternion_desired)
+        arm.move(start.position_desired, duration, quaternion_xyzw=start.quaternion_desired,
+                 position_tolerance=SAG, rotation_tolerance=REACHED)
         tell('the running controller keeps its tare; the result is for the next run')
     return weigh('calibrate', joints, felt, controller, robot, tell)
 
@@ -182,8 +183,12 @@ def _await_control(arm: Any) -> None:
 
 def _turn(arm: Any, position: Vector, duration: float, pose: Rotation) -> None:
     """Turn the tool, again if the supervisor has held it meanwhile; RunError if it stays off."""
+    from multicontact_control.client import NotReachedError
+
     for _ in range(ATTEMPTS):
-        arm.move(position, duration, quaternion_xyzw=pose.as_quat())
+        with contextlib.suppress(NotReachedError):  # what is reached is looked at below
+            arm.move(position, duration, quaternion_xyzw=pose.as_quat(), position_tolerance=SAG,
+                     rotation_tolerance=REACHED)
         for _ in range(2 * tool.MIN_SAMPLES):  # until it has come to rest
             off = (Rotation.from_quat(arm.read().quaternion_xyzw) * pose.inv()).magnitude()
         if off <= REACHED:

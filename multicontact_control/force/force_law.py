@@ -84,24 +84,22 @@ def _designing(name: str) -> Iterator[None]:
             f'force.{name}', 'values that a law can be designed for', error) from None
 
 
-def make_force_laws(config: ControllerConfig, stiffnesses: Vector) -> Records:
+def make_force_laws(config: ControllerConfig) -> Records:
     """
-    Return the force law of every contact, which knows nothing yet.
+    Return the force law of every contact, which knows nothing yet, shape (r,).
 
-    Designed for stiffnesses of shape (r,) [N/m]; adaptive laws start from the largest of their
-    range.
+    Each is for the configured stiffness; adaptive laws start from the largest of their range.
     """
-    laws: Any = np.zeros(len(stiffnesses), dtype=FORCE_LAW)
+    laws: Any = np.zeros(len(config.columns), dtype=FORCE_LAW)
     names, force = list(LAWS), config.force
     adaptive = force.stiffness == 'adaptive'
     limits = [
         largest_ratio(force, loop_model(config, k), config.initial_noise_variance)
         for k in np.geomspace(force.adaptive.lowest, force.adaptive.highest, LIMITS).tolist()
     ] if adaptive else []
-    for law, column, stiffness in zip(laws, config.columns, stiffnesses.tolist()):
+    for law, column in zip(laws, config.columns):
         name = config.law_of(column.contact)
-        if adaptive:
-            stiffness = force.adaptive.highest
+        stiffness = force.adaptive.highest if adaptive else column.stiffness
         design = design_law(name, force, loop_model(config, stiffness))
         law['kind'] = names.index(name)
         law['fed'] = get_args(FedForward).index(force.fed_forward)

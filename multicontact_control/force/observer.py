@@ -10,7 +10,7 @@ from typing import Any
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.force.plant import ForceLoop
-from multicontact_control.records import MAX_STATES, OBSERVER, Records
+from multicontact_control.records import OBSERVER, Records
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
@@ -219,22 +219,6 @@ def command(observer: Any, alpha_des: float) -> float:
     for j in range(observer.states):
         total -= feedback[j] * x_est[j]
     return total
-
-
-def rescale(observers: Records, factors: Vector) -> None:
-    """
-    Redesign observers for stiffnesses that are c times as large, shape (r,), with the same poles.
-
-    The plant is the old one in another unit of force: with T = diag(c, c, 1, ...), Phi, Gamma and
-    L become T Phi T^-1, T Gamma and L T^-1.
-    """
-    for observer, factor in zip(observers, factors):
-        scale = np.ones(MAX_STATES)
-        scale[:2] = factor  # force and its rate
-        for name in ('Phi_c', 'Phi_n'):
-            observer[name] *= np.outer(scale, 1.0 / scale)
-        observer['Gamma'] *= scale
-        observer['feedback'] /= scale
 
 
 def continue_at(observers: Records, held: Mask, force: Vector) -> None:

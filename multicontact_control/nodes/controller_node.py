@@ -76,7 +76,7 @@ class ControllerNodeConfig(StartupConfig):
         path = self.folder / self.reference_file
         values = read_yaml(path)  # of a scenario file more than its reference
         reference = validate(ReferenceConfig, values.get('reference', values), str(path))
-        return ScenarioTask(reference, config.rate, config.column_names, config.leader_of)
+        return ScenarioTask.of(reference, config)
 
 
 class ControllerNode(ManagedNode):

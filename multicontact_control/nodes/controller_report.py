@@ -54,17 +54,29 @@ class ControllerReport:
         self._answered: tuple[Any, ...] = ()
         self._reported_at = (0, -1)  # number and stamp of the newest sample
 
-    def answer(self, source: str, identifier: str, error: Exception | None) -> None:
-        """Tell whether a command on a topic or of a service is accepted, or why it is refused."""
+    def answer(
+        self, source: str, identifier: str, error: Exception | None, left_out: str = '',
+    ) -> None:
+        """
+        Tell whether a command on a topic or of a service is accepted, or why it is refused.
+
+        `left_out` says what is not obeyed of one that is accepted.
+        """
         if self._node.state not in (ACTIVE, INACTIVE):
             return  # the command was on its way when the end of its topic was destroyed
         self._refused += error is not None
-        answer, now = (source, identifier, error is None), time.monotonic_ns()
+        if left_out:
+            self._warn(f'left out {source}', f'{source}: {left_out}')
+        answer = source, identifier, error is None, bool(left_out)
+        now = time.monotonic_ns()
         if (identifier or error is not None) and (
                 answer != self._answered or now >= self._next_answer):
             self._answered, self._next_answer = answer, now + ANSWER_INTERVAL
-            event, refusal = (ACCEPTED, '') if error is None else (REFUSED, f'{source}: {error}')
-            self._publish(event, identifier, refusal, self._node.count_subscribers(source))
+            readers = self._node.count_subscribers(source)
+            if error is None:
+                self._publish(ACCEPTED, identifier, left_out=left_out, readers=readers)
+            else:
+                self._publish(REFUSED, identifier, f'{source}: {error}', readers=readers)
 
     def look(self) -> None:
         """Tell what has changed with the newest tick, if anything has."""
@@ -99,10 +111,12 @@ class ControllerReport:
         return text
 
     def _publish(
-        self, event: str, identifier: str = '', refusal: str = '', readers: int = 0,
+        self, event: str, identifier: str = '', refusal: str = '', *, left_out: str = '',
+        readers: int = 0,
     ) -> None:
         loop, status, reaction = self._loop, self._loop.status or QUIET, self._reaction()
-        text = refusal or reaction or loop.push_gate.instruction or (
+        trouble = refusal or '; '.join(filter(None, (reaction, left_out)))
+        text = trouble or loop.push_gate.instruction or (
             'safe behaviour' if loop.supervisor.safe else 'held' if loop.held else
             '; '.join(status.read_before) or 'ok')
         self._publisher.publish(ControllerStatus(
@@ -112,9 +126,11 @@ class ControllerReport:
                 loop.config.contact_names, status.contact_states)),
             held=loop.held, refused=self._refused, readers=readers,
             push_test=loop.push_gate.instruction, unwatched=status.unwatched,
-            forces=loop.commanded_forces).message(
+            forces=loop.commanded_forces, left_out=left_out, placing={
+                name: tuple(column.tolist())
+                for name, column in loop.supervisor.task.placing_columns().items()}).message(
                 f'{self._node.get_name()}: status',
-                DiagnosticStatus.WARN if refusal or reaction else DiagnosticStatus.OK))
+                DiagnosticStatus.WARN if trouble else DiagnosticStatus.OK))
 
     def statuses(self) -> list[Status]:
         """Return what diagnostics report."""
@@ -194,12 +210,18 @@ class ControllerReport:
         values: dict[str, Any] = {'held': loop.held}
         if output is None:
             return Status('contacts', values)
+        trouble: list[str] = []
         if self._timing.variance is not None:
-            values |= zip((f'{name} noise_variance_n2' for name in config.column_names),
-                          self._timing.variance.tolist())
+            variances = dict(zip(config.column_names, self._timing.variance.tolist()))
+            values |= {f'{name} noise_variance_n2': each for name, each in variances.items()}
+            bounds = config.noise_variance
+            trouble += [
+                f'R of {name} is at a bound: expected {bounds.smallest:g} to {bounds.largest:g} '
+                f'N^2 (noise_variance), got {each:.3g} N^2' for name, each in variances.items()
+                if not bounds.smallest < each < bounds.largest]
         states = dict(zip(config.contact_names, loop.status.contact_states if loop.status else [
             'force' if output.answer['active'][i] else 'motion' for i in config.leaders]))
-        trouble = [f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
+        trouble += [f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
                    f'contacts.{where}.friction_std' for where, what, gain in misread_friction(
                        config, output.contacts, output.pose.rotation_world)]
         trouble += loop.status.read_before if loop.status else ()

@@ -129,23 +129,26 @@ SERVICES = {
 
 
 def serve_commands(
-    node: ManagedNode, loop: ControlLoop, answer: Callable[[str, str, Exception | None], None],
+    node: ManagedNode, loop: ControlLoop,
+    answer: Callable[[str, str, Exception | None, str], None],
     push_test: Callable[[], PushTestConfig],
 ) -> None:
     """
     Hand commands on topics and requests of services to a control loop.
 
-    `answer` is called with the source of each, its identifier, and its refusal if it is one;
-    `push_test` returns how the tool is to be pushed.
+    `answer` is called with the source of each, its identifier, its refusal if it is one, and what
+    is not obeyed of one that is accepted; `push_test` returns how the tool is to be pushed.
     """
     def obey(source: str, work: Callable[[Any], Any], wish: Any, identifier: str = '') -> Any:
-        refusal = None
+        refusal, left_out = None, ''
         try:
             outcome = work(wish)
+            if source == topics.MOTION_COMMAND.name:
+                left_out = outcome
         except MulticontactError as error:
             node.refusals.refuse(source, error)
             outcome = refusal = error
-        answer(source, identifier, refusal)
+        answer(source, identifier, refusal, left_out)
         return outcome
 
     def serve(source: str, work: Callable[[Any], Any], request: Any, response: Any) -> Any:

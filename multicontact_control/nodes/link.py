@@ -13,7 +13,7 @@ from typing import Any, Self, TypeVar
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from multicontact_control.errors import RunError
+from multicontact_control.errors import MessageError, RunError
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.graph import create_publisher, take
 from multicontact_control.nodes.messages import ControllerStatus, identify, new_identifier, REFUSED
@@ -22,6 +22,7 @@ from multicontact_control.nodes.topics import Topic
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -29,6 +30,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 CONFIGURE, ACTIVATE, DEACTIVATE, CLEAN_UP = 'configure', 'activate', 'deactivate', 'cleanup'
 GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
          CLEAN_UP: 'unconfigured'}
+LARGEST_DOMAIN = 232  # for which there are ports
 PATIENCE = 300.0  # s, until a node is there, and has done its work
 FIRST_TIMEOUT = 5.0  # s; an answer may be lost: then the state tells
 ASK_PERIOD = 1.0  # s
@@ -62,6 +64,30 @@ def _context(domain_id: int) -> Context:
     return context
 
 
+def _domain_number(domain_id: int | None) -> int:
+    """Return the number of a ROS domain, by default that of the environment; MessageError."""
+    given: object = domain_id
+    if given is None:
+        given = os.environ.get('ROS_DOMAIN_ID') or '0'
+    number = -1
+    if isinstance(given, int):
+        number = given
+    elif isinstance(given, str) and given.isdecimal():
+        number = int(given)
+    if not 0 <= number <= LARGEST_DOMAIN:
+        raise MessageError('domain_id', f'a whole number from 0 to {LARGEST_DOMAIN}', repr(given))
+    return number
+
+
+def _parameter_message(name: str, value: Any) -> Any:
+    """Return the message of a parameter; MessageError for a value that is of none of its types."""
+    try:
+        return Parameter(name, value=value).to_parameter_msg()
+    except (TypeError, ValueError, AssertionError):
+        raise MessageError(str(name), 'a number, a text, a truth value or a list of one of these',
+                           repr(value)) from None
+
+
 class GuestNode:
     """
     A node without parameters and logs, which calls services and transitions of others.
@@ -75,11 +101,15 @@ class GuestNode:
         patience: float = PATIENCE, keep_waiting: Callable[[str], None] = lambda what: None,
     ) -> None:
         self._patience, self._keep_waiting = patience, keep_waiting
-        self.context = _context(
-            int(os.environ.get('ROS_DOMAIN_ID') or 0) if domain_id is None else domain_id)
-        self.node = node = Node(
-            name, namespace=namespace, context=self.context, use_global_arguments=False,
-            start_parameter_services=False, enable_rosout=False)
+        self._closed = False
+        self.context = _context(_domain_number(domain_id))
+        try:
+            self.node = node = Node(
+                name, namespace=namespace, context=self.context, use_global_arguments=False,
+                start_parameter_services=False, enable_rosout=False)
+        except (NameValidationException, TypeError):
+            raise MessageError('namespace', 'names of letters, digits and _, joined by /',
+                               repr(namespace)) from None
         self._domain = f'ROS domain {self.context.get_domain_id()}'
         self._client = cache(lambda server, service, name: node.create_client(
             service, f'{server}/{name}'))
@@ -95,9 +125,18 @@ class GuestNode:
         self.close()
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Leave the graph, once."""
+        if self._closed:
+            return
+        self._closed = True
         self._executor.shutdown()
         self.node.destroy_node()
+
+    def _require_open(self) -> None:
+        """Refuse work after `close`, for which there is no node."""
+        if self._closed:
+            raise RunError(f'{self._domain}: expected an open connection, got one that is closed; '
+                           'make another one')
 
     def bring_up(self, node_name: str) -> None:
         """Configure and activate a node, as far as it is not."""
@@ -127,6 +166,7 @@ class GuestNode:
 
     def has_lifecycle(self, node_name: str, wait: float) -> bool:
         """Return whether a node has a lifecycle, looking for it for up to `wait` [s]."""
+        self._require_open()
         return self._wait(self._client(node_name, GetState, 'get_state').service_is_ready, wait,
                           f'{node_name} to appear')
 
@@ -134,6 +174,7 @@ class GuestNode:
         self, node_name: str, service: Any, name: str, request: Any, timeout: float = PATIENCE,
     ) -> Any:
         """Return the response of a service; NoAnswerError without one within `timeout` [s]."""
+        self._require_open()
         client, timeout = self._client(node_name, service, name), min(timeout, self._patience)
         if not self._wait(client.service_is_ready, self._patience, f'{node_name} to appear'):
             raise NoAnswerError(f'{client.service_name}: expected this service within '
@@ -157,7 +198,7 @@ class GuestNode:
     def set_parameters(self, node_name: str, values: Mapping[str, Any]) -> None:
         """Set parameters of a node, all or none; RunError if it refuses."""
         request = SetParametersAtomically.Request(parameters=[
-            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
+            _parameter_message(name, value) for name, value in values.items()])
         result = self.call(
             node_name, SetParametersAtomically, 'set_parameters_atomically', request).result
         if not result.successful:
@@ -207,11 +248,14 @@ class ControllerLink(GuestNode):
 
     def close(self) -> None:
         """Leave the graph, when all readers of the commands have these."""
+        if self._closed:
+            return
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=CONNECTION_TIME))
         super().close()
 
     def _taken(self, topic: Topic) -> deque[Any]:
+        self._require_open()
         kept = self._kept[topic]
         while (taken := take(self._subscriptions[topic])) is not None:
             kept.append(taken[0])
@@ -265,6 +309,7 @@ class ControllerLink(GuestNode):
 
     def send(self, topic: Topic, command: Any, identifier: str) -> None:
         """Publish a command once, without waiting for an answer."""
+        self._require_open()
         identify(command, identifier)
         self._publishers[topic].publish(command)
 
@@ -276,9 +321,11 @@ class ControllerLink(GuestNode):
                 raise CommandRefusedError(status.text)
         return answers[-1] if answers else None
 
-    def command(self, topic: Topic, command: Any) -> None:
+    def command(self, topic: Topic, command: Any) -> ControllerStatus:
         """
-        Publish a command until it is accepted; CommandRefusedError, RunError without answer.
+        Publish a command until it is accepted, and return what the controller says then.
+
+        CommandRefusedError if it refuses, RunError without an answer.
 
         A recorder may be connected later than the controller: the first command of a topic is
         then published for it again.
@@ -299,3 +346,4 @@ class ControllerLink(GuestNode):
             if sent_to < answer.readers and self._wait(
                     lambda: readers() >= answer.readers, CONNECTION_TIME, topic.name):
                 self.send(topic, command, identifier)
+        return answer

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping, Sequence
+import dataclasses
 from dataclasses import dataclass
 import math
+from numbers import Real
 import secrets
-from typing import Any
+from typing import Any, TypeGuard
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -28,11 +30,12 @@ from std_msgs.msg import Header
 from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 
 UNIT_QUATERNION_TOLERANCE = 1e-3
+NUMBERS = 'iuf'  # kinds of numpy: text and truth values are none, though numpy reads them as such
 LAST_SECOND = 2 ** 31 - 1  # that a stamp can hold
 JOINT_FIELDS = ('position', 'velocity', 'effort')
 STATE, ACCEPTED, REFUSED = 'state', 'accepted', 'refused'  # the event of a status
 STATUS_TEXTS = ('event', 'command', 'life_cycle', 'reaction', 'causes', 'contacts', 'push_test',
-                'unwatched')
+                'unwatched', 'left_out')
 
 
 def stamp_to_ns(stamp: Time) -> int:
@@ -48,12 +51,62 @@ def ns_to_stamp(nanoseconds: int) -> Time:
 
 def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
     """Return so many numbers as an array; they must be finite, and so must be their sum."""
-    numbers = np.array(values, dtype=np.float64)
-    if numbers.shape != (length,):
-        raise MessageError(field, counted(length, 'values'), f'{numbers.size}')
+    expected = counted(length, 'values')
+    try:
+        numbers = np.array(values)
+    except ValueError:  # rows of different lengths
+        raise MessageError(field, f'{expected} in one row', repr(values)) from None
+    if numbers.dtype.kind not in NUMBERS:
+        raise MessageError(field, f'{expected} that are numbers', repr(values))
+    numbers = numbers.astype(np.float64)
+    if numbers.ndim != 1:
+        raise MessageError(
+            field, f'{expected} in one row', f'an array of shape {numbers.shape}')
+    if numbers.size != length:
+        raise MessageError(field, expected, f'{numbers.size}')
     if not math.isfinite(sum(numbers.tolist())):
         raise MessageError(field, 'finite numbers', numbers.tolist())
     return numbers
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Return whether a value is one finite number; no text, truth value or array is."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real):
+        return False
+    return math.isfinite(value)
+
+
+def require_number(field: str, value: object, unit: str) -> None:
+    """Refuse what is not one finite number, in a unit."""
+    if not is_number(value):
+        raise MessageError(field, f'one finite number [{unit}]', repr(value))
+
+
+def require_positive(field: str, value: object, unit: str) -> None:
+    """Refuse what is not one finite number above 0, in a unit."""
+    if not is_number(value):
+        raise MessageError(field, f'above 0 {unit}', repr(value))
+    if value <= 0.0:
+        raise MessageError(field, f'above 0 {unit}', f'{value:g} {unit}')
+
+
+def require_named_numbers(field: str, values: object, unit: str) -> None:
+    """Refuse what is not a mapping of names to finite numbers, in a unit."""
+    if not isinstance(values, Mapping):
+        raise MessageError(field, f'numbers by name [{unit}], as {{name: number}}', repr(values))
+    for name, value in values.items():
+        if not isinstance(name, str):
+            raise MessageError(field, 'names that are text', repr(name))
+        require_number(f'{field}[{name!r}]', value, unit)
+
+
+def quaternion_array(values: ArrayLike, field: str) -> Vector:
+    """Return a quaternion x, y, z, w of any length above 0 as one of unit length, shape (4,)."""
+    quaternion = finite_array(values, 4, field)
+    norm = float(np.linalg.norm(quaternion))
+    if not 0.0 < norm < math.inf:
+        raise MessageError(field, 'a quaternion of a length above 0', quaternion.tolist())
+    return quaternion / norm
 
 
 def read_named(
@@ -194,6 +247,10 @@ class ControllerStatus:
     push_test: str  # what it asks for; empty for nothing
     forces: Mapping[str, float]  # obeyed by contact and couple [N]; empty in a scenario
     unwatched: str = ''  # whose efforts are of no use, and what is not watched; empty for all
+    left_out: str = ''  # what is not obeyed of a command that is accepted; empty for nothing
+    # N_i of contacts that are sought or held, along which a motion has no effect, by force and
+    # couple, shape (6,).
+    placing: Mapping[str, tuple[float, ...]] = dataclasses.field(default_factory=dict)
 
     @property
     def contact_states(self) -> dict[str, str]:
@@ -205,16 +262,21 @@ class ControllerStatus:
         """Return what a message on ``~/status`` says."""
         values = {x.key: x.value for x in message.values}
         forces = [each.rsplit(' ', 1) for each in values['forces'].split(', ') if each]
+        placing = [each.split(' ') for each in values['placing'].split(', ') if each]
         return cls(text=message.message, refused=int(values['refused']),
                    readers=int(values['readers']), held=values['held'] == str(True),
                    forces={name: float(force) for name, force in forces},
+                   placing={name: tuple(map(float, column)) for name, *column in placing},
                    **{name: values[name] for name in STATUS_TEXTS})
 
     def message(self, name: str, level: bytes) -> DiagnosticStatus:
         """Return the message that says so."""
         values = {each: getattr(self, each) for each in STATUS_TEXTS} | {
             'refused': str(self.refused), 'readers': str(self.readers), 'held': str(self.held),
-            'forces': ', '.join(f'{name} {force:.9g}' for name, force in self.forces.items())}
+            'forces': ', '.join(f'{name} {force:.9g}' for name, force in self.forces.items()),
+            'placing': ', '.join(
+                ' '.join([name, *(f'{x:.9g}' for x in column)])
+                for name, column in self.placing.items())}
         return DiagnosticStatus(
             name=name, level=level, message=self.text,
             values=[KeyValue(key=key, value=value) for key, value in values.items()])

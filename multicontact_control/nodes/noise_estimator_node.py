@@ -107,7 +107,9 @@ class NoiseEstimatorNode(ManagedNode):
         return [
             Status('loop', {**self._watch.report(), 'samples': self._samples}),
             self._inputs.status(needed=self.state == ACTIVE),
-            message_status(self.refusals, dropped=self._estimator.dropped)]
+            message_status(self.refusals, dropped=self._estimator.dropped, **{
+                f'{name} at_a_bound_of_noise_variance': int(count) for name, count in zip(
+                    self._config.contact_names, self._estimator.bounded)})]
 
 
 def main() -> int:

@@ -195,6 +195,12 @@ class ContactTask:
         """Return normals of what is sought or held, couples with 0, shape (k, 3)."""
         return self._columns['normal'][self._codes != contacts.FREE]
 
+    def placing_columns(self) -> dict[str, Vector]:
+        """Return N_i of what is sought or held, shape (6,), by the force's or couple's name."""
+        places = (self._codes != contacts.FREE) | self._active
+        return {name: column['N'].copy()
+                for name, column, does in zip(self._names, self._columns, places) if does}
+
 
 @compiled
 def _limit_task(limits: Any, controls: Any, columns: Any, states: Any) -> bool:

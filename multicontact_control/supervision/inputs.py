@@ -52,7 +52,6 @@ FARTHEST = 1e3  # rad; no joint is beyond it
 SPEED_EXCESS = 3.0  # times the speed limit of a joint; no joint is faster
 STILL = 1e-4  # rad/s; below it a joint state may repeat itself
 POSITION_JUMP = 0.01  # rad between a joint position and the one its speed leads to
-VARIANCE_FLOOR, VARIANCE_CEILING = 0.1, 1e3  # N^2; with less the observer outruns the drives
 VARIANCE_GROWTH = 1.1  # per period, of an R that is not renewed
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
 FORGOTTEN = 1.0  # s without known torques, after which a collision is forgotten
@@ -370,7 +369,8 @@ def check_inputs(
         variance = contacts[i].noise_variance * (VARIANCE_GROWTH if stale[VARIANCE] else 1.0)
         if problem[VARIANCE] == FINE:
             variance = new_variance[i]
-        contacts[i].noise_variance = min(max(variance, VARIANCE_FLOOR), VARIANCE_CEILING)
+        contacts[i].noise_variance = min(
+            max(variance, settings.smallest_variance), settings.largest_variance)
     _supply_torques(joints, momentum, commands, state.valid[JOINTS] - joint_stamp,
                     problem[WRENCH] == FINE or momentum.is_input, state, settings)
     state.blind = state.blind_ticks > 1
@@ -407,10 +407,9 @@ class Inputs:
         readings[4] = np.minimum(
             SPEED_EXCESS * np.array(config.limits.joint_speed or np.inf), np.finfo(float).max)
         readings[5] = np.where(controller.robot.turning, 2.0 * math.pi, 0.0)
-        variance = np.clip(config.initial_noise_variance, VARIANCE_FLOOR, VARIANCE_CEILING)
         self._stage: Any = _stage_record(config)
         self._stage['settings']['leaves_out'] = guarded and config.wrench_input != 'momentum'
-        self._initial = self._stage.copy(), readings.copy(), variance
+        self._initial = self._stage.copy(), readings.copy(), config.initial_noise_variance
         self._readings, self._new_variance = readings, np.zeros(len(contacts))
         self._history: Matrix = np.zeros((velocities.HISTORY, 2 * n))
         self._estimated = config.wrench_input == 'momentum'
@@ -545,6 +544,8 @@ def _stage_record(config: ControllerConfig) -> Records:
     settings['shortest'], settings['longest'] = h / watch.rate_band, h * watch.rate_band
     settings['max_age'] = h * (AGE_TOLERANCE + np.array(
         [watch.joint_max_age, watch.wrench_max_age, watch.variance_max_age]))
+    settings['smallest_variance'] = config.noise_variance.smallest
+    settings['largest_variance'] = config.noise_variance.largest
     settings['frozen_joint_ticks'] = watch.frozen_joint_ticks
     settings['adds_gravity'] = config.robot.adds_gravity
     settings['full_scale'] = np.inf

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
@@ -9,7 +11,7 @@ from multicontact_control.control.arm import AMBIGUOUS, ArmState, RELEASE, TOUCH
 from multicontact_control.control.controller import Controller, ControlOutput
 from multicontact_control.control.tasks import TaskSource
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.errors import CommandError, SingularTaskError
+from multicontact_control.errors import CommandError, MulticontactError, SingularTaskError
 from multicontact_control.force.force_law import continue_laws_at
 from multicontact_control.supervision import checks, reactions
 from multicontact_control.supervision.command_limits import outside_limits
@@ -22,6 +24,7 @@ from multicontact_control.supervision.report import no_answer, SupervisorStatus
 from multicontact_control.supervision.velocities import explain_velocities
 import numpy as np
 
+LOGGER = logging.getLogger(__name__)
 CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
 STRAY_TORQUE = 0.5  # N m at the operational point that is worth a report
 STANDING_TIME = 0.2  # s between two looks at what an arm that stands in a reaction weighs
@@ -80,6 +83,8 @@ class Supervisor:
         self.safe = False
         self.findings: tuple[str, ...] = ()
         self._causes: tuple[str, ...] = ()  # that these explain
+        self._failure = '', ''  # cause and text of an exception that is being answered
+        self._told: set[str] = set()  # causes of which an exception has been logged
         self._arm: ArmState | None = None  # once it was seen
         self._seen, self._wrench_known = Seen(), False
         self._reaction = NONE
@@ -168,8 +173,10 @@ class Supervisor:
         q[:], wrench[:] = joints.q, self.inputs.filtered
         if joints.qd is not None:
             qd[:] = joints.qd
-        own_variance[:] = (
-            self.config.initial_noise_variance if variance is None else variance.variance)
+        bounds = self.config.noise_variance
+        own_variance[:] = np.clip(
+            self.config.initial_noise_variance if variance is None else variance.variance,
+            bounds.smallest, bounds.largest)
         self._task_ticks = round(inputs.time / self._period)
         return Seen()
 
@@ -303,7 +310,10 @@ class Supervisor:
             torque, NONE if reaction == SAFE else reaction, causes, limits, controlled=False)
 
     def _explain(self, cause: str) -> str:
-        """Return what the readings say about a cause that has just begun; empty if nothing."""
+        """Return what is known about a cause that has just begun; empty if nothing."""
+        failed, text = self._failure
+        if cause == failed:
+            return text
         if cause in checks.WRONG_WRENCH.values():
             return self.stray_force
         touched, names = cause.startswith(checks.COLLISION), self.config.robot.joint_names
@@ -363,17 +373,35 @@ class Supervisor:
         return f'effort in joint_states: {", ".join(texts)}; {effect}'
 
     def _survive(self, part: str, error: Exception) -> Answer:
-        """Answer after an exception, in the law or in what is around it."""
+        """Answer after an exception, in the law or in what is around it, and tell what it says."""
         cause = f'{part}_{type(error).__name__}'
+        if part == 'law' and not self.controller.arm.finite:
+            cause = 'law_not_finite'
+        self._failure = cause, self._tell(cause, error)
         try:
             if part == 'law':
-                return self._refuse(cause if self.controller.arm.finite else 'law_not_finite')
+                return self._refuse(cause)
             # What failed is not known: what is known of the arm is its past.
             self._wrench_known, self._seen = False, Seen(blind=True)
             return self._react(FLOAT, (cause,))
-        except Exception:  # the torque that acts goes on
+        except Exception as second:  # the torque that acts goes on
+            again = self._tell(f'reaction_{type(second).__name__}', second)
+            self.findings = self._failure[1], again
+            self._causes = (cause,)
             self._paused, self._good_ticks = True, 0
             return self._report(self.gate.last.copy(), FLOAT, (cause,), (), controlled=False)
+        finally:
+            self._failure = '', ''
+
+    def _tell(self, cause: str, error: Exception) -> str:
+        """Return what an exception says; the first of each cause is logged with its traceback."""
+        text = ' '.join(f'{type(error).__name__}: {error}'.split())
+        if cause not in self._told:
+            self._told.add(cause)
+            # What is one of ours says all that there is to say.
+            trace = None if isinstance(error, MulticontactError) else error
+            LOGGER.error('%s: %s', cause, text, exc_info=trace)
+        return text
 
     def _report(
         self, torque: Vector, reaction: str, causes: tuple[str, ...], limits: tuple[str, ...], *,

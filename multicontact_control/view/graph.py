@@ -90,6 +90,7 @@ class GraphSource:
                          for name in config.contact_names}
         self._start = self._stamp = -1  # of the first sample and the last [ns]
         self._answered = '', ''  # event and command of the last answer
+        self._left_out_of = ''  # identifier of the motion of which that was told last
         self._held, self._heard = False, time.monotonic()
         self._next_point = self._next_snapshot = 0.0
         self._stamps: deque[tuple[float, int]] = deque(maxlen=round(PACE_TIME * source.RATE))
@@ -187,6 +188,9 @@ class GraphSource:
         """Tell what has changed and what is refused, and make no motion that is not obeyed."""
         now, refused, answer = self._time, status.event == REFUSED, (status.event, status.command)
         texts = [f'refused: {status.text}'] if refused and answer != self._answered else []
+        if status.left_out and self._left_out_of != status.command:  # of every point of a motion
+            self._left_out_of = status.command
+            texts.append(status.left_out)
         if status.command:  # which is resent until it is answered
             self._answered = answer
         if status.held != self._held:

@@ -5,13 +5,14 @@ The compiled functions never form the matrices: here they are made column by col
 """
 
 import equations
-from equations import free_motions
+from equations import free_motions, operational_stiffness
 from hypothesis import given
 from hypothesis import strategies as st
 from multicontact_control.algebra import multiply, solve_cholesky
-from multicontact_control.contact.geometry import normal_space, operational_stiffness
+from multicontact_control.contact.geometry import normal_space, placed_way
 from multicontact_control.contact.projections import compose_acceleration, factorise_contacts
-from multicontact_control.control.law import force_law
+from multicontact_control.control.law import drive_coordinates, force_law
+from multicontact_control.force.plant import delayed_plant, place_poles
 from multicontact_control.records import CONTACT, LAW
 import numpy as np
 import pytest
@@ -56,6 +57,13 @@ def allocate_force(N, alpha_star, allocation):
     return f_c
 
 
+def coordinate_inputs(N, inputs):
+    """Return alpha* of the coordinates for u of the contact points."""
+    alpha_star = np.array(inputs)
+    drive_coordinates(np.ascontiguousarray(N.T), alpha_star)
+    return alpha_star
+
+
 def contact_rates(N, twist, allocation):
     rows, _, factor = factorised(N)
     rates = np.empty(len(rows))
@@ -96,12 +104,36 @@ def test_contact_normals_are_those_of_the_equation(seed, count):
 
 
 def test_operational_stiffness_of_the_planar_example():
-    """k_s = k_env (1 + l^2 sin^2 gamma) (P04 eq. 21)."""
+    """k_s = k_env (1 + l^2 sin^2 gamma) (P04 eq. 21): the loop commands so much less."""
     l, gamma = 0.7, 0.6
-    lever = l * np.array([np.sin(gamma), np.cos(gamma), 0.0])
+    normal, lever = np.array([0.0, 1.0, 0.0]), l * np.array([np.sin(gamma), np.cos(gamma), 0.0])
     expected = 6000.0 * (1.0 + (l * np.sin(gamma)) ** 2)
-    assert operational_stiffness(6000.0, np.array([0.0, 1.0, 0.0]), lever) == pytest.approx(
-        expected, rel=1e-14)
+    assert operational_stiffness(6000.0, normal, lever) == pytest.approx(expected, rel=1e-14)
+    alpha_star = coordinate_inputs(contact_normals(normal[None], lever[None]), [1.0])
+    assert 6000.0 / alpha_star[0] == pytest.approx(expected, rel=1e-14)
+
+
+def test_force_loop_for_k_s_commands_the_share_k_env_over_k_s():
+    """Of what the loop for k_env does (eq. 36), which has the inputs under way likewise."""
+    ratio, h = 1.7, 0.002
+    k_env, k_s = (place_poles(delayed_plant(k, 20.0, 0.006, h), h, time_constant=0.02).L
+                  for k in (6000.0, ratio * 6000.0))
+    np.testing.assert_allclose(k_s[:2], k_env[:2] / ratio, rtol=1e-9)
+    np.testing.assert_allclose(k_s[2:], k_env[2:], rtol=1e-9)
+
+
+def test_paper_allocation_of_oblique_contacts_is_that_of_the_equations():
+    """N alpha* for k_s couples them: alpha_ddot_i = k_env sum_j N_i^T N_j alpha*_j."""
+    random = np.random.default_rng(3)
+    normals, levers = random.standard_normal((2, 3, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    N = equations.contact_normals(normals, levers)
+    assert np.abs(np.triu(N.T @ N, 1)).max() > 0.3
+    k_s = np.array([operational_stiffness(6000.0, *pair) for pair in zip(normals, levers)])
+    alpha_star = INPUTS * 6000.0 / k_s
+    f_c = allocate_force(N, coordinate_inputs(N, INPUTS), 'paper')
+    np.testing.assert_allclose(f_c, equations.allocate_force(N, alpha_star, 'paper'), rtol=1e-12)
+    np.testing.assert_allclose(6000.0 * N.T @ f_c, 6000.0 * N.T @ N @ alpha_star, rtol=1e-12)
 
 
 def test_euclidean_projections_of_the_planar_example():
@@ -163,3 +195,15 @@ def test_paper_allocation_decouples_orthogonal_contacts():
     k_s = [operational_stiffness(6000.0, normal, l) for normal, l in zip(normals, levers)]
     np.testing.assert_allclose(
         6000.0 * N.T @ allocate_force(N, INPUTS[:2], 'paper'), k_s * INPUTS[:2], rtol=1e-12)
+
+
+def test_placed_way_is_what_normals_and_axes_of_couples_take_of_a_way():
+    """Of an edge along x on a level surface, and of a point on an oblique one."""
+    down, oblique = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.6, -0.8])
+    force, couple = np.append(down, [0.1, 0.2, 0.0]), np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0])
+    way = np.array([0.3, 0.0, 0.5, 0.1, 0.2, 0.3])
+    np.testing.assert_allclose(
+        placed_way(way, np.array([force, couple])), [0.0, 0.0, 0.5, 0.0, 0.2, 0.0], atol=1e-15)
+    np.testing.assert_allclose(placed_way(way, np.append(oblique, np.zeros(3))[None])[:3],
+                               oblique * (oblique @ way[:3]), atol=1e-15)
+    np.testing.assert_array_equal(placed_way(way, np.empty((0, 6))), 0.0)

@@ -15,9 +15,9 @@ from equations import (
     motion_acceleration,
     Observer,
     operational_space,
+    operational_stiffness,
     posture_pull,
 )
-from multicontact_control.contact.geometry import operational_stiffness
 from multicontact_control.control.controller import LEAST_TASK_SHARE, SINGULAR_MOBILITY
 from multicontact_control.force.plant import delayed_plant, place_poles
 import numpy as np
@@ -51,17 +51,20 @@ class ReferenceController:
             self.config.tool, self._gravity_world)
         alpha_meas = contact_coordinates(N_all, wrench)
         if not self._observers:
-            self._observers, self._designed = self._design_observers(levers), levers
+            self._observers = self._design_observers()
             self._start = measurement.q.copy()
             self._reference.start(state.pose, self._normals_world)
-        self._redesign_if_turned(levers)
         reference = self._reference.task(measurement.time, alpha_meas)
         self._follow_active_set(reference.active, alpha_meas)
         space = operational_space(
             state, singular_mobility=SINGULAR_MOBILITY)
         N = N_all[:, self._active]
-        acceleration = self._acceleration(
-            state, space, reference, N, self._force_inputs(reference, alpha_meas, noise_variance))
+        inputs = self._force_inputs(reference, alpha_meas, noise_variance)
+        if self.config.force.allocation == 'paper':  # a loop for k_s commands so much less
+            k_s = np.array([operational_stiffness(1.0, normal, lever) for normal, lever in zip(
+                self._normals_world, levers)])
+            inputs /= k_s[self._active]
+        acceleration = self._acceleration(state, space, reference, N, inputs)
         alpha_est = self._of_active('x_est', 0)
         fed = self._fed_forward(N_all, space, alpha_meas, alpha_est, reference.alpha_des)
         force = space.Lambda @ acceleration + space.mu + space.p + N @ fed[self._active]
@@ -106,30 +109,15 @@ class ReferenceController:
         friction = self._coulomb * np.tanh(qd / self.config.friction.speed)
         return friction + self._viscous * qd
 
-    def _redesign_if_turned(self, levers):
-        """Design anew where turning has changed k_s by 2 %; what is known stays."""
-        now, then = (np.array([operational_stiffness(1.0, normal, lever) for normal, lever in zip(
-            self._normals_world, each)]) for each in (levers, self._designed))
-        if self.config.force.allocation == 'paper' and np.abs(now / then - 1.0).max() > 0.02:
-            old, self._observers = self._observers, self._design_observers(levers)
-            self._designed = levers
-            for observer, before in zip(self._observers, old):
-                for name in ('x_est', 'P', 'r', 'fresh', 'innovation', 'prior_variance',
-                             'variance_used'):
-                    setattr(observer, name, getattr(before, name))
-
-    def _design_observers(self, levers):
-        """Design one AOB per contact for a geometry."""
+    def _design_observers(self):
+        """Design one AOB per contact, of the acceleration of its contact point."""
         force = self.config.force
         observers = []
-        for name, normal, lever in zip(self.config.contact_names, self._normals_world, levers):
+        for name in self.config.contact_names:
             k_env = self.config.contacts[name].stiffness
-            # `decoupled` drives the contact point itself, `paper` the coordinate along N_i.
-            stiffness = k_env if force.allocation == 'decoupled' else operational_stiffness(
-                k_env, normal, lever)
             h = self.config.period
             loop = place_poles(
-                delayed_plant(stiffness, force.damping_rate, force.input_delay, h), h,
+                delayed_plant(k_env, force.damping_rate, force.input_delay, h), h,
                 time_constant=force.time_constant, second_pole_ratio=force.second_pole_ratio)
             observers.append(Observer(
                 loop.plant.Phi, loop.plant.Gamma, loop.L, order=force.active_state_order,

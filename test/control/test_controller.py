@@ -127,18 +127,39 @@ def test_law_equals_numpy_where_lambda_is_damped():
     assert_law_is_numpy(controller_config(), home=np.zeros(6), tolerance=1e-9)
 
 
+def test_paper_allocation_equals_the_decoupled_one_where_normals_are_orthogonal():
+    """N^T N is diagonal at home, with k_s of 1 and 1.036 k_env: eqs 17, 30 and 31 hold."""
+    decoupled, paper = (make_law(force={'allocation': allocation, 'fed_forward': 'mixed'})
+                        for allocation in ('decoupled', 'paper'))
+    for law, reference in (decoupled, paper):
+        law.step(sample(law), np.full(2, 0.6))
+        reference.set_forces({'table': 10.0, 'board': 5.0})
+    N = decoupled[0].controller.contacts['N']
+    np.testing.assert_allclose(N @ N.T, np.diag([1.0, 1.0361]), atol=1e-12)
+    random = np.random.default_rng(1)
+    for k in range(1, 500):
+        forces = {'table': 8.0 + random.normal(), 'board': 4.0 + random.normal()}
+        qd = 0.05 * random.normal(size=6)
+        one, other = (law.step(sample(law, 0.002 * k, qd, **forces), np.array([0.6, 60.0]))
+                      for law, _ in (decoupled, paper))
+        np.testing.assert_allclose(other.torque, one.torque, rtol=0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize('fed_forward', ['estimate', 'desired', 'mixed', 'measured'])
+@pytest.mark.parametrize('allocation', ['decoupled', 'paper'])
 @pytest.mark.parametrize('stiffness', [6000.0, 60_000.0])
-def test_law_equals_numpy_for_every_feed_forward(fed_forward, stiffness):
+def test_law_equals_numpy_for_every_feed_forward(fed_forward, allocation, stiffness):
     contacts = {name: {'stiffness': stiffness} for name in ('table', 'board')}
     assert_law_is_numpy(controller_config(
-        force={'fed_forward': fed_forward, 'input_delay': 0.0031}, contacts=contacts,
-        friction={'coulomb': [1.0] * 6, 'viscous': [0.5] * 6}, torque_limit=[]))
+        force={'fed_forward': fed_forward, 'allocation': allocation, 'input_delay': 0.0031},
+        contacts=contacts, friction={'coulomb': [1.0] * 6, 'viscous': [0.5] * 6}, torque_limit=[]))
 
 
 @pytest.mark.parametrize('count', [1, 2, 6])
-@pytest.mark.parametrize('projection', ['euclidean', 'inertia'])
-def test_law_equals_numpy_with_seven_joints_and_up_to_six_contacts(tmp_path, count, projection):
+@pytest.mark.parametrize(('allocation', 'projection'), [
+    ('decoupled', 'euclidean'), ('decoupled', 'inertia'), ('paper', 'euclidean')])
+def test_law_equals_numpy_with_seven_joints_and_up_to_six_oblique_contacts(
+        tmp_path, count, allocation, projection):
     random, names = np.random.default_rng(count), [f'contact{i}' for i in range(count)]
     normals = random.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
@@ -149,7 +170,7 @@ def test_law_equals_numpy_with_seven_joints_and_up_to_six_contacts(tmp_path, cou
             'torque_rate': []}, collision={'threshold': [1.0] * 7}, contact_names=names,
         contacts={name: {'normal_world': normal.tolist(), 'point_operational': point.tolist()}
                   for name, normal, point in zip(names, normals, random.normal(size=(count, 3)))},
-        force={'projection': projection})
+        force={'allocation': allocation, 'projection': projection})
     assert_law_is_numpy(
         config, tmp_path, np.array([0.3, 0.7, -0.4, 0.9, 0.5, -0.8, 2.95]), 1e-9)
 

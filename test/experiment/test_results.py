@@ -4,8 +4,10 @@ from datetime import datetime
 from pathlib import Path
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.results import prepare_folder, run_folder
+from multicontact_control.experiment.results import prepare_folder, run_folder, summarise
+from multicontact_control.experiment.scenario import resolve
 import pytest
+from synthetic_run import perfect_run
 
 NOW = datetime(2026, 1, 2, 3, 4, 5)
 
@@ -46,3 +48,15 @@ def test_folder_with_other_files_is_never_touched(tmp_path, files):
     with pytest.raises(ConfigError, match='out: expected a new or empty folder, or that of a run'):
         prepare_folder(tmp_path, 'paper', overwrite=True, now=NOW)
     assert all((tmp_path / name).is_file() for name in files)
+
+
+def test_summary_says_how_often_a_variance_was_at_a_bound():
+    setup = resolve('quick')
+    data = perfect_run(setup)
+    data.noise_variance[:] = 0.6
+    summary = summarise(data, setup, mode='in_process', timing={})
+    assert summary['remarks'] == []
+    data.noise_variance[:data.ticks // 4, 1] = 1000.0
+    remark, = summarise(data, setup, mode='in_process', timing={})['remarks']
+    assert remark == ('board: R is the largest that it may be, 1000 N^2 (noise_variance.largest), '
+                      'in 25 % of the samples')

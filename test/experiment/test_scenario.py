@@ -25,6 +25,8 @@ def test_every_scenario_resolves_and_is_named_as_its_file(path):
     ({'duration': -1.0}, 'duration: expected greater than or equal to 1, got -1.0'),
     ({'reference': {'force_steps': [{'time': 1.0, 'forces': {'wall': 3.0}}]}},
      "reference.force_steps.0.forces: expected contacts among table, board, got 'wall'"),
+    ({'reference': {'motion': {'start_time': 1.0, 'direction_world': [0.0, 0.6, 0.8]}}},
+     'direction_world: expected at most 30 degrees out of the surfaces of table, board'),
     ({'controller': {'rate': 250.0}}, "noise_estimator.rate: expected the controller's 250 Hz"),
     ({'noise_estimator': {'contact_names': ['table']}},
      'noise_estimator.contact_names: expected the controller'),
@@ -39,6 +41,14 @@ def test_resolve_names_what_is_wrong_in_a_scenario(tmp_path, changes, message):
     assert '\n' not in str(caught.value)
 
 
+def test_motion_along_a_normal_is_accepted_once_its_contact_is_let_go():
+    steps = [{'time': 2.0, 'forces': {'table': 0.0}}]
+    motion = {'start_time': 2.5, 'direction_world': [0.0, 0.0, 1.0]}
+    setup = resolve('quick', scenario_overrides={
+        'reference': {'force_steps': steps, 'motion': motion}})
+    assert setup.scenario.reference.motion.direction_world == (0.0, 0.0, 1.0)
+
+
 @pytest.mark.parametrize('name', NAMES)
 def test_preset_says_what_it_sets_and_nothing_else_changes(name):
     plain, setup = resolve('quick'), resolve('quick', preset=name)
@@ -49,6 +59,26 @@ def test_preset_says_what_it_sets_and_nothing_else_changes(name):
     force = setup.controller.model_dump()['force']
     assert force == {key: force[key] | value if isinstance(value, dict) else value
                      for key, value in {**force, **given['controller']['force']}.items()}
+
+
+def test_estimator_has_the_bounds_of_the_controllers_variances():
+    bounds = {'smallest': 0.2, 'largest': 400.0}
+    setup = resolve('quick', controller={'noise_variance': bounds})
+    assert setup.noise_estimator.noise_variance == setup.controller.noise_variance
+    assert setup.controller.noise_variance.largest == 400.0
+    with pytest.raises(ConfigError, match=(
+            "noise_estimator.noise_variance: expected the controller's 0.1 to 1000 N.2, "
+            'got 0.2 to 400 N')):
+        resolve('quick', noise_estimator={'noise_variance': bounds})
+    with pytest.raises(ConfigError, match='initial_noise_variance: expected 0.7 to 1000 N.2'):
+        resolve('quick', controller={'noise_variance': {'smallest': 0.7}})
+
+
+def test_preset_paper_is_as_published():
+    force = resolve('paper', preset='paper').controller.force
+    assert (force.allocation, force.projection, force.fed_forward, force.active_state_order,
+            force.process_noise, force.time_constant) == (
+        'paper', 'euclidean', 'estimate', 1, 1e-3, 0.02)
 
 
 def test_best_is_the_default_and_options_go_before_a_preset():

@@ -12,7 +12,6 @@ from multicontact_control.force.observer import (
     design_observer,
     make_observers,
     predict,
-    rescale,
 )
 from multicontact_control.force.plant import delayed_plant
 from multicontact_control.records import MAX_ORDER
@@ -146,18 +145,6 @@ def test_continue_from_predicts_with_the_input_that_acts(loop):
         observer.update(7.0, 0.6)
     np.testing.assert_allclose(new.x_est, unchanged.x_est, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(new.P, unchanged.P, rtol=1e-12)
-
-
-@pytest.mark.parametrize('order', [0, 1, 3])
-def test_rescaled_observer_is_the_one_designed_for_the_other_stiffness(order):
-    def designed(stiffness):
-        return make_observers([design_observer(design_force_loop(stiffness), order=order)])
-
-    observers, wanted = designed(6000.0), designed(7800.0)
-    rescale(observers, np.array([1.3]))
-    for name in ('Phi_c', 'Phi_n', 'Gamma', 'feedback', 'Q'):
-        scale = np.abs(wanted[name]).max()
-        np.testing.assert_allclose(observers[name], wanted[name], atol=1e-9 * scale)
 
 
 def test_observer_that_continues_knows_its_disturbance_and_others_begin_anew(loop):

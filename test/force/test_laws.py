@@ -129,7 +129,7 @@ def hold(laws, ticks, *, disturbance, desired=10.0, state=None):
 
 
 def laws_of(name, **force):
-    return make_force_laws(config_of(name, **force), np.array([K]))[:1].copy()
+    return make_force_laws(config_of(name, **force))[:1].copy()
 
 
 @cache

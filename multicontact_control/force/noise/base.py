@@ -10,7 +10,6 @@ from multicontact_control.arrays import Mask, require_shape, Vector
 from multicontact_control.config import NoiseEstimatorConfig
 import numpy as np
 
-VARIANCE_FLOOR, VARIANCE_CEILING = 1e-3, 1e6  # N^2, of every R
 MAX_MAGNITUDE = 1e100  # sums of squares of samples below it stay finite
 
 
@@ -38,8 +37,7 @@ class NoiseEstimator(ABC):
     Samples in, variances out, one per contact.
 
     Until an estimate of a contact is known, its R is the configured `fixed_variance`. Every R
-    lies between `VARIANCE_FLOOR` and `VARIANCE_CEILING`, and changes by a factor e in `slew_time`
-    at most.
+    lies within the bounds `noise_variance`, and changes by a factor e in `slew_time` at most.
 
     Parameters
     ----------
@@ -52,6 +50,8 @@ class NoiseEstimator(ABC):
         Whether `update` needs the innovation.
     dropped
         Samples dropped so far because something in them was not finite or could not be squared.
+    bounded
+        Samples so far of which an R was at one of its bounds, by contact, shape (r,).
 
     """
 
@@ -60,7 +60,10 @@ class NoiseEstimator(ABC):
     def __init__(self, config: NoiseEstimatorConfig) -> None:
         self.config = config
         self.dropped = 0
+        bounds = config.noise_variance
+        self._smallest, self._largest = bounds.smallest, bounds.largest
         self._contacts = len(config.contact_names)
+        self.bounded = np.zeros(self._contacts, dtype=int)
         self._alpha: Vector = np.zeros(self._contacts)
         self._largest_step = math.exp(1.0 / (config.rate * config.slew_time)) if (
             config.slew_time > 0.0) else math.inf
@@ -69,7 +72,7 @@ class NoiseEstimator(ABC):
     def reset(self) -> None:
         """Forget all samples."""
         self._variance: Vector = np.full(self._contacts, self.config.fixed_variance)
-        self._given: Vector = np.clip(self._variance, VARIANCE_FLOOR, VARIANCE_CEILING)
+        self._given: Vector = np.clip(self._variance, self._smallest, self._largest)
         self._forget()
 
     def update(self, alpha: Vector, innovation: Innovation | None = None) -> Vector:
@@ -101,7 +104,8 @@ class NoiseEstimator(ABC):
         self._alpha[:] = alpha  # whatever its layout: numba would compile anew for another one
         if not self._take(innovation):
             self.dropped += 1
-        bounded: Vector = np.clip(self._variance, VARIANCE_FLOOR, VARIANCE_CEILING)
+        bounded: Vector = np.clip(self._variance, self._smallest, self._largest)
+        self.bounded += bounded != self._variance
         self._given = np.clip(
             bounded, self._given / self._largest_step, self._given * self._largest_step)
         return self._given.copy()

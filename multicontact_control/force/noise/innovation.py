@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import abstractmethod
 
 from multicontact_control.arrays import Mask, Matrix, Vector
-from multicontact_control.force.noise import base
 from multicontact_control.force.noise.base import Innovation, NoiseEstimator, usable
 import numpy as np
 
@@ -91,7 +90,7 @@ class SageHusa(InnovationEstimator):
         term = corrected_square(innovation, innovation.variance_used)
         # Without the bound one wild sample would be remembered for thousands of ticks.
         mean = np.minimum((1.0 - weight) * self._mean + weight * term,
-                          base.VARIANCE_CEILING / self.config.variance_scale)
+                          self._largest / self.config.variance_scale)
         self._mean = np.where(valid, mean, self._mean)
         return self._mean, valid
 
@@ -121,7 +120,7 @@ class VariationalBayes(InnovationEstimator):
             scale = prior + 0.5 * corrected_square(innovation, scale / shape)
         # Without the bound one wild sample would be remembered for thousands of ticks.
         scale = np.minimum(
-            scale, shape * base.VARIANCE_CEILING / self.config.variance_scale)
+            scale, shape * self._largest / self.config.variance_scale)
         self._shape = shape
         self._scale = np.where(valid, scale, self._scale)
         return self._scale / self._shape, valid

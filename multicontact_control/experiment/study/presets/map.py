@@ -10,7 +10,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from multicontact_control.contact.geometry import loop_stiffnesses, normal_space
+from multicontact_control.contact.geometry import normal_space
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
@@ -117,7 +117,7 @@ class ArmLoop:
         inertia = config.tool.mass * np.block(
             [[np.eye(3), -cross], [cross, -cross @ cross]])  # of a point mass at its centre
         observer = design_law(config.law_of(names[0]), config.force, loop_model(
-            config, float(loop_stiffnesses(config, rotation)[0])))
+            config, config.contacts[names[0]].stiffness))
         if not isinstance(observer, ObserverDesign):
             raise ConfigError('force.law', 'aob, for the linear loops', config.force.law)
         self.observer, self.config = observer, config
