@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import threading
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
@@ -79,17 +78,21 @@ class Curves:
     ) -> None:
         self._width = 1 + KINDS * len(names) + len(joints)
         self.history = History(self._width)
-        self._gui, self._lock = gui, threading.Lock()
+        self._gui = gui
         self._window = gui.add_dropdown('window', tuple(WINDOWS), initial_value=FIRST)
         self._charts = charts_of(names, joints, true_forces)
         self._folder = gui.add_folder('last seconds, from now')
         self._plots: list[Any] = []
         self._make()
-        self._window.on_update(lambda _: self._make())
+
+        async def changed(_event: Any) -> None:
+            self._make()
+
+        self._window.on_update(changed)
 
     def _make(self) -> None:
         """Make the charts; anew for another window, as those of a browser keep their axes."""
-        with self._lock, self._folder:
+        with self._folder:
             for plot in self._plots:
                 plot.remove()
             x = {'time': False, 'range': (-WINDOWS[self._window.value], 0.0)}
@@ -105,9 +108,8 @@ class Curves:
 
     def draw(self) -> None:
         """Show what has come."""
-        with self._lock:
-            for plot, data in zip(self._plots, self._data()):
-                plot.data = data
+        for plot, data in zip(self._plots, self._data()):
+            plot.data = data
 
     def _data(self) -> list[tuple[Vector, ...]]:
         """Return what each chart shows: seconds from now, then its curves."""
