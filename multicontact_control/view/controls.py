@@ -176,6 +176,8 @@ class Controls:
         with gui.add_folder('Wrist sensor'):
             self._button('Tare the sensor', source.TARE, 'nothing may touch the tool')
             self._button('Start the push test', source.PUSH_TEST, 'proves sign, frame, scale')
+            self._button('Cancel the push test', source.CANCEL_PUSH_TEST,
+                         'also one that has ended because nothing pushed')
 
     def _add_world(self, scene: Scene) -> None:
         gui = self._gui

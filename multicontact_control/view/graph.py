@@ -90,6 +90,7 @@ class GraphSource:
                          for name in config.contact_names}
         self._start = self._stamp = -1  # of the first sample and the last [ns]
         self._answered = '', ''  # event and command of the last answer
+        self._anew = True  # whether the next snapshot is the first since samples began
         self._held, self._heard = False, time.monotonic()
         self._next_point = self._next_snapshot = 0.0
         self._stamps: deque[tuple[float, int]] = deque(maxlen=round(PACE_TIME * source.RATE))
@@ -145,7 +146,7 @@ class GraphSource:
             self._stamp = messages.stamp_to_ns(message.header.stamp)
         if self._stamp != before:
             if before < 0 or self._stamp < before:  # samples begin, or begin anew
-                self._start = self._stamp
+                self._start, self._anew = self._stamp, True
             self._heard = now
             self._move_on(1e-9 * (self._stamp - before))
             if now >= self._next_point:
@@ -186,7 +187,10 @@ class GraphSource:
     def _note(self, status: ControllerStatus) -> None:
         """Tell what has changed and what is refused, and make no motion that is not obeyed."""
         now, refused, answer = self._time, status.event == REFUSED, (status.event, status.command)
-        texts = [f'refused: {status.text}'] if refused and answer != self._answered else []
+        of_motion = refused and self._motion.what and status.command == self._motion_identifier
+        texts = []
+        if refused and not of_motion and answer != self._answered:
+            texts.append(f'refused: {status.text}')
         if status.command:  # which is resent until it is answered
             self._answered = answer
         if status.held != self._held:
@@ -198,7 +202,7 @@ class GraphSource:
                 tuple(status.contact_states.values()))))
         if self._motion.what:
             why = ''
-            if refused and status.command == self._motion_identifier:
+            if of_motion:
                 why = status.text
             elif status.held:
                 why = 'held'
@@ -252,6 +256,7 @@ class GraphSource:
         wanted = self._values(topics.DESIRED_FORCES, config.column_names)
         points, self._points = self._points, []
         events, self._events = self._events, []
+        anew, self._anew = self._anew, False
         position, quaternion = messages.pose_arrays(pose.pose)
         return source.Snapshot(
             time=self._time,
@@ -276,7 +281,7 @@ class GraphSource:
             held=self._held, moving=self._motion.what,
             push_test='' if status is None else status.push_test, gains=self._gains,
             push=self._last_push[1] if self._time < self._last_push[0] else None,
-            surfaces=dict(self._surfaces), places_world={} if markers is None else {
+            surfaces=dict(self._surfaces), anew=anew, places_world={} if markers is None else {
                 _name_of(marker): _place_of(marker) for marker in markers.markers})
 
     def command(self, name: str, /, **values: Any) -> str:

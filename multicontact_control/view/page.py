@@ -14,6 +14,7 @@ import time
 from typing import Any
 
 from multicontact_control.errors import MulticontactError, RunError
+from multicontact_control.sensor.push_test import CANCELLED
 from multicontact_control.supervision.reactions import NONE
 from multicontact_control.view.access import guarding
 from multicontact_control.view.controls import Controls, Requests
@@ -33,13 +34,18 @@ AGAIN = 3.0  # s, after which the same refusal is told again
 CURVES_WIDTH, CONTROLS_WIDTH = 370, 340  # px
 SMALL = 'font-size:12px;line-height:18px;padding:2px 14px;white-space:pre-wrap;'
 ONE_LINE = 'white-space:nowrap;overflow:hidden;text-overflow:ellipsis'
-# Of what changes, so that nothing below moves under the mouse: px, of two lines and of twelve.
-ANSWER, EVENTS = (f'height:{18 * lines}px;overflow-y:auto' for lines in (2, 12))
-# What viser has no call for: when a value is a command, the title of the tab, and the time axes of
-# charts, which uPlot leaves out of those that are made before their width is known.
+# Of what changes, so that nothing below moves under the mouse: px, of four lines and of twelve.
+ANSWER, EVENTS = (
+    f'box-sizing:content-box;height:{18 * lines}px;overflow-y:auto' for lines in (4, 12))
+# What viser has no call for: when a value is a command, how large the ends of sliders are written,
+# the title of the tab, and the time axes of charts, which uPlot leaves out of those that are made
+# before their width is known.
 SCRIPT = """
 {watch_inputs}
 watchInputs({sliders_wait});
+window.slidersStyle ??= document.head.appendChild(Object.assign(document.createElement('style'), {{
+  textContent: '.mantine-Slider-markLabel, .multi-slider-mark-label {{font-size: 11px !important}}'
+}}));
 document.title = {title};
 window.axesTimer ??= setInterval(() => Object.values(window.__viserTestpoints?.uplots ?? {{}})
   .forEach(({{chart}}) => chart.axes[0]._space || chart.redraw(true, true)), 500);
@@ -140,8 +146,8 @@ class Page:
             self._write(self._show_end)
             return
         for snapshot in snapshots:
-            if self.newest is not None and snapshot.time < self.newest.time:
-                self._events.clear()  # time has gone back
+            if snapshot.anew:
+                self._events.clear()
             self.newest, self._answered = snapshot, True
             self.curves.history.add(snapshot.points)
             self._events.extend(snapshot.events)
@@ -186,8 +192,8 @@ class Page:
                     self.controls.show(snapshot)
                 if snapshot.push_test != self._push_test:  # takes the place of the last answer
                     self._push_test = snapshot.push_test
-                    self.answer.content = _line(
-                        f'<b>{html.escape(self._push_test)}</b>', ANSWER)
+                    text = self._push_test or CANCELLED
+                    self.answer.content = _line(f'<b>{html.escape(text)}</b>', ANSWER)
             if events != self._listed:
                 self._listed = events
                 self.events.content = events_html(events)

@@ -57,6 +57,7 @@ class ReplaySource:
         self._since, self._from = monotonic(), 0.0
         self._speed, self._playing, self._changed = 1.0, False, True
         self._shown, self._next = -np.inf, 0.0
+        self._jumped = False
 
     def _now(self) -> float:
         """Return the time in the recording [s], and stop at its end."""
@@ -75,9 +76,10 @@ class ReplaySource:
             return []
         self._changed, self._next = False, monotonic() + 1.0 / source.RATE
         last, self._shown = self._shown, now
-        return [self._snapshot(now, last)]
+        jumped, self._jumped = self._jumped, False
+        return [self._snapshot(now, last, jumped)]
 
-    def _snapshot(self, now: float, last: float) -> source.Snapshot:
+    def _snapshot(self, now: float, last: float, jumped: bool) -> source.Snapshot:
         data, k = self._data, int(now * self._data.rate + 1e-6)
         first, end = np.searchsorted(self._points[:, 0], (last, now), side='right')
         event = self._events[max(0, bisect_right(self._event_times, now + 1e-9) - 1)]
@@ -89,7 +91,7 @@ class ReplaySource:
             reasons=event.causes + event.limits, points=self._points[first:end],
             events=tuple(mark for mark in self.scene.marks if last < mark[0] <= now + 1e-9),
             places_world=self._places[max(0, bisect_right(self._place_times, now) - 1)],
-            playing=self._playing)
+            playing=self._playing, anew=jumped)
 
     def command(self, name: str, /, **values: Any) -> str:
         """Play, pause, jump, or play at another speed; see `Source.command`."""
@@ -109,6 +111,7 @@ class ReplaySource:
 
     def _jump(self, moment: float) -> None:
         self._from, self._shown = moment, moment - LOOKED_BACK
+        self._jumped = True
 
     def close(self) -> None:
         """Nothing has been started."""

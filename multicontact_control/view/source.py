@@ -27,6 +27,7 @@ HOLD = 'hold'  # on
 RETRY = 'retry'
 TARE = 'tare'
 PUSH_TEST = 'push_test'
+CANCEL_PUSH_TEST = 'cancel_push_test'
 GAINS = 'gains'  # each of `GAIN_NAMES`
 SURFACE = 'surface'  # name, stiffness [N/m], friction
 PUSH = 'push'  # force [N]; tool: whether on the tool, or at the operational point
@@ -119,6 +120,7 @@ class Snapshot:
     places_world: Mapping[str, Vector3] = field(default_factory=dict)  # points of surfaces [m]
     push: Push | None = None  # under way
     playing: bool = True  # whether time goes on
+    anew: bool = False  # whether curves and events of before are over: its own take their place
 
 
 class Source(Protocol):

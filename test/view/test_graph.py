@@ -101,6 +101,32 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
     assert rest.moving == '' and np.abs(rest.position_des - later.position_des).max() < 0.002
 
 
+def test_push_test_is_cancelled_and_each_refusal_told_once(shown):
+    shown.command(source.FORCES, table=0.0, board=0.0)
+    events, first = [], until(shown, lambda snapshot: set(snapshot.states) == {'free'}, 'freedom')
+    until(shown, lambda snapshot: snapshot.time > first.time + 3.0, 'the way back')
+    shown.command(source.PUSH_TEST)
+
+    def gather(snapshot):
+        events.extend(text for _, text in snapshot.events)
+        return snapshot
+
+    until(shown, lambda snapshot: gather(snapshot).push_test, 'an instruction')
+    for command, values in ((source.FORCES, {'table': 8.0}), (source.HOLD, {'on': True})):
+        with pytest.raises(MulticontactError, match='~/push_test: pass it first'):
+            shown.command(command, **values)
+    assert shown.command(source.CANCEL_PUSH_TEST) == 'push test cancelled'
+    with pytest.raises(MulticontactError, match='none is under way'):
+        shown.command(source.CANCEL_PUSH_TEST)
+    shown.command(source.FORCES, table=8.0)
+    until(shown, lambda snapshot: gather(snapshot).states[0] == 'holding', 'the table')
+    refusals = [text for text in events if 'refused' in text]
+    for part in ('contact_forces/command: ~/push_test: pass it first', '~/hold: ~/push_test',
+                 '~/cancel_push_test: push test: none is under way'):
+        assert sum(part in text for text in refusals) == 1, refusals
+    assert len(refusals) == 3, refusals
+
+
 @pytest.mark.parametrize('robot', robot_parameters(['panda']))
 def test_graph_of_another_arm_is_refused_and_the_right_one_named(shown, domain, robot):
     with pytest.raises(RunError, match='robot.joint_names: expected panda_joint1, .* got joint1'

@@ -91,6 +91,20 @@ def test_page_plays_a_recording_from_the_first_browser_to_its_end(replay, clock,
             assert (page.newest.time, page.newest.playing) == (pytest.approx(moment), playing)
 
 
+def test_page_lists_each_event_once_however_often_it_is_sought(replay, monkeypatch):
+    page_module = pytest.importorskip('multicontact_control.view.page', reason='needs viser')
+    with closing(page_module.Page(replay, 8473)) as page:
+        monkeypatch.setattr(page.server, 'get_clients', lambda: {0: Mock()})
+        for _ in range(2):  # it begins to play
+            page.update()
+        replay.command(source.PLAY, on=False)
+        for moment in (1.0, 2.5, 3.0, 2.0, 6.0, 9.0):
+            replay.command(source.SEEK, time=moment)
+            page.update()
+            told = [mark for mark in replay.scene.marks if mark[0] <= moment]
+            assert [*page._events] == told[-page_module.LISTED:]
+
+
 def test_seek_shows_states_events_and_curves_of_then(replay):
     snapshot = seek(replay, 2.4)
     assert snapshot.states == ('holding', 'holding') and snapshot.reaction == 'none'
