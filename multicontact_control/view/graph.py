@@ -19,6 +19,7 @@ from multicontact_control.nodes.link import CommandRefusedError, ControllerLink
 from multicontact_control.nodes.messages import ControllerStatus, new_identifier, REFUSED
 from multicontact_control.view import source
 from multicontact_control.view.motion import Motion
+from multicontact_control.view.streams import Stream
 import numpy as np
 from rcl_interfaces.srv import ListParameters
 from sim_bridge.config import PUSH_TIME
@@ -31,14 +32,17 @@ from visualization_msgs.msg import Marker
 PATIENCE = 10.0  # s; until a process has found the others may take three
 SIMULATOR_WAIT = 3.0  # s, until a graph without surfaces has no simulator
 SILENCE = 1.0  # s without a sample, after which that is shown
+BLOCK_TIME = 1.0 / (source.BLOCKS * source.RATE)  # s, of which curves have the extremes
 PACE_TIME = 2.0  # s, over which the real-time factor is taken
 # Of a motion: a page that was busy makes up for that in short steps, at little more speed.
 LONGEST_STEP, LONGEST_DELAY, CATCH_UP = 0.012, 0.2, 1.3  # s, s
 LISTENED = (
-    topics.JOINT_STATES, topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
-    topics.TRUE_FORCES, topics.INNOVATION, topics.NOISE_VARIANCE, topics.EFFORT_COMMAND,
-    topics.POSE, topics.POSE_DESIRED, topics.SURFACE_MARKERS, topics.CONTACT_MARKERS,
-    topics.DIAGNOSTICS, topics.PUSH)
+    topics.JOINT_STATES, topics.MEASURED_FORCES, topics.POSE, topics.POSE_DESIRED,
+    topics.SURFACE_MARKERS, topics.CONTACT_MARKERS, topics.DIAGNOSTICS, topics.PUSH)
+# Of the curves, in the order of `Snapshot.points`; the torques follow.
+DRAWN = (
+    topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.TRUE_FORCES,
+    topics.NOISE_VARIANCE, topics.INNOVATION)
 LOOP = f'{topics.CONTROLLER}: loop'
 SHOWN = ('latency_us_p50', 'latency_us_p99', 'deadline_misses')  # of it, or `none`
 CEILING, JOINTS = 'command.force_ceiling', 'robot.joint_names'
@@ -75,6 +79,12 @@ class GraphSource:
         self._link = ControllerLink(
             LISTENED, namespace=namespace, domain_id=domain_id, timeout=PATIENCE,
             on_status=self._note)
+        limit = np.array(config.torque_limit or [np.inf] * len(config.robot.joint_names))
+        self._streams = {
+            topic: Stream(self._link.node, topic, config.column_names) for topic in DRAWN}
+        self._streams[topics.EFFORT_COMMAND] = Stream(
+            self._link.node, topics.EFFORT_COMMAND, config.robot.joint_names,
+            lambda torques: np.abs(torques) / limit)
         self._push_publisher = create_publisher(self._link.node, topics.PUSH)
         self._last_push: tuple[float, source.Push | None] = (0.0, None)  # and until when it lasts
         self._pushed = {'': config.robot.operational_frame, **(
@@ -93,6 +103,7 @@ class GraphSource:
         self._anew = True  # whether the next snapshot is the first since samples began
         self._held, self._heard = False, time.monotonic()
         self._next_point = self._next_snapshot = 0.0
+        self._drawn_until = 0.0  # time of the last point [s]
         self._stamps: deque[tuple[float, int]] = deque(maxlen=round(PACE_TIME * source.RATE))
         try:
             gains, ceiling = self._meet()
@@ -104,7 +115,11 @@ class GraphSource:
         self.scene = source.Scene(
             title, config, setup.urdf_dir, surfaces or source.felt_surfaces(config),
             simulated=dict(self._surfaces), largest_force=ceiling,
-            true_forces=self._link.newest(topics.TRUE_FORCES) is not None)
+            true_forces=self._hears(topics.TRUE_FORCES))
+
+    def _hears(self, topic: topics.Topic) -> bool:
+        self._streams[topic].look()
+        return bool(np.isfinite(self._streams[topic].newest).any())
 
     def _meet(self) -> tuple[dict[str, float], float]:
         """Check that the controller is the expected one; return its gains and force ceiling."""
@@ -141,17 +156,20 @@ class GraphSource:
         """Return a snapshot if it is time for one; RunError if the graph has ended."""
         self._check()
         now, before = time.monotonic(), self._stamp
+        for stream in self._streams.values():
+            stream.look()
         message = self._link.newest(topics.MEASURED_FORCES)
         if message is not None:
             self._stamp = messages.stamp_to_ns(message.header.stamp)
         if self._stamp != before:
             if before < 0 or self._stamp < before:  # samples begin, or begin anew
                 self._start, self._anew = self._stamp, True
+                self._drawn_until = -BLOCK_TIME
             self._heard = now
             self._move_on(1e-9 * (self._stamp - before))
             if now >= self._next_point:
-                self._next_point = now + 1.0 / (source.POINTS * source.RATE)
-                self._points.append(self._point())
+                self._next_point = now + BLOCK_TIME
+                self._add_points()
         self._link.look()
         if now < self._next_snapshot:
             return []
@@ -168,21 +186,18 @@ class GraphSource:
         """Time of the newest sample [s] since the first that was heard."""
         return 1e-9 * (self._stamp - self._start)
 
-    def _values(self, topic: topics.Topic, names: tuple[str, ...], field: str = 'effort') -> Any:
-        message = self._link.newest(topic)
-        known = {} if message is None else dict(zip(message.name, getattr(message, field)))
-        return np.array([known.get(name, np.nan) for name in names])
+    def _add_points(self) -> None:
+        """Add two points to the curves: the least and the greatest since the last ones."""
+        middle = 0.5 * (self._drawn_until + self._time)
+        least, greatest = zip(*(stream.extremes() for stream in self._streams.values()))
+        self._points += [np.concatenate([[middle], *least]),
+                         np.concatenate([[self._time], *greatest])]
+        self._drawn_until = self._time
 
-    def _point(self) -> Any:
-        """Return a point of the curves."""
-        names, joints = self._config.column_names, self._config.robot.joint_names
-        limit = np.array(self._config.torque_limit or [np.inf] * len(joints))
-        return np.concatenate([
-            [self._time], *(self._values(topic, names) for topic in (
-                topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
-                topics.TRUE_FORCES, topics.NOISE_VARIANCE)),
-            np.abs(self._values(topics.INNOVATION, names)),
-            np.abs(self._values(topics.EFFORT_COMMAND, joints)) / limit])
+    def _joint_positions(self) -> Any:
+        message = self._link.newest(topics.JOINT_STATES)
+        known = {} if message is None else dict(zip(message.name, message.position))
+        return np.array([known.get(name, np.nan) for name in self._config.robot.joint_names])
 
     def _note(self, status: ControllerStatus) -> None:
         """Tell what has changed and what is refused, and make no motion that is not obeyed."""
@@ -253,19 +268,17 @@ class GraphSource:
         self._look_at_normals()
         self._look_at_pushes()
         markers = self._link.newest(topics.SURFACE_MARKERS)
-        wanted = self._values(topics.DESIRED_FORCES, config.column_names)
+        measured, estimated, wanted, true = (self._streams[topic].newest for topic in DRAWN[:4])
         points, self._points = self._points, []
         events, self._events = self._events, []
         anew, self._anew = self._anew, False
         position, quaternion = messages.pose_arrays(pose.pose)
         return source.Snapshot(
             time=self._time,
-            q=self._values(topics.JOINT_STATES, config.robot.joint_names, 'position'),
+            q=self._joint_positions(),
             position=position, quaternion=quaternion,
             position_des=messages.pose_arrays(desired.pose)[0],
-            measured=self._values(topics.MEASURED_FORCES, config.column_names),
-            estimated=self._values(topics.ESTIMATED_FORCES, config.column_names),
-            desired=wanted, true=self._values(topics.TRUE_FORCES, config.column_names),
+            measured=measured, estimated=estimated, desired=wanted, true=true,
             normals_world=np.array(list(self._normals.values())),
             states=tuple(status.contact_states.values() if status else ()) or (
                 'free',) * len(config.contact_names),

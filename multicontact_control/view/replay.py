@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 from typing import Any
-import warnings
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
@@ -20,6 +19,7 @@ from multicontact_control.experiment.recording import CUT_OFF, read_bag, RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.reactions import NONE
 from multicontact_control.view import source
+from multicontact_control.view.curves import extremes
 import numpy as np
 
 LOOKED_BACK = 60.0  # s, of curves after a jump
@@ -129,22 +129,11 @@ def presses(data: RunData, leaders: Sequence[int]) -> list[Event]:
 
 def block_points(data: RunData, config: ControllerConfig) -> Matrix:
     """Return the curves of a recording, as a snapshot has them."""
-    size = max(1, round(data.rate / source.RATE / source.POINTS))
-    count = data.ticks // size
-
-    def blocks(series: Matrix) -> Matrix:
-        return series[:count * size].reshape(count, size, series[0].size)
-
     limit: Vector = np.array(config.torque_limit or [np.inf] * len(data.joint_names))
-    with warnings.catch_warnings():  # where nothing was recorded there is nothing to average
-        warnings.simplefilter('ignore', RuntimeWarning)
-        return np.column_stack([
-            blocks(data.time)[:, -1, 0], np.nanmean(blocks(data.alpha_meas), axis=1),
-            np.nanmean(blocks(data.alpha_est), axis=1), blocks(data.alpha_des)[:, -1],
-            np.nanmean(blocks(data.alpha_true), axis=1),
-            np.nanmean(blocks(data.noise_variance), axis=1),
-            np.sqrt(np.nanmean(blocks(data.innovation) ** 2, axis=1)),
-            np.nanmax(np.abs(blocks(data.torque)) / limit, axis=1)])
+    samples = np.column_stack([
+        data.time, data.alpha_meas, data.alpha_est, data.alpha_des, data.alpha_true,
+        data.noise_variance, data.innovation, np.abs(data.torque) / limit])
+    return extremes(samples, round(data.rate / source.RATE / source.BLOCKS))
 
 
 def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> ReplaySource:

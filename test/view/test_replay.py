@@ -123,6 +123,20 @@ def test_seek_shows_states_events_and_curves_of_then(replay):
         replay.command(source.SEEK, time=90.0)
 
 
+def test_replay_draws_the_whole_of_an_oscillation(replay, recorded_run):
+    data = RunData.load(recorded_run)
+    wave = 20.0 * np.sin(0.7 * np.pi * np.arange(data.ticks))[:, None]  # 175 Hz
+    shaken = replace(data, alpha_meas=data.alpha_meas + wave, innovation=data.innovation + wave)
+    for played, extra in ((replay, 0.0), (ReplaySource(replay.scene, shaken), 20.0)):
+        points = seek(played, 10.0).points
+        late = points[points[:, 0] > 8.0]
+        held = data.alpha_meas[4000:5000, 0]
+        for column, middle in ((1, held), (11, data.innovation[4000:5000, 0])):
+            assert late[:, column].max() == pytest.approx(middle.max() + extra, abs=2.0)
+            assert late[:, column].min() == pytest.approx(middle.min() - extra, abs=2.0)
+        assert np.abs(np.diff(late[:, 1])).max() > 1.5 * extra, 'both ends of each block'
+
+
 def test_recording_without_a_log_shows_when_forces_were_asked_for(replay, recorded_run):
     data = RunData.load(recorded_run)
     bare = ReplaySource(replace(replay.scene, marks=()), data)
