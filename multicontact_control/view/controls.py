@@ -55,8 +55,7 @@ class Requests:
     @property
     def waiting(self) -> bool:
         """Whether a command has been asked for, and not been given."""
-        with self._lock:
-            return bool(self._waiting)
+        return bool(self._waiting)
 
     def quiet_for(self) -> float:
         """Return for how long nothing has been asked for [s]."""

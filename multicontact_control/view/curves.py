@@ -146,25 +146,16 @@ def charts_of(names: Sequence[str], joints: Sequence[str], true_forces: bool) ->
     *forces, variance, innovation = columns
     return [
         *(Chart(f'force on {name} [N]', ('true', 'measured', 'estimated', 'desired')[first:],
-                [true, *each][first:], (COLOURS[3], *COLOURS[:3])[first:], from_zero(5.0),
+                [true, *each][first:], (COLOURS[3], *COLOURS[:3])[first:], axis(0.0, 5.0),
                 styles=STYLES[first:])
           for name, *each, true in zip(names, *forces)),
         Chart('R [N^2], logarithmic', names, variance.tolist(), COLOURS, LOGARITHMIC),
-        Chart('innovation [N]', names, innovation.tolist(), COLOURS, around_zero(0.2)),
+        Chart('innovation [N]', names, innovation.tolist(), COLOURS, axis(-0.2, 0.2)),
         Chart('torque of each joint, % of its limit', [str(k + 1) for k in range(len(joints))],
-              torques.tolist(), JOINTS, from_zero(100.0), 100.0)]
+              torques.tolist(), JOINTS, axis(0.0, 100.0), 100.0)]
 
 
-def from_zero(least: float) -> dict[str, Any]:
-    """Return an axis that holds 0 and a least value, so that noise is not all there is to see."""
-    return _axis(0.0, least)
-
-
-def around_zero(least: float) -> dict[str, Any]:
-    """Return an axis that holds a least value of either sign."""
-    return _axis(-least, least)
-
-
-def _axis(lower: float, upper: float) -> dict[str, Any]:
+def axis(lower: float, upper: float) -> dict[str, Any]:
+    """Return an axis that holds two values at least, so that noise is not all there is to see."""
     return {'range': {'min': {'pad': 0.1, 'soft': lower, 'mode': 1},
                       'max': {'pad': 0.1, 'soft': upper, 'mode': 1}}}

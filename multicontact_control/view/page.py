@@ -168,10 +168,10 @@ class Page:
             colour, text = RED, f'refused: {error}'
             self._write(self._notify, 'refused', str(error))
         if text:
-            self._write(self._show_answer, text, colour)
+            self._write(self._show_answer, text, f'color:{colour}')
 
-    def _show_answer(self, text: str, colour: str) -> None:
-        self.answer.content = _line(html.escape(text), f'color:{colour};{ANSWER}')
+    def _show_answer(self, text: str, style: str) -> None:
+        self.answer.content = _line(html.escape(text), f'{style};{ANSWER}')
 
     def _show_end(self) -> None:
         self.status.content = _line(f'<b style="color:{RED}">{html.escape(self.ended)}</b>')
@@ -192,8 +192,7 @@ class Page:
                     self.controls.show(snapshot)
                 if snapshot.push_test != self._push_test:  # takes the place of the last answer
                     self._push_test = snapshot.push_test
-                    text = self._push_test or CANCELLED
-                    self.answer.content = _line(f'<b>{html.escape(text)}</b>', ANSWER)
+                    self._show_answer(self._push_test or CANCELLED, 'font-weight:bold')
             if events != self._listed:
                 self._listed = events
                 self.events.content = events_html(events)
