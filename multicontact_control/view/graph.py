@@ -79,12 +79,7 @@ class GraphSource:
         self._link = ControllerLink(
             LISTENED, namespace=namespace, domain_id=domain_id, timeout=PATIENCE,
             on_status=self._note)
-        limit = np.array(config.torque_limit or [np.inf] * len(config.robot.joint_names))
-        self._streams = {
-            topic: Stream(self._link.node, topic, config.column_names) for topic in DRAWN}
-        self._streams[topics.EFFORT_COMMAND] = Stream(
-            self._link.node, topics.EFFORT_COMMAND, config.robot.joint_names,
-            lambda torques: np.abs(torques) / limit)
+        self._streams = self._make_streams()
         self._push_publisher = create_publisher(self._link.node, topics.PUSH)
         self._last_push: tuple[float, source.Push | None] = (0.0, None)  # and until when it lasts
         self._pushed = {'': config.robot.operational_frame, **(
@@ -116,6 +111,15 @@ class GraphSource:
             title, config, setup.urdf_dir, surfaces or source.felt_surfaces(config),
             simulated=dict(self._surfaces), largest_force=ceiling,
             true_forces=self._hears(topics.TRUE_FORCES))
+
+    def _make_streams(self) -> dict[topics.Topic, Stream]:
+        node, config = self._link.node, self._config
+        limit = np.array(config.torque_limit or [np.inf] * len(config.robot.joint_names))
+        streams = {topic: Stream(node, topic, config.column_names) for topic in DRAWN}
+        streams[topics.EFFORT_COMMAND] = Stream(
+            node, topics.EFFORT_COMMAND, config.robot.joint_names,
+            lambda torques: np.abs(torques) / limit)
+        return streams
 
     def _hears(self, topic: topics.Topic) -> bool:
         self._streams[topic].look()

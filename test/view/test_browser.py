@@ -87,19 +87,32 @@ def test_force_is_commanded_when_it_is_entered_and_every_browser_shows_what_is_o
         own.press_sequentially(text, delay=80)
         own.press(key)
         wait_for(lambda: shows('25'), 'the force that is obeyed')
-    del given[:]
-    track = tabs[0].locator('.mantine-Slider-trackContainer').first.bounding_box()
+    context.close()
+
+
+def test_slider_commands_a_force_when_it_is_released(page, given, chromium):
+    context = chromium.new_context(viewport={'width': 1100, 'height': 480})
+    context.add_init_script(SELDOM)
+    own, other = (Tab(context, page.url).page for _ in range(2))
+    thumb = own.get_by_role('slider').first
+    fields = [tab.locator('.mantine-NumberInput-input').first for tab in (own, other)]
+    for field in fields:
+        field.wait_for()
+    wait_for(lambda: page.newest, 'samples')
+    track = own.locator('.mantine-Slider-trackContainer').first.bounding_box()
     middle = track['y'] + 0.5 * track['height']
-    tabs[0].mouse.move(track['x'] + 0.8 * track['width'], middle)
-    tabs[0].mouse.down()
+    own.mouse.move(track['x'] + 0.8 * track['width'], middle)
+    own.mouse.down()
     for share in (0.7, 0.6, 0.5, 0.4):
-        tabs[0].mouse.move(track['x'] + share * track['width'], middle)
+        own.mouse.move(track['x'] + share * track['width'], middle)
         wait_for(lambda share=share: abs(
             float(thumb.get_attribute('aria-valuenow')) - 30.0 * share) < 1.0, 'the slider')
-    assert given == [] and other.input_value() == '25', 'it has not been released'
-    tabs[0].mouse.up()
-    wait_for(lambda: shows('12'), 'the slider that is released')
-    assert given == [{'table': 12.0}] and page.newest.commanded['table'] == 12.0
+    assert given == [] and fields[1].input_value() == '0', 'it has not been released'
+    own.mouse.up()
+    wait_for(lambda: [field.input_value() for field in fields] == ['12', '12'],
+             'the force in both browsers')
+    wait_for(lambda: page.newest.commanded['table'] == 12.0, 'the force')
+    assert given == [{'table': 12.0}]
     context.close()
 
 

@@ -22,8 +22,8 @@ from rich.table import Table
 
 WIDE_RANGE = 20.0  # largest over smallest, from which an axis is logarithmic
 MARKERS = 'osD^vPp'  # one for each of COLOURS
-CROSS = {'linestyle': '', 'marker': 'x', 'markersize': 7, 'clip_on': False,
-         'markeredgewidth': 2.0, 'zorder': 3}
+CROSS: dict[str, Any] = {'linestyle': '', 'marker': 'x', 'markersize': 7, 'clip_on': False,
+                         'markeredgewidth': 2.0, 'zorder': 3}
 SPREAD = 0.8  # of the room of a name, over which its series lie beside each other
 ROOM_OF_SERIES = 0.09  # inches
 NAME_WIDTH = 24  # characters of a line
