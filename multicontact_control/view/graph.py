@@ -107,10 +107,12 @@ class GraphSource:
             self._link.close()
             raise
         self._gains = gains
+        true_forces = self._streams[topics.TRUE_FORCES]
+        true_forces.look()
         self.scene = source.Scene(
             title, config, setup.urdf_dir, surfaces or source.felt_surfaces(config),
             simulated=dict(self._surfaces), largest_force=ceiling,
-            true_forces=self._hears(topics.TRUE_FORCES))
+            true_forces=bool(np.isfinite(true_forces.newest).any()))
 
     def _make_streams(self) -> dict[topics.Topic, Stream]:
         node, config = self._link.node, self._config
@@ -120,10 +122,6 @@ class GraphSource:
             node, topics.EFFORT_COMMAND, config.robot.joint_names,
             lambda torques: np.abs(torques) / limit)
         return streams
-
-    def _hears(self, topic: topics.Topic) -> bool:
-        self._streams[topic].look()
-        return bool(np.isfinite(self._streams[topic].newest).any())
 
     def _meet(self) -> tuple[dict[str, float], float]:
         """Check that the controller is the expected one; return its gains and force ceiling."""

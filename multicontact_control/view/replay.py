@@ -76,10 +76,11 @@ class ReplaySource:
             return []
         self._changed, self._next = False, monotonic() + 1.0 / source.RATE
         last, self._shown = self._shown, now
-        jumped, self._jumped = self._jumped, False
-        return [self._snapshot(now, last, jumped)]
+        snapshot = self._snapshot(now, last)
+        self._jumped = False
+        return [snapshot]
 
-    def _snapshot(self, now: float, last: float, jumped: bool) -> source.Snapshot:
+    def _snapshot(self, now: float, last: float) -> source.Snapshot:
         data, k = self._data, int(now * self._data.rate + 1e-6)
         first, end = np.searchsorted(self._points[:, 0], (last, now), side='right')
         event = self._events[max(0, bisect_right(self._event_times, now + 1e-9) - 1)]
@@ -91,7 +92,7 @@ class ReplaySource:
             reasons=event.causes + event.limits, points=self._points[first:end],
             events=tuple(mark for mark in self.scene.marks if last < mark[0] <= now + 1e-9),
             places_world=self._places[max(0, bisect_right(self._place_times, now) - 1)],
-            playing=self._playing, anew=jumped)
+            playing=self._playing, anew=self._jumped)
 
     def command(self, name: str, /, **values: Any) -> str:
         """Play, pause, jump, or play at another speed; see `Source.command`."""
