@@ -20,7 +20,7 @@ from multicontact_control.control.tasks import CommandedTask, MotionReading, Tas
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, ConfigError
-from multicontact_control.sensor.push_test import PushGate, PushTestConfig
+from multicontact_control.sensor.push_test import CANCELLED, PushGate, PushTestConfig
 from multicontact_control.sensor.tool import MAX_JOINT_SPEED, tare_bias
 from multicontact_control.supervision.command_limits import check_motion, CommandLimits
 from multicontact_control.supervision.inputs import TickInputs
@@ -166,6 +166,13 @@ class ControlLoop:
         self.supervisor.gate.go_over()
         self.supervisor.task.lock(True)
         return self.push_gate.instruction
+
+    def cancel_push_test(self) -> str:
+        """Take back a push test, see `PushGate.cancel`; return what is allowed now."""
+        self.push_gate.cancel()
+        self.supervisor.gate.go_over()
+        self.supervisor.task.lock(not self.push_gate.open)
+        return self.push_gate.instruction or CANCELLED
 
     def reconfigure(self, config: ControllerConfig) -> None:
         """Go on with another configuration; see `Supervisor`. A push test keeps its tool."""

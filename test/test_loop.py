@@ -165,6 +165,37 @@ def test_tool_of_an_impossible_mass_or_in_a_push_test_is_refused():
     bench.assert_refused('^tool: wait: .*push test', lambda: bench.loop.reconfigure(other))
 
 
+@pytest.mark.parametrize('required', [True, False])
+@pytest.mark.parametrize('ticks', [10, 600])
+def test_push_test_without_pushes_can_be_cancelled(required, ticks):
+    """While it is under way, or when it has ended after 1 s."""
+    bench = Bench(sensor={'require_push_test': required})
+    bench.step(5)
+    config = PushTestConfig(timeout=0.5)
+    for _ in range(2):
+        bench.loop.push_test(config)
+        bench.step(ticks)
+        bench.assert_refused('~/push_test: pass it first')
+    assert ('repeat it, or cancel it' in bench.loop.push_gate.instruction) is (ticks == 600)
+    text = bench.loop.cancel_push_test()
+    assert (text == 'push test cancelled') is not required
+    bench.step(5)
+    if required:
+        bench.assert_refused('~/push_test: pass it first: force control is disabled')
+    else:
+        bench.loop.set_forces({'table': 8.0})
+    bench.assert_refused('push test: none is under way', bench.loop.cancel_push_test)
+
+
+def test_push_test_with_a_verdict_on_the_sensor_cannot_be_cancelled():
+    bench = Bench(sensor={'require_push_test': False})
+    bench.step(5)
+    bench.loop.push_test(PushTestConfig())
+    bench.step(5, wrench=np.full(6, np.nan))
+    bench.step(5)
+    bench.assert_refused('push test: none is under way', bench.loop.cancel_push_test)
+
+
 @BARE
 @pytest.mark.parametrize('kind', ['gravity_compensation', 'zero_torque', 'hold_position'])
 def test_stop_leads_from_the_last_command_to_the_declared_behaviour(kind, supervised):

@@ -55,8 +55,8 @@ def study(
           {start: 600, stop: 60000, count: 5, spacing: log}
 
     Writes study.csv and study.parquet (a row for each run, also for those that failed),
-    study.html and study.png. Ctrl-C keeps what is finished; the same command goes on from there.
-    Exit code 1: a worker died, or something of `faults` or `situations` is not safe.
+    study.html, study.png and study.pdf. Ctrl-C keeps what is finished; the same command goes on
+    from there. Exit code 1: a worker died, or something of `faults` or `situations` is not safe.
     """
     options.end_at_signals('interrupted; the same command goes on from there')
     # Only now: what is heavy is not loaded for the sake of an error.

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Mask, Vector
 from multicontact_control.experiment.display import headline
 from multicontact_control.experiment.judge import STABLE, verdict_text
 from multicontact_control.experiment.metrics import NO_TRUTH, RunMetrics
@@ -34,10 +34,13 @@ from scipy.ndimage import binary_closing
 
 matplotlib.use('Agg')
 
+FORMATS = ('png', 'pdf')  # of every figure: to look at, and to print
 TITLE_WIDTH = 110  # characters of the second line that fit
+LEGEND_WIDTH = 90  # characters of a line of a legend
 PAUSE = 0.1  # s between two windows of a kind, below which they are one
 STEP_SHOWN = (0.05, 0.35)  # s before and after a step
-LEAST_LABELLED = 0.06  # share of a run, from which on a window has room for its name
+LEAST_LABELLED = 0.02  # share of a run, from which on a window has room for its name,
+LEAST_LEVEL = 0.06  # and from which on it need not stand upright
 # What a vertical axis spans at least.
 LEAST_FORCE, LEAST_MOTION, LEAST_ERROR = 1.0, 10.0, 1.0  # N, mm, mm
 
@@ -57,8 +60,8 @@ def run_figures(data: RunData, setup: Setup) -> list[RunFigure]:
     drawn = [
         *(_force(data, i, truth) for i, truth in enumerate(run.truth)), _motion(data, run),
         RunFigure('fig6_noise_variance', 'Noise variance R found on-line', [Panel('R [N²]', [
-            Trace(name, data.noise_variance[:, i], COLOURS[i % len(COLOURS)])
-            for i, name in enumerate(data.contact_names)], logarithmic=True)]),
+            Trace(_variance_label(run, i), data.noise_variance[:, i], COLOURS[i % len(COLOURS)])
+            for i in range(len(data.contact_names))], logarithmic=True)]),
         RunFigure('stiffness', 'Stiffness found on-line', [Panel(f'{name} [N/m]', (
             Trace('model in use', data.stiffness[:, i], COMMANDED, dashed=True),
             Trace('estimated', stiffness[:, i], ESTIMATED),
@@ -86,6 +89,26 @@ def _force(data: RunData, i: int, truth: bool) -> RunFigure:
                   least=LEAST_FORCE)))
 
 
+def _variance_label(run: RunMetrics, i: int) -> str:
+    """Return whose R a curve is, its medians, and the greatest from the motion's start on."""
+    name, summary = run.data.contact_names[i], run.contact_summary(i)
+    medians = [f'{median:.3g} {words}' for window, words in (
+        ('rest', 'at rest'), ('moving', 'moving'))
+        if (median := summary[window]['noise_variance_median_n2']) is not None]
+    label = f'{name}: median {", ".join(medians)}' if medians else name
+    started = run.data.noise_variance[_in_motion(run), i]
+    if np.isfinite(started).any():
+        label += f'; at most {np.nanmax(started):.3g} from the start of the motion on'
+    return label
+
+
+def _in_motion(run: RunMetrics) -> Mask:
+    """Return the samples of the motion, of a scenario's from its start on, shape (m,)."""
+    if run.setup.commanded_by_topic:
+        return run.windows.moving
+    return run.data.time >= run.motion_start
+
+
 def _motion(data: RunData, run: RunMetrics) -> RunFigure:
     """Return the wrist's translation along its longest way and its error (P04 Fig. 5)."""
     under_load = data.position_des[run.windows.loaded]
@@ -94,8 +117,8 @@ def _motion(data: RunData, run: RunMetrics) -> RunFigure:
     travelled, desired = 1e3 * data.position[:, axis], 1e3 * data.position_des[:, axis]
     return RunFigure('fig5_motion', f'Position of the wrist along {"xyz"[axis]}', (
         Panel(f'{"xyz"[axis]} [mm]', (
-            Trace('measured', travelled), Trace('commanded', desired, COMMANDED, dashed=True)),
-            least=LEAST_MOTION),
+            Trace('commanded', desired, COMMANDED, broad=True),
+            Trace('measured', travelled, ESTIMATED)), least=LEAST_MOTION),
         Panel('error [mm]', (Trace('error', travelled - desired, TRUE),), least=LEAST_ERROR)))
 
 
@@ -109,7 +132,7 @@ def interactive_figures(data: RunData, setup: Setup, number: int) -> str:
 
 def draw_figures(
     data: RunData, setup: Setup, summary: Mapping[str, Any], folder: Path,
-    formats: Sequence[str] = ('png',),
+    formats: Sequence[str] = FORMATS,
 ) -> list[Path]:
     """Draw the figures of a run into a folder in some formats, titled with a bad verdict."""
     title, verdict = headline(summary), verdict_text(summary)
@@ -133,8 +156,10 @@ def draw_figures(
     return paths
 
 
-def draw_side_by_side(runs: Sequence[tuple[str, RunData, Setup]], path: Path) -> Path:
-    """Draw the forces of named runs into a PNG file: all of a run, and its last step at rest."""
+def draw_side_by_side(
+    runs: Sequence[tuple[str, RunData, Setup]], folder: Path, formats: Sequence[str] = FORMATS,
+) -> list[Path]:
+    """Draw the forces of named runs: all of a run, and its last step at rest."""
     count = max(len(data.contact_names) for _, data, _ in runs)
     sheet = Figure(figsize=(5.5 * len(runs), 2.4 * (count + 1)), layout='constrained')
     grid = sheet.subplots(count + 1, len(runs), squeeze=False, sharey='row')
@@ -153,16 +178,24 @@ def draw_side_by_side(runs: Sequence[tuple[str, RunData, Setup]], path: Path) ->
             1e3 * (data.time[shown] - last))
         column[count].set_xlabel('time after the last step at rest [ms]')
         column[count - 1].set_xlabel('time [s]')
-    sheet.savefig(path, dpi=110)
-    return path
+    paths = [folder / f'side_by_side.{ending}' for ending in formats]
+    for path in paths:
+        sheet.savefig(path, dpi=110)
+    return paths
 
 
 def _judged(data: RunData, setup: Setup) -> list[Span]:
-    """Return the windows that the summary is of, without the pauses between setpoints."""
-    judged = RunMetrics(data, setup).windows
+    """
+    Return the windows that the summary is of, without the pauses between setpoints.
+
+    The start of a scenario's motion, up to its window, is one as well: R is greatest there.
+    """
+    run = RunMetrics(data, setup)
+    start = _in_motion(run) & ~run.windows.moving
     closing = np.ones(round(PAUSE * data.rate), dtype=bool)
     return [(name, float(data.time[begin]), float(data.time[end - 1]))
-            for name, mask in (('rest', judged.rest), ('moving', judged.moving))
+            for name, mask in (('rest', run.windows.rest), ('start', start),
+                               ('moving', run.windows.moving))
             for begin, end in stretches(binary_closing(mask, closing) | mask)]
 
 
@@ -171,18 +204,25 @@ def _draw_panel(
 ) -> None:
     for name, start, end in shaded:
         axes.axvspan(start, end, color=WINDOWS[name], zorder=0)
-        if end - start > LEAST_LABELLED * (time[-1] - time[0]):
+        share = (end - start) / (time[-1] - time[0])
+        if share > LEAST_LABELLED:
             axes.annotate(name, (start, 1.0), xycoords=('data', 'axes fraction'), fontsize=7,
-                          va='top', color='#555555', xytext=(2, -2), textcoords='offset points')
+                          va='top', color='#555555', xytext=(2, -2), textcoords='offset points',
+                          rotation=0.0 if share > LEAST_LEVEL else 90.0)
     for trace in panel.traces:
-        style: dict[str, Any] = {'alpha': 0.6, 'zorder': 1.5} if trace.faint else {}
-        axes.plot(time, trace.values, color=trace.colour, linewidth=0.7,
-                  linestyle='--' if trace.dashed else '-', label=trace.label, **style)
+        style: dict[str, Any] = {'linewidth': 0.7}
+        if trace.faint:
+            style |= {'alpha': 0.6, 'zorder': 1.5}
+        if trace.broad:
+            style = {'linewidth': 4.0, 'alpha': 0.3, 'zorder': 1.5}
+        axes.plot(time, trace.values, color=trace.colour, label=trace.label,
+                  linestyle='--' if trace.dashed else '-', **style)
     axes.set(ylabel=panel.label, yscale='log' if panel.logarithmic else 'linear')
     low, high = axes.get_ylim()
     more = max(panel.least - (high - low), 0.0) / 2.0
     axes.set_ylim(low - more, high + more)
     axes.grid(alpha=0.3)
     if len(panel.traces) > 1:  # above, where it covers nothing
-        axes.legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), ncols=len(panel.traces),
-                    borderaxespad=0.1, frameon=False, fontsize=8)
+        room = LEGEND_WIDTH // max(len(trace.label) for trace in panel.traces)
+        axes.legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1,
+                    ncols=max(1, min(room, len(panel.traces))), frameon=False, fontsize=8)

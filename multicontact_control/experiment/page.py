@@ -24,7 +24,7 @@ HELP = ('<p class=note>Drag over a figure to zoom into all of them, double click
 # Colours of Okabe and Ito, which differ for colour-blind readers, too.
 COLOURS = ('#0072b2', '#e69f00', '#009e73', '#d55e00', '#cc79a7', '#56b4e9', '#777777')
 MEASURED, TRUE, ESTIMATED, COMMANDED = '#56b4e9', '#d55e00', '#0072b2', '#222222'
-WINDOWS = {'rest': '#eef1f4', 'moving': '#faf3e0'}
+WINDOWS = {'rest': '#eef1f4', 'start': '#f9e2d6', 'moving': '#faf3e0'}
 VERDICTS = {True: '<b class=green>as in the paper</b>', False: '<b class=yellow>differs</b>',
             None: '<span class=note>not judged</span>'}
 Span = tuple[str, float, float]  # name, start and end [s] of a stretch of a run that is shaded
@@ -38,6 +38,7 @@ class Trace(NamedTuple):
     colour: str = MEASURED
     dashed: bool = False
     faint: bool = False
+    broad: bool = False  # a band, below what lies upon it
 
 
 class Panel(NamedTuple):
@@ -73,7 +74,7 @@ def figure(
             'heading': '' if plots else title, 'label': panel.label, 'shades': WINDOWS,
             'logarithmic': panel.logarithmic, 'least': panel.least, 'shaded': shaded,
             'curves': [{'label': trace.label, 'colour': trace.colour, 'dashed': trace.dashed,
-                        'faint': trace.faint} for trace in panel.traces],
+                        'faint': trace.faint, 'broad': trace.broad} for trace in panel.traces],
             'data': [np.round(times, 4).tolist(), *(
                 [float(f'{x:.5g}') if x > least else None for x in values]
                 for values in series)]})

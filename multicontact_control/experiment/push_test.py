@@ -5,12 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from multicontact_control.errors import RunError
+from multicontact_control.sensor.push_test import CANCELLED, DISABLED, FAILED, PASSED
 
+OVER = (PASSED, FAILED, CANCELLED, DISABLED)  # how the texts of a test begin that is over
 TIMEOUT = 10.0  # s, for an answer or a command of the controller
 
 
 def push_running(tell: Callable[[str], None], namespace: str, domain_id: int | None) -> bool:
-    """Lead through the push test of a running controller; return whether it passed; RunError."""
+    """
+    Lead through the push test of a running controller; return whether it passed; RunError.
+
+    Ctrl-C cancels it.
+    """
     from multicontact_control.nodes import topics
     from multicontact_control.nodes.link import ControllerLink
     from std_srvs.srv import Trigger
@@ -22,9 +28,16 @@ def push_running(tell: Callable[[str], None], namespace: str, domain_id: int | N
         text = link.ask('push_test', Trigger, Trigger.Request())
         tell(text)
         link.look()  # of before the test
-        while not text.startswith(('push test passed', 'push test failed')):
-            link.fresh(topics.EFFORT_COMMAND)
-            for status in link.look():
-                if status.push_test not in ('', text):
-                    tell(text := status.push_test)
-        return text.startswith('push test passed')
+        begun = False
+        try:
+            while not text.startswith(OVER):
+                link.fresh(topics.EFFORT_COMMAND)
+                for instruction in [status.push_test for status in link.look()]:
+                    begun = begun or instruction not in ('', DISABLED)
+                    if begun and instruction != text:
+                        text = instruction or CANCELLED
+                        tell(text)
+        except KeyboardInterrupt:
+            tell(link.ask('cancel_push_test', Trigger, Trigger.Request()))
+            raise
+        return text.startswith(PASSED)

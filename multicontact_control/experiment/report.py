@@ -12,11 +12,10 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.experiment import figures, page
 from multicontact_control.experiment.claims import Claim, claims_of
 from multicontact_control.experiment.display import arm_line, COLOURS, headline, summary_rows
+from multicontact_control.experiment.figures import FORMATS
 from multicontact_control.experiment.judge import verdict_text
 from multicontact_control.experiment.results import FIGURE_FOLDER, LoadedRun, REPORT_FILE
 import yaml
-
-FORMATS = ('png', 'pdf')
 
 
 def write_report(runs: Sequence[LoadedRun], out: Path, *, claims: bool = False) -> list[Path]:
@@ -44,10 +43,12 @@ def write_report(runs: Sequence[LoadedRun], out: Path, *, claims: bool = False) 
         parts += _run_section(run, number, claims_of(
             run.data, run.setup, run.summary, asked=claims))
     if len(runs) > 1:
-        paths.append(figures.draw_side_by_side(
+        drawn = figures.draw_side_by_side(
             [(name, run.data, run.setup) for name, run in zip(names, runs)],
-            out / FIGURE_FOLDER / 'side_by_side.png'))
-        parts.insert(0, page.image(paths[-1], 'forces of the runs'))
+            out / FIGURE_FOLDER, FORMATS)
+        paths += drawn
+        parts[:0] = [_comparison(names, [run.summary for run in runs]),
+                     page.image(drawn[0], 'forces of the runs')]
     report = out / REPORT_FILE
     page.write_page(report, headline(runs[0].summary) if len(runs) == 1 else
                     f'{len(runs)} runs: {", ".join(names)}', '\n'.join(parts))
@@ -76,6 +77,25 @@ def _numbers(summary: Mapping[str, Any]) -> str:
     rows = [list(map(escape, row)) for row in summary_rows(summary)]
     table = page.table(('', *map(escape, summary['contacts'])), rows) if rows else ''
     return f'{table}<p>{arm_line(summary)}</p>'
+
+
+def _comparison(names: Sequence[str], summaries: Sequence[Mapping[str, Any]]) -> str:
+    """Return a table of the runs with a column for each: verdict, contacts and arm."""
+    tables = [_numbers_by_contact(summary) for summary in summaries]
+    labels = dict.fromkeys(label for numbers in tables for label in numbers)
+    contacts = list(dict.fromkeys(contact for contact, _ in labels))
+    rows = [['verdict', *(escape(summary['verdict']) for summary in summaries)]]
+    for contact, label in sorted(labels, key=lambda each: contacts.index(each[0])):
+        rows.append([escape(f'{contact}: {label}'), *(
+            escape(numbers.get((contact, label), '-')) for numbers in tables)])
+    rows.append(['arm', *(arm_line(summary).replace(', ', '<br>') for summary in summaries)])
+    return page.table(('', *map(escape, names)), rows)
+
+
+def _numbers_by_contact(summary: Mapping[str, Any]) -> dict[tuple[str, str], str]:
+    """Return the numbers of a run by contact and label."""
+    return {(contact, label): value for label, *values in summary_rows(summary)
+            for contact, value in zip(summary['contacts'], values)}
 
 
 def _configuration(run: LoadedRun) -> str:

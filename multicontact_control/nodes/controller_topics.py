@@ -125,7 +125,9 @@ SERVICES = {
     'retry': (Trigger, 'Resumes control that waits for an operator (cause `latched`, or '
               'velocities in doubt), and seeks contacts that were given up.'),
     'push_test': (Trigger, 'Begins the push test: log, diagnostics and `~/status` say where to '
-                  'push the tool.')}
+                  'push the tool.'),
+    'cancel_push_test': (Trigger, 'Takes back a push test that is under way, or has ended because '
+                         'nothing pushed; force control is allowed if it was before.')}
 
 
 def serve_commands(
@@ -175,6 +177,7 @@ def serve_commands(
     works: dict[str, Callable[[Any], Any]] = {
         'tare': tare, 'hold': lambda request: loop.hold(request.data),
         'retry': lambda _: loop.retry(),
-        'push_test': lambda _: loop.push_test(push_test())}
+        'push_test': lambda _: loop.push_test(push_test()),
+        'cancel_push_test': lambda _: loop.cancel_push_test()}
     for name, (kind, _) in SERVICES.items():
         node.create_service(kind, f'~/{name}', partial(serve, f'~/{name}', works[name]))

@@ -301,10 +301,10 @@ class ControllerLink(GuestNode):
         return statuses
 
     def ask(self, name: str, service: Any, request: Any) -> str:
-        """Call a service of the controller; return what it says, RunError where it refuses."""
+        """Call a service of the controller; return what it says; CommandRefusedError."""
         answer = self.call(topics.CONTROLLER, service, name, request)
         if not answer.success:
-            raise RunError(f'{topics.CONTROLLER}: {name} refused: {answer.message}')
+            raise CommandRefusedError(f'{topics.CONTROLLER}: {name} refused: {answer.message}')
         return str(answer.message)
 
     def send(self, topic: Topic, command: Any, identifier: str) -> None:

@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import Config, parameter, ToolConfig
 from multicontact_control.contact.wrench import contact_wrench
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import CommandError, ConfigError
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -30,6 +30,10 @@ SCALE_TOLERANCE = 0.2  # of a force that is read
 LEVER_TOLERANCE = 0.05  # m, of the point of the pushes; a hand is good for 0.03
 MIN_LEVER = 0.08  # m from the sensor to the tip of a tool, from which moments tell of any point
 NEAR_TIP = 0.25  # of that lever, beyond which the tool is pushed
+
+# What a user is told: of a test that is over, and without any.
+PASSED, FAILED, CANCELLED = 'push test passed', 'push test failed', 'push test cancelled'
+DISABLED = 'force control is disabled until ~/push_test has passed'
 
 Direction = Literal['+x', '-x', '+y', '-y', '+z', '-z']
 
@@ -63,6 +67,7 @@ class PushTestResult(NamedTuple):
     findings: tuple[str, ...]
     scale: float = math.nan
     unchecked: str = ''
+    judged: bool = True  # whether the pushes were all felt, so that it is about the sensor
 
     @property
     def passed(self) -> bool:
@@ -74,8 +79,8 @@ class PushTestResult(NamedTuple):
         """Return the verdict in one line."""
         if self.passed:
             right = self.unchecked or 'moments right'
-            return f'push test passed: sign and frame right, scale {self.scale:.2f}, {right}'
-        return f'push test failed: {"; ".join(self.findings)}'
+            return f'{PASSED}: sign and frame right, scale {self.scale:.2f}, {right}'
+        return f'{FAILED}: {"; ".join(self.findings)}'
 
 
 class PushGate:
@@ -104,6 +109,7 @@ class PushGate:
 
     def __init__(self, *, required: bool, gravity_world: Vector, rate: float) -> None:
         self.open, self.phase = not required, ''
+        self._open_before = self.open  # before the tests since the last verdict on the sensor
         self.result: PushTestResult | None = None
         self._gravity, self._rate = gravity_world, rate
 
@@ -122,14 +128,31 @@ class PushGate:
         if self.running:
             return 'let go of the tool' if self.phase == 'release' else 'keep off the tool'
         if self.result is not None:
-            return self.result.message
-        return '' if self.open else 'force control is disabled until ~/push_test has passed'
+            again = '; repeat it, or cancel it' if self._may_cancel else ''
+            return self.result.message + again
+        return '' if self.open else DISABLED
 
     def start(self, config: PushTestConfig, contacts: Mapping[str, Vector]) -> None:
         """Begin a test of a tool with tips at `contacts`, operational frame, shape (3,) [m]."""
         self._config, self._contacts = config, contacts
+        if not self._may_cancel:
+            self._open_before = self.open
         self.result, self.phase = None, 'rest'
         self.restart()
+
+    @property
+    def _may_cancel(self) -> bool:
+        return self.running or (self.result is not None and not self.result.judged)
+
+    def cancel(self) -> None:
+        """
+        Take back a test that is under way, or has ended without a verdict on the sensor.
+
+        Force control is allowed again if it was before. CommandError if there is no such test.
+        """
+        if not self._may_cancel:
+            raise CommandError('push test', hint='none is under way')
+        self.open, self.result, self.phase = self._open_before, None, ''
 
     def restart(self) -> None:
         """Begin a test that is under way anew, with the next sample."""
@@ -139,7 +162,7 @@ class PushGate:
 
     def fail(self, finding: str) -> None:
         """End a test that is under way, because of what has nothing to do with the pushes."""
-        self._finish(PushTestResult((finding,)))
+        self._finish(PushTestResult((finding,), judged=False))
 
     def update(self, frame: Any, wrench_sensor: Vector, tool: ToolConfig) -> bool:
         """
@@ -155,7 +178,7 @@ class PushGate:
         elif self._ticks > max(1, round(self._config.timeout * self._rate)):
             self._finish(PushTestResult((
                 f'the force did not follow within {self._config.timeout:g} s: '
-                f'{self.instruction}',)))
+                f'{self.instruction}',), judged=False))
         elif self._take(wrench):
             point = frame['position'] - origin
             tips = {'the operational point': point} | {

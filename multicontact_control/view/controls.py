@@ -13,8 +13,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.view import source
 from multicontact_control.view.source import Scene, Snapshot
 
-SETTLED = 0.8  # s without a request, after which elements show what is in force
-SCRUBBED = 0.3  # s, likewise for the time of a recording
+SCRUBBED = 0.3  # s without a request, after which the slider shows the time of a recording
 PRESS = 10.0  # N
 SIGNS = {'-': -1.0, '+': 1.0}
 SPEEDS = {'0.1 x': 0.1, '0.5 x': 0.5, '1 x': 1.0, '2 x': 2.0, '5 x': 5.0}
@@ -52,6 +51,11 @@ class Requests:
         """Return the command that has waited longest, if any waits."""
         with self._lock:
             return self._waiting.pop(next(iter(self._waiting))) if self._waiting else None
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a command has been asked for, and not been given."""
+        return bool(self._waiting)
 
     def quiet_for(self) -> float:
         """Return for how long nothing has been asked for [s]."""
@@ -111,7 +115,7 @@ class Controls:
         self, handle: Any, name: str, values: Callable[[Any], dict[str, Any]],
     ) -> None:
         """Let an element give a command when a user changes it, not when the page does."""
-        def changed(event: Any) -> None:
+        async def changed(event: Any) -> None:  # in viser's thread, with the value it was told
             if event.client_id is not None:
                 self._requests.add(handle, name, **values(event.target.value))
 
@@ -144,7 +148,11 @@ class Controls:
             self._requests.add(drag, source.GO_TO, position=position.tolist())
 
         handle = self._scene_view.add_handle(dragged)
-        drag.on_update(lambda event: setattr(handle, 'visible', event.target.value))
+
+        async def offered(event: Any) -> None:
+            handle.visible = event.target.value
+
+        drag.on_update(offered)
         step = gui.add_slider('jog step [mm]', min=1, max=50, step=1, initial_value=10)
         self._axes('jog', source.JOG, lambda direction: {
             'offset': [1e-3 * step.value * x for x in direction]})
@@ -167,15 +175,16 @@ class Controls:
         with gui.add_folder('Wrist sensor'):
             self._button('Tare the sensor', source.TARE, 'nothing may touch the tool')
             self._button('Start the push test', source.PUSH_TEST, 'proves sign, frame, scale')
+            self._button('Cancel the push test', source.CANCEL_PUSH_TEST,
+                         'also one that has ended because nothing pushed')
 
     def _add_world(self, scene: Scene) -> None:
         gui = self._gui
         for name, state in scene.simulated.items():
             with gui.add_folder(f'surfaces.{name}'):
                 low, high = (pick(*STIFFNESS, state.stiffness) for pick in (min, max))
-                # The number shows only: of 60000 every digit typed would be a command.
-                _, *sliders = self._surfaces[name] = (
-                    gui.add_number('stiffness [N/m]', state.stiffness, disabled=True),
+                stiffness, scale, friction = self._surfaces[name] = (
+                    gui.add_number('stiffness [N/m]', state.stiffness),
                     gui.add_multi_slider(
                         'log scale', min=math.log10(low), max=math.log10(high), step=0.01,
                         initial_value=_exponent(state.stiffness), marks=tuple(
@@ -183,18 +192,22 @@ class Controls:
                     gui.add_slider('friction', min=min(FRICTION[0], state.friction),
                                    max=max(FRICTION[1], state.friction), step=0.01,
                                    initial_value=state.friction))
-            for slider in sliders:
-                self._on_change(slider, source.SURFACE, partial(self._surface, name))
+            self._on_change(scale, source.SURFACE, partial(self._scaled_surface, name))
+            for number in (stiffness, friction):
+                self._on_change(number, source.SURFACE, partial(self._surface, name))
         with gui.add_folder('Push'):
             where = gui.add_dropdown('push at', ('operational point', 'tool'))
             force = gui.add_slider('force [N]', min=1.0, max=20.0, step=1.0, initial_value=5.0)
             self._axes('push along', source.PUSH, lambda direction: {
                 'force': [force.value * x for x in direction], 'tool': where.value == 'tool'})
 
-    def _surface(self, name: str, value: Any) -> dict[str, Any]:
+    def _scaled_surface(self, name: str, exponents: tuple[float]) -> dict[str, Any]:
+        self._surfaces[name][0].value = float(f'{10.0 ** exponents[0]:.2g}')
+        return self._surface(name)
+
+    def _surface(self, name: str, _changed: object = None) -> dict[str, Any]:
+        """Return what the elements of a surface show."""
         stiffness, _, friction = self._surfaces[name]
-        if isinstance(value, tuple):  # of the logarithmic scale
-            stiffness.value = float(f'{10.0 ** value[0]:.2g}')
         return {'name': name, 'stiffness': float(stiffness.value),
                 'friction': float(friction.value)}
 
@@ -213,13 +226,12 @@ class Controls:
         self._on_change(jump, source.SEEK, lambda value: {'time': jumps[value]})
 
     def show(self, snapshot: Snapshot) -> None:
-        """Show what is in force, unless the user is just about to change it."""
-        quiet = self._requests.quiet_for()
+        """Show what is in force, unless a command that changes it waits."""
         if self._time is not None:
             if not self._begun:  # with the first browser
                 self._begun = True
                 self._requests.add(self._play, source.PLAY, on=True)
-            if quiet > SCRUBBED:
+            if self._requests.quiet_for() > SCRUBBED:
                 _show(self._time, round(min(snapshot.time, self._time.max), 2))
             _show(self._play, PAUSE if snapshot.playing else PLAY_AGAIN
                   if snapshot.time >= self._time.max else PLAY, 'label')
@@ -228,7 +240,7 @@ class Controls:
             for name, value in snapshot.gains.items():
                 slider = self._gains[name]
                 _show(slider, min(max(value, slider.min), slider.max))
-        if quiet < SETTLED:
+        if self._requests.waiting:
             return
         for name in self._forces.keys() & snapshot.commanded.keys():
             _show(self._forces[name], snapshot.commanded[name])

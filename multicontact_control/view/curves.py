@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-import threading
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
@@ -17,6 +16,9 @@ HEIGHT = 92  # px
 LISTED = 8  # curves below a chart, at most
 COLOURS = ('#e07a28', '#2e74be', '#34965c', '#8a5fb0', '#b04a5a', '#7a7f87')
 JOINTS = ('#4c6a92', '#7a9cc6', '#5aa08c', '#c29b4b', '#c46f5a', '#8d6b94', '#6b7280')
+# Of the forces on one contact, which lie upon each other: true, measured, estimated, desired.
+STYLES = ({'width': 5.0, 'alpha': 0.35}, {'width': 1.0}, {'width': 1.5},
+          {'width': 1.5, 'dash': (6, 6)})
 GRID = {'stroke': '#eceef0', 'width': 1}
 UNSEEN = {'label': '\u00a0', 'stroke': 'transparent', 'points': {'show': False}}
 AXIS = {'font': '11px sans-serif', 'stroke': '#6b7280', 'grid': GRID, 'ticks': {'show': False}}
@@ -69,6 +71,7 @@ class Chart(NamedTuple):
     colours: Sequence[str]
     y: dict[str, Any]  # its axis, as uPlot wants it
     scale: float = 1.0  # that values are multiplied by
+    styles: Sequence[Mapping[str, Any]] = ()  # of its curves, where they are not all alike
 
 
 class Curves:
@@ -79,25 +82,26 @@ class Curves:
     ) -> None:
         self._width = 1 + KINDS * len(names) + len(joints)
         self.history = History(self._width)
-        self._gui, self._lock = gui, threading.Lock()
+        self._gui = gui
         self._window = gui.add_dropdown('window', tuple(WINDOWS), initial_value=FIRST)
         self._charts = charts_of(names, joints, true_forces)
         self._folder = gui.add_folder('last seconds, from now')
         self._plots: list[Any] = []
         self._make()
-        self._window.on_update(lambda _: self._make())
+
+        async def changed(_event: Any) -> None:
+            self._make()
+
+        self._window.on_update(changed)
 
     def _make(self) -> None:
         """Make the charts; anew for another window, as those of a browser keep their axes."""
-        with self._lock, self._folder:
+        with self._folder:
             for plot in self._plots:
                 plot.remove()
             x = {'time': False, 'range': (-WINDOWS[self._window.value], 0.0)}
             self._plots = [self._gui.add_uplot(
-                data, ({'label': 's'}, *({
-                    'label': label, 'stroke': chart.colours[i % len(chart.colours)],
-                    'width': 1.5, 'points': {'show': False}}
-                    for i, label in enumerate(chart.labels)), UNSEEN),
+                data, ({'label': 's'}, *series_of(chart), UNSEEN),
                 title=chart.title, height=HEIGHT, scales={'x': x, 'y': chart.y},
                 axes=({'size': 24, **AXIS}, {'size': 44, 'space': SPACE, **AXIS}),
                 legend={'show': len(chart.labels) <= LISTED, 'live': False}, padding=(6, 12, 0, 0))
@@ -105,9 +109,8 @@ class Curves:
 
     def draw(self) -> None:
         """Show what has come."""
-        with self._lock:
-            for plot, data in zip(self._plots, self._data()):
-                plot.data = data
+        for plot, data in zip(self._plots, self._data()):
+            plot.data = data
 
     def _data(self) -> list[tuple[Vector, ...]]:
         """Return what each chart shows: seconds from now, then its curves."""
@@ -119,12 +122,20 @@ class Curves:
         for chart in self._charts:
             # uPlot loses its axis over a single number that is none.
             values = chart.scale * np.nan_to_num(points[:, chart.columns])
-            shown = (0.0, HEADROOM * values.max())
+            shown = HEADROOM * min(values.min(), 0.0), HEADROOM * max(values.max(), 0.0)
             if chart.y == LOGARITHMIC:
                 values, shown = np.maximum(values, FLOOR), SHOWN
             values = np.column_stack([values, np.resize(shown, len(values))])
             series.append((time, *(np.ascontiguousarray(column) for column in values.T)))
         return series
+
+
+def series_of(chart: Chart) -> Iterator[dict[str, Any]]:
+    """Yield how each curve of a chart is drawn, as uPlot wants it."""
+    for i, label in enumerate(chart.labels):
+        style = chart.styles[i] if chart.styles else {'width': 1.5}
+        yield {'label': label, 'stroke': chart.colours[i % len(chart.colours)],
+               'points': {'show': False}, **style}
 
 
 def charts_of(names: Sequence[str], joints: Sequence[str], true_forces: bool) -> list[Chart]:
@@ -135,15 +146,16 @@ def charts_of(names: Sequence[str], joints: Sequence[str], true_forces: bool) ->
     *forces, variance, innovation = columns
     return [
         *(Chart(f'force on {name} [N]', ('true', 'measured', 'estimated', 'desired')[first:],
-                [true, *each][first:], (COLOURS[3], *COLOURS[:3])[first:], from_zero(5.0))
+                [true, *each][first:], (COLOURS[3], *COLOURS[:3])[first:], axis(0.0, 5.0),
+                styles=STYLES[first:])
           for name, *each, true in zip(names, *forces)),
         Chart('R [N^2], logarithmic', names, variance.tolist(), COLOURS, LOGARITHMIC),
-        Chart('innovation [N]', names, innovation.tolist(), COLOURS, from_zero(0.2)),
+        Chart('innovation [N]', names, innovation.tolist(), COLOURS, axis(-0.2, 0.2)),
         Chart('torque of each joint, % of its limit', [str(k + 1) for k in range(len(joints))],
-              torques.tolist(), JOINTS, from_zero(100.0), 100.0)]
+              torques.tolist(), JOINTS, axis(0.0, 100.0), 100.0)]
 
 
-def from_zero(least: float) -> dict[str, Any]:
-    """Return an axis that holds 0 and a least value, so that noise is not all there is to see."""
-    return {'range': {'min': {'pad': 0.1, 'soft': 0.0, 'mode': 1},
-                      'max': {'pad': 0.1, 'soft': least, 'mode': 1}}}
+def axis(lower: float, upper: float) -> dict[str, Any]:
+    """Return an axis that holds two values at least, so that noise is not all there is to see."""
+    return {'range': {'min': {'pad': 0.1, 'soft': lower, 'mode': 1},
+                      'max': {'pad': 0.1, 'soft': upper, 'mode': 1}}}

@@ -19,6 +19,7 @@ from multicontact_control.nodes.link import CommandRefusedError, ControllerLink
 from multicontact_control.nodes.messages import ControllerStatus, new_identifier, REFUSED
 from multicontact_control.view import source
 from multicontact_control.view.motion import Motion
+from multicontact_control.view.streams import Stream
 import numpy as np
 from rcl_interfaces.srv import ListParameters
 from sim_bridge.config import PUSH_TIME
@@ -31,14 +32,17 @@ from visualization_msgs.msg import Marker
 PATIENCE = 10.0  # s; until a process has found the others may take three
 SIMULATOR_WAIT = 3.0  # s, until a graph without surfaces has no simulator
 SILENCE = 1.0  # s without a sample, after which that is shown
+BLOCK_TIME = 1.0 / (source.BLOCKS * source.RATE)  # s, of which curves have the extremes
 PACE_TIME = 2.0  # s, over which the real-time factor is taken
 # Of a motion: a page that was busy makes up for that in short steps, at little more speed.
 LONGEST_STEP, LONGEST_DELAY, CATCH_UP = 0.012, 0.2, 1.3  # s, s
 LISTENED = (
-    topics.JOINT_STATES, topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
-    topics.TRUE_FORCES, topics.INNOVATION, topics.NOISE_VARIANCE, topics.EFFORT_COMMAND,
-    topics.POSE, topics.POSE_DESIRED, topics.SURFACE_MARKERS, topics.CONTACT_MARKERS,
-    topics.DIAGNOSTICS, topics.PUSH)
+    topics.JOINT_STATES, topics.MEASURED_FORCES, topics.POSE, topics.POSE_DESIRED,
+    topics.SURFACE_MARKERS, topics.CONTACT_MARKERS, topics.DIAGNOSTICS, topics.PUSH)
+# Of the curves, in the order of `Snapshot.points`; the torques follow.
+DRAWN = (
+    topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.TRUE_FORCES,
+    topics.NOISE_VARIANCE, topics.INNOVATION)
 LOOP = f'{topics.CONTROLLER}: loop'
 SHOWN = ('latency_us_p50', 'latency_us_p99', 'deadline_misses')  # of it, or `none`
 CEILING, JOINTS = 'command.force_ceiling', 'robot.joint_names'
@@ -75,6 +79,7 @@ class GraphSource:
         self._link = ControllerLink(
             LISTENED, namespace=namespace, domain_id=domain_id, timeout=PATIENCE,
             on_status=self._note)
+        self._streams = self._make_streams()
         self._push_publisher = create_publisher(self._link.node, topics.PUSH)
         self._last_push: tuple[float, source.Push | None] = (0.0, None)  # and until when it lasts
         self._pushed = {'': config.robot.operational_frame, **(
@@ -91,8 +96,10 @@ class GraphSource:
         self._start = self._stamp = -1  # of the first sample and the last [ns]
         self._answered = '', ''  # event and command of the last answer
         self._left_out_of = ''  # identifier of the motion of which that was told last
+        self._anew = True  # whether the next snapshot is the first since samples began
         self._held, self._heard = False, time.monotonic()
         self._next_point = self._next_snapshot = 0.0
+        self._drawn_until = 0.0  # time of the last point [s]
         self._stamps: deque[tuple[float, int]] = deque(maxlen=round(PACE_TIME * source.RATE))
         try:
             gains, ceiling = self._meet()
@@ -101,10 +108,21 @@ class GraphSource:
             self._link.close()
             raise
         self._gains = gains
+        true_forces = self._streams[topics.TRUE_FORCES]
+        true_forces.look()
         self.scene = source.Scene(
             title, config, setup.urdf_dir, surfaces or source.felt_surfaces(config),
             simulated=dict(self._surfaces), largest_force=ceiling,
-            true_forces=self._link.newest(topics.TRUE_FORCES) is not None)
+            true_forces=bool(np.isfinite(true_forces.newest).any()))
+
+    def _make_streams(self) -> dict[topics.Topic, Stream]:
+        node, config = self._link.node, self._config
+        limit = np.array(config.torque_limit or [np.inf] * len(config.robot.joint_names))
+        streams = {topic: Stream(node, topic, config.column_names) for topic in DRAWN}
+        streams[topics.EFFORT_COMMAND] = Stream(
+            node, topics.EFFORT_COMMAND, config.robot.joint_names,
+            lambda torques: np.abs(torques) / limit)
+        return streams
 
     def _meet(self) -> tuple[dict[str, float], float]:
         """Check that the controller is the expected one; return its gains and force ceiling."""
@@ -141,17 +159,20 @@ class GraphSource:
         """Return a snapshot if it is time for one; RunError if the graph has ended."""
         self._check()
         now, before = time.monotonic(), self._stamp
+        for stream in self._streams.values():
+            stream.look()
         message = self._link.newest(topics.MEASURED_FORCES)
         if message is not None:
             self._stamp = messages.stamp_to_ns(message.header.stamp)
         if self._stamp != before:
             if before < 0 or self._stamp < before:  # samples begin, or begin anew
-                self._start = self._stamp
+                self._start, self._anew = self._stamp, True
+                self._drawn_until = -BLOCK_TIME
             self._heard = now
             self._move_on(1e-9 * (self._stamp - before))
             if now >= self._next_point:
-                self._next_point = now + 1.0 / (source.POINTS * source.RATE)
-                self._points.append(self._point())
+                self._next_point = now + BLOCK_TIME
+                self._add_points()
         self._link.look()
         if now < self._next_snapshot:
             return []
@@ -168,26 +189,26 @@ class GraphSource:
         """Time of the newest sample [s] since the first that was heard."""
         return 1e-9 * (self._stamp - self._start)
 
-    def _values(self, topic: topics.Topic, names: tuple[str, ...], field: str = 'effort') -> Any:
-        message = self._link.newest(topic)
-        known = {} if message is None else dict(zip(message.name, getattr(message, field)))
-        return np.array([known.get(name, np.nan) for name in names])
+    def _add_points(self) -> None:
+        """Add two points to the curves: the least and the greatest since the last ones."""
+        middle = 0.5 * (self._drawn_until + self._time)
+        least, greatest = zip(*(stream.extremes() for stream in self._streams.values()))
+        self._points += [np.concatenate([[middle], *least]),
+                         np.concatenate([[self._time], *greatest])]
+        self._drawn_until = self._time
 
-    def _point(self) -> Any:
-        """Return a point of the curves."""
-        names, joints = self._config.column_names, self._config.robot.joint_names
-        limit = np.array(self._config.torque_limit or [np.inf] * len(joints))
-        return np.concatenate([
-            [self._time], *(self._values(topic, names) for topic in (
-                topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES,
-                topics.TRUE_FORCES, topics.NOISE_VARIANCE)),
-            np.abs(self._values(topics.INNOVATION, names)),
-            np.abs(self._values(topics.EFFORT_COMMAND, joints)) / limit])
+    def _joint_positions(self) -> Any:
+        message = self._link.newest(topics.JOINT_STATES)
+        known = {} if message is None else dict(zip(message.name, message.position))
+        return np.array([known.get(name, np.nan) for name in self._config.robot.joint_names])
 
     def _note(self, status: ControllerStatus) -> None:
         """Tell what has changed and what is refused, and make no motion that is not obeyed."""
         now, refused, answer = self._time, status.event == REFUSED, (status.event, status.command)
-        texts = [f'refused: {status.text}'] if refused and answer != self._answered else []
+        of_motion = refused and self._motion.what and status.command == self._motion_identifier
+        texts = []
+        if refused and not of_motion and answer != self._answered:
+            texts.append(f'refused: {status.text}')
         if status.left_out and self._left_out_of != status.command:  # of every point of a motion
             self._left_out_of = status.command
             texts.append(status.left_out)
@@ -202,7 +223,7 @@ class GraphSource:
                 tuple(status.contact_states.values()))))
         if self._motion.what:
             why = ''
-            if refused and status.command == self._motion_identifier:
+            if of_motion:
                 why = status.text
             elif status.held:
                 why = 'held'
@@ -253,18 +274,17 @@ class GraphSource:
         self._look_at_normals()
         self._look_at_pushes()
         markers = self._link.newest(topics.SURFACE_MARKERS)
-        wanted = self._values(topics.DESIRED_FORCES, config.column_names)
+        measured, estimated, wanted, true = (self._streams[topic].newest for topic in DRAWN[:4])
         points, self._points = self._points, []
         events, self._events = self._events, []
+        anew, self._anew = self._anew, False
         position, quaternion = messages.pose_arrays(pose.pose)
         return source.Snapshot(
             time=self._time,
-            q=self._values(topics.JOINT_STATES, config.robot.joint_names, 'position'),
+            q=self._joint_positions(),
             position=position, quaternion=quaternion,
             position_des=messages.pose_arrays(desired.pose)[0],
-            measured=self._values(topics.MEASURED_FORCES, config.column_names),
-            estimated=self._values(topics.ESTIMATED_FORCES, config.column_names),
-            desired=wanted, true=self._values(topics.TRUE_FORCES, config.column_names),
+            measured=measured, estimated=estimated, desired=wanted, true=true,
             normals_world=np.array(list(self._normals.values())),
             states=tuple(status.contact_states.values() if status else ()) or (
                 'free',) * len(config.contact_names),
@@ -280,7 +300,7 @@ class GraphSource:
             held=self._held, moving=self._motion.what,
             push_test='' if status is None else status.push_test, gains=self._gains,
             push=self._last_push[1] if self._time < self._last_push[0] else None,
-            surfaces=dict(self._surfaces), places_world={} if markers is None else {
+            surfaces=dict(self._surfaces), anew=anew, places_world={} if markers is None else {
                 _name_of(marker): _place_of(marker) for marker in markers.markers})
 
     def command(self, name: str, /, **values: Any) -> str:

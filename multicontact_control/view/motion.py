@@ -75,7 +75,9 @@ class Motion:
         """Begin at rest at a pose [m], and ask for nothing."""
         self._quaternion = np.array(quaternion, dtype=float)
         self._place = np.array(position, dtype=float)
-        self._goal, self._speed, self._sent = self._place.copy(), np.zeros(3), self._place.copy()
+        self._goal, self._speed = self._place.copy(), np.zeros(3)
+        self._acceleration = self._largest_acceleration  # at most, of the approach
+        self._sent, self._sent_speed = self._place.copy(), np.zeros(3)  # by the last answer
         self._sines: list[Sine] = []
         self._moving = False
 
@@ -98,6 +100,7 @@ class Motion:
             check_position(goal - way, self._limits)
             check_position(goal + way, self._limits)
         self._goal, self._moving = goal, True
+        self._acceleration = self._largest_acceleration
         return f'going to {", ".join(f"{1e3 * x:.0f}" for x in goal)} mm'
 
     def jog(self, offset: Sequence[float] | Vector) -> str:
@@ -125,10 +128,13 @@ class Motion:
         return f'{sine.name}, {1e3 * amplitude:g} mm, {period:g} s'
 
     def stop(self) -> str:
-        """Come to rest: at the middle of a sine, or where the point is on its way."""
-        for sine in self._sines:
-            sine.fade()
-        self._goal = self._place + self._speed / (2.0 * APPROACH_RATE)
+        """Come to rest as near as the acceleration allows to where the point is on its way."""
+        # That of a sine keeps it within the way of the sine.
+        self._acceleration = max([
+            self._largest_acceleration, *(sine.fastest[1] for sine in self._sines)])
+        self._place, self._speed, self._sines = self._sent.copy(), self._sent_speed.copy(), []
+        speed = float(np.linalg.norm(self._speed))
+        self._goal = self._place + self._speed * speed / (2.0 * self._acceleration)
         return 'coming to rest'
 
     def halt(self) -> MotionReading:
@@ -148,7 +154,8 @@ class Motion:
         self._sines = [sine for sine in self._sines if not sine.over]
         self._moving = bool(self._sines or np.any(self._place != self._goal)
                             or np.any(self._speed))
-        self._sent, twist, acceleration = now[0], np.zeros(6), np.zeros(6)
+        self._sent, self._sent_speed = now[:2]
+        twist, acceleration = np.zeros(6), np.zeros(6)
         twist[:3], acceleration[:3] = now[1:]
         return MotionReading(now[0], self._quaternion, twist, acceleration)
 
@@ -156,7 +163,7 @@ class Motion:
         """Approach the goal for a short time [s]; return the acceleration."""
         way = self._goal - self._place
         speed = _bounded(APPROACH_RATE * way, self._largest_speed)
-        change = _bounded(SPEED_RATE * (speed - self._speed), self._largest_acceleration)
+        change = _bounded(SPEED_RATE * (speed - self._speed), self._acceleration)
         self._place += h * self._speed + 0.5 * h * h * change
         self._speed += h * change
         if np.abs(way).max() < ARRIVED and np.abs(self._speed).max() < ARRIVED:

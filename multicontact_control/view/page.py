@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import deque
 from collections.abc import Callable
 from contextlib import redirect_stdout
 import html
 import io
 import json
+from pathlib import Path
 import time
 from typing import Any
 
 from multicontact_control.errors import MulticontactError, RunError
+from multicontact_control.sensor.push_test import CANCELLED
 from multicontact_control.supervision.reactions import NONE
 from multicontact_control.view.access import guarding
 from multicontact_control.view.controls import Controls, Requests
@@ -31,15 +34,23 @@ AGAIN = 3.0  # s, after which the same refusal is told again
 CURVES_WIDTH, CONTROLS_WIDTH = 370, 340  # px
 SMALL = 'font-size:12px;line-height:18px;padding:2px 14px;white-space:pre-wrap;'
 ONE_LINE = 'white-space:nowrap;overflow:hidden;text-overflow:ellipsis'
-# Of what changes, so that nothing below moves under the mouse: px, of two lines and of twelve.
-ANSWER, EVENTS = (f'height:{18 * lines}px;overflow-y:auto' for lines in (2, 12))
-# What viser has no call for: the title of the tab, and the time axes of charts, which uPlot leaves
-# out of those that are made before their width is known.
+# Of what changes, so that nothing below moves under the mouse: px, of four lines and of twelve.
+ANSWER, EVENTS = (
+    f'box-sizing:content-box;height:{18 * lines}px;overflow-y:auto' for lines in (4, 12))
+# What viser has no call for: when a value is a command, how large the ends of sliders are written,
+# the title of the tab, and the time axes of charts, which uPlot leaves out of those that are made
+# before their width is known.
 SCRIPT = """
+{watch_inputs}
+watchInputs({sliders_wait});
+window.slidersStyle ??= document.head.appendChild(Object.assign(document.createElement('style'), {{
+  textContent: '.mantine-Slider-markLabel, .multi-slider-mark-label {{font-size: 11px !important}}'
+}}));
 document.title = {title};
 window.axesTimer ??= setInterval(() => Object.values(window.__viserTestpoints?.uplots ?? {{}})
   .forEach(({{chart}}) => chart.axes[0]._space || chart.redraw(true, true)), 500);
 """
+WATCH_INPUTS = Path(__file__).parent / 'page_assets' / 'commands.js'
 GREEN, RED, GREY = '#34965c', '#c0392b', '#6b7280'
 
 
@@ -82,6 +93,7 @@ class Page:
         self._events: deque[tuple[float, str]] = deque(maxlen=LISTED)
         self._listed: list[tuple[float, str]] = []
         self._toast, self._push_test, self._undrawn = ('', 0.0), '', True
+        self._answered = True  # whether the newest snapshot shows what came of the last command
         self._next_texts = self._next_curves = 0.0
         self._build(server.gui, source.scene)
 
@@ -90,8 +102,10 @@ class Page:
             show_logo=False, show_share_button=False, brand_color=(46, 116, 190),
             control_width='medium')
         gui.set_panel_label('multicontact view')
-        gui._websock_interface.queue_message(RunJavascriptMessage(
-            SCRIPT.format(title=json.dumps(scene.title))))
+        gui._websock_interface.queue_message(RunJavascriptMessage(SCRIPT.format(
+            watch_inputs=WATCH_INPUTS.read_text(encoding='utf-8'),
+            # A recording may be searched with its slider.
+            sliders_wait=json.dumps(scene.duration is None), title=json.dumps(scene.title))))
         self.scene_view = SceneView(self.server, scene)
         self.status = gui.add_html('')
         self.contacts = gui.add_html('')
@@ -123,31 +137,45 @@ class Page:
         if self.ended:
             return
         if (asked := self.requests.take()) is not None:
+            self._answered = False
             self._give(*asked)
         try:
             snapshots = self.source.poll()
         except RunError as error:
             self.ended = str(error)
-            self.status.content = _line(f'<b style="color:{RED}">{html.escape(self.ended)}</b>')
-            self._notify('ended', self.ended.splitlines()[0])
+            self._write(self._show_end)
             return
         for snapshot in snapshots:
-            if self.newest is not None and snapshot.time < self.newest.time:
-                self._events.clear()  # time has gone back
-            self.newest = snapshot
+            if snapshot.anew:
+                self._events.clear()
+            self.newest, self._answered = snapshot, True
             self.curves.history.add(snapshot.points)
             self._events.extend(snapshot.events)
         if self.newest is not None and self.server.get_clients():
-            self._show(self.newest, bool(snapshots))
+            self._write(self._show, self.newest, bool(snapshots))
+
+    def _write(self, work: Callable[..., None], *arguments: Any) -> None:
+        """Change elements in the thread of viser's server, which they are not safe outside of."""
+        async def change() -> None:
+            work(*arguments)
+
+        asyncio.run_coroutine_threadsafe(change(), self.server.get_event_loop()).result()
 
     def _give(self, name: str, values: dict[str, Any]) -> None:
         try:
             colour, text = GREEN, self.source.command(name, **values)
         except MulticontactError as error:
             colour, text = RED, f'refused: {error}'
-            self._notify('refused', str(error))
+            self._write(self._notify, 'refused', str(error))
         if text:
-            self.answer.content = _line(html.escape(text), f'color:{colour};{ANSWER}')
+            self._write(self._show_answer, text, f'color:{colour}')
+
+    def _show_answer(self, text: str, style: str) -> None:
+        self.answer.content = _line(html.escape(text), f'{style};{ANSWER}')
+
+    def _show_end(self) -> None:
+        self.status.content = _line(f'<b style="color:{RED}">{html.escape(self.ended)}</b>')
+        self._notify('ended', self.ended.splitlines()[0])
 
     def _show(self, snapshot: Snapshot, new: bool) -> None:
         """Show a `new` snapshot; of the newest one, now and then what follows the user as well."""
@@ -160,11 +188,11 @@ class Page:
                 self._next_texts = now + TEXT_TIME
                 self.status.content = status_html(scene.title, snapshot)
                 self.contacts.content = contacts_html(scene, snapshot)
-                self.controls.show(snapshot)
+                if self._answered:
+                    self.controls.show(snapshot)
                 if snapshot.push_test != self._push_test:  # takes the place of the last answer
                     self._push_test = snapshot.push_test
-                    self.answer.content = _line(
-                        f'<b>{html.escape(self._push_test)}</b>', ANSWER)
+                    self._show_answer(self._push_test or CANCELLED, 'font-weight:bold')
             if events != self._listed:
                 self._listed = events
                 self.events.content = events_html(events)

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 from typing import Any
-import warnings
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
@@ -20,6 +19,7 @@ from multicontact_control.experiment.recording import CUT_OFF, read_bag, RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.reactions import NONE
 from multicontact_control.view import source
+from multicontact_control.view.curves import extremes
 import numpy as np
 
 LOOKED_BACK = 60.0  # s, of curves after a jump
@@ -57,6 +57,7 @@ class ReplaySource:
         self._since, self._from = monotonic(), 0.0
         self._speed, self._playing, self._changed = 1.0, False, True
         self._shown, self._next = -np.inf, 0.0
+        self._jumped = False
 
     def _now(self) -> float:
         """Return the time in the recording [s], and stop at its end."""
@@ -75,7 +76,9 @@ class ReplaySource:
             return []
         self._changed, self._next = False, monotonic() + 1.0 / source.RATE
         last, self._shown = self._shown, now
-        return [self._snapshot(now, last)]
+        snapshot = self._snapshot(now, last)
+        self._jumped = False
+        return [snapshot]
 
     def _snapshot(self, now: float, last: float) -> source.Snapshot:
         data, k = self._data, int(now * self._data.rate + 1e-6)
@@ -89,7 +92,7 @@ class ReplaySource:
             reasons=event.causes + event.limits, points=self._points[first:end],
             events=tuple(mark for mark in self.scene.marks if last < mark[0] <= now + 1e-9),
             places_world=self._places[max(0, bisect_right(self._place_times, now) - 1)],
-            playing=self._playing)
+            playing=self._playing, anew=self._jumped)
 
     def command(self, name: str, /, **values: Any) -> str:
         """Play, pause, jump, or play at another speed; see `Source.command`."""
@@ -109,6 +112,7 @@ class ReplaySource:
 
     def _jump(self, moment: float) -> None:
         self._from, self._shown = moment, moment - LOOKED_BACK
+        self._jumped = True
 
     def close(self) -> None:
         """Nothing has been started."""
@@ -126,22 +130,11 @@ def presses(data: RunData, leaders: Sequence[int]) -> list[Event]:
 
 def block_points(data: RunData, config: ControllerConfig) -> Matrix:
     """Return the curves of a recording, as a snapshot has them."""
-    size = max(1, round(data.rate / source.RATE / source.POINTS))
-    count = data.ticks // size
-
-    def blocks(series: Matrix) -> Matrix:
-        return series[:count * size].reshape(count, size, series[0].size)
-
     limit: Vector = np.array(config.torque_limit or [np.inf] * len(data.joint_names))
-    with warnings.catch_warnings():  # where nothing was recorded there is nothing to average
-        warnings.simplefilter('ignore', RuntimeWarning)
-        return np.column_stack([
-            blocks(data.time)[:, -1, 0], np.nanmean(blocks(data.alpha_meas), axis=1),
-            np.nanmean(blocks(data.alpha_est), axis=1), blocks(data.alpha_des)[:, -1],
-            np.nanmean(blocks(data.alpha_true), axis=1),
-            np.nanmean(blocks(data.noise_variance), axis=1),
-            np.sqrt(np.nanmean(blocks(data.innovation) ** 2, axis=1)),
-            np.nanmax(np.abs(blocks(data.torque)) / limit, axis=1)])
+    samples = np.column_stack([
+        data.time, data.alpha_meas, data.alpha_est, data.alpha_des, data.alpha_true,
+        data.noise_variance, data.innovation, np.abs(data.torque) / limit])
+    return extremes(samples, round(data.rate / source.RATE / source.BLOCKS))
 
 
 def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> ReplaySource:

@@ -15,7 +15,8 @@ from multicontact_control.supervision.reactions import NONE
 from sim_bridge.surface_patch import Patch, patch_of
 
 RATE = 25.0  # Hz, of snapshots
-POINTS = 2  # of the curves, in each of them
+BLOCKS = 2  # of samples in each of them, that are drawn by their extremes
+POINTS = 2 * BLOCKS  # of the curves in each of them
 
 # Commands, each with the values it takes: of a graph, of one that is simulated, of a recording.
 FORCES = 'forces'  # of contacts, by name [N]
@@ -27,6 +28,7 @@ HOLD = 'hold'  # on
 RETRY = 'retry'
 TARE = 'tare'
 PUSH_TEST = 'push_test'
+CANCEL_PUSH_TEST = 'cancel_push_test'
 GAINS = 'gains'  # each of `GAIN_NAMES`
 SURFACE = 'surface'  # name, stiffness [N/m], friction
 PUSH = 'push'  # force [N]; tool: whether on the tool, or at the operational point
@@ -104,7 +106,8 @@ class Snapshot:
     states: tuple[str, ...]  # of the contacts
     reaction: str  # what the supervisor does instead of control
     # Curves since the snapshot before, shape (k, 1 + KINDS r + n): time [s]; measured, estimated,
-    # desired and true forces [N], R [N^2], size of the innovation [N]; torques over their limits.
+    # desired and true forces [N], R [N^2], innovation [N]; sizes of torques over their limits. Two
+    # points are the least and the greatest values of a block of samples.
     points: Matrix
     commanded: Mapping[str, float] = field(default_factory=dict)  # forces, by name [N]
     goal: Vector | None = None  # where a command leads it [m]
@@ -119,6 +122,7 @@ class Snapshot:
     places_world: Mapping[str, Vector3] = field(default_factory=dict)  # points of surfaces [m]
     push: Push | None = None  # under way
     playing: bool = True  # whether time goes on
+    anew: bool = False  # whether curves and events of before are over: its own take their place
 
 
 class Source(Protocol):

@@ -194,6 +194,22 @@ def test_force_or_motion_far_off_its_command_makes_a_stable_run_poor(
     end_by_verdict(summary)
 
 
+def test_figures_show_the_start_of_the_motion_and_what_of_r_is_a_median(setup, data):
+    data.noise_variance[:, 0] = np.where(data.time < setup.scenario.reference.motion.start_time,
+                                         0.6, 100.0)
+    start = setup.scenario.reference.motion.start_time
+    data.noise_variance[np.argmax(data.time >= start + 1.0), 0] = 900.0
+    spans = {name: (begin, end) for name, begin, end in figures._judged(data, setup)}
+    assert spans['start'][0] == pytest.approx(start, abs=0.01)
+    assert spans['start'][1] == pytest.approx(spans['moving'][0], abs=0.01)
+    drawn = {each.file: each for each in figures.run_figures(data, setup)}
+    table, *_ = drawn['fig6_noise_variance'].panels[0].traces
+    assert table.label == ('table: median 0.6 at rest, 100 moving; at most 900 from the start of '
+                           'the motion on')
+    below, above = drawn['fig5_motion'].panels[0].traces
+    assert (below.label, below.broad, above.label) == ('commanded', True, 'measured')
+
+
 def test_figures_of_a_plane_have_legal_file_names(tmp_path):
     setup = resolve('plane', plant='rigid', duration=10.0)
     data = perfect_run(setup)

@@ -49,11 +49,19 @@ def test_report_command_writes_a_page_and_figures(folder, tmp_path):
         for ending in ('pdf', 'png')]
 
 
-def test_report_of_two_runs_has_figures_of_both(folder, tmp_path, monkeypatch):
+def test_report_of_two_runs_has_figures_of_both_and_one_table(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(report, 'FORMATS', ('png',))
     runs = [load_run(folder)._replace(folder=tmp_path / name / 'first') for name in 'ab']
     paths = report.write_report(runs, tmp_path / 'out')[1:]
     assert len(paths) == len(set(paths)) == 9 and all(path.is_file() for path in paths)
+    table, = re.findall('<table>.*?</table>', (tmp_path / 'out/report.html').read_text(
+        encoding='utf-8').partition('<h2>')[0])
+    head, verdict, *numbers = [re.findall('<t[hd].*?>(.*?)</t[hd]>', row)
+                               for row in re.findall('<tr>.*?</tr>', table)]
+    assert head == ['', 'a/first', 'b/first'] and verdict[0] == 'verdict'
+    rows = {label: values for label, *values in numbers}
+    assert {'table: step rise 63 % [s]', 'board: step rise 63 % [s]', 'arm'} <= rows.keys()
+    assert all(len(values) == 2 and values[0] == values[1] for values in rows.values())
 
 
 def test_page_needs_no_other_file(tmp_path):

@@ -6,6 +6,7 @@ import threading
 from browser import Tab
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.view import source
 from multicontact_control.view.run import started
 import numpy as np
 import pytest
@@ -35,6 +36,84 @@ def page():
         yield page
         stop.set()
         thread.join()
+
+
+@pytest.fixture
+def given(page, monkeypatch):
+    """Return the forces that the page commands, as it goes on."""
+    forces, command = [], page.source.command
+
+    def record(name, /, **values):
+        forces.extend([values] if name == source.FORCES else [])
+        return command(name, **values)
+
+    monkeypatch.setattr(page.source, 'command', record)
+    return forces
+
+
+def test_force_is_commanded_when_it_is_entered_and_every_browser_shows_what_is_obeyed(
+        page, given, chromium):
+    context = chromium.new_context(viewport={'width': 1100, 'height': 480})
+    context.add_init_script(SELDOM)
+    tabs = [Tab(context, page.url).page for _ in range(2)]
+    own, other = (tab.locator('.mantine-NumberInput-input').first for tab in tabs)
+    thumb = tabs[0].get_by_role('slider').first
+    for field in (own, other):
+        field.wait_for()
+    wait_for(lambda: page.newest, 'samples')
+
+    def shows(force):
+        return [thumb.get_attribute('aria-valuenow'), own.input_value(), other.input_value()] == [
+            force] * 3
+
+    for text, key in (('8', 'Enter'), ('15', 'Enter'), ('25', 'Tab')):
+        own.select_text()
+        own.press('Backspace')
+        own.press_sequentially(text, delay=80)  # as of one who types: viser sends what waits 50 ms
+        assert not shows(text)
+        own.press(key)
+        wait_for(lambda text=text: shows(text), f'{text} N')
+    assert given == [{'table': 8.0}, {'table': 15.0}, {'table': 25.0}]
+    for text, key in (('250', 'Enter'), ('250', 'Tab'), ('1', 'Tab')):
+        before = len(given)
+        own.select_text()
+        own.press_sequentially(text, delay=80)
+        own.press(key)
+        wait_for(lambda before=before: len(given) > before, 'a command that is refused')
+        wait_for(lambda: shows('25'), 'the force that is obeyed')
+    for text, key in (('', 'Enter'), ('12', 'Escape'), ('-', 'Tab')):
+        own.select_text()
+        own.press('Backspace')
+        own.press_sequentially(text, delay=80)
+        own.press(key)
+        wait_for(lambda: shows('25'), 'the force that is obeyed')
+    context.close()
+
+
+def test_slider_commands_a_force_when_it_is_released(page, given, chromium):
+    context = chromium.new_context(viewport={'width': 1100, 'height': 480})
+    context.add_init_script(SELDOM)
+    own, other = (Tab(context, page.url).page for _ in range(2))
+    thumb = own.get_by_role('slider').first
+    fields = [tab.locator('.mantine-NumberInput-input').first for tab in (own, other)]
+    for field in fields:
+        field.wait_for()
+    wait_for(lambda: page.newest, 'samples')
+    track = own.locator('.mantine-Slider-trackContainer').first.bounding_box()
+    middle = track['y'] + 0.5 * track['height']
+    own.mouse.move(track['x'] + 0.8 * track['width'], middle)
+    own.mouse.down()
+    for share in (0.7, 0.6, 0.5, 0.4):
+        own.mouse.move(track['x'] + share * track['width'], middle)
+        wait_for(lambda share=share: abs(
+            float(thumb.get_attribute('aria-valuenow')) - 30.0 * share) < 1.0, 'the slider')
+    assert given == [] and fields[1].input_value() == '0', 'it has not been released'
+    own.mouse.up()
+    wait_for(lambda: [field.input_value() for field in fields] == ['12', '12'],
+             'the force in both browsers')
+    wait_for(lambda: page.newest.commanded['table'] == 12.0, 'the force')
+    assert given == [{'table': 12.0}]
+    context.close()
 
 
 def test_buttons_press_and_move_and_sliders_command_forces(page, chromium):

@@ -4,11 +4,15 @@ from contextlib import closing
 
 from multicontact_control.client import MultiContactClient
 from multicontact_control.errors import MulticontactError, RunError
+from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes import topics
+from multicontact_control.nodes.graph import create_publisher
+from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.messages import joint_state_message
 from multicontact_control.view import source
 from multicontact_control.view.graph import GraphSource
+from multicontact_control.view.streams import Stream
 import numpy as np
 import pytest
 from robots import robot_parameters
@@ -16,6 +20,8 @@ from ros_graph import obedient_graph, PATIENCE, wait_for
 from sim_bridge.surface_patch import patch_of
 
 pytestmark = pytest.mark.ros
+
+PERIOD = 2_000_000  # ns
 
 
 @pytest.fixture(scope='module')
@@ -47,10 +53,18 @@ def test_graph_source_joins_presses_moves_and_tunes(shown):
             patch.vertices[patch.faces], expected.vertices[expected.faces], atol=1e-12)
     shown.command(source.FORCES, table=8.0, board=6.0)
     events = []
-    snapshot = until(shown, lambda snapshot: events.extend(snapshot.events) or (
+    innovations = []
+
+    def look(snapshot):
+        events.extend(snapshot.events)
+        innovations.extend(snapshot.points[:, 11:13])  # behind the time and five kinds
+        return True
+
+    snapshot = until(shown, lambda snapshot: look(snapshot) and (
         set(snapshot.states) == {'holding'}
         and (np.abs(snapshot.measured - (8.0, 6.0)) < 0.5).all()), 'the forces')
     assert any('table holding' in text for _, text in events)
+    assert np.nanmin(innovations) < 0.0 < np.nanmax(innovations), 'it has a sign'
     start = snapshot.position_des
     until(shown, lambda snapshot: len(snapshot.points) and np.isfinite(snapshot.points[-1]).all(),
           'points of the curves')
@@ -99,6 +113,47 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
     later = until(shown, lambda snapshot: snapshot.time > released.time + 3.0, 'the last pose')
     rest = until(shown, lambda snapshot: snapshot.time > later.time + 0.5, 'a snapshot')
     assert rest.moving == '' and np.abs(rest.position_des - later.position_des).max() < 0.002
+
+
+def test_push_test_is_cancelled_and_each_refusal_told_once(shown):
+    shown.command(source.FORCES, table=0.0, board=0.0)
+    events, first = [], until(shown, lambda snapshot: set(snapshot.states) == {'free'}, 'freedom')
+    until(shown, lambda snapshot: snapshot.time > first.time + 3.0, 'the way back')
+    shown.command(source.PUSH_TEST)
+
+    def gather(snapshot):
+        events.extend(text for _, text in snapshot.events)
+        return snapshot
+
+    until(shown, lambda snapshot: gather(snapshot).push_test, 'an instruction')
+    for command, values in ((source.FORCES, {'table': 8.0}), (source.HOLD, {'on': True})):
+        with pytest.raises(MulticontactError, match='~/push_test: pass it first'):
+            shown.command(command, **values)
+    assert shown.command(source.CANCEL_PUSH_TEST) == 'push test cancelled'
+    with pytest.raises(MulticontactError, match='none is under way'):
+        shown.command(source.CANCEL_PUSH_TEST)
+    shown.command(source.FORCES, table=8.0)
+    until(shown, lambda snapshot: gather(snapshot).states[0] == 'holding', 'the table')
+    refusals = [text for text in events if 'refused' in text]
+    for part in ('contact_forces/command: ~/push_test: pass it first', '~/hold: ~/push_test',
+                 '~/cancel_push_test: push test: none is under way'):
+        assert sum(part in text for text in refusals) == 1, refusals
+    assert len(refusals) == 3, refusals
+
+
+def test_stream_has_the_extremes_of_every_message_since_they_were_asked_for():
+    with reserve_domain() as domain_id, GuestNode('sender', domain_id) as guest:
+        publisher = create_publisher(guest.node, topics.MEASURED_FORCES)
+        stream = Stream(guest.node, topics.MEASURED_FORCES, ('table', 'board'))
+        assert np.isnan(stream.extremes()).all()
+        wait_for(publisher.get_subscription_count, 'a connection')
+        for k, force in enumerate([20.0, -20.0, 3.0, 5.0]):
+            publisher.publish(joint_state_message(PERIOD * k, ['other', 'board'], effort=[
+                99.0, force]))
+        wait_for(lambda: stream.look() or stream.newest[1] == 5.0, 'the last message')
+        np.testing.assert_array_equal(
+            stream.extremes(), [[np.nan, -20.0], [np.nan, 20.0]])
+        np.testing.assert_array_equal(stream.extremes(), [[np.nan, 5.0]] * 2)
 
 
 @pytest.mark.parametrize('robot', robot_parameters(['panda']))

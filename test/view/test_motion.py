@@ -59,8 +59,24 @@ def test_dragged_handle_and_sine_make_no_jump(motion):
     time = PERIOD * np.arange(1000, 3000) + PERIOD
     np.testing.assert_allclose(
         position[1000:3000, 0] - START[0], 0.08 * np.sin(0.5 * np.pi * time), atol=1e-9)
-    np.testing.assert_allclose(position[-1], START, atol=1e-9)
+    np.testing.assert_array_equal(velocity[-1], 0.0)
     assert motion.what == ''
+
+
+@pytest.mark.parametrize(('amplitude', 'period'), [(0.08, 4.0), (0.08, 2.0)])
+@pytest.mark.parametrize('ticks', [1500, 1700, 1900, 2100, 2400])
+def test_stop_brings_a_sine_to_rest_where_the_point_is(motion, amplitude, period, ticks):
+    motion.start_sine('x', amplitude, period)
+    before, speed, _ = (values[-1] for values in path(motion, ticks))
+    motion.stop()
+    position, velocity, acceleration = path(motion, 2000)
+    assert motion.what == ''
+    # A sine that comes has up to a tenth more than one that stays.
+    largest = max(ACCELERATION, 1.1 * amplitude * (2.0 * np.pi / period) ** 2)
+    assert np.linalg.norm(acceleration, axis=1).max(initial=0.0) <= largest
+    way = speed @ speed / (2.0 * ACCELERATION)  # of a speed that shrinks evenly
+    assert np.abs(position - before).max(initial=0.0) <= way + 0.001
+    assert np.abs(position[:, 0] - START[0]).max(initial=0.0) <= amplitude + 0.001
 
 
 def test_motion_out_of_the_workspace_is_refused_and_changes_nothing(motion):

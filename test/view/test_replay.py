@@ -91,6 +91,20 @@ def test_page_plays_a_recording_from_the_first_browser_to_its_end(replay, clock,
             assert (page.newest.time, page.newest.playing) == (pytest.approx(moment), playing)
 
 
+def test_page_lists_each_event_once_however_often_it_is_sought(replay, monkeypatch):
+    page_module = pytest.importorskip('multicontact_control.view.page', reason='needs viser')
+    with closing(page_module.Page(replay, 8473)) as page:
+        monkeypatch.setattr(page.server, 'get_clients', lambda: {0: Mock()})
+        for _ in range(2):  # it begins to play
+            page.update()
+        replay.command(source.PLAY, on=False)
+        for moment in (1.0, 2.5, 3.0, 2.0, 6.0, 9.0):
+            replay.command(source.SEEK, time=moment)
+            page.update()
+            told = [mark for mark in replay.scene.marks if mark[0] <= moment]
+            assert [*page._events] == told[-page_module.LISTED:]
+
+
 def test_seek_shows_states_events_and_curves_of_then(replay):
     snapshot = seek(replay, 2.4)
     assert snapshot.states == ('holding', 'holding') and snapshot.reaction == 'none'
@@ -107,6 +121,20 @@ def test_seek_shows_states_events_and_curves_of_then(replay):
     assert any(moment == touched for moment, _ in snapshot.events)
     with pytest.raises(CommandError, match='time: expected 0 to 14.998 s, got 90 s'):
         replay.command(source.SEEK, time=90.0)
+
+
+def test_replay_draws_the_whole_of_an_oscillation(replay, recorded_run):
+    data = RunData.load(recorded_run)
+    wave = 20.0 * np.sin(0.7 * np.pi * np.arange(data.ticks))[:, None]  # 175 Hz
+    shaken = replace(data, alpha_meas=data.alpha_meas + wave, innovation=data.innovation + wave)
+    for played, extra in ((replay, 0.0), (ReplaySource(replay.scene, shaken), 20.0)):
+        points = seek(played, 10.0).points
+        late = points[points[:, 0] > 8.0]
+        held = data.alpha_meas[4000:5000, 0]
+        for column, middle in ((1, held), (11, data.innovation[4000:5000, 0])):
+            assert late[:, column].max() == pytest.approx(middle.max() + extra, abs=2.0)
+            assert late[:, column].min() == pytest.approx(middle.min() - extra, abs=2.0)
+        assert np.abs(np.diff(late[:, 1])).max() > 1.5 * extra, 'both ends of each block'
 
 
 def test_recording_without_a_log_shows_when_forces_were_asked_for(replay, recorded_run):

@@ -16,7 +16,7 @@ function alone(values) {
 function curve(style, values) {
   const number = (_, value) => value === null ? '' : String(Number(value.toPrecision(4)));
   const shown = {label: style.label, stroke: style.colour, value: number,
-    width: 1, alpha: style.faint ? 0.6 : 1, dash: style.dashed ? [6, 4] : undefined};
+    width: style.broad ? 5 : 1, alpha: style.broad ? 0.3 : style.faint ? 0.6 : 1, dash: style.dashed ? [6, 4] : undefined};
   const single = alone(values);
   return {...shown, points: {
     size: 4, filter: (_, k, all) => all || !single.length ? null : single}};
@@ -62,9 +62,9 @@ function annotate(u, plot) {
   context.textAlign = 'left';
   context.textBaseline = 'top';
   inside(u, plot.shaded).forEach(([name, from, to]) => {
-    if (context.measureText(name).width + 8 > to - from) return;
-    context.strokeText(name, from + 4, top + 4);
-    context.fillText(name, from + 4, top + 4);
+    if (context.measureText(name).width + 4 > to - from) return;
+    context.strokeText(name, from + 2, top + 4);
+    context.fillText(name, from + 2, top + 4);
   });
   context.restore();
 }

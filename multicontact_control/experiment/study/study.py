@@ -29,7 +29,7 @@ from rich.console import Console
 DPI = 130  # of the figure
 MOST_WARNINGS = 20
 STUDY_FILE, TABLE_FILE, CSV_FILE = 'study.json', 'study.parquet', 'study.csv'
-PAGE_FILE, FIGURE_FILE = 'study.html', 'study.png'
+PAGE_FILE, FIGURE_FILE, PRINTED_FIGURE_FILE = 'study.html', 'study.png', 'study.pdf'
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,8 @@ class Study:
         frame.to_parquet(folder / TABLE_FILE, index=False)
         figure = self.figure(results)
         if figure is not None:
-            figure.savefig(folder / FIGURE_FILE, dpi=DPI)
+            for name in (FIGURE_FILE, PRINTED_FIGURE_FILE):
+                figure.savefig(folder / name, dpi=DPI)
         page.write_page(folder / PAGE_FILE, f'Study {config.name}', '\n'.join([
             f'<p>{escape(config.description)}</p>', _listed(self.findings(results)),
             '' if figure is None else page.image(folder / FIGURE_FILE, config.name),

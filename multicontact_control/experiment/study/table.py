@@ -6,9 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 import math
 import re
-from typing import Any
+from textwrap import fill
+from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from multicontact_control.experiment.overrides import EVERY
 from multicontact_control.experiment.page import COLOURS
 from multicontact_control.experiment.study.config import ColumnConfig, StudyConfig
@@ -19,7 +21,13 @@ from rich.markup import escape
 from rich.table import Table
 
 WIDE_RANGE = 20.0  # largest over smallest, from which an axis is logarithmic
-MARKERS = 'osD^vPX'  # one for each of COLOURS
+MARKERS = 'osD^vPp'  # one for each of COLOURS
+CROSS: dict[str, Any] = {'linestyle': '', 'marker': 'x', 'markersize': 7, 'clip_on': False,
+                         'markeredgewidth': 2.0, 'zorder': 3}
+SPREAD = 0.8  # of the room of a name, over which its series lie beside each other
+ROOM_OF_SERIES = 0.09  # inches
+NAME_WIDTH = 24  # characters of a line
+LEGEND_COLUMNS = 4
 Listing = Mapping[str, pd.DataFrame]  # texts of lines and columns, by section
 MOST_SHOWN = 5  # columns in sentences and in the figure
 NOT_FACTORS = ('part', 'plant', 'seed')
@@ -170,12 +178,21 @@ def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
     return tables
 
 
+class Series(NamedTuple):
+    """Runs that are one series of points in every panel of a figure."""
+
+    label: str
+    runs: pd.DataFrame
+    style: Mapping[str, Any]
+
+
 def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
     """
-    Return the figure of a study, a column for each plant, a row for each value that varies.
+    Return the figure of a study, a panel for each plant and each value that varies.
 
     Points are medians of the good runs over the first factor, or the share of good runs, for each
-    part and value of the second factor. None without a factor or a value to draw.
+    part and value of the second factor; a cross stands where no run is good. Names of a first
+    factor are lines, its numbers an axis. None without a factor or a value to draw.
     """
     names = [name for name in frame.attrs['factors'] if name not in NOT_FACTORS]
     columns = [column for column in table_columns(frame, study)
@@ -185,49 +202,132 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
         return None
     lines = ['part'] if frame['part'].nunique() > 1 else []
     lines += names[1:2] or ['part'] * (not lines)
-    plants = list(frame['plant'].unique())
-    figure = Figure(figsize=(4.6 * len(plants) + 2.5, 2.2 * len(columns) + 1.0),
-                    layout='constrained')
-    grid = figure.subplots(len(columns), len(plants), sharex='col', sharey='row', squeeze=False)
-    for axes, (column, plant) in zip(grid.flat, product(columns, plants)):
-        _draw(axes, frame[frame['plant'] == plant], names[0], lines, column, study.truth)
-        name = column.name.replace('*', 'worst').replace('.', '\n')
-        axes.set_ylabel(f'share of {name} runs' if column.aggregate == 'share' else name,
-                        fontsize=8)
-        axes.set_xlabel(_head(frame, study, names[0]), fontsize=8)
-        axes.label_outer()
-    for axes, plant in zip(grid[0], plants):
-        axes.set_title(f'plant {plant}', fontsize=9)
-    handles = {label: line for axes in grid.flat for line, label in zip(
-        *axes.get_legend_handles_labels())}
-    if len(handles) > 1:
-        figure.legend(handles.values(), handles, loc='outside right upper', fontsize=8,
-                      title=', '.join(_head(frame, study, name) for name in lines))
+    series = series_of(frame, study, lines)
+    draw = _draw_numbers if pd.api.types.is_numeric_dtype(frame[names[0]]) else _draw_names
+    figure = draw(frame, study, names[0], columns, series)
+    shown: dict[str, Any] = {}
+    for axes in figure.axes:
+        for line, label in zip(*axes.get_legend_handles_labels()):
+            shown.setdefault(label, line)
+    if not frame.groupby([names[0], 'plant', *lines])[study.truth].any().all():
+        shown[f'no {study.truth} run'] = Line2D([], [], color='#222222', **CROSS)
+    if len(shown) > 1:
+        figure.legend(shown.values(), shown, loc='outside lower center', fontsize=9,
+                      ncols=min(len(shown), LEGEND_COLUMNS), frameon=False)
     return figure
 
 
-def _draw(
-    axes: Any, frame: pd.DataFrame, x: str, lines: list[str], column: ColumnConfig, truth: str,
-) -> None:
-    """Draw a column over a factor: lines over numbers, points alone over names."""
-    drawn, statistic = worst(frame, column.value), 'mean'
+def series_of(frame: pd.DataFrame, study: StudyConfig, lines: Sequence[str]) -> list[Series]:
+    """Return the runs by part and value of the second factor, each with its name and look."""
+    series = []
+    for number, (values, runs) in enumerate(_groups(frame, lines)):
+        words = []
+        for name, value in zip(lines, values):
+            head, _, unit = _head(frame, study, name).rstrip(']').partition(' [')
+            text = show(value)
+            words.append(text if name == 'part' else f'{head} = {text} {unit}'.strip())
+        series.append(Series(', '.join(words), runs, {
+            'color': COLOURS[number % len(COLOURS)], 'marker': MARKERS[number % len(MARKERS)],
+            'markersize': 5}))
+    return series
+
+
+def _draw_numbers(
+    frame: pd.DataFrame, study: StudyConfig, factor: str, columns: Sequence[ColumnConfig],
+    series: Sequence[Series],
+) -> Figure:
+    """Draw curves over a factor: a column of panels for each plant, a row for each value."""
+    plants = list(frame['plant'].unique())
+    figure = Figure(figsize=(4.6 * len(plants) + 1.0, 2.2 * len(columns) + 1.5),
+                    layout='constrained')
+    grid = figure.subplots(len(columns), len(plants), sharex='col', sharey='row', squeeze=False)
+    for axes, (column, plant) in zip(grid.flat, product(columns, plants)):
+        for each in series:
+            runs = each.runs[each.runs['plant'] == plant]
+            values, good = _points(runs, factor, column, study)
+            values = values.sort_index()
+            axes.plot(values.index, values, '-', alpha=0.8, label=each.label, **each.style)
+            for value in _not_drawn(good, column):
+                axes.plot(value, 0.0, transform=axes.get_xaxis_transform(),
+                          color=each.style['color'], **CROSS)
+        known = np.sort(frame.loc[frame['plant'] == plant, factor].unique())
+        if known[0] > 0.0 and known[-1] / known[0] >= WIDE_RANGE:
+            axes.set_xscale('log')
+            axes.xaxis.set_major_formatter('{x:g}')
+        axes.set_ylabel(_title(column), fontsize=8)
+        axes.set_xlabel(_head(frame, study, factor), fontsize=8)
+        axes.tick_params(labelsize=8)
+        axes.grid(alpha=0.3)
+        axes.label_outer()
+    for axes, plant in zip(grid[0], plants):
+        axes.set_title(f'plant {plant}', fontsize=9)
+    return figure
+
+
+def _draw_names(
+    frame: pd.DataFrame, study: StudyConfig, factor: str, columns: Sequence[ColumnConfig],
+    series: Sequence[Series],
+) -> Figure:
+    """Draw points beside the names of a factor: a row of panels for each plant."""
+    names = {plant: list(runs[factor].unique()) for plant, runs in frame.groupby(
+        'plant', sort=False)}
+    room = 0.25 + ROOM_OF_SERIES * len(series)  # inches, of a name
+    heights = [room * len(known) + 0.3 for known in names.values()]
+    figure = Figure(figsize=(2.4 * len(columns) + 2.0, sum(heights) + 1.3), layout='constrained')
+    grid = figure.subplots(len(names), len(columns), sharex='col', sharey='row', squeeze=False,
+                           height_ratios=heights)
+    for axes, ((plant, known), column) in zip(grid.flat, product(names.items(), columns)):
+        here = [each._replace(runs=each.runs[each.runs['plant'] == plant]) for each in series]
+        places = _places(here, factor, known)
+        for each in here:
+            values, good = _points(each.runs, factor, column, study)
+            axes.plot(values, [places[name, each.label] for name in values.index], linestyle='',
+                      label=each.label, **each.style)
+            for name in _not_drawn(good, column):
+                axes.plot(0.0, places[name, each.label], transform=axes.get_yaxis_transform(),
+                          color=each.style['color'], **CROSS)
+        for place in range(0, len(known), 2):
+            axes.axhspan(place - 0.5, place + 0.5, color='#f4f5f7', zorder=0)
+        axes.set_yticks(range(len(known)), [fill(str(name), NAME_WIDTH) for name in known])
+        axes.set_ylim(len(known) - 0.5, -0.5)
+        axes.set_xlabel(_title(column), fontsize=9)
+        axes.tick_params(labelsize=9)
+        axes.grid(axis='x', alpha=0.4)
+        axes.label_outer()
+    for axes, plant in zip(grid[:, 0], names):
+        axes.set_title(f'plant {plant}', fontsize=10, loc='left')
+    return figure
+
+
+def _places(
+    series: Sequence[Series], factor: str, names: Sequence[Any],
+) -> dict[tuple[Any, str], float]:
+    """Return where each series of each name lies: beside each other, around the name's place."""
+    places = {}
+    for place, name in enumerate(names):
+        there = [each.label for each in series if (each.runs[factor] == name).any()]
+        for number, label in enumerate(there):
+            places[name, label] = place + SPREAD * ((number + 0.5) / len(there) - 0.5)
+    return places
+
+
+def _not_drawn(good: pd.Series, column: ColumnConfig) -> list[Any]:
+    """Return where no run is good, which a median leaves out."""
+    return [] if column.aggregate == 'share' else list(good.index[~good])
+
+
+def _title(column: ColumnConfig) -> str:
+    name = column.name.replace('*', 'worst').replace('.', '\n')
+    return f'share of {name} runs' if column.aggregate == 'share' else name
+
+
+def _points(
+    runs: pd.DataFrame, factor: str, column: ColumnConfig, study: StudyConfig,
+) -> tuple[pd.Series, pd.Series]:
+    """Return what is drawn of runs by the value of a factor, and whether any of them is good."""
+    drawn, statistic = worst(runs, column.value), 'mean'
     if column.aggregate == 'median':
-        drawn = column.scale * drawn.where(frame[truth] & np.isfinite(drawn))
+        drawn = column.scale * drawn.where(runs[study.truth] & np.isfinite(drawn))
         statistic = 'median'
-    table = frame.assign(drawn=drawn).pivot_table(
-        index=x, columns=lines, values='drawn', sort=False, aggfunc=statistic,
-    ).reindex(frame[x].unique())
-    if table.empty:
-        return
-    table.columns = [', '.join(map(show, label if isinstance(label, tuple) else (label,)))
-                     for label in table]
-    numeric = pd.api.types.is_numeric_dtype(table.index)
-    table = table.sort_index() if numeric else table
-    wide = numeric and table.index[0] > 0.0 and table.index[-1] / table.index[0] >= WIDE_RANGE
-    table.plot(ax=axes, style=[f'{mark}{"-" * numeric}' for mark in MARKERS], color=COLOURS,
-               markersize=5, alpha=0.8, logx=bool(wide), fontsize=8, legend=False)
-    if wide:
-        axes.xaxis.set_major_formatter('{x:g}')
-    elif not numeric:
-        axes.set_xticks(range(len(table)), table.index, rotation=30, ha='right')
-    axes.grid(alpha=0.3)
+    by_value = runs.assign(drawn=drawn).groupby(factor, sort=False)
+    return by_value['drawn'].agg(statistic), by_value[study.truth].any()

@@ -7,7 +7,12 @@ from multicontact_control.experiment.study.config import read_study, select, Stu
 from multicontact_control.experiment.study.measure import metrics_row
 from multicontact_control.experiment.study.presets import study_of
 from multicontact_control.experiment.study.study import run_study
-from multicontact_control.experiment.study.table import good_values, listing_of, sentences
+from multicontact_control.experiment.study.table import (
+    draw_study,
+    good_values,
+    listing_of,
+    sentences,
+)
 import numpy as np
 import pandas as pd
 import pytest
@@ -19,7 +24,8 @@ STUDY = {
     'name': 'small', 'scenario': 'step', 'plants': ['rigid'], 'seeds': 2, 'duration': 1.6,
     'factors': {'plant.surfaces.*.stiffness': [600.0, 6.0e5],
                 'noise_estimator.estimator': ['fixed']}}
-FILES = {'cells', 'study.json', 'study.csv', 'study.parquet', 'study.png', 'study.html'}
+FILES = {'cells', 'study.json', 'study.csv', 'study.parquet', 'study.png', 'study.pdf',
+         'study.html'}
 
 
 @pytest.fixture(name='frame')
@@ -55,6 +61,23 @@ def test_lines_are_statistics_over_the_seeds(frame):
     assert cells_of(frame, columns=columns)[1] == [
         ['600', '3/3', 'never', '9.0', '1 / 4.75', '-'],
         ['60000', '2/3', '312', '5.0', '4 / 0.5', '-']]
+
+
+@pytest.mark.parametrize('values', [[600.0] * 3 + [6e4] * 3, ['soft'] * 3 + ['stiff'] * 3])
+def test_figure_has_a_cross_where_no_run_is_good_and_no_point_upon_another(frame, values):
+    both = pd.concat([frame.assign(law=law) for law in ('pi', 'dob')], ignore_index=True)
+    both['k'] = values * 2
+    both.loc[9:, 'stable'] = False  # of the second law at the second value
+    both.attrs = {'factors': ['part', 'plant', 'k', 'law', 'seed'], 'units': {}}
+    figure = draw_study(both, StudyConfig(name='s', scenario='step'))
+    share, rise = figure.axes[:2]
+    crosses = [line for line in rise.lines if line.get_marker() == 'x']
+    assert len(crosses) == 1 and [line.get_marker() for line in share.lines].count('x') == 0
+    legend = {text.get_text() for text in figure.legends[0].get_texts()}
+    assert legend == {'law = pi', 'law = dob', 'no stable run'}
+    if values[0] == 'soft':
+        first, second = (line.get_ydata() for line in rise.lines if line not in crosses)
+        assert second[0] - first[0] > 0.2
 
 
 def test_sentences_tell_where_all_runs_are_good(frame):
