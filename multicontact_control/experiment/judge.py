@@ -10,7 +10,11 @@ from typing import Any, NamedTuple
 from multicontact_control.arrays import Mask
 from multicontact_control.experiment.metrics import RunMetrics, torque_limit, truth_lacking
 from multicontact_control.experiment.oscillation import stretches
-from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.recording import (
+    Missing,
+    name_missing,
+    RunData,
+)
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision import contacts
 from multicontact_control.supervision.gate import NAMES as TORQUE_LIMITS
@@ -100,16 +104,17 @@ def verdict_text(summary: Mapping[str, Any]) -> str:
 
 def judge(
     data: RunData, setup: Setup, *, mode: str = 'in_process', ended_early: str = '',
-    events: Sequence[tuple[float, str]] = (),
+    events: Sequence[tuple[float, str]] = (), missing: Sequence[Missing] = (),
 ) -> Verdict:
     """
     Judge a run; `mode` is that of ``summary.json``.
 
     `ended_early` is why it ended before its time; `INTERRUPTED` speaks neither for nor against it.
-    `events` are the lines of the supervisor's log with their times [s].
+    `events` are the lines of the supervisor's log with their times [s]; `missing` is what the
+    recording lacks.
     """
-    run = RunMetrics(data, setup)
-    passed, helped = _findings(run, mode, ended_early), _interventions(run, events)
+    run = RunMetrics(data, setup, missing)
+    passed, helped = _findings(run, mode, ended_early, missing), _interventions(run, events)
     overshoots = {contact: step.overshoot_percent for i, contact in enumerate(data.contact_names)
                   if (step := run.largest_step(i))}
     error = run.motion_summary()['moving_position_rms_m']
@@ -121,7 +126,7 @@ def judge(
     name = SILENT if silent else HELD if helped else POOR if far else STABLE
     if len(passed) > silent:  # the first one says that the robot is silent
         name = NOT_STABLE
-    unjudged = _doubt(run, ended_early) if name in (STABLE, POOR) else ''
+    unjudged = _doubt(run, ended_early, missing) if name in (STABLE, POOR) else ''
     times = [finding.time for finding in passed if finding.time is not None]
     return Verdict(
         UNJUDGED if unjudged else name,
@@ -144,10 +149,12 @@ def _judged(run: RunMetrics, overshoots: Collection[float], error: float | None)
     return ', '.join(parts)
 
 
-def _doubt(run: RunMetrics, ended_early: str) -> str:
+def _doubt(run: RunMetrics, ended_early: str, missing: Sequence[Missing]) -> str:
     """Return why a run without findings is not called stable; empty if it is."""
     if ended_early == INTERRUPTED:
         return INTERRUPTED
+    if missing:
+        return f'{name_missing(missing)}; what is there passed no limit'
     if not np.isfinite(run.force).any():
         return 'neither true nor measured forces'
     if not run.windows.loaded.any():
@@ -157,11 +164,18 @@ def _doubt(run: RunMetrics, ended_early: str) -> str:
         if felt < LEAST_JUDGED:
             return (f'{name}: its force could be judged for {100.0 * felt:.0f} % of the time '
                     'under load')
+        lost = run.windows.loaded & (run.pressing[:, i] > 0.0) & run.unknown(i)
+        if lost.any():
+            gaps = [Missing(float(run.data.time[begin]), end / run.data.rate)
+                    for begin, end in stretches(lost)]
+            return f'{name}: {name_missing(gaps, "force")}; what is there passed no limit'
     unknown = truth_lacking(run.without_truth(), run.data.contact_names)
     return f'{unknown}; {BY_MEASUREMENT} no limit was passed' if unknown else ''
 
 
-def _findings(run: RunMetrics, mode: str, ended_early: str) -> list[Finding]:
+def _findings(
+    run: RunMetrics, mode: str, ended_early: str, missing: Sequence[Missing],
+) -> list[Finding]:
     """Return the limits that a run has passed, those of couples while their contact is pressed."""
     data, setup, interrupted = run.data, run.setup, ended_early == INTERRUPTED
     passed = [Finding(ended_early, float(data.time[-1]))] if (
@@ -182,11 +196,11 @@ def _findings(run: RunMetrics, mode: str, ended_early: str) -> list[Finding]:
         if made:
             passed += [Finding(f'{name}: {text}', time)
                        for text, time in _contact_findings(run, i, run.windows.loaded & pressed)]
-        elif not interrupted:
+        elif not (interrupted or missing):
             passed.append(Finding(f'{name}: no contact was made'))
-    missing = max(float(np.isnan(values).any(axis=1).mean()) for values in series)
-    if mode in ('in_process', LOCKSTEP, REAL_TIME) and missing > LARGEST_GAP:
-        passed.append(Finding(f'{100.0 * missing:.1f} % of the samples were not answered'))
+    silent = max(float(np.isnan(values[run.recorded]).any(axis=1).mean()) for values in series)
+    if mode in ('in_process', LOCKSTEP, REAL_TIME) and silent > LARGEST_GAP:
+        passed.append(Finding(f'{100.0 * silent:.1f} % of the samples were not answered'))
     return passed
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.experiment import oscillation
-from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.recording import LONGEST_GAP, Missing, RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.contacts import LOSS_TIME
 import numpy as np
@@ -48,8 +48,14 @@ class StepResponse(NamedTuple):
 class RunMetrics:
     """A run with what is judged of it: forces, the task's commands, windows."""
 
-    def __init__(self, data: RunData, setup: Setup) -> None:
+    def __init__(
+        self, data: RunData, setup: Setup, missing: Sequence[Missing] = (),
+    ) -> None:
         self.data, self.setup = data, setup
+        self.recorded = data.recorded()
+        end = data.ticks / data.rate
+        # A recording that lost its end has no say in what came of the last step.
+        self.lost_from = end if any(each.end > end for each in missing) else math.inf
         self.leaders = list(setup.controller.leader_of)  # of each column the contact's force
         self.couples = [leader != i for i, leader in enumerate(self.leaders)]
         motion = setup.scenario.reference.motion
@@ -57,8 +63,12 @@ class RunMetrics:
 
     @cached_property
     def windows(self) -> Windows:
+        """Return the judged stretches, as far as they were recorded."""
+        return Windows(*(window & self.recorded for window in self._planned_windows()))
+
+    def _planned_windows(self) -> Windows:
         """
-        Return the judged stretches: of the scenario, or of the forces commanded over topics.
+        Return the stretches that the scenario has, or the forces commanded over topics.
 
         Of the latter `loaded` is while a force is asked for, `moving` while the pose asked for
         moves, and `rest` what is 1 s away from that and from every change of a command.
@@ -136,6 +146,19 @@ class RunMetrics:
         """Return the samples from one time to another [s]."""
         return (self.data.time >= start - 1e-9) & (self.data.time < end - 1e-9)
 
+    def unknown(self, i: int) -> Mask:
+        """Return where the force of a contact is not known for more than 0.1 s."""
+        longest = LONGEST_GAP * self.data.rate
+        unknown = np.zeros(self.data.ticks, dtype=bool)
+        for begin, end in oscillation.stretches(np.isnan(self.force[:, i])):
+            unknown[begin:end] = end - begin > longest
+        return unknown
+
+    def next_unknown(self, i: int, time: float) -> float:
+        """Return from when after a time on a contact's force is not known [s], or infinity."""
+        unknown = self.unknown(i) & (self.data.time > time)
+        return float(self.data.time[np.argmax(unknown)]) if unknown.any() else self.lost_from
+
     def next_event(self, time: float) -> float:
         """Return when the next push, or force step or motion of the scenario, begins [s]."""
         events = list(self.setup.plant.push_start) if self.setup.simulated else []
@@ -145,12 +168,21 @@ class RunMetrics:
         return min((event for event in events if event > time + 1e-9), default=math.inf)
 
     def step_responses(self, i: int) -> list[StepResponse]:
-        """Return the answers of a contact to the steps at rest, until the next event each."""
+        """
+        Return the answers of a contact to the steps at rest, until the next event each.
+
+        An answer ends where the force is not known any more. One that is not known for 1 s before
+        the next event tells nothing.
+        """
         time, steps = self.data.time, self._steps(i)
         ends = [start for start, _, _ in steps[1:]] + [float(time[-1])]
         responses = []
         for (start, before, after), end in zip(steps, ends):
-            window = (time >= start - 1e-9) & (time < min(end, self.next_event(start)))
+            until = min(end, self.next_event(start))
+            known_until = self.next_unknown(i, start)
+            if known_until < min(until, start + SETTLE_AFTER_STEP):
+                continue
+            window = (time >= start - 1e-9) & (time < min(until, known_until))
             travelled = (self.force[window, i] - before) / ((after - before) or math.nan)
             if not np.isfinite(travelled).any():
                 continue
@@ -175,8 +207,9 @@ class RunMetrics:
             changes = np.concatenate([[False], np.diff(asked) != 0.0, [False]])
             # What a desired force passes on its way is no step.
             places = np.flatnonzero(changes[1:-1] & ~changes[:-2] & ~changes[2:]) + 1
-            return [(float(data.time[k]), float(desired[k - 1]), float(asked[k])) for k in places
-                    if k < 2 or desired[k - 1] == desired[k - 2]]
+            known = self.recorded[places - 1] & self.recorded[places]
+            return [(float(data.time[k]), float(desired[k - 1]), float(asked[k]))
+                    for k in places[known] if k < 2 or desired[k - 1] == desired[k - 2]]
         reference, name = self.setup.scenario.reference, data.contact_names[i]
         steps = [(step.time, step.forces[name]) for step in reference.force_steps
                  if name in step.forces and step.time < min(self.motion_start, data.time[-1])]
@@ -210,8 +243,13 @@ class RunMetrics:
     def oscillations(self, i: int, judged: Mask) -> list[oscillation.Oscillation]:
         """Return where the force of a contact oscillates, among the samples `judged`."""
         # A couple, which may well be 0, is judged while its contact is pressed, and by how hard.
-        return oscillation.oscillations(
-            self.error[:, i], self.pressing[:, i], judged, self.data.rate)
+        found = []
+        for begin, end in oscillation.stretches(~self.unknown(i)):
+            between = np.zeros(self.data.ticks, dtype=bool)
+            between[begin:end] = True
+            found += oscillation.oscillations(
+                self.error[:, i], self.pressing[:, i], judged & between, self.data.rate)
+        return found
 
     def contact_summary(self, i: int) -> dict[str, Any]:
         """Return the numbers of one contact; of the steps those of the largest one up."""
@@ -290,6 +328,8 @@ class RunMetrics:
             before = self.between(start - LOOK_BACK, start)
             judged = self.between(from_time, until)
             if not (before.any() and judged.any()):
+                continue
+            if self.next_unknown(i, start - LOOK_BACK) < until:
                 continue
             band = max(BAND_OF_COMMAND * float(command[judged][0]),
                        BAND_OF_NOISE * float(np.std(error[before])))
