@@ -38,8 +38,10 @@ def report(
     loaded = [load(path, controller or (), namespace) for path in runs]
     paths = write_report(loaded, out or report_folder(runs[0]), claims=claims)
     for run in loaded:
-        for line in (verdict_text(run.summary), *run.summary.get('remarks', ())):
-            typer.echo(f'{run.folder}: {line}')
+        quality = run.summary.get('quality')  # which an older version did not write
+        for line in (verdict_text(run.summary), quality, *run.summary.get('remarks', ())):
+            if line:
+                typer.echo(f'{run.folder}: {line}')
     typer.echo(f'report in {paths[0]}, {len(paths) - 1} figures')
 
 

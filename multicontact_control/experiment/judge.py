@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import math
 from typing import Any, NamedTuple
 
@@ -43,6 +43,11 @@ AGAIN_TIME = 10.0  # s
 # motion that is off by twice what the paper's may be (`claims`), a tenth of its 0.1 m.
 LARGEST_OVERSHOOT = 100.0  # %
 LARGEST_MOTION_ERROR = 0.01  # m rms, while the commanded pose moves
+# A run within these is as designed: the paper's claims, and a designed loop without overshoot.
+DESIGNED_RISE = (0.6, 1.4)  # of the design
+DESIGNED_OVERSHOOT = 10.0  # %
+DESIGNED_ERROR = 0.02  # of the step, in the steady state
+DESIGNED_MOTION_ERROR = 0.005  # m rms
 LARGEST_HELD_SHARE = 0.05  # of the time under load, in which reactions replace the control law
 LEAST_JUDGED = 0.5  # of the time under load, for which every force is known in a stable run
 
@@ -86,7 +91,8 @@ class Verdict(NamedTuple):
 
     name: str  # `STABLE`, `POOR`, `HELD`, `NOT_STABLE`, `SILENT` or `UNJUDGED`
     reasons: tuple[str, ...]  # of a run that is not judged, what was seen all the same
-    judged: str  # which forces and errors, over what time
+    judged: str  # which forces, over what time
+    quality: str  # how good the answers to steps and the motion are
     unstable_at: float | None  # of limits that were passed: the first that has a time [s], if any
     unjudged: str = ''  # why it is not judged, if it is not
 
@@ -131,22 +137,80 @@ def judge(
     return Verdict(
         UNJUDGED if unjudged else name,
         (*(finding.text for finding in passed), *helped, *far),
-        _judged(run, overshoots.values(), error), min(times, default=None), unjudged)
+        _judged(run), _quality(run, error), min(times, default=None), unjudged)
 
 
-def _judged(run: RunMetrics, overshoots: Collection[float], error: float | None) -> str:
-    """Return what a verdict is about: forces and their time under load, overshoot, motion."""
+def _judged(run: RunMetrics) -> str:
+    """Return what a verdict is about: forces, and their time under load."""
     names: dict[str, list[str]] = {'true': [], 'measured': []}
     for name, known, forces in zip(run.data.contact_names, run.truth, run.pressing.T):
         if (forces > 0.0).any():
             names['true' if known else 'measured'].append(name)
     parts = [f'{run.windows.loaded.sum() / run.data.rate:.3g} s under load', *(
         f'{kind} force of {" and ".join(some)}' for kind, some in names.items() if some)]
-    if overshoots:
-        parts.append(f'overshoot at most {max(overshoots):.0f} %')
-    if error is not None:
-        parts.append(f'motion error {1e3 * error:.2g} mm rms')
     return ', '.join(parts)
+
+
+def _quality(run: RunMetrics, error: float | None) -> str:
+    """Return how good a run is: the answers to its largest steps, and the motion's error [m]."""
+    good: list[str] = []
+    bad: list[str] = []
+    for text, is_good in (*_step_qualities(run), *_motion_quality(error)):
+        (good if is_good else bad).append(text)
+    parts = []
+    if bad:
+        parts.append(f'not as designed: {", ".join(bad)}')
+    if good:
+        parts.append(f'as designed: {", ".join(good)}')
+    return '; '.join(parts)
+
+
+def _step_qualities(run: RunMetrics) -> Iterator[tuple[str, bool]]:
+    """Yield what the answers to the largest steps of all contacts are, and whether as designed."""
+    columns = range(len(run.leaders))
+    steps = [step for i in columns if (step := run.largest_step(i))]
+    if not steps:
+        return
+    rises = [rise for i in columns if (rise := run.rise_over_design(i)) is not None]
+    if any(step.rise_63_s is None for step in steps):
+        yield '63 % of a step never reached', False
+    elif rises:
+        low, high = min(rises), max(rises)
+        is_good = DESIGNED_RISE[0] <= low and high <= DESIGNED_RISE[1]
+        ends = dict.fromkeys((f'{low:.2f}', f'{high:.2f}'))
+        yield f'rise {" to ".join(ends)} of the design', is_good
+    overshoot = max(step.overshoot_percent for step in steps)
+    yield f'overshoot at most {overshoot:.0f} %', overshoot <= DESIGNED_OVERSHOOT
+    settling = [step.settling_s for step in steps if step.settling_s is not None]
+    if len(settling) < len(steps):
+        yield 'a step never settled', False
+    else:
+        yield f'settled within {max(settling):.2f} s', True
+    errors = [(abs(step.steady_error_n), abs(step.size_n)) for step in steps
+              if step.steady_error_n is not None]
+    if errors:
+        is_good = all(error <= DESIGNED_ERROR * size for error, size in errors)
+        yield f'steady-state error at most {max(errors)[0]:.2f} N', is_good
+
+
+def _motion_quality(error: float | None) -> Iterator[tuple[str, bool]]:
+    """Yield what the error of the motion is [m], and whether as designed."""
+    if error is not None:
+        yield f'motion error {1e3 * error:.2g} mm rms', error <= DESIGNED_MOTION_ERROR
+
+
+def losses_seen(run: RunMetrics, log: Sequence[tuple[float, str]]) -> dict[str, int]:
+    """Return how often the supervisor lost a contact under load, by the contact's name."""
+    loaded, before = run.windows.loaded, None
+    counts = dict.fromkeys(run.setup.controller.contact_names, 0)
+    for event in (read_event(*line) for line in log):
+        place = round(event.time * run.data.rate)
+        if before is not None and place < run.data.ticks and loaded[place]:
+            states = zip(counts, before.contact_states, event.contact_states)
+            for name, was, now in states:
+                counts[name] += was in WHOLE and now in GONE
+        before = event
+    return counts
 
 
 def _doubt(run: RunMetrics, ended_early: str, missing: Sequence[Missing]) -> str:

@@ -135,15 +135,18 @@ def summarise(
         data, setup, mode=mode, ended_early=ended_early, events=during, missing=missing)
     run = RunMetrics(data, setup, missing)
     named = [recording.name_missing(missing)] if missing else []
+    contacts = {name: run.contact_summary(i) for i, name in enumerate(data.contact_names)}
+    if events is not None:
+        for name, count in judge.losses_seen(run, during).items():
+            contacts[name]['controller_losses'] = count
     return {
         'schema': SCHEMA, 'scenario': setup.scenario.name, 'plant': setup.plant_name,
         'noise_estimator': setup.noise_estimator.estimator, 'mode': mode, 'seed': setup.seed,
         'ticks': data.ticks, 'rate_hz': data.rate,
         'trajectory_sha256': data.trajectory_sha256(), 'timing': timing,
-        'contacts': {name: run.contact_summary(i) for i, name in enumerate(data.contact_names)},
-        'motion': run.motion_summary(), 'torque': run.torque_summary(),
+        'contacts': contacts, 'motion': run.motion_summary(), 'torque': run.torque_summary(),
         'stable': judge.LOOP_IS_STABLE.get(verdict.name), 'verdict': verdict.name,
-        'judged': verdict.judged, 'unjudged': verdict.unjudged or None,
+        'judged': verdict.judged, 'quality': verdict.quality, 'unjudged': verdict.unjudged or None,
         'instabilities': list(verdict.reasons), 'unstable_at_s': verdict.unstable_at,
         'ended_early': ended_early or None, 'claims': [], 'without_truth': run.without_truth(),
         'missing': finite([{'from_s': begin, 'to_s': end} for begin, end in missing]),
@@ -221,8 +224,8 @@ def _judge_what_is_left(
         return summary
     if math.isinf(missing[0].begin):
         raise RunError(
-            f'{folder / BAG_FOLDER}: the begin of the run is not there, and its forces cannot be '
-            f'compared with the scenario; `multicontact report {folder / BAG_FOLDER}` shows the rest')
+            f'{folder / BAG_FOLDER}: the first part is not there, and without it forces cannot be '
+            'compared with the scenario; `multicontact report` of the bag alone shows the rest')
     events = [(event['time_s'], event['what']) for event in summary['events']]
     return summarise(
         content.data, setup, mode=summary['mode'],

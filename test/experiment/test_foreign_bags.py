@@ -137,7 +137,8 @@ def cut(path):
 
 
 @pytest.mark.parametrize(('damage', 'expected'), [
-    (lambda folder: (folder / 'bag_9.mcap').unlink(), 'no samples before the first one that is there'),
+    (lambda folder: (folder / 'bag_9.mcap').unlink(),
+     'no samples before the first one that is there'),
     (lambda folder: (folder / 'bag_10.mcap').unlink(), 'no samples from 1.34 to 2.67 s'),
     (lambda folder: (folder / 'bag_11.mcap').unlink(), 'no samples from 2.66 s on'),
     (lambda folder: cut(folder / 'bag_11.mcap'), r'no samples from 3.\d+ s on'),
