@@ -44,7 +44,8 @@ AGAIN_TIME = 10.0  # s
 LARGEST_OVERSHOOT = 100.0  # %
 LARGEST_MOTION_ERROR = 0.01  # m rms, while the commanded pose moves
 # A run within these is as designed: the paper's claims, and a designed loop without overshoot.
-DESIGNED_RISE = (0.6, 1.4)  # of the design
+# What is fed forward makes a rise shorter, which is no fault.
+DESIGNED_RISE = 1.4  # of the design
 DESIGNED_OVERSHOOT = 10.0  # %
 DESIGNED_ERROR = 0.02  # of the step, in the steady state
 DESIGNED_MOTION_ERROR = 0.005  # m rms
@@ -176,9 +177,8 @@ def _step_qualities(run: RunMetrics) -> Iterator[tuple[str, bool]]:
         yield '63 % of a step never reached', False
     elif rises:
         low, high = min(rises), max(rises)
-        is_good = DESIGNED_RISE[0] <= low and high <= DESIGNED_RISE[1]
         ends = dict.fromkeys((f'{low:.2f}', f'{high:.2f}'))
-        yield f'rise {" to ".join(ends)} of the design', is_good
+        yield f'rise {" to ".join(ends)} of the design', high <= DESIGNED_RISE
     overshoot = max(step.overshoot_percent for step in steps)
     yield f'overshoot at most {overshoot:.0f} %', overshoot <= DESIGNED_OVERSHOOT
     settling = [step.settling_s for step in steps if step.settling_s is not None]
