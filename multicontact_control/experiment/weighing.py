@@ -159,13 +159,16 @@ def weigh_running(
         duration = max(move_time, PEAK * 2.0 * tilt / (SHARE * controller.limits.operational_turn))
         home = Rotation.from_quat(start.quaternion_desired)
         tilts = [Rotation.from_rotvec([tilt * x, tilt * y, 0.0]) for x, y in TILTS]
-        way = way_off(controller, home, tilts)
-        place = start.position_desired + way
-        height = float(np.linalg.norm(way))
+        wanted = start.position_desired + way_off(controller, home, tilts)
+        place = _within_workspace(controller, wanted)
+        height = float(np.linalg.norm(place - start.position_desired))
         lift_time = max(move_time, PEAK * height / (SHARE * controller.limits.operational_speed))
         if height > 0.0:
             tell(f'lift by {1e3 * height:.0f} mm, off the contacts')
-            _lift(arm, place, lift_time)
+            arm.move(place, lift_time)
+        if short := float(np.linalg.norm(wanted - place)):
+            tell(f'limits.workspace_* end {1e3 * short:.0f} mm before the tool is clear of the '
+                 'contacts wherever it is tilted: watch it')
 
         def rest_at(number: int) -> tool.PoseReading:
             _turn(arm, place, duration, tilts[number] * home)
@@ -253,13 +256,12 @@ def _corners(contact: ContactConfig, home: Rotation) -> Matrix:
     return np.array([point + sign * side for side in sides[contact.type] for sign in (1.0, -1.0)])
 
 
-def _lift(arm: Any, position: Vector, duration: float) -> None:
-    """Move the operational point off the contacts; RunError that says what for if it cannot."""
-    try:
-        arm.move(position, duration)
-    except RunError as error:
-        raise RunError('calibrate: expected room to lift the tool off its contacts, got '
-                       f'{error}') from None
+def _within_workspace(controller: ControllerConfig, position: Vector) -> Vector:
+    """Return a position of the operational point, or that next to it in its box, shape (3,)."""
+    limits = controller.limits
+    if not len(limits.workspace_lower):
+        return position
+    return np.clip(position, limits.workspace_lower, limits.workspace_upper)
 
 
 def _await_control(arm: Any) -> None:
