@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import math
 from pathlib import Path
 from typing import Any
 import xml.etree.ElementTree as ElementTree
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, validate
 from multicontact_control.dynamics.robot import (
     check_torques,
     Follower,
     followers,
+    largest_gravity,
     load_model,
 )
+from multicontact_control.dynamics.urdf import parse_urdf
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.parameter_file import write_parameters
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm
-from sim_bridge.posture import condition, limits_of, middle_of, reach, turn_onto
+from sim_bridge.posture import (
+    condition,
+    limits_of,
+    middle_of,
+    reach,
+    turn_along,
+    turn_onto,
+)
 from sim_bridge.robot_file import RobotFile
 from sim_bridge.robots import Robot
-from sim_bridge.urdf_arm import parse_urdf, read_arm, read_urdf, way_to
+from sim_bridge.urdf_arm import read_arm, read_urdf, way_to
 from sim_bridge.workspace import reachable_box
 import yaml
 
@@ -36,6 +45,7 @@ GUESSED_TOOL = {
     'face_offset': 0.0, 'face_mass': 0.001, 'mass': 0.5, 'com': [0.0, 0.0, 0.08],
     'inertia': [0.002, 0.002, 0.001], 'tips': {TIP: [0.0, 0.0, 0.15]}}  # where the URDF has none
 GUESSED_LIMITS = {'torque_limit': (50.0, 'N m'), 'speed_limit': (1.0, 'rad/s')}
+GUESSED_OVER_GRAVITY = 3.0  # torque limit at least, over what gravity takes at most
 GUESSED_ARMATURE = 0.1  # kg m^2
 LARGEST_LIMIT = 1e6  # N m or rad/s, from which on a limit is none
 TURNING = ('revolute', 'continuous')
@@ -44,6 +54,7 @@ FEWEST_JOINTS = 6  # for force and motion in six directions
 # out and how high, on the four sides.
 PLACES = ((0.45, 0.35), (0.35, 0.3), (0.5, 0.2), (0.4, 0.45), (0.3, 0.2))
 STARTS = 4  # postures from which each is tried
+RANDOM_STARTS = 100  # postures whose tool is turned straight down, if no such place is good
 GOOD_CONDITION = 20.0  # of the Jacobian
 GOOD_LOAD = 0.7  # share of the torque limit that gravity takes
 HEADS = {
@@ -96,11 +107,17 @@ def new_robot(
     limits = {name: np.array([value if 0.0 < (value := getattr(link, name)) < LARGEST_LIMIT
                               else math.nan for link in arm.links]) for name in GUESSED_LIMITS}
     suspicious += check_torques(arm.model(), limits['torque_limit'])
-    home = _home(arm, np.array(arm.tips[TIP]), limits['torque_limit'])
+    guesses = {'speed_limit': np.full(len(joints), GUESSED_LIMITS['speed_limit'][0]),
+               'torque_limit': np.maximum(GUESSED_LIMITS['torque_limit'][0], np.ceil(
+                   GUESSED_OVER_GRAVITY * largest_gravity(arm.model())))}
+    limit = np.where(np.isnan(limits['torque_limit']), guesses['torque_limit'],
+                     limits['torque_limit'])
+    home = _home(arm, np.array(arm.tips[TIP]), limit)
     if home is None:
-        home = middle_of(arm.model(), np.zeros(len(joints)))
+        home = min(_random_postures(arm.model()), key=lambda q: _badness(arm.model(), q, limit))
         missing.append('home: no posture with the tool straight down was found; this one is the '
-                       "middle of the joints' range")
+                       'farthest from singular, and from the torque limits, of '
+                       f'{RANDOM_STARTS}')
     values['home'] = home.round(9).tolist()
     box = reachable_box(arm.model(), home)
     if box is None:
@@ -110,8 +127,8 @@ def new_robot(
         values['workspace_lower'], values['workspace_upper'] = (
             corner.round(3).tolist() for corner in box)
     comments = dict(COMMENTS)
-    for name, (guess, unit) in GUESSED_LIMITS.items():
-        values[name] = np.nan_to_num(limits[name], nan=guess).tolist()
+    for name, (_, unit) in GUESSED_LIMITS.items():
+        values[name] = np.where(np.isnan(limits[name]), guesses[name], limits[name]).tolist()
         comments[name] = unit
         if lacking := ', '.join(np.array(joints)[np.isnan(limits[name])]):
             comments[name] = f'{unit}, {MARK} for {lacking}: the URDF has none'
@@ -230,31 +247,67 @@ def _lock_followers(
 def _home(arm: Arm, tip: Vector, limit: Vector) -> Vector | None:
     """Return a posture with the tip straight below the sensor, or None."""
     model = arm.model()
-    lower, upper = limits_of(model)
-    middle = middle_of(model, np.zeros(model.nv))
-    span = np.where(np.isfinite(upper - lower), upper - lower, np.pi)
-    length = sum(float(np.linalg.norm(link.placement.position)) for link in arm.links)
     size = float(np.linalg.norm(tip))
     z = np.array([0.0, 0.0, 1.0])
-    down = turn_onto(z if size < 1e-6 else tip / size, -z)
-    random, best, home = np.random.default_rng(0), math.inf, None
-    starts = [middle, *(middle + random.uniform(-0.25, 0.25, model.nv) * span
-                        for _ in range(STARTS - 1))]
-    for out, high in PLACES:
-        for side in range(4):
-            turn = pin.rpy.rpyToMatrix(0.0, 0.0, 0.5 * np.pi * side)
-            pose = pin.SE3(turn @ down, turn @ np.array([out * length, 0.0, high * length]))
-            for start in starts:
-                q = reach(model, pose, start)
-                if q is None:
-                    continue
-                value = max(condition(model, q) / GOOD_CONDITION,
-                            np.nanmax(_load(model, q) / limit, initial=0.0) / GOOD_LOAD)
-                if value < best:
-                    best, home = value, q
+    along = z if size < 1e-6 else tip / size
+    length = sum(float(np.linalg.norm(link.placement.position)) for link in arm.links)
+    best, home = math.inf, None
+    for postures in (*_at_places(model, turn_onto(along, -z), length),
+                     _turned_where_they_are(model, along, -z)):
+        for q in postures:
+            badness = _badness(model, q, limit)
+            if badness < best:
+                best, home = badness, q
         if best < 1.0:
             break
     return home
+
+
+def _at_places(
+    model: pin.Model, down: Matrix, length: float,
+) -> Iterator[Iterator[Vector]]:
+    """Yield for each place above the floor, round an upright base, the postures that reach it."""
+    middle = middle_of(model, np.zeros(model.nv))
+    random, span = np.random.default_rng(0), _spans(model)
+    starts = [middle, *(middle + random.uniform(-0.25, 0.25, model.nv) * span
+                        for _ in range(STARTS - 1))]
+    turns = [pin.rpy.rpyToMatrix(0.0, 0.0, 0.5 * np.pi * side) for side in range(4)]
+    for out, high in PLACES:
+        point = np.array([out * length, 0.0, high * length])
+        poses = [pin.SE3(turn @ down, turn @ point) for turn in turns]
+        tries = (reach(model, pose, start) for pose in poses for start in starts)
+        yield (q for q in tries if q is not None)
+
+
+def _turned_where_they_are(
+    model: pin.Model, axis: Vector, direction_world: Vector,
+) -> Iterator[Vector]:
+    """Yield postures wherever they are: of an arm on a wall, a ceiling or a slope, too."""
+    for start in _random_postures(model):
+        q = turn_along(model, axis, direction_world, start)
+        if q is not None:
+            yield q
+
+
+def _random_postures(model: pin.Model) -> Iterator[Vector]:
+    """Yield joint angles over the joints' ranges, shape (n,) [rad]."""
+    middle, span = middle_of(model, np.zeros(model.nv)), _spans(model)
+    random = np.random.default_rng(0)
+    for _ in range(RANDOM_STARTS):
+        yield middle + random.uniform(-0.5, 0.5, model.nv) * span
+
+
+def _spans(model: pin.Model) -> Vector:
+    """Return the sizes of the joints' ranges, shape (n,), half a turn without one [rad]."""
+    lower, upper = limits_of(model)
+    spans: Vector = np.where(np.isfinite(upper - lower), upper - lower, np.pi)
+    return spans
+
+
+def _badness(model: pin.Model, q: Vector, limit: Vector) -> float:
+    """Return how near a posture is to singular or to the torque limits [N m]; good below 1."""
+    load = float((_load(model, q) / limit).max())
+    return max(condition(model, q) / GOOD_CONDITION, load / GOOD_LOAD)
 
 
 def _load(model: pin.Model, q: Vector) -> Vector:

@@ -9,7 +9,7 @@ from sim_bridge.arm import OPERATIONAL_FRAME
 
 STEPS = 500
 LARGEST_STEP = 0.2  # rad
-DAMPING = 1e-6
+DAMPING, TURN_DAMPING = 1e-6, 1e-2
 CENTRING = 0.05  # of the way to the middle of the joints' range per step, where the task lets it
 REACHED = 1e-9  # m, rad
 FAR = 10.0  # rad, from which on a limit is none
@@ -37,6 +37,32 @@ def reach(model: pin.Model, pose: pin.SE3, start: Vector) -> Vector | None:
         change = inverse @ error
         fading = CENTRING * max(0.0, 1.0 - 2.0 * step / STEPS)
         change += fading * (middle - q - inverse @ (jacobian @ (middle - q)))
+        change *= min(1.0, LARGEST_STEP / max(np.abs(change).max(), 1e-300))
+        q = np.clip(q + change, lower, upper)
+    return None
+
+
+def turn_along(
+    model: pin.Model, axis: Vector, direction_world: Vector, start: Vector,
+) -> Vector | None:
+    """
+    Return joint angles that turn an axis of the operational frame along a direction, or None.
+
+    Both are unit vectors; from joint angles `start` on, shape (n,) [rad], within the joints'
+    limits. Where the frame is in the end is left free.
+    """
+    lower, upper = limits_of(model)
+    q = np.array(start, dtype=float)
+    for _ in range(STEPS):
+        now = frame_pose(model, q).rotation @ axis
+        across = np.cross(now, direction_world)
+        sine, cosine = float(np.linalg.norm(across)), float(now @ direction_world)
+        if sine < REACHED and cosine > 0.0:
+            return q
+        error = across * (np.arctan2(sine, cosine) / max(sine, REACHED))
+        jacobian = frame_jacobian(model, q)[3:]
+        change = jacobian.T @ np.linalg.solve(
+            jacobian @ jacobian.T + TURN_DAMPING * np.eye(3), error)
         change *= min(1.0, LARGEST_STEP / max(np.abs(change).max(), 1e-300))
         q = np.clip(q + change, lower, upper)
     return None

@@ -16,6 +16,7 @@ from urllib.parse import unquote
 import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.dynamics.robot import load_model
+from multicontact_control.dynamics.urdf import check_tree, ends_of, parse_urdf
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
@@ -95,15 +96,8 @@ def read_urdf(path: Path) -> str:
     if any('xacro' in element.tag for element in root.iter()):
         raise ConfigError('urdf', 'a URDF', f'{path}, which is xacro',
                           hint=f'write one with `xacro {path.name} > arm.urdf`')
+    check_tree(root)
     return ElementTree.tostring(root, encoding='unicode')
-
-
-def parse_urdf(text: str | bytes) -> ElementTree.Element:
-    """Return the root element of a URDF; ConfigError if it is no XML."""
-    try:
-        return ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise ConfigError('urdf', 'a valid URDF', str(error)) from None
 
 
 def way_to(root: ElementTree.Element, link: str) -> dict[str, ElementTree.Element]:
@@ -114,13 +108,6 @@ def way_to(root: ElementTree.Element, link: str) -> dict[str, ElementTree.Elemen
         way[link] = joint
         link = ends_of(joint)[0]
     return dict(reversed(way.items()))
-
-
-def ends_of(joint: ElementTree.Element) -> tuple[str, str]:
-    """Return parent and child link of a joint; empty where it does not say."""
-    ends = (joint.find('parent'), joint.find('child'))
-    parent, child = ('' if end is None else end.get('link', '') for end in ends)
-    return parent, child
 
 
 def _without_tool(text: str, mount: str) -> str:

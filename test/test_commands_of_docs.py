@@ -31,8 +31,10 @@ TUTORIAL, FIRST = ROOT / 'docs/tutorial.md', Path('runs/first')
 YOURS = {'my_arm.urdf', 'arm.urdf', 'ur5e.urdf', 'my_arm.yaml', 'controller.yaml', 'tool.yaml',
          'ur.yaml'}
 OTHERS = (
-    '. ', 'cp', 'dask', 'franka_bridge', 'pip install', 'python docs/', 'python ur_wrench.py',
-    'python3 -m venv', 'ros2 bag', 'ros2 launch', 'ros2 control', 'ros2 service call',
+    '. ', 'controller_node --autostart --ros-args', 'cp', 'dask', 'franka_bridge',
+    'noise_estimator_node --autostart --ros-args', 'pip install', 'python docs/',
+    'python ur_wrench.py', 'python3 -m venv', 'recorder_node --ros-args', 'ros2 launch',
+    'ros2 control', 'ros2 service call',
     'ros2 param set /sim_node ', 'ros2 topic pub --once /sim_node/push',
     'ros2 run robot_state_publisher', 'ros2 run tf2_ros', 'ssh', 'strict/bin/',
     'tsid/bin/pip install')
@@ -101,6 +103,18 @@ def test_command_is_one_that_there_is(words):
         {'multicontact': parse, 'make': make}[words[0]](words)
     else:
         assert ' '.join(words).startswith(OTHERS)
+
+
+NATIVE = re.compile(r'native\s+ROS 2|installation')
+
+
+@pytest.mark.parametrize('document', DOCUMENTS, ids=lambda path: path.name)
+def test_command_that_the_wheels_lack_says_where_it_is_from(document):
+    """In its own paragraph or, of a block, in the one before it."""
+    paragraphs = re.split(r'\n\s*\n', document.read_text(encoding='utf-8'))
+    for before, text in zip(['', *paragraphs], paragraphs):
+        if re.search(r'(^|[`# ])ros2 [a-z]', text, re.MULTILINE):
+            assert NATIVE.search(before + text), text
 
 
 @pytest.mark.parametrize('document', DOCUMENTS, ids=lambda path: path.name)

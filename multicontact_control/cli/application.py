@@ -14,7 +14,7 @@ from multicontact_control.cli.report import identify, report
 from multicontact_control.cli.robot import calibrate, new_robot, push_test
 from multicontact_control.cli.run import run, simulate, view
 from multicontact_control.cli.study import study
-from multicontact_control.cli.topic import echo, list_topics
+from multicontact_control.cli.topic import echo, list_topics, rate
 from multicontact_control.errors import ConfigError, MulticontactError
 from multicontact_control.process import limit_threads
 import typer
@@ -100,10 +100,11 @@ for function in COMMANDS:
     app.command(cls=Command, no_args_is_help=function in WITH_ARGUMENTS,
                 help=(getdoc(function) or '').replace(r'\b', '\b'))(function)
 app.command('compile', cls=Command, hidden=True)(compile_kernels)
-topic = typer.Typer(help='List or print the topics of a running graph.', no_args_is_help=True,
-                    rich_markup_mode=None)
+topic = typer.Typer(help='List, print or time the topics of a running graph.',
+                    no_args_is_help=True, rich_markup_mode=None)
 topic.command('list', cls=Command)(list_topics)
 topic.command('echo', cls=Command)(echo)
+topic.command('hz', cls=Command)(rate)
 app.add_typer(topic, name='topic')
 
 

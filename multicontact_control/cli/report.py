@@ -22,12 +22,13 @@ def report(
     namespace: options.Namespace = None,
 ) -> None:
     """
-    Show verdict, numbers and figures of runs on a page in HTML.
+    Show verdict, numbers and figures of runs on a page in HTML, and print the verdict.
 
     A run of the scenario `paper` is judged by the claims of the paper, too. Of a recording without
     ground truth the measured forces are shown, and the run is not judged. Names and rate are those
     of the messages, or of --controller.
     """
+    from multicontact_control.experiment.judge import verdict_text
     from multicontact_control.experiment.report import write_report
     from multicontact_control.experiment.results import is_whole_run, load, report_folder
 
@@ -37,8 +38,10 @@ def report(
     loaded = [load(path, controller or (), namespace) for path in runs]
     paths = write_report(loaded, out or report_folder(runs[0]), claims=claims)
     for run in loaded:
-        for remark in run.summary.get('remarks', ()):
-            typer.echo(f'{run.folder}: {remark}')
+        quality = run.summary.get('quality')  # which an older version did not write
+        for line in (verdict_text(run.summary), quality, *run.summary.get('remarks', ())):
+            if line:
+                typer.echo(f'{run.folder}: {line}')
     typer.echo(f'report in {paths[0]}, {len(paths) - 1} figures')
 
 

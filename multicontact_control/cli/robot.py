@@ -62,8 +62,10 @@ def calibrate(
     """
     Weigh the tool, and find the bias of the wrist sensor.
 
-    The running controller tilts the tool to four sides: leave room. Needs the controller's
-    parameter file, --controller. The result is tool.yaml, a parameter file to lay over it.
+    The running controller lifts the tool off its contacts and tilts it to four sides: leave room.
+    A pose that gives no quiet rest is tried again, and then goes without: four are enough. Needs
+    the controller's parameter file, --controller. The result is tool.yaml, a parameter file to lay
+    over it.
     """
     from multicontact_control.experiment import weighing
 

@@ -1,9 +1,13 @@
-"""`multicontact topic list` and `multicontact topic echo`, like `ros2 topic`."""
+"""`multicontact topic list`, `echo` and `hz`, like `ros2 topic`."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence, Sized
+from contextlib import contextmanager
 from importlib import import_module
+from itertools import pairwise
 import os
+from statistics import fmean, pstdev
 import sys
 import time
 from typing import Annotated, Any
@@ -15,6 +19,11 @@ import yaml
 
 NODE = f'_multicontact_{os.getpid()}'  # the underscore hides it
 POLL_PERIOD = 0.005  # s
+LINE_PERIOD = 1.0  # s
+DEPTH = 100  # messages that wait, of a fifth of a second at 500 Hz
+
+Topic = Annotated[str, typer.Argument(metavar='TOPIC', help='E.g. /contact_forces/measured.')]
+Timeout = Annotated[float, typer.Option(help='Longest wait for a publisher [s].', min=0.0)]
 
 
 def list_topics(
@@ -33,22 +42,72 @@ def list_topics(
 
 
 def echo(
-    topic: Annotated[str, typer.Argument(
-        metavar='TOPIC', help='E.g. /contact_forces/measured.')],
+    topic: Topic,
     field: Annotated[str, typer.Option(
         help='Show only this field, e.g. `effort` or `header.stamp`.')] = '',
     once: Annotated[bool, typer.Option('--once', help='End after one message.')] = False,
-    timeout: Annotated[float, typer.Option(
-        help='Longest wait for a publisher [s].', min=0.0)] = 5.0,
-    domain_id: DomainId = None,
+    timeout: Timeout = 5.0, domain_id: DomainId = None,
 ) -> None:
     """Print the messages of a topic as YAML documents, until Ctrl-C."""
     from multicontact_control.nodes import graph
-    from multicontact_control.nodes.link import GuestNode
     from multicontact_control.nodes.runtime import stop_signals
-    from rclpy.qos import QoSProfile
 
     stop = stop_signals()
+    with _subscribed(topic, timeout, domain_id, stop) as (kind, subscription):
+        document(kind(), field)  # refuses a wrong field before the first message
+        while not stop:
+            if taken := graph.take(subscription):
+                print(document(taken[0], field), flush=True)
+                if once:
+                    return
+            else:
+                time.sleep(POLL_PERIOD)
+
+
+def rate(
+    topic: Topic,
+    once: Annotated[bool, typer.Option('--once', help='End after one line.')] = False,
+    timeout: Timeout = 5.0, domain_id: DomainId = None,
+) -> None:
+    """Print how often messages of a topic arrive, a line each second, until Ctrl-C."""
+    from multicontact_control.nodes import graph
+    from multicontact_control.nodes.runtime import stop_signals
+
+    stop = stop_signals()
+    with _subscribed(topic, timeout, domain_id, stop) as (_, subscription):
+        arrivals: list[int] = []  # ns; the last of a line begins the next
+        due = time.monotonic() + LINE_PERIOD
+        while not stop:
+            while taken := graph.take(subscription):
+                arrivals.append(taken[1]['received_timestamp'])
+            if time.monotonic() < due:
+                time.sleep(POLL_PERIOD)
+                continue
+            print(describe_rate(arrivals), flush=True)
+            if once:
+                return
+            arrivals = arrivals[-1:]
+            due += LINE_PERIOD
+
+
+def describe_rate(arrivals: Sequence[int]) -> str:
+    """Return how often messages have arrived, of the times when they did [ns], in words."""
+    if len(arrivals) < 2:
+        return 'no two messages within a second'
+    apart = [1e-6 * (late - early) for early, late in pairwise(arrivals)]  # ms
+    return (f'{1e3 / fmean(apart):.1f} Hz: {min(apart):.2f} to {max(apart):.2f} ms apart, '
+            f'standard deviation {pstdev(apart):.2f} ms, {len(arrivals)} messages')
+
+
+@contextmanager
+def _subscribed(
+    topic: str, timeout: float, domain_id: int | None, stop: Sized,
+) -> Iterator[tuple[Any, Any]]:
+    """Yield the type of a topic's messages, and a subscription as its publisher offers it."""
+    from multicontact_control.nodes import graph
+    from multicontact_control.nodes.link import GuestNode
+    from rclpy.qos import QoSProfile
+
     name = graph.full_topic_name('topic', f'/{topic.strip("/")}')
     end = time.monotonic() + timeout
     with GuestNode(NODE, domain_id) as guest:
@@ -62,17 +121,9 @@ def echo(
             message = getattr(import_module(f'{package}.msg'), kind)
         except (ImportError, AttributeError):
             raise RunError(f'{package}/msg/{kind}: this message type is not installed') from None
-        document(message(), field)  # refuses a wrong field before the first message
         offered = publishers[0].qos_profile
-        subscription = guest.node.create_subscription(message, name, graph.ignore, QoSProfile(
-            depth=100, reliability=offered.reliability, durability=offered.durability))
-        while not stop:
-            if taken := graph.take(subscription):
-                print(document(taken[0], field), flush=True)
-                if once:
-                    return
-            else:
-                time.sleep(POLL_PERIOD)
+        yield message, guest.node.create_subscription(message, name, graph.ignore, QoSProfile(
+            depth=DEPTH, reliability=offered.reliability, durability=offered.durability))
 
 
 def document(message: Any, field: str = '') -> str:

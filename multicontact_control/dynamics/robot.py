@@ -12,6 +12,7 @@ from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.config import RobotConfig, ToolConfig
 from multicontact_control.dynamics import model_check
 from multicontact_control.dynamics.rotations import Pose
+from multicontact_control.dynamics.urdf import check_tree, parse_urdf
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
@@ -228,14 +229,15 @@ def load_model(
     locked = dict(locked_joints or {})
     try:
         text = urdf.read_bytes() if isinstance(urdf, Path) else urdf  # which has its encoding
-        root = ElementTree.fromstring(text)
+        root = _read_root(text, source)
+        _remove_shapes(root)
         _refuse_followers(root, locked)
         axes, endless = _complete(root)
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding='unicode'))
     except OSError as error:
         raise ConfigError('robot.urdf', 'a readable URDF file',
                           f'{source} ({error.strerror})') from None
-    except (ElementTree.ParseError, ValueError, RuntimeError) as error:
+    except (ValueError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else 'not a URDF'
         raise ConfigError('robot.urdf', 'a valid URDF', f'{source} ({reason})') from None
     names = list(model.names)[1:]
@@ -250,6 +252,24 @@ def load_model(
         model.lowerPositionLimit[at], model.upperPositionLimit[at] = -np.inf, np.inf
     (warnings if warnings is not None else []).extend(model_check.judge(_findings(model, axes)))
     return model
+
+
+def _read_root(text: str | bytes, source: str) -> ElementTree.Element:
+    """Return the root element of a URDF that is one tree; ConfigError of `robot.urdf`."""
+    try:
+        root = parse_urdf(text)
+        check_tree(root)
+    except ConfigError as error:
+        raise error.moved(f'robot.{error.field}', source) from None
+    return root
+
+
+def _remove_shapes(root: ElementTree.Element) -> None:
+    """Remove what links look like, and where they collide: no part of the model."""
+    for link in root.findall('link'):
+        for name in ('visual', 'collision'):
+            for shape in link.findall(name):
+                link.remove(shape)
 
 
 class Follower(NamedTuple):
@@ -363,16 +383,27 @@ def check_torques(
     model: pin.Model, limit: Vector, adds_gravity: bool = False,
 ) -> tuple[str, ...]:
     """Return what is suspicious of torque limits [N m]; ConfigError if the arm cannot be held."""
-    data, random = model.createData(), np.random.default_rng(0)
-    q = np.clip(random.uniform(-np.pi, np.pi, (POSTURES, model.nq)),
-                model.lowerPositionLimit, model.upperPositionLimit)
-    gravity = np.abs([pin.computeGeneralizedGravity(model, data, each) for each in q]).max(axis=0)
-    inertia = np.min([np.diag(pin.crba(model, data, each)) for each in q], axis=0)
+    data, gravity = model.createData(), largest_gravity(model)
+    inertia = np.min([np.diag(pin.crba(model, data, q)) for q in _postures(model)], axis=0)
     heaviest = max(range(model.njoints), key=lambda joint: model.inertias[joint].mass)
     heavy = f'{model.inertias[heaviest].mass:.4g} kg on {model.names[heaviest]}'
     figures = zip(list(model.names)[1:], (not adds_gravity) * gravity, inertia, limit)
     return model_check.judge(
         finding for each in figures for finding in model_check.check_torque(*each, heavy))
+
+
+def largest_gravity(model: pin.Model) -> Vector:
+    """Return the torque that holds the arm in any of many postures, shape (n,) [N m]."""
+    data = model.createData()
+    torques = [pin.computeGeneralizedGravity(model, data, q) for q in _postures(model)]
+    largest: Vector = np.abs(torques).max(axis=0)
+    return largest
+
+
+def _postures(model: pin.Model) -> Matrix:
+    """Return joint angles over the joints' ranges, shape (64, n) [rad]."""
+    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (POSTURES, model.nq))
+    return np.clip(angles, model.lowerPositionLimit, model.upperPositionLimit)
 
 
 def _pose(placement: pin.SE3) -> Pose:

@@ -10,17 +10,19 @@ from io import BufferedReader
 from pathlib import Path
 import re
 from textwrap import shorten
-from typing import Any
+from typing import Any, NamedTuple
 
 from mcap.reader import NonSeekingReader
 from mcap_ros2.decoder import DecoderFactory
 from multicontact_control.arrays import Matrix
-from multicontact_control.errors import RunError
+from multicontact_control.config import read_yaml
+from multicontact_control.errors import ConfigError, RunError
 import numpy as np
 from numpy.typing import NDArray
 import zstandard
 
 WIDTH = 200  # characters of the topics that a line names
+METADATA = 'metadata.yaml'  # of rosbag2: which files a recording has, and how many messages
 JOINT_STATE, WRENCH, POSE = (
     'sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped',
     'geometry_msgs/msg/PoseStamped')
@@ -113,12 +115,34 @@ class BagMessages:
     others: tuple[str, ...]  # names of all other topics
     cut_off: bool = False  # whether the recording ends in the middle
     unreadable: tuple[str, ...] = ()  # what could not be read of these topics, in words
+    lost: tuple[str, ...] = ()  # what is not there of the recording, in words
+    begin_lost: bool = False  # whether it began before its first message that is there
+    end_lost: bool = False  # whether it went on after the last
 
     def __str__(self) -> str:
         """Return what else is there, for a line that says what is missing."""
         what = shorten(', '.join(self.others) or 'nothing', WIDTH, placeholder=' ...')
         cut_off = ', and a file that is cut off' if self.cut_off else ''
         return '; '.join((what + cut_off, *self.unreadable))
+
+
+class Listed(NamedTuple):
+    """What the metadata of a recording say that it holds."""
+
+    files: tuple[str, ...]  # names, in the order of time
+    messages: int
+
+
+def read_metadata(folder: Path) -> Listed | None:
+    """Return what the metadata of a recording list, None without any; ConfigError if damaged."""
+    path = folder / METADATA
+    if not path.is_file():
+        return None
+    try:
+        content = read_yaml(path)['rosbag2_bagfile_information']
+        return Listed(tuple(content['relative_file_paths']), int(content['message_count']))
+    except (KeyError, TypeError, ValueError):
+        raise ConfigError(str(path), 'relative_file_paths and message_count of rosbag2') from None
 
 
 def mcap_files(path: Path) -> list[Path]:
@@ -142,12 +166,15 @@ def read_messages(
     columns: dict[tuple[str, str], BagColumns] = {}  # by namespace and topic
     names: set[str] = set()  # full names of all topics
     unreadable: dict[str, str] = {}
-    cut_off = False
+    cut_off = last_cut_off = False
+    count = 0  # of all messages
     suffix = re.compile(rf'(?:(.*)/)?({"|".join(map(re.escape, types))})')
     for record in _records(path):
+        last_cut_off = record is None
         if record is None:
             cut_off = True
             continue
+        count += 1
         schema, channel, message, decode = record
         name = channel.topic.strip('/')
         names.add(name)
@@ -166,11 +193,39 @@ def read_messages(
         else:
             columns[key] = taken
     chosen = _namespace(path, [space for space, _ in columns], namespace)
+    lost, begin_lost, end_lost = _compare_with_metadata(path, count, last_cut_off)
     return BagMessages(
         {topic: taken for (space, topic), taken in columns.items() if space == chosen},
         tuple(sorted(name for name in names if not (
             (place := suffix.fullmatch(name)) and (place[1] or '', place[2]) in columns))),
-        cut_off, tuple(f'{name}: {why}' for name, why in unreadable.items()))
+        cut_off, tuple(f'{name}: {why}' for name, why in unreadable.items()),
+        lost, begin_lost, end_lost)
+
+
+def _compare_with_metadata(
+    path: Path, count: int, last_cut_off: bool,
+) -> tuple[tuple[str, ...], bool, bool]:
+    """
+    Return what a recording of `count` messages lacks, in words, and whether its begin or its end.
+
+    A file that has another name than the metadata say, or is cut off behind its last message, is
+    no loss: every message is there.
+    """
+    try:
+        listed = read_metadata(path) if path.is_dir() else None
+    except ConfigError as error:
+        return (str(error),), False, last_cut_off
+    if listed is None:
+        return (), False, last_cut_off
+    if count >= listed.messages:
+        return (), False, False
+    there = {file.name.removesuffix('.zstd') for file in mcap_files(path)}
+    absent = [name for name in listed.files if name.removesuffix('.zstd') not in there]
+    lost = f'{METADATA} counts {listed.messages} messages, {count} are there'
+    if absent:
+        lost += f'; without {", ".join(absent)}'
+    end_lost = last_cut_off or listed.files[-1] in absent
+    return (lost,), listed.files[0] in absent, end_lost
 
 
 def _records(path: Path) -> Iterator[tuple[Any, Any, Any, Callable[[], Any]] | None]:

@@ -8,14 +8,11 @@ import math
 from statistics import median
 from typing import Any, NamedTuple
 
-from multicontact_control.config import ForceConfig
 from multicontact_control.experiment import metrics
 from multicontact_control.experiment.judge import HELD
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import exprel
 
 PAPER_SCENARIO = 'paper'
 AFTER_PUSH = 0.5  # s, in which the estimate of R is watched for a reaction
@@ -110,20 +107,6 @@ def judge_claims(evidence: Evidence, comparison: Runs = ()) -> list[Claim]:
     return claims
 
 
-def designed_rise(force: ForceConfig) -> float:
-    """
-    Return the time in which the designed loop reaches 63 % of a step of the true force [s].
-
-    T_d of the input plus the time at which the response of the two poles reaches 1 - 1/e.
-    """
-    excess = 1.0 - force.second_pole_ratio
-
-    def missing(t: float) -> float:
-        return float(math.exp(-t) * (1.0 + t * exprel(excess * t)) - math.exp(-1.0))
-
-    return float(force.input_delay + force.time_constant * brentq(missing, 0.0, 10.0))
-
-
 def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict[str, Any]:
     """Return what studies tabulate and claims rest on, of a simulated run, as JSON values."""
     force, run = setup.controller.force, metrics.RunMetrics(data, setup)
@@ -132,7 +115,7 @@ def evidence_of(data: RunData, setup: Setup, summary: Mapping[str, Any]) -> dict
         'plant': setup.plant_name, 'seed': setup.seed,
         'estimator': setup.noise_estimator.estimator,
         'active_state_order': force.active_state_order, 'damping_rate': force.damping_rate,
-        'designed_rise_s': designed_rise(force),
+        'designed_rise_s': metrics.designed_rise(force),
         # What the supervisor holds tells nothing of what the law alone would do.
         'stable': None if summary['verdict'] == HELD else summary['stable'],
         'unstable_after_motion_s': None if unstable_at is None or math.isinf(start) else (

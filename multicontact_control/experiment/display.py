@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -16,17 +16,23 @@ from rich.markup import escape
 from rich.table import Table
 
 COLOURS = {judge.STABLE: 'green', judge.NOT_STABLE: 'red', judge.SILENT: 'red'}
-# Of a contact: in a window of the run, or of its largest step; label, and digits.
+# Of a contact: in a window of the run, or of its largest step and under load; label, and digits.
 NUMBERS = (
     ('', 'step_rise_63_s', 'step rise 63 % [s]', 3),
+    ('', 'step_rise_over_design', 'rise over the design', 2),
     ('', 'step_overshoot_percent', 'overshoot [%]', 0),
+    ('', 'step_settling_s', 'settling time [s]', 3),
+    ('', 'step_steady_error_n', 'steady-state error [N]', 2),
     *((window, key, f'{window}: {label}', digits) for window in ('rest', 'moving')
       for key, label, digits in (
           ('true_error_rms_n', 'true error rms [N]', 2),
           ('measured_error_rms_n', 'measured error rms [N]', 2),
           ('estimate_error_rms_n', 'estimate error rms [N]', 2),
-          ('noise_variance_median_n2', 'noise variance [N²]', 2),
-          ('contact_loss_fraction', 'contact lost [share]', 4))))
+          ('noise_variance_median_n2', 'noise variance [N²]', 2))),
+    # The controller knows what its sensor says, and that may be 0 N when the force is not.
+    ('', 'true_losses', 'contact lost [times]', 0),
+    ('', 'measured_losses', 'lost as measured [times]', 0),
+    ('', 'controller_losses', 'lost to the controller [times]', 0))
 
 # Takes the time into a run [s], the measured forces [N] by contact, and the real-time factor.
 ShowProgress = Callable[..., None]
@@ -88,7 +94,7 @@ def headline(summary: Mapping[str, Any]) -> str:
 
 def summary_rows(summary: Mapping[str, Any]) -> list[list[str]]:
     """Return the numbers of the contacts with their labels, as far as they are known."""
-    rows = [[label, *(_number((contact[window] if window else contact)[key], digits)
+    rows = [[label, *(_number((contact[window] if window else contact).get(key), digits)
                       for contact in summary['contacts'].values())]
             for window, key, label, digits in NUMBERS]
     return [row for row in rows if {*row[1:]} != {'-'}]
@@ -106,6 +112,24 @@ def print_summary(console: Console, summary: Mapping[str, Any], folder: object) 
         console.print(table)
     for line in verdict_lines(summary, folder):
         console.print(line)
+    if summary['claims']:
+        print_claims(console, summary['claims'])
+
+
+def print_claims(console: Console, claims: Sequence[Mapping[str, Any]]) -> None:
+    """Print what the paper says beside what a run shows, as far as the run can tell."""
+    judged = [claim for claim in claims if claim['holds'] is not None]
+    table = Table('claim of the paper', 'measured', 'expected', '', show_lines=True)
+    for claim in judged:
+        verdict = '[green]holds[/green]' if claim['holds'] else '[yellow]differs[/yellow]'
+        said = f'{claim["claim"]} ({claim["paper"]})'
+        table.add_row(*map(escape, (said, claim['measured'], claim['why'])), verdict)
+    # In a narrow terminal cells are wrapped; the console itself wraps nothing.
+    console.print(table, soft_wrap=False)
+    others = len(claims) - len(judged)
+    if others:
+        console.print(f'{counted(others, "claims")} not judged by one run: `multicontact study '
+                      'compare` has the runs that they are about')
 
 
 def arm_line(summary: Mapping[str, Any]) -> str:
@@ -124,6 +148,8 @@ def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
     colour = COLOURS.get(summary['verdict'], 'yellow')
     lines = [arm_line(summary),
              f'[{colour}]{escape(text)}[/{colour}] (judged: {escape(summary["judged"])})']
+    if summary['quality']:
+        lines.append(escape(summary['quality']))
     if summary['mode'] == judge.REAL_TIME:
         p99 = (timing['latency_us'] or {}).get('p99')
         lines.append(f'free-running: {timing["deadline_misses"]} of {summary["ticks"]} deadlines '
@@ -140,4 +166,7 @@ def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
 
 
 def _number(value: float | None, digits: int) -> str:
-    return '-' if value is None else f'{value:.{digits}f}'
+    if value is None:
+        return '-'
+    rounded = round(value, digits) + 0.0  # which leaves no minus before a zero
+    return f'{rounded:.{digits}f}'

@@ -8,11 +8,14 @@ import math
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.config import ForceConfig
 from multicontact_control.experiment import oscillation
-from multicontact_control.experiment.recording import RunData
+from multicontact_control.experiment.recording import LONGEST_GAP, Missing, RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.contacts import LOSS_TIME
 import numpy as np
+from scipy.optimize import brentq
+from scipy.special import exprel
 
 SETTLE_AFTER_STEP = 1.0  # s, the start of the window `rest` after the last force step
 SETTLE_AFTER_START = 2.0  # s, the start of the window `moving` after the motion's start
@@ -21,10 +24,12 @@ MOVING = 1e-3  # m/s, from which on a commanded pose moves
 LEAST_TRUTH = 0.9  # share of the time under load, that a true force is known for
 NO_TRUTH = 'no ground truth'
 ALL_OF_IT = 1.0 - 1e-6  # of a normal force, that presses at one end of its contact
-BAND_OF_COMMAND = 0.05  # recovered: the error is within this share of the command ...
-BAND_OF_NOISE = 3.0  # ... or this many standard deviations of the error before the push,
+# Settled: the error is within this share of the command, after a push, or of the step ...
+BAND_OF_COMMAND = 0.05
+BAND_OF_NOISE = 3.0  # ... or this many standard deviations of the error before, if that is more,
 BAND_HELD = 0.1  # s, for this long
-LOOK_BACK = 1.0  # s, before a push, from which its noise is taken
+MEDIAN_TO_DEVIATION = 1.0484  # of the size of differences of normal white noise to its own
+LOOK_BACK = 1.0  # s, before a push or a step, from which its noise is taken
 LASTING = 0.5  # s; a push this long is to be controlled out while it lasts
 
 
@@ -43,13 +48,23 @@ class StepResponse(NamedTuple):
     size_n: float
     rise_63_s: float | None  # from command to force beyond 63 % of the step; None: never
     overshoot_percent: float  # of the step
+    # From command until the force stays within a band around the command; None: not in its time.
+    settling_s: float | None
+    # Mean of force less command from 1 s after the step on; None if it has no such time.
+    steady_error_n: float | None
 
 
 class RunMetrics:
     """A run with what is judged of it: forces, the task's commands, windows."""
 
-    def __init__(self, data: RunData, setup: Setup) -> None:
+    def __init__(
+        self, data: RunData, setup: Setup, missing: Sequence[Missing] = (),
+    ) -> None:
         self.data, self.setup = data, setup
+        self.recorded = data.recorded()
+        end = data.ticks / data.rate
+        # A recording that lost its end has no say in what came of the last step.
+        self.lost_from = end if any(each.end > end for each in missing) else math.inf
         self.leaders = list(setup.controller.leader_of)  # of each column the contact's force
         self.couples = [leader != i for i, leader in enumerate(self.leaders)]
         motion = setup.scenario.reference.motion
@@ -57,8 +72,12 @@ class RunMetrics:
 
     @cached_property
     def windows(self) -> Windows:
+        """Return the judged stretches, as far as they were recorded."""
+        return Windows(*(window & self.recorded for window in self._planned_windows()))
+
+    def _planned_windows(self) -> Windows:
         """
-        Return the judged stretches: of the scenario, or of the forces commanded over topics.
+        Return the stretches that the scenario has, or the forces commanded over topics.
 
         Of the latter `loaded` is while a force is asked for, `moving` while the pose asked for
         moves, and `rest` what is 1 s away from that and from every change of a command.
@@ -136,6 +155,19 @@ class RunMetrics:
         """Return the samples from one time to another [s]."""
         return (self.data.time >= start - 1e-9) & (self.data.time < end - 1e-9)
 
+    def unknown(self, i: int) -> Mask:
+        """Return where the force of a contact is not known for more than 0.1 s."""
+        longest = LONGEST_GAP * self.data.rate
+        unknown = np.zeros(self.data.ticks, dtype=bool)
+        for begin, end in oscillation.stretches(np.isnan(self.force[:, i])):
+            unknown[begin:end] = end - begin > longest
+        return unknown
+
+    def next_unknown(self, i: int, time: float) -> float:
+        """Return from when after a time on a contact's force is not known [s], or infinity."""
+        unknown = self.unknown(i) & (self.data.time > time)
+        return float(self.data.time[np.argmax(unknown)]) if unknown.any() else self.lost_from
+
     def next_event(self, time: float) -> float:
         """Return when the next push, or force step or motion of the scenario, begins [s]."""
         events = list(self.setup.plant.push_start) if self.setup.simulated else []
@@ -145,12 +177,21 @@ class RunMetrics:
         return min((event for event in events if event > time + 1e-9), default=math.inf)
 
     def step_responses(self, i: int) -> list[StepResponse]:
-        """Return the answers of a contact to the steps at rest, until the next event each."""
+        """
+        Return the answers of a contact to the steps at rest, until the next event each.
+
+        An answer ends where the force is not known any more. One that is not known for 1 s before
+        the next event tells nothing.
+        """
         time, steps = self.data.time, self._steps(i)
         ends = [start for start, _, _ in steps[1:]] + [float(time[-1])]
         responses = []
         for (start, before, after), end in zip(steps, ends):
-            window = (time >= start - 1e-9) & (time < min(end, self.next_event(start)))
+            until = min(end, self.next_event(start))
+            known_until = self.next_unknown(i, start)
+            if known_until < min(until, start + SETTLE_AFTER_STEP):
+                continue
+            window = (time >= start - 1e-9) & (time < min(until, known_until))
             travelled = (self.force[window, i] - before) / ((after - before) or math.nan)
             if not np.isfinite(travelled).any():
                 continue
@@ -158,8 +199,49 @@ class RunMetrics:
             responses.append(StepResponse(
                 start, after - before,
                 float(time[window][beyond[0]] - start) if beyond.size else None,
-                100.0 * max(float(np.nanmax(travelled)) - 1.0, 0.0)))
+                100.0 * max(float(np.nanmax(travelled)) - 1.0, 0.0),
+                self._settling(i, window, after, abs(after - before)),
+                self._steady_error(i, window, after)))
         return responses
+
+    def _settling(self, i: int, window: Mask, command: float, size: float) -> float | None:
+        """Return after what time in the window of a step [N] a force stays near its command."""
+        band = BAND_OF_COMMAND * size
+        if not self.truth[i]:
+            noise = self._sensor_noise(i, float(self.data.time[window][0]))
+            band = max(band, BAND_OF_NOISE * noise)
+        return self._time_until_within(self.force[window, i] - command, band)
+
+    def _sensor_noise(self, i: int, time: float) -> float:
+        """Return the standard deviation of a measured force's noise before a time [N]."""
+        before = self.between(time - LOOK_BACK, time)
+        changes = np.abs(np.diff(self.force[before, i]))
+        # By the median of successive differences: a touch just before is no noise.
+        known = changes[np.isfinite(changes)]
+        return float(MEDIAN_TO_DEVIATION * np.median(known)) if known.size else 0.0
+
+    def _steady_error(self, i: int, window: Mask, command: float) -> float | None:
+        """Return the mean error of a force in a step's window, when it should have settled."""
+        start = float(self.data.time[window][0])
+        late = window & self.between(start + SETTLE_AFTER_STEP, math.inf) & ~self.windows.moving
+        return value_in(late, self.force[:, i] - command)
+
+    def _time_until_within(self, error: Vector, band: float) -> float | None:
+        """Return from when on an error [N] stays within a band for 0.1 s [s], None if never."""
+        least = round(BAND_HELD * self.data.rate)
+        for begin, end in oscillation.stretches(np.abs(error) <= band):
+            if end - begin >= least:
+                return begin / self.data.rate
+        return None
+
+    def rise_over_design(self, i: int) -> float | None:
+        """Return the rise of the largest step over the designed one, if both are known."""
+        config, largest = self.setup.controller, self.largest_step(i)
+        if largest is None or largest.rise_63_s is None or not config.robot.urdf:
+            return None  # without a URDF it is a recording, which tells no gains
+        if config.law_of(self.data.contact_names[self.leaders[i]]) != 'aob':
+            return None
+        return largest.rise_63_s / designed_rise(config.force)
 
     def largest_step(self, i: int) -> StepResponse | None:
         """Return the answer of a contact to its largest step up, None without any."""
@@ -175,8 +257,9 @@ class RunMetrics:
             changes = np.concatenate([[False], np.diff(asked) != 0.0, [False]])
             # What a desired force passes on its way is no step.
             places = np.flatnonzero(changes[1:-1] & ~changes[:-2] & ~changes[2:]) + 1
-            return [(float(data.time[k]), float(desired[k - 1]), float(asked[k])) for k in places
-                    if k < 2 or desired[k - 1] == desired[k - 2]]
+            known = self.recorded[places - 1] & self.recorded[places]
+            return [(float(data.time[k]), float(desired[k - 1]), float(asked[k]))
+                    for k in places[known] if k < 2 or desired[k - 1] == desired[k - 2]]
         reference, name = self.setup.scenario.reference, data.contact_names[i]
         steps = [(step.time, step.forces[name]) for step in reference.force_steps
                  if name in step.forces and step.time < min(self.motion_start, data.time[-1])]
@@ -210,8 +293,13 @@ class RunMetrics:
     def oscillations(self, i: int, judged: Mask) -> list[oscillation.Oscillation]:
         """Return where the force of a contact oscillates, among the samples `judged`."""
         # A couple, which may well be 0, is judged while its contact is pressed, and by how hard.
-        return oscillation.oscillations(
-            self.error[:, i], self.pressing[:, i], judged, self.data.rate)
+        found = []
+        for begin, end in oscillation.stretches(~self.unknown(i)):
+            between = np.zeros(self.data.ticks, dtype=bool)
+            between[begin:end] = True
+            found += oscillation.oscillations(
+                self.error[:, i], self.pressing[:, i], judged & between, self.data.rate)
+        return found
 
     def contact_summary(self, i: int) -> dict[str, Any]:
         """Return the numbers of one contact; of the steps those of the largest one up."""
@@ -219,10 +307,22 @@ class RunMetrics:
         largest = self.largest_step(i)
         return {
             'step_rise_63_s': largest.rise_63_s if largest else None,
+            'step_rise_over_design': self.rise_over_design(i),
             'step_overshoot_percent': largest.overshoot_percent if largest else None,
+            'step_settling_s': largest.settling_s if largest else None,
+            'step_steady_error_n': largest.steady_error_n if largest else None,
+            **self._losses_summary(i),
             'steps': [response._asdict() for response in self.step_responses(i)],
             **{name: self._window_summary(i, window & asked)
                for name, window in (('rest', judged.rest), ('moving', judged.moving))}}
+
+    def _losses_summary(self, i: int) -> dict[str, int | None]:
+        """Return how often the force of a contact was 0 N under load, true or measured."""
+        count = None
+        if not self.couples[i]:
+            count = len(self.losses(i, self.windows.loaded & (self.pressing[:, i] > 0.0)))
+        return {'true_losses': count if self.truth[i] else None,
+                'measured_losses': None if self.truth[i] else count}
 
     def _window_summary(self, i: int, window: Mask) -> dict[str, float | None]:
         error, known = rms_in(window, self.error[:, i]), self.truth[i]
@@ -291,16 +391,17 @@ class RunMetrics:
             judged = self.between(from_time, until)
             if not (before.any() and judged.any()):
                 continue
+            if self.next_unknown(i, start - LOOK_BACK) < until:
+                continue
             band = max(BAND_OF_COMMAND * float(command[judged][0]),
                        BAND_OF_NOISE * float(np.std(error[before])))
-            settled = [begin for begin, end in oscillation.stretches(np.abs(error[judged]) <= band)
-                       if end - begin >= round(BAND_HELD * self.data.rate)]
+            settled = self._time_until_within(error[judged], band)
             # The end of a run that ended before its time takes no recovery back.
             lost = unstable_at is not None and unstable_at < min(until, last)
             answers.append({
                 'duration': duration, 'moving': start >= self.motion_start,
                 'peak': float(np.nanmax(np.abs(error[self.between(start, until)]))),
-                'recovery': settled[0] / self.data.rate if settled and not lost else None})
+                'recovery': None if lost else settled})
         return answers
 
 
@@ -310,6 +411,20 @@ def truth_lacking(without: Sequence[str], names: Collection[str]) -> str:
         return ''
     return NO_TRUTH + (
         f' of {", ".join(without)}' if len(without) < len(names) else '')
+
+
+def designed_rise(force: ForceConfig) -> float:
+    """
+    Return the time in which the designed loop reaches 63 % of a step of the true force [s].
+
+    T_d of the input plus the time at which the response of the two poles reaches 1 - 1/e.
+    """
+    excess = 1.0 - force.second_pole_ratio
+
+    def missing(t: float) -> float:
+        return float(math.exp(-t) * (1.0 + t * exprel(excess * t)) - math.exp(-1.0))
+
+    return float(force.input_delay + force.time_constant * brentq(missing, 0.0, 10.0))
 
 
 def torque_limit(setup: Setup) -> Vector:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 import hashlib
+import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 import zipfile
 
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import RunError
@@ -46,6 +48,8 @@ TYPES = dict.fromkeys(SERIES, bag.JOINT_STATE) | {
     'operational_point/pose': bag.POSE, 'operational_point/pose_desired': bag.POSE}
 SPARSE = 20.0  # ticks per sample beyond which the stamps are no clock
 CUT_OFF = 'the recording is cut off'
+LONGEST_GAP = 0.1  # s without a sample, beyond which a recording lacks something
+GAPS_NAMED = 3  # at most, in a line
 REACHED = 0.99  # share of a commanded force at which the contact counts as made
 
 
@@ -89,6 +93,15 @@ class RunData:
     def ticks(self) -> int:
         """Return the number of samples."""
         return int(self.time.shape[0])
+
+    def recorded(self) -> Mask:
+        """Return the samples of which anything was recorded, shape (m,)."""
+        known = np.zeros(self.ticks, dtype=bool)
+        for name, values in vars(self).items():
+            # Times are made, and commands hold until the next one.
+            if isinstance(values, np.ndarray) and name not in ('time', 'command'):
+                known |= np.isfinite(values).any(axis=1)
+        return known
 
     def trajectory_sha256(self) -> str:
         """Return the hash of the commanded torques as little-endian float64, tick by tick."""
@@ -135,19 +148,51 @@ def empty_run_data(ticks: int, controller: ControllerConfig) -> RunData:
         **{name: np.full((ticks, count), np.nan) for name, count in columns.items()})
 
 
+class Missing(NamedTuple):
+    """A stretch of a run of which no sample was recorded."""
+
+    begin: float  # since the first sample that is there [s]; minus infinity: from an unknown one
+    end: float  # s; infinite: to an unknown end
+
+    def __str__(self) -> str:
+        """Return from when to when."""
+        if math.isinf(self.begin):
+            return 'before the first one that is there'
+        if math.isinf(self.end):
+            return f'from {self.begin:.2f} s on'
+        return f'from {self.begin:.2f} to {self.end:.2f} s'
+
+
+def name_missing(missing: Sequence[Missing], what: str = 'samples') -> str:
+    """Return in words from when to when something, by default the samples, is missing."""
+    text = ', '.join(map(str, missing[:GAPS_NAMED]))
+    if len(missing) > GAPS_NAMED:
+        text += f' and {len(missing) - GAPS_NAMED} times more'
+    return f'no {what} {text}'
+
+
+def gaps_of(data: RunData) -> list[Missing]:
+    """Return the stretches between samples in which more than 0.1 s were not recorded."""
+    longest = LONGEST_GAP * data.rate
+    return [Missing(begin / data.rate, end / data.rate)
+            for begin, end in stretches(~data.recorded()) if end - begin > longest]
+
+
 @dataclass(frozen=True)
 class BagContent:
     """A bag read back."""
 
     data: RunData  # by sample stamp
     lacking: tuple[str, ...]  # topics of the controller that are not in the bag
-    remarks: tuple[str, ...]  # what could not be read, in words
+    remarks: tuple[str, ...]  # what could not be read, and what is not there, in words
     start: int  # stamp of the first sample [ns]
+    missing: tuple[Missing, ...]  # stretches without samples
 
     @property
     def unanswered(self) -> int:
         """Return the number of samples without a commanded torque."""
-        return int(np.isnan(self.data.torque).all(axis=1).sum())
+        silent = np.isnan(self.data.torque).all(axis=1)
+        return int((silent & self.data.recorded()).sum())
 
 
 def read_bag(
@@ -205,10 +250,21 @@ def content_of(
     data = replace(data, command=_commands(
         data, messages.by_topic.get(OBEYED), samples.published[::-1][newest], ticks))
     begin, end = _answered(data) if answered else (0, count)
+    part = data.part(begin, end)
     return BagContent(
-        data.part(begin, end),
-        tuple(x for x in SERIES if x not in messages.by_topic and x not in OPTIONAL),
-        _remarks(messages, data), int(stamps[0]) + round(begin / data.rate * 1e9))
+        part, tuple(x for x in SERIES if x not in messages.by_topic and x not in OPTIONAL),
+        _remarks(messages, data), int(stamps[0]) + round(begin / data.rate * 1e9),
+        _missing(messages, part))
+
+
+def _missing(messages: bag.BagMessages, data: RunData) -> tuple[Missing, ...]:
+    """Return the stretches without samples, also before the first and after the last one."""
+    missing = gaps_of(data)
+    if messages.begin_lost:
+        missing.insert(0, Missing(-math.inf, 0.0))
+    if messages.end_lost:
+        missing.append(Missing(data.ticks / data.rate, math.inf))
+    return tuple(missing)
 
 
 def _answered(data: RunData) -> tuple[int, int]:
@@ -250,7 +306,7 @@ def _commands(
 
 
 def _remarks(messages: bag.BagMessages, data: RunData) -> tuple[str, ...]:
-    remarks = list(messages.unreadable)
+    remarks = [*messages.unreadable, *messages.lost]
     for topic, values, expected in ((SAMPLES, data.q, data.joint_names),
                                     (MEASURED, data.alpha_meas, data.contact_names)):
         if topic in messages.by_topic and expected and not np.isfinite(values).any():

@@ -63,6 +63,7 @@ def _run_section(run: LoadedRun, number: int, claims: Sequence[Claim]) -> list[s
         f'<p class="verdict {COLOURS.get(summary["verdict"], "yellow")}">'
         f'<b>{escape(verdict_text(summary))}</b></p>'
         f'<p class=note>Judged: {escape(summary["judged"])}.</p>',
+        f'<p>{escape(summary.get("quality", ""))}</p>',
         *(f'<p class=note>{escape(text)}</p>' for text in summary.get('remarks', ())),
         _numbers(summary), figures.interactive_figures(run.data, setup, number), page.HELP,
         '<h3>Claims of the paper</h3>' + page.claims_table({'measured': claims}) if claims else '',

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from itertools import count
+import math
 import os
 from pathlib import Path
 import shutil
@@ -32,7 +33,7 @@ from multicontact_control.experiment.scenario import (
     Setup,
     UNTIL_STOPPED,
 )
-from multicontact_control.files import read_json
+from multicontact_control.files import finite, read_json
 import numpy as np
 from sim_bridge.config import PlantConfig
 
@@ -119,30 +120,38 @@ def _empty(folder: Path, *, overwrite: bool) -> None:
 def summarise(
     data: recording.RunData, setup: Setup, *, mode: str, timing: Mapping[str, Any],
     ended_early: str = '', events: Sequence[tuple[float, str]] | None = None,
+    missing: Sequence[recording.Missing] = (), remarks: Sequence[str] = (),
 ) -> dict[str, Any]:
     """
     Return the content of ``summary.json`` (schema 1).
 
     `mode` is ``in_process`` or one of `judge`, `ended_early` is as for `judge`, `events` of the
-    supervisor are times [s] and what changed; None if there was no supervisor.
+    supervisor are times [s] and what changed; None if there was no supervisor. `missing` are the
+    stretches that the recording lacks, `remarks` what else was wrong with it.
     """
     # What the supervisor did after the run is not part of it.
     during = [(time, what) for time, what in events or () if time < data.ticks / data.rate]
-    verdict = judge.judge(data, setup, mode=mode, ended_early=ended_early, events=during)
-    run = RunMetrics(data, setup)
+    verdict = judge.judge(
+        data, setup, mode=mode, ended_early=ended_early, events=during, missing=missing)
+    run = RunMetrics(data, setup, missing)
+    named = [recording.name_missing(missing)] if missing else []
+    contacts = {name: run.contact_summary(i) for i, name in enumerate(data.contact_names)}
+    if events is not None:
+        for name, count in judge.losses_seen(run, during).items():
+            contacts[name]['controller_losses'] = count
     return {
         'schema': SCHEMA, 'scenario': setup.scenario.name, 'plant': setup.plant_name,
         'noise_estimator': setup.noise_estimator.estimator, 'mode': mode, 'seed': setup.seed,
         'ticks': data.ticks, 'rate_hz': data.rate,
         'trajectory_sha256': data.trajectory_sha256(), 'timing': timing,
-        'contacts': {name: run.contact_summary(i) for i, name in enumerate(data.contact_names)},
-        'motion': run.motion_summary(), 'torque': run.torque_summary(),
+        'contacts': contacts, 'motion': run.motion_summary(), 'torque': run.torque_summary(),
         'stable': judge.LOOP_IS_STABLE.get(verdict.name), 'verdict': verdict.name,
-        'judged': verdict.judged, 'unjudged': verdict.unjudged or None,
+        'judged': verdict.judged, 'quality': verdict.quality, 'unjudged': verdict.unjudged or None,
         'instabilities': list(verdict.reasons), 'unstable_at_s': verdict.unstable_at,
         'ended_early': ended_early or None, 'claims': [], 'without_truth': run.without_truth(),
+        'missing': finite([{'from_s': begin, 'to_s': end} for begin, end in missing]),
+        'remarks': [*named, *_bounded_variances(data, setup), *remarks],
         'commanded_by_topic': setup.commanded_by_topic, 'supervised': events is not None,
-        'remarks': list(_bounded_variances(data, setup)),
         'events': [{'time_s': round(time, 6), 'what': what} for time, what in during]}
 
 
@@ -204,14 +213,43 @@ def load_setup(folder: Path) -> Setup:
 def load_run(folder: Path) -> LoadedRun:
     """Read the folder of a run; ConfigError if it is none, RunError if it cannot be read."""
     setup = load_setup(folder)
+    summary = read_summary(folder)
     if (folder / BAG_FOLDER).is_dir():
-        data = recording.read_bag(
-            folder / BAG_FOLDER, setup.controller, answered=not setup.simulated).data
-    elif (folder / recording.SERIES_FILE).is_file():
-        data = recording.RunData.load(folder)
-    else:
-        raise RunError(f'{folder}: expected {BAG_FOLDER}/ or {recording.SERIES_FILE}, got neither')
-    return LoadedRun(folder, setup, data, read_summary(folder))
+        content = recording.read_bag(
+            folder / BAG_FOLDER, setup.controller, answered=not setup.simulated)
+        return LoadedRun(folder, setup, content.data, _judge_what_is_left(
+            folder, setup, content, summary))
+    if (folder / recording.SERIES_FILE).is_file():
+        return LoadedRun(folder, setup, recording.RunData.load(folder), summary)
+    raise RunError(f'{folder}: expected {BAG_FOLDER}/ or {recording.SERIES_FILE}, got neither')
+
+
+def _judge_what_is_left(
+    folder: Path, setup: Setup, content: recording.BagContent, summary: dict[str, Any],
+) -> dict[str, Any]:
+    """Return the summary of a run, made anew if its recording has lost something since."""
+    missing = [each for each in content.missing if not math.isinf(each.end)]
+    ticks, rate = content.data.ticks, content.data.rate
+    if ticks < summary['ticks']:
+        missing.append(recording.Missing(ticks / rate, summary['ticks'] / rate))
+    if not missing or missing == _missing_of(summary):
+        return summary
+    if math.isinf(missing[0].begin):
+        raise RunError(
+            f'{folder / BAG_FOLDER}: the first part is not there, and without it forces cannot be '
+            'compared with the scenario; `multicontact report` of the bag alone shows the rest')
+    events = [(event['time_s'], event['what']) for event in summary['events']]
+    return summarise(
+        content.data, setup, mode=summary['mode'],
+        timing=summary['timing'] | {'unanswered_samples': content.unanswered},
+        ended_early=summary['ended_early'] or '',
+        events=events if summary['supervised'] else None, missing=missing,
+        remarks=content.remarks)
+
+
+def _missing_of(summary: Mapping[str, Any]) -> list[recording.Missing]:
+    """Return what the recording of a run has lacked from the beginning."""
+    return [recording.Missing(each['from_s'], each['to_s']) for each in summary.get('missing', ())]
 
 
 def _setup_of_recording(path: Path, messages: BagMessages, files: Sequence[Path]) -> Setup:
@@ -293,12 +331,14 @@ def load(path: Path, files: Sequence[Path] = (), namespace: str | None = None) -
     messages = recording.read_graph(path, namespace)
     setup = _setup_of_recording(path, messages, files)
     content = recording.content_of(path, messages, setup.controller, answered=True)
-    summary = summarise(content.data, setup, mode=judge.RECORDED, timing={
-        'unanswered_samples': content.unanswered})
-    lacking = [f'not in the recording: {", ".join(content.lacking)}'] if content.lacking else []
-    return LoadedRun(path, setup, content.data, {
-        **summary, 'supervised': None,
-        'remarks': [*summary['remarks'], *lacking, *content.remarks]})
+    remarks = list(content.remarks)
+    if content.lacking:
+        remarks.insert(0, f'not in the recording: {", ".join(content.lacking)}')
+    summary = summarise(
+        content.data, setup, mode=judge.RECORDED,
+        timing={'unanswered_samples': content.unanswered}, missing=content.missing,
+        remarks=remarks)
+    return LoadedRun(path, setup, content.data, {**summary, 'supervised': None})
 
 
 def report_folder(path: Path) -> Path:

@@ -122,8 +122,8 @@ def _report_graph(result: GraphResult, spec: GraphSpec, setup: Setup) -> Ending:
         data, setup, mode=mode, timing=graph_timing(result.timing, content),
         ended_early=result.ended or (judge.INTERRUPTED if interrupted else ''),
         events=result.timing[CONTROLLER].get('events', []) if (
-            spec.extra_parameters[CONTROLLER]['supervised']) else None)
-    summary['remarks'] += content.remarks
+            spec.extra_parameters[CONTROLLER]['supervised']) else None,
+        missing=content.missing, remarks=content.remarks)
     return _finish(data, setup, spec.out, summary), interrupted
 
 

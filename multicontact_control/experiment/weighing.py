@@ -10,6 +10,7 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, ToolConfig
+from multicontact_control.config.contact import ContactConfig
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, ConfigError, RunError
 from multicontact_control.experiment.bag import BagColumns, JOINT_STATE, read_messages, WRENCH
@@ -29,7 +30,9 @@ SPEED, SETTLE_TIME, AVERAGE_TIME = 0.02, 0.5, 1.0
 REST_TIME = SETTLE_TIME + AVERAGE_TIME + 0.5  # s, of a rest that is made for it
 LOOK = 0.1  # s, over which the speed of a joint is taken
 REACHED, SAG = 0.1, 0.1  # rad and m off a tilt: a weight that is not known pulls the tool down
-ATTEMPTS = 3  # motions to it
+ATTEMPTS = 3  # motions to it, and rests in it
+ROUNDS = 2  # of the poses that have not been weighed
+CLEARANCE = 0.02  # m, of a tilted contact to where its surface may begin
 TIMEOUT = 10.0  # s, for an answer or a sample of the controller
 PEAK = 1.875  # largest speed of a quintic, relative to the mean
 SHARE = 0.6  # of the largest angular speed
@@ -38,16 +41,15 @@ TILTS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # about 
 Tell = Callable[[str], None]
 
 
-def weigh(
+def quiet_rests(
     source: object, joints: BagColumns, felt: BagColumns, controller: ControllerConfig,
     robot: RobotModel, tell: Tell,
-) -> tool.Identification:
+) -> list[tool.PoseReading]:
     """
-    Identify a tool from messages of an arm that is at rest in at least four poses.
+    Return the rests of an arm, from its messages.
 
-    `tell` is called with each rest; one whose readings vary is left out. Raises CalibrationError
-    if there are too few rests, or the readings do not tell; RunError, naming the `source`, if a
-    joint is missing.
+    `tell` is called with each rest; one whose readings vary is left out. Raises RunError, naming
+    the `source`, if a joint is missing.
     """
     names, gravity = controller.robot.joint_names, np.array(controller.robot.gravity_world)
     q, readings = joints.values('position', names), felt.values('wrench')
@@ -70,10 +72,18 @@ def weigh(
             continue
         tell(rest)
         poses.append(tool.PoseReading(rotation, reading))
+    return poses
+
+
+def identify(
+    poses: Sequence[tool.PoseReading], controller: ControllerConfig, lacking: str = '',
+) -> tool.Identification:
+    """Identify a tool from rests; CalibrationError if there are too few, saying what lacks."""
     if len(poses) < tool.MIN_POSES:
+        what = f'; {lacking}' if lacking else ''
         raise CalibrationError(f'calibrate: expected at least {tool.MIN_POSES} quiet rests of '
-                               f'{SETTLE_TIME + AVERAGE_TIME:g} s, got {len(poses)}')
-    return tool.identify_tool(poses, gravity)
+                               f'{SETTLE_TIME + AVERAGE_TIME:g} s, got {len(poses)}{what}')
+    return tool.identify_tool(poses, np.array(controller.robot.gravity_world))
 
 
 def find_rests(time: Vector, q: Matrix) -> list[tuple[float, float]]:
@@ -115,7 +125,7 @@ def weigh_recording(
         if topic not in messages.by_topic:
             raise RunError(f'{path}: expected messages on {topic}, got {messages}')
     joints, felt = messages.by_topic[JOINTS], messages.by_topic[wrench]
-    return weigh(path, joints, felt, controller, robot, tell)
+    return identify(quiet_rests(path, joints, felt, controller, robot, tell), controller)
 
 
 def weigh_running(
@@ -123,11 +133,13 @@ def weigh_running(
     move_time: float, tell: Tell,
 ) -> tool.Identification:
     """
-    Identify the tool of a robot by a controller that runs: it tilts the tool, and turns it back.
+    Identify the tool of a robot by a controller that runs: it lifts, tilts and puts back the tool.
 
-    The operational point stays where it is. `tilt` is the angle about world x and y, to either
-    side [rad]; `move_time` the least time from pose to pose [s]. As `weigh_recording`, and raises
-    RunError if no controller answers, a contact is pressed, or a pose is not reached.
+    The operational point is lifted off the contacts, as far as a tilt would lead into them, and
+    stays there. `tilt` is the angle about world x and y, to either side [rad]; `move_time` the
+    least time from pose to pose [s]. A pose without a quiet rest is tried once more, and then
+    goes without: the others count. As `weigh_recording`, and raises RunError if no controller
+    answers, or a contact is pressed.
     """
     from multicontact_control.client import MultiContactClient
     from multicontact_control.nodes import topics
@@ -136,7 +148,6 @@ def weigh_running(
     controller, robot = _arm(files)
     where: dict[str, Any] = {'namespace': namespace, 'domain_id': domain_id, 'timeout': TIMEOUT}
     heard = (topics.JOINT_STATES, topics.WRENCHES[controller.wrench_input])
-    joints, felt = BagColumns(JOINT_STATE), BagColumns(WRENCH)
     with MultiContactClient(**where) as arm, ControllerLink(heard, **where) as link:
         start = arm.read()
         if pressed := [name for name, force in start.forces_desired.items() if force > 0.0]:
@@ -147,19 +158,111 @@ def weigh_running(
         # From one side to the other, well within the limit of the angular speed.
         duration = max(move_time, PEAK * 2.0 * tilt / (SHARE * controller.limits.operational_turn))
         home = Rotation.from_quat(start.quaternion_desired)
-        for number, (x, y) in enumerate(TILTS, 1):
-            tell(f'pose {number} of {len(TILTS)}')
-            tilted = Rotation.from_rotvec([tilt * x, tilt * y, 0.0]) * home
-            _turn(arm, start.position_desired, duration, tilted)
-            end = arm.read().time + REST_TIME
-            while not len(joints) or 1e-9 * joints.stamps[-1] < end:
-                for columns, message in zip((joints, felt), link.fresh(*heard)):
-                    columns.take(message, time.time_ns())
+        tilts = [Rotation.from_rotvec([tilt * x, tilt * y, 0.0]) for x, y in TILTS]
+        wanted = start.position_desired + way_off(controller, home, tilts)
+        place = _within_workspace(controller, wanted)
+        height = float(np.linalg.norm(place - start.position_desired))
+        lift_time = max(move_time, PEAK * height / (SHARE * controller.limits.operational_speed))
+        if height > 0.0:
+            tell(f'lift by {1e3 * height:.0f} mm, off the contacts')
+            arm.move(place, lift_time, position_tolerance=SAG, rotation_tolerance=REACHED)
+        if short := float(np.linalg.norm(wanted - place)):
+            tell(f'limits.workspace_* end {1e3 * short:.0f} mm before the tool is clear of the '
+                 'contacts wherever it is tilted: watch it')
+
+        def rest_at(number: int) -> tool.PoseReading:
+            _turn(arm, place, duration, tilts[number] * home)
+            return _rest(link, heard, arm.read().time, controller, robot)
+
+        found, lacking = visit_poses(len(tilts), rest_at, tell)
         tell('back to the first pose')
-        arm.move(start.position_desired, duration, quaternion_xyzw=start.quaternion_desired,
-                 position_tolerance=SAG, rotation_tolerance=REACHED)
+        tolerances = {'position_tolerance': SAG, 'rotation_tolerance': REACHED}
+        try:
+            arm.move(place, duration, quaternion_xyzw=start.quaternion_desired, **tolerances)
+            arm.move(start.position_desired, lift_time, **tolerances)
+        except RunError as error:  # what is weighed is weighed
+            tell(f'not back in the first pose: {error}')
         tell('the running controller keeps its tare; the result is for the next run')
-    return weigh('calibrate', joints, felt, controller, robot, tell)
+    return identify(found, controller, lacking)
+
+
+def visit_poses(
+    count: int, rest_at: Callable[[int], tool.PoseReading], tell: Tell,
+) -> tuple[list[tool.PoseReading], str]:
+    """Return the rests at poses 0 to `count` - 1, and in words which gave none, and why."""
+    found: dict[int, tool.PoseReading] = {}
+    lacking: dict[int, str] = {}
+    for _ in range(ROUNDS):
+        for number in range(count):
+            if number in found:
+                continue
+            tell(f'pose {number + 1} of {count}')
+            try:
+                found[number] = rest_at(number)
+                lacking.pop(number, None)
+            except (CalibrationError, RunError) as error:
+                lacking[number] = str(error)
+                tell(f'pose {number + 1} left out: {error}')
+    texts = [f'pose {number + 1}: {why}' for number, why in lacking.items()]
+    if texts:
+        tell(f'{len(found)} of {count} poses count')
+    return list(found.values()), '; '.join(texts)
+
+
+def _rest(
+    link: Any, heard: Sequence[Any], since: float, controller: ControllerConfig,
+    robot: RobotModel,
+) -> tool.PoseReading:
+    """Return a rest from samples after a time [s]; CalibrationError without one in time."""
+    joints, felt = BagColumns(JOINT_STATE), BagColumns(WRENCH)
+    said: list[str] = []
+    for rests in range(1, ATTEMPTS + 1):  # where samples are lost, more of them are needed
+        while not len(joints) or 1e-9 * joints.stamps[-1] < since + rests * REST_TIME:
+            for columns, message in zip((joints, felt), link.fresh(*heard)):
+                columns.take(message, time.time_ns())
+        poses = quiet_rests('calibrate', joints, felt, controller, robot, said.append)
+        if poses:
+            return poses[-1]
+    why = said[-1] if said else f'{len(joints)} samples, with gaps of more than {LOOK:g} s'
+    raise CalibrationError(f'no quiet rest in {ATTEMPTS * REST_TIME:g} s: {why}')
+
+
+def way_off(
+    controller: ControllerConfig, home: Rotation, tilts: Sequence[Rotation],
+) -> Vector:
+    """
+    Return the way that keeps tilted contacts off every surface, shape (3,) [m].
+
+    The surfaces are taken to begin where the contacts are now; zero without contacts.
+    """
+    contacts = [controller.contacts[name] for name in controller.contact_names]
+    if not contacts:
+        return np.zeros(3)
+    now = np.concatenate([_corners(contact, home) for contact in contacts])
+    normals = np.array([contact.normal_world for contact in contacts])
+    into = np.max([(tilt.apply(now) - now) @ normals.T for tilt in tilts], axis=(0, 1))
+    way: Vector = np.linalg.lstsq(normals, -(np.maximum(into, 0.0) + CLEARANCE), rcond=None)[0]
+    return way
+
+
+def _corners(contact: ContactConfig, home: Rotation) -> Matrix:
+    """Return where a contact ends, from the operational point, world axes, shape (k, 3)."""
+    point, along = (home.apply(values) for values in (
+        contact.point_operational, contact.direction_operational))
+    across = np.cross(contact.normal_world, along)
+    sides = {'point': [np.zeros(3)],
+             'edge': [contact.half_length * along],
+             'plane': [contact.half_length * along + contact.half_width * across,
+                       contact.half_length * along - contact.half_width * across]}
+    return np.array([point + sign * side for side in sides[contact.type] for sign in (1.0, -1.0)])
+
+
+def _within_workspace(controller: ControllerConfig, position: Vector) -> Vector:
+    """Return a position of the operational point, or that next to it in its box, shape (3,)."""
+    limits = controller.limits
+    if not len(limits.workspace_lower):
+        return position
+    return np.clip(position, limits.workspace_lower, limits.workspace_upper)
 
 
 def _await_control(arm: Any) -> None:

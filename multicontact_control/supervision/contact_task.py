@@ -374,7 +374,8 @@ def _follow_slide(period: float, fall_speed: float, column: Any, state: Any) -> 
 
     Its force changes all the time, which counts as noise, R grows to hundreds of N^2, and the law
     is blind while the surface falls away. The error e of the averaged force that lasts bounds it:
-    R <= (e / 2)^2. After a loss the surface is sought as much deeper as it may be within `normal_range`.
+    R <= (e / 2)^2. After a loss the surface is sought as much deeper as it may be within
+    `normal_range`.
     """
     error = abs(state.level - state.asked)
     if state.state == contacts.HOLDING and min(state.in_state, state.asked_for) > LASTING_TIME:

@@ -7,10 +7,11 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.dynamics.urdf import ends_of, parse_urdf
 from multicontact_control.errors import ConfigError
 import numpy as np
 from scipy.spatial.transform import Rotation
-from sim_bridge.urdf_arm import ends_of, mesh_file, parse_urdf
+from sim_bridge.urdf_arm import mesh_file
 import trimesh
 
 NEUTRAL = [0.72, 0.74, 0.77]

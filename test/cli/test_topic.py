@@ -1,11 +1,12 @@
-"""`multicontact topic list` and `echo`, against what `ros2 topic` of ROS 2 Jazzy prints."""
+"""`multicontact topic list`, `echo` and `hz`, against what `ros2 topic` of ROS 2 Jazzy prints."""
 
 import os
+import re
 import signal
 import threading
 
 from geometry_msgs.msg import PoseStamped
-from multicontact_control.cli.topic import document
+from multicontact_control.cli.topic import describe_rate, document
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import messages, qos
@@ -92,6 +93,24 @@ def test_list_and_echo_show_a_running_graph(start):
         process = start('echo', *arguments)
         _, errors = end_of(process)
         assert process.returncode == code and message in errors and errors.count('\n') == 1
+
+
+@pytest.mark.ros
+def test_hz_shows_how_often_messages_arrive(start):
+    """Of 25 Hz, on a machine that may be busy; and of a topic with one message."""
+    text, errors = end_of(start('hz', '/left/forces', '--once', '--timeout', str(PATIENCE)))
+    found = re.fullmatch(
+        r'([\d.]+) Hz: [\d.]+ to [\d.]+ ms apart, standard deviation [\d.]+ ms, (\d+) messages\n',
+        text)
+    assert errors == '' and found, text + errors
+    assert 1.0 < float(found[1]) < 50.0 and 2 <= int(found[2]) <= 50
+    assert end_of(start('hz', '/description', '--once', '--timeout', str(PATIENCE))) == (
+        'no two messages within a second\n', '')
+
+
+def test_rate_is_that_of_the_arrivals():
+    assert describe_rate([0, 2_000_000, 4_000_000, 9_000_000]) == (
+        '333.3 Hz: 2.00 to 5.00 ms apart, standard deviation 1.41 ms, 4 messages')
 
 
 @pytest.mark.parametrize('domain', ['abc', '500'])

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from multicontact_control.experiment import claims
+from multicontact_control.experiment import claims, metrics
 from multicontact_control.experiment.judge import INTERRUPTED
 from multicontact_control.experiment.results import summarise
 from multicontact_control.experiment.scenario import resolve
@@ -143,6 +143,6 @@ def test_stiffness_claims_need_a_wrong_stiffness():
 
 def test_designed_rise_of_two_equal_poles_is_2_146_time_constants(setup):
     force = setup.controller.force
-    assert claims.designed_rise(force) == pytest.approx(0.006 + 2.1462 * 0.02, abs=1e-5)
+    assert metrics.designed_rise(force) == pytest.approx(0.006 + 2.1462 * 0.02, abs=1e-5)
     fast = force.model_copy(update={'second_pole_ratio': 1e4})
-    assert claims.designed_rise(fast) == pytest.approx(0.026, abs=1e-4)
+    assert metrics.designed_rise(fast) == pytest.approx(0.026, abs=1e-4)

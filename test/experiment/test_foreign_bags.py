@@ -1,6 +1,8 @@
 """Recordings by others: what they lack is reported, and a sensor alone makes no run stable."""
 
+from dataclasses import replace
 import json
+import re
 
 import foreign_bag
 from foreign_bag import (
@@ -23,12 +25,17 @@ from multicontact_control.cli.application import app
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.display import print_summary
 from multicontact_control.experiment.figures import draw_figures, interactive_figures, run_figures
-from multicontact_control.experiment.judge import verdict_text
-from multicontact_control.experiment.results import load
+from multicontact_control.experiment.judge import judge, verdict_text
+from multicontact_control.experiment.metrics import RunMetrics
+from multicontact_control.experiment.recording import gaps_of
+from multicontact_control.experiment.results import load, load_run
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.files import write_json
 import numpy as np
 import pytest
 from rich.console import Console
 from typer.testing import CliRunner
+import yaml
 import zstandard
 
 
@@ -113,6 +120,91 @@ def test_recording_that_is_cut_off_is_read_up_to_there(bag, tmp_path):
         counts.append(run.data.ticks)
     assert 0 < counts[0] < counts[1] < counts[2] <= load(bag).data.ticks
     assert 'the recording is cut off' not in load(bag).summary['remarks']
+
+
+def metadata_of(folder):
+    """Write what rosbag2 would say of a recording's files."""
+    files, count = sorted(folder.glob('*.mcap'), key=lambda path: int(path.stem[4:])), 0
+    for path in files:
+        with path.open('rb') as stream:
+            count += make_reader(stream).get_summary().statistics.message_count
+    (folder / 'metadata.yaml').write_text(yaml.safe_dump({'rosbag2_bagfile_information': {
+        'relative_file_paths': [path.name for path in files], 'message_count': count}}))
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[:path.stat().st_size // 2])
+
+
+@pytest.mark.parametrize(('damage', 'expected'), [
+    (lambda folder: (folder / 'bag_9.mcap').unlink(),
+     'no samples before the first one that is there'),
+    (lambda folder: (folder / 'bag_10.mcap').unlink(), 'no samples from 1.34 to 2.67 s'),
+    (lambda folder: (folder / 'bag_11.mcap').unlink(), 'no samples from 2.66 s on'),
+    (lambda folder: cut(folder / 'bag_11.mcap'), r'no samples from 3.\d+ s on'),
+    (lambda folder: cut(folder / 'bag_10.mcap'), r'no samples from 2.\d+ to 2.67 s')])
+def test_recording_that_lost_a_part_says_from_when_to_when_and_is_not_judged(
+        tmp_path, damage, expected):
+    rewritten(write_bag(tmp_path / 'whole', without=()), tmp_path, parts=3,
+              writing={'chunk_size': 4096})
+    metadata_of(tmp_path)
+    whole = load(tmp_path)
+    assert (whole.summary['verdict'], whole.summary['missing']) == ('stable', [])
+    damage(tmp_path)
+    result = CliRunner().invoke(app, ['report', str(tmp_path), '--out', str(tmp_path / 'out')])
+    page = (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8')
+    for text in (result.output, page, verdict_shown(load(tmp_path))):
+        assert re.search(f'not judged: {expected}; what is there passed no limit', text)
+    assert 'metadata.yaml counts' in result.output
+    assert len(load(tmp_path).summary['missing']) == 1
+
+
+@pytest.mark.parametrize('renamed', [False, True])
+def test_recording_whose_file_has_another_name_lacks_nothing(tmp_path, renamed):
+    rewritten(write_bag(tmp_path / 'whole', without=()), tmp_path)
+    metadata_of(tmp_path)
+    if renamed:
+        (tmp_path / 'bag_9.mcap').rename(tmp_path / 'mine.mcap')
+    assert load(tmp_path).summary['remarks'] == [
+        'not in the recording: ft_sensor/wrench_filtered, contact_forces/innovation']
+
+
+@pytest.mark.parametrize('away', [(1.4, 2.4), (1.52, 2.0)])
+def test_step_is_not_judged_across_what_is_missing(tmp_path, away):
+    """The command of 10 N is obeyed from 1.5 s on, unseen, or the answer to it is."""
+    data = load(write_bag(tmp_path / 'bag', without=())).data
+    part = (data.time > away[0]) & (data.time < away[1])
+    setup = load(tmp_path / 'bag').setup
+    assert len(RunMetrics(data, setup).step_responses(0)) == 1
+    for name, values in vars(data).items():
+        if isinstance(values, np.ndarray) and name not in ('time', 'command'):
+            values[part] = np.nan
+    run = RunMetrics(data, setup)
+    assert run.step_responses(0) == []
+    assert not run.windows.loaded[part].any()
+    assert judge(data, setup, missing=gaps_of(data)).unjudged.startswith('no samples from ')
+
+
+def test_force_that_is_not_known_for_a_while_is_not_judged(tmp_path):
+    run = load(write_bag(tmp_path / 'bag', without=()))
+    for series in (run.data.alpha_true, run.data.alpha_meas):
+        series[(run.data.time > 2.0) & (run.data.time < 2.3)] = np.nan
+    assert judge(run.data, run.setup).unjudged == (
+        'wall: no force from 2.01 to 2.30 s; what is there passed no limit')
+
+
+def test_run_whose_recording_is_damaged_later_is_judged_by_what_is_left(tmp_path):
+    bag = write_bag(tmp_path / 'bag', without=())
+    run = load(bag, [controller_file(tmp_path)])
+    replace(run.setup, noise_estimator=resolve('quick').noise_estimator).write(
+        tmp_path / 'config')
+    write_json(tmp_path / 'summary.json', {
+        **run.summary, 'mode': 'external', 'supervised': False})
+    assert load_run(tmp_path).summary['verdict'] == 'stable'
+    cut(bag)
+    summary = load_run(tmp_path).summary
+    assert re.match(r'no samples from \d.\d\d to 4.00 s; what', summary['unjudged'])
+    assert 'the recording is cut off' in summary['remarks']
 
 
 # As of a recorder that was killed: neither index, nor statistics, nor summary.

@@ -1,17 +1,20 @@
 """The verdict on a run and its summary: of recordings made by hand, and of runs that fail."""
 
 from dataclasses import replace
+import io
 
 from multicontact_control.cli.run import end_by_verdict
 from multicontact_control.experiment import figures
-from multicontact_control.experiment.display import verdict_lines
+from multicontact_control.experiment.claims import claims_of
+from multicontact_control.experiment.display import print_summary, summary_rows, verdict_lines
 from multicontact_control.experiment.judge import HELD, INTERRUPTED, judge, NOT_STABLE, STABLE
 from multicontact_control.experiment.results import summarise
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
+from rich.console import Console
 from runs import run_of
-from synthetic_run import perfect_run
+from synthetic_run import delayed, paper_run, perfect_run
 import typer
 
 RATE = 500.0
@@ -190,7 +193,7 @@ def test_force_or_motion_far_off_its_command_makes_a_stable_run_poor(
     summary = summarise(data, setup, mode='in_process', timing={})
     assert (summary['verdict'], summary['stable']) == ('poor' if reasons else 'stable', True)
     assert tuple(summary['instabilities']) == reasons
-    assert f'motion error {1e3 * shift:.2g} mm rms' in summary['judged']
+    assert f'motion error {1e3 * shift:.2g} mm rms' in summary['quality']
     end_by_verdict(summary)
 
 
@@ -208,6 +211,38 @@ def test_figures_show_the_start_of_the_motion_and_what_of_r_is_a_median(setup, d
                            'the motion on')
     below, above = drawn['fig5_motion'].panels[0].traces
     assert (below.label, below.broad, above.label) == ('commanded', True, 'measured')
+
+
+@pytest.mark.parametrize(('force', 'said'), [
+    (10.7, 'as designed: '), (13.0, 'not as designed: overshoot at most 38 %; as designed: ')])
+def test_stable_run_says_beside_its_verdict_how_good_it_is(setup, data, force, said):
+    data.alpha_true[:] = delayed(data, 0.05)
+    data.alpha_true[1300:1310, 0] = force
+    summary = summarise(data, setup, mode='in_process', timing={})
+    verdict, quality = verdict_lines(summary, 'here')[1:3]
+    assert 'stable' in verdict and quality.startswith(said)
+    assert 'rise 1.02 of the design' in quality and 'steady-state error at most 0.00 N' in quality
+
+
+def test_loss_that_the_controller_alone_sees_is_named_as_such(setup, data):
+    seen = [(0.0, CALM), (3.0, LOST), (3.1, CALM)]
+    summary = summarise(data, setup, mode='in_process', timing={}, events=seen)
+    rows = {label: cells for label, *cells in summary_rows(summary)}
+    assert rows['contact lost [times]'] == ['0', '0']
+    assert rows['lost to the controller [times]'] == ['0', '1']
+
+
+def test_claims_of_the_paper_are_printed_in_a_narrow_terminal():
+    setup = resolve('paper', plant='puma')
+    data = paper_run(setup)
+    summary = summarise(data, setup, mode='in_process', timing={})
+    summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
+    console = Console(width=80, soft_wrap=True, record=True, file=io.StringIO())
+    print_summary(console, summary, 'here')
+    text = console.export_text()
+    table = text[text.index('claim of the paper'):]
+    assert max(map(len, table.splitlines()[:-1])) <= 80
+    assert table.count('holds') == 8 and '5 claims not judged by one run' in table
 
 
 def test_figures_of_a_plane_have_legal_file_names(tmp_path):

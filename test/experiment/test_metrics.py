@@ -6,7 +6,7 @@ from multicontact_control.experiment.metrics import RunMetrics
 from multicontact_control.experiment.scenario import resolve
 import numpy as np
 import pytest
-from synthetic_run import perfect_run
+from synthetic_run import delayed, perfect_run
 
 PUSH, LASTING = 5.0, 6.5  # s, the pushes of the scenario `disturbance`
 
@@ -64,7 +64,37 @@ def test_step_response_of_a_known_lag(setup, data, commanded, start, steps):
     assert (first.time_s, first.size_n, len(others)) == (start, 8.0, steps - 1)
     assert first.rise_63_s == pytest.approx(0.05, abs=0.003)
     assert first.overshoot_percent == pytest.approx(10.0)
+    assert first.settling_s == pytest.approx(-0.05 * np.log(0.05), abs=0.003)
+    assert first.steady_error_n == pytest.approx(0.0, abs=1e-6)
     assert RunMetrics(data, setup).contact_summary(0)['step_rise_63_s'] == first.rise_63_s
+
+
+@pytest.mark.parametrize(('error', 'settling'), [(0.3, 0.0), (0.5, None)])
+def test_step_that_stays_off_its_command_has_a_steady_error(setup, data, error, settling):
+    """Within 5 % of the step of 8 N, and beyond."""
+    data.alpha_true[data.time > 2.5, 0] += error
+    first = RunMetrics(data, setup).step_responses(0)[0]
+    assert first.settling_s == settling
+    assert first.steady_error_n == pytest.approx(error)
+
+
+def test_measured_force_settles_within_the_noise_of_its_sensor(setup, data):
+    """Also after a touch, which is no noise: 0.3 N, in a band of 0.9 N and not of 0.4 N."""
+    noise = 0.3 * np.random.default_rng(0).standard_normal(data.ticks)
+    data.alpha_meas[:, 0] += noise
+    data.alpha_meas[(data.time > 1.9) & (data.time < 1.95), 0] += 20.0
+    data.alpha_true[:] = np.nan
+    assert RunMetrics(data, setup).step_responses(0)[0].settling_s < 0.1
+    data.alpha_true[:] = data.alpha_meas
+    assert RunMetrics(data, setup).step_responses(0)[0].settling_s is None
+
+
+def test_rise_over_the_design_is_known_of_the_law_that_is_designed(setup, data):
+    data.alpha_true[:] = delayed(data, 0.05)
+    assert RunMetrics(data, setup).rise_over_design(0) == pytest.approx(1.02, abs=0.01)
+    other = setup.controller.model_copy(update={
+        'force': setup.controller.force.model_copy(update={'law': 'pi'})})
+    assert RunMetrics(data, replace(setup, controller=other)).rise_over_design(0) is None
 
 
 def test_couple_has_no_loss_and_its_steps_begin_at_zero():

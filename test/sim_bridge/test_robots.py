@@ -225,6 +225,112 @@ def test_new_robot_refuses_what_is_no_arm_in_one_line(
     assert '\n' not in str(caught.value) and not list(tmp_path.glob('*.yaml'))
 
 
+SIX_JOINTS = Path(__file__).parents[1] / 'data' / 'six_joints.urdf'
+
+
+def six_joints(folder, change=lambda text: text):
+    """Write files of the arm of six joints, with its URDF changed, and return what is said."""
+    urdf = folder / 'arm.urdf'
+    text = change(SIX_JOINTS.read_text(encoding='utf-8'))
+    urdf.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return new_robot(urdf, 'l6', 'l6', folder / 'arm.yaml', folder / 'controller.yaml')
+
+
+def declared(encoding, comment):
+    return lambda text: text.replace(
+        '<?xml version="1.0"?>',
+        f'<?xml version="1.0" encoding="{encoding}"?>\n<!-- {comment} -->')
+
+
+@pytest.mark.parametrize('change', [
+    lambda text: declared('Shift_JIS', '鉄の腕 ①')(text).encode('cp932'),
+    lambda text: declared('GBK', '机械臂')(text).encode('gbk'),
+    lambda text: declared('UTF-16', 'Tür')(text).encode('utf-16'),
+    lambda text: text.replace('<robot ', '<robot xmlns="http://example.org/arm" ')])
+def test_new_robot_reads_every_encoding_and_a_default_namespace(tmp_path, change):
+    assert six_joints(tmp_path, change) == six_joints(tmp_path)
+    written = find_robot(str(tmp_path / 'arm.yaml')).arm.urdf
+    assert 'xmlns' not in written
+
+
+TURNED = '<origin xyz="0 0.06 0" quat_xyzw="0 0 0.7071067811865476 0.7071067811865476"/>'
+SECOND = '<joint name="rod" type="fixed"><parent link="base"/><child link="l4"/></joint></robot>'
+
+
+@pytest.mark.parametrize(('change', 'message'), [
+    (declared('utf8mb4', ''), 'urdf: expected an encoding that is known, .*, got utf8mb4'),
+    (lambda text: declared('GBK', 'ä')(text).encode('latin-1'),
+     'urdf: expected text in GBK, as its first line says, got something else at byte '),
+    (lambda text: text.replace('</robot>', SECOND),
+     'urdf: expected one parent of each link, got l4, which is the child of j4 and rod'),
+    (lambda text: text.replace('link="l3"', 'link="rod"'),
+     r"urdf\.j3\.child: expected a link of the URDF, got 'rod'"),
+    (lambda text: text.replace('</robot>', '<link name="loose"/></robot>'),
+     'urdf: expected one link that no joint carries, the base, got base, loose'),
+    (lambda text: text.replace('<origin xyz="0 0.06 0" rpy="0 0 0"/>', TURNED),
+     r'urdf\.j5\.origin: expected rpy, in version 1\.0, got quat_xyzw; version="1\.1"')])
+def test_new_robot_names_what_is_wrong_with_a_urdf_in_one_line(tmp_path, change, message):
+    with pytest.raises(ConfigError, match=message) as caught:
+        six_joints(tmp_path, change)
+    assert '\n' not in str(caught.value) and not list(tmp_path.glob('*.yaml'))
+
+
+def test_new_robot_takes_a_turn_by_quat_xyzw_in_version_1_1(tmp_path):
+    turned = TURNED.replace('quat_xyzw="0 0 0.7071067811865476 0.7071067811865476"',
+                            f'rpy="0 0 {np.pi / 2}"')
+    said = [six_joints(tmp_path, lambda text, new=new: text.replace(
+        '<origin xyz="0 0.06 0" rpy="0 0 0"/>', new).replace(
+            '<robot ', '<robot version="1.1" ')) for new in (TURNED, turned)]
+    assert said[0] == said[1] != six_joints(tmp_path)
+
+
+@pytest.mark.parametrize('rpy', ['0 0 0', '0 0.5235988 0', '0 1.5707963 0', '3.14159265 0 0'])
+def test_new_robot_finds_a_home_on_floor_slope_wall_and_ceiling(tmp_path, rpy):
+    mount = (f'<link name="world"/><joint name="mount" type="fixed"><parent link="world"/>'
+             f'<child link="base"/><origin xyz="0 0 1.2" rpy="{rpy}"/></joint></robot>')
+    said = six_joints(tmp_path, lambda text: text.replace('</robot>', mount))
+    assert not any('missing: home' in line for line in said)
+    robot = find_robot(str(tmp_path / 'arm.yaml'))
+    model, home = robot.arm.model(), np.array(robot.file.home)
+    tip, sensor = (frame_pose(model, home, *name).translation for name in (['tip'], []))
+    np.testing.assert_allclose(tip - sensor, [0.0, 0.0, -0.15], atol=1e-6)
+    assert condition(model, home) < 30.0
+
+
+def test_new_robot_does_not_stand_in_a_singular_home(tmp_path):
+    """The middle of these ranges is the arm stretched straight up."""
+    said = six_joints(tmp_path, lambda text: re.sub(
+        r'lower="[-.\d]+" upper="([.\d]+)"', r'lower="-\1" upper="\1"', text))
+    assert not any('missing: home' in line for line in said)
+    robot = find_robot(str(tmp_path / 'arm.yaml'))
+    assert condition(robot.arm.model(), np.array(robot.file.home)) < 20.0
+
+
+def test_home_without_the_tool_straight_down_is_not_singular(tmp_path, monkeypatch):
+    for finder in ('reach', 'turn_along'):
+        monkeypatch.setattr(f'sim_bridge.new_robot.{finder}', lambda *_: None)
+    said = six_joints(tmp_path)
+    assert any(line.startswith('missing: home: no posture with the tool') for line in said)
+    robot = find_robot(str(tmp_path / 'arm.yaml'))
+    assert condition(robot.arm.model(), np.array(robot.file.home)) < 20.0
+
+
+def test_new_robot_guesses_torque_limits_that_hold_a_heavy_arm(tmp_path):
+    def heavy(text):
+        for name in ('mass value', 'ixx', 'iyy', 'izz'):
+            text = re.sub(rf'{name}="([-\d.e]+)"', lambda found, name=name: (
+                f'{name}="{100.0 * float(found[1])}"'), text)
+        return re.sub(r' effort="\d+"', ' effort="0"', text)
+
+    said = six_joints(tmp_path, heavy)
+    assert 'missing: torque_limit of j1, j2, j3, j4, j5, j6: the URDF has none' in said
+    share = next(int(found[1]) for line in said
+                 if (found := re.search('gravity takes (\\d+) % of the torque limit', line)))
+    assert share <= 34
+    limits = [link.torque_limit for link in find_robot(str(tmp_path / 'arm.yaml')).arm.links]
+    assert min(limits) >= 50.0 and max(limits) > 1000.0
+
+
 GRIPPER = """<link name="knuckle"><inertial><origin xyz="0 0 0.02"/><mass value="0.1"/>
 <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
 <joint name="knuckle" type="revolute"><parent link="stick"/><child link="knuckle"/>

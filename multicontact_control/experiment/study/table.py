@@ -159,22 +159,17 @@ def _cell(column: ColumnConfig, group: pd.DataFrame, study: StudyConfig) -> str:
 
 
 def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
-    """Return a listing for a terminal of some width; what does not fit is left out."""
+    """
+    Return a listing for a terminal of some width [characters].
+
+    What does not fit beside the labels of the lines follows in further tables with the same ones.
+    """
     tables = []
     for section, frame in listing.items():
-        labels = list(frame)[:frame.attrs['labels']]
-        heads = [re.sub(r' (?![^[]*\]|/)', '\n', name) for name in frame]  # a word on each line
-        room = np.cumsum([2 + max(*map(len, head.split('\n')), *frame[name].map(len))
-                          for head, name in zip(heads, frame)])
-        shown = frame.loc[:, (room < width) | frame.columns.isin(labels)]
-        text = Table(title=escape(section or title), title_justify='left', box=SIMPLE_HEAD,
-                     padding=(0, 1, 0, 0), pad_edge=False)
-        for head, name in zip(heads, shown):
-            text.add_column(escape(head), overflow='fold',
-                            justify='left' if name in labels else 'right')
-        for line in shown.itertuples(index=False):
-            text.add_row(*map(escape, line))
-        tables.append(text)
+        name = section or title
+        for columns in _columns_that_fit(frame, width):
+            tables.append(_terminal_table(name, frame, columns))
+            name = f'{section or title}, continued'
     return tables
 
 
@@ -184,6 +179,41 @@ class Series(NamedTuple):
     label: str
     runs: pd.DataFrame
     style: Mapping[str, Any]
+
+
+def _columns_that_fit(frame: pd.DataFrame, width: int) -> list[list[str]]:
+    """Return the columns beside the labels, as many together as fit into a width."""
+    labels = list(frame)[:frame.attrs['labels']]
+    room = {name: 2 + max(*map(len, _head_lines(name)), *frame[name].map(len)) for name in frame}
+    of_labels = sum(room[name] for name in labels)
+    parts: list[list[str]] = []
+    used = width
+    for name in list(frame)[len(labels):]:
+        if used + room[name] >= width:
+            parts.append([])
+            used = of_labels
+        parts[-1].append(name)
+        used += room[name]
+    return parts or [[]]
+
+
+def _terminal_table(title: str, frame: pd.DataFrame, columns: Sequence[str]) -> Table:
+    """Return the labels of a listing's lines, and some of its columns; long texts are wrapped."""
+    labels = list(frame)[:frame.attrs['labels']]
+    shown = frame[[*labels, *columns]]
+    text = Table(title=escape(title), title_justify='left', box=SIMPLE_HEAD,
+                 padding=(0, 1, 0, 0), pad_edge=False)
+    for name in shown:
+        text.add_column(escape('\n'.join(_head_lines(name))), overflow='fold',
+                        justify='left' if name in labels else 'right')
+    for line in shown.itertuples(index=False):
+        text.add_row(*map(escape, line))
+    return text
+
+
+def _head_lines(name: str) -> list[str]:
+    """Return the head of a column, a word on each line."""
+    return re.split(r' (?![^[]*\]|/)', name)
 
 
 def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:

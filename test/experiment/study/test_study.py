@@ -1,6 +1,7 @@
 """Studies from the file to the table, its lines and its page."""
 
 import io
+import re
 
 from multicontact_control.experiment import closed_loop
 from multicontact_control.experiment.study.config import read_study, select, StudyConfig
@@ -12,6 +13,7 @@ from multicontact_control.experiment.study.table import (
     good_values,
     listing_of,
     sentences,
+    terminal_tables,
 )
 import numpy as np
 import pandas as pd
@@ -78,6 +80,24 @@ def test_figure_has_a_cross_where_no_run_is_good_and_no_point_upon_another(frame
     if values[0] == 'soft':
         first, second = (line.get_ydata() for line in rise.lines if line not in crosses)
         assert second[0] - first[0] > 0.2
+
+
+@pytest.mark.parametrize('width', [30, 80, 400])
+@pytest.mark.parametrize('label', ['lead_window', 'window rescaled to the R at rest'])
+def test_terminal_shows_every_column_whatever_its_width(width, label):
+    names = [f'value{i} [N]' for i in range(20)]
+    shown = pd.DataFrame([{'estimator': label, 'k': '600', **{
+        name: f'{i}.2345' for i, name in enumerate(names)}, 'good': 'well ' * 30}] * 2)
+    shown.attrs = {'labels': 2}
+    console = Console(width=width, record=True, file=io.StringIO())
+    console.print(*terminal_tables('compare', {'': shown}, width))
+    text = console.export_text()
+    assert max(map(len, text.splitlines())) <= width
+    for i in range(20):
+        assert len(re.findall(rf'\b{i}\.2345\b', text)) == 2
+        assert re.search(rf'\bvalue{i}\b', text)
+    assert len(re.findall('well', text)) == 60
+    assert text.count('continued') == (text.count('estimator') - 1)
 
 
 def test_sentences_tell_where_all_runs_are_good(frame):
