@@ -125,19 +125,19 @@ class ControllerNode(ManagedNode):
                 topic.message, topic.name, partial(self._on_message, topic),
                 qos.INPUT if node_config.lockstep else qos.SENSOR, raw=True)
         self._node_config = node_config
-        self._command: tuple[bytes, Vector] | None = None  # the last one
+        self._torque: Vector | None = None  # the newest
 
     def activate(self) -> ControllerNodeConfig:
         """Start with the next sample, as if there had been none."""
         self._loop.restart()
         self._timing.restart()
         self._report.inputs.restart()
-        self._command, self.due = None, 0
+        self._torque, self.due = None, 0
         return self._node_config
 
     def deactivate(self) -> None:
         """Go over to the safe behaviour."""
-        self._command = None
+        self._torque = None
         self._loop.supervisor.stop()
         kind = self._loop.config.safe_behaviour.replace('_', ' ')
         self.get_logger().info(f'deactivated: commanding {kind} from the next sample on')
@@ -213,26 +213,31 @@ class ControllerNode(ManagedNode):
             self.refusals.refuse(topics.JOINT_STATES.name, MessageError(
                 'stamp', 'one after that of the last sample', 'an older one'))
         if inputs is not None:
-            self._command = None
+            self._torque = None
             try:
-                torque = loop.step(inputs)
+                self._torque = loop.step(inputs)
             except MulticontactError as error:
                 self.get_logger().error(  # only bare: a supervisor would have answered
                     f'{error}; going over to the safe behaviour, until activated anew')
-                torque = loop.stop()
-            self._command = outputs.command(timing.expected_stamp, torque), torque
-        if self._command is not None and (inputs is not None or action is Action.REPEAT):
-            command, torque = self._command
-            outputs.publish(command)
-            if outputs.publish_bare is not None:
-                outputs.publish_bare(Float64MultiArray(data=torque))
+                self._torque = loop.stop()
+        elif action is Action.REPEAT and loop.supervisor.safe and self._torque is None:
+            self._torque = loop.stop()  # the robot waits, and was deactivated meanwhile
+        if self._torque is not None and (inputs is not None or action is Action.REPEAT):
+            self._answer(self._torque)
         if inputs is not None:
             self._report.watch.latencies.add(time.monotonic_ns() - start)
             self._report.look()
         if action in WHOLE:
             self._report.watch.add_period(start)
         if action in SHOWN and loop.output is not None:
-            outputs.show(timing.expected_stamp, timing.tick, loop.output)
+            outputs.show(timing.answered_stamp, timing.tick, loop.output)
+
+    def _answer(self, torque: Vector) -> None:
+        """Publish a torque under the stamp of what it answers."""
+        outputs = self._outputs
+        outputs.publish(outputs.command(self._timing.answered_stamp, torque))
+        if outputs.publish_bare is not None:
+            outputs.publish_bare(Float64MultiArray(data=torque))
 
 
 def _warm_up(loop: ControlLoop) -> None:
