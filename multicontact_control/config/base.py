@@ -23,8 +23,12 @@ import yaml
 UNIT_NORM_TOLERANCE = 1e-3
 EVERY_NODE = '**'  # in the place of a node's name
 LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # ten times as fast
-# With which pydantic begins what it expects.
-PHRASES = re.compile('^(Value error, expected|Input should be|[A-Z][a-z]+ should have) ')
+# What pydantic puts around what it expects: the way it came there, and what it got.
+PHRASES = re.compile(
+    '^(Value error, (expected )?|Input should be |[A-Z][a-z]+ should have )'
+    r'|( after validation)?, (not|unable|got a number) .*$')
+MAPPING = 'a mapping of keys to values'
+KINDS = {'model_type': MAPPING, 'dict_type': MAPPING, 'tuple_type': 'a list of values'}
 
 
 def _unit_length(vector: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -105,7 +109,8 @@ def _field_error(detail: Mapping[str, Any], model: type[Config]) -> ConfigError:
                            f"unknown key '{location[-1]}'")
     if kind == 'missing':
         return ConfigError(field, 'a value', 'nothing')
-    return ConfigError(field, PHRASES.sub('', detail['msg']), repr(detail['input']))
+    expected = KINDS.get(kind) or PHRASES.sub('', detail['msg'])
+    return ConfigError(field, expected, repr(detail['input']))
 
 
 def _known_keys(model: type[Config], location: Sequence[int | str]) -> str:
@@ -132,7 +137,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         text = ' '.join(str(error).replace('in "<unicode string>", ', 'at ').split())
         raise ConfigError(str(path), 'valid YAML', hint=text) from None
     if not isinstance(data, dict):
-        raise ConfigError(str(path), 'a mapping of keys to values', type(data).__name__)
+        raise ConfigError(str(path), MAPPING, type(data).__name__)
     return data
 
 

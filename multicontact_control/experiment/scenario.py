@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
 import shutil
@@ -81,6 +81,11 @@ class Setup:
     def ticks(self) -> int:
         """Return the number of samples of the run."""
         return round(self.scenario.duration * self.controller.rate)
+
+    def commanded_over_topics(self) -> Setup:
+        """Return the same arm and surfaces, for commands instead of the scenario's."""
+        scenario = self.scenario.model_copy(update={'name': COMMANDS, 'description': ''})
+        return replace(self, scenario=scenario, commanded_by_topic=True)
 
     def reference(self) -> ScenarioTask:
         """Return the scenario's reference, at its start."""
