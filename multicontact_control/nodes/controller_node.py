@@ -31,6 +31,7 @@ from multicontact_control.supervision.inputs import JointInput, TickInputs, Wren
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
+NEW = (Action.STEP, Action.ANEW, Action.HALF)
 WHOLE = (Action.STEP, Action.ANEW, Action.REPEAT)
 SHOWN = (Action.STEP, Action.ANEW, Action.HALF, Action.SHOW)
 
@@ -117,7 +118,8 @@ class ControllerNode(ManagedNode):
             self._inputs[wrench] = (partial(messages.read_wrench, frame=robot.sensor_frame),
                                     lambda *reading: timing.add(WrenchInput(*reading)))
         self._outputs = ControllerOutputs(self, config, node_config.effort_output_topic)
-        self._report = ControllerReport(self, loop, timing, [*self._inputs])
+        self._report = ControllerReport(
+            self, loop, timing, [*self._inputs], may_pause=node_config.lockstep)
         serve_commands(self, loop, self._report.answer, lambda: self._node_config.push_test)
         for topic, (read, take_in) in self._inputs.items():
             self._inputs[topic] = MessageReader(topic.message, read), take_in
@@ -227,6 +229,7 @@ class ControllerNode(ManagedNode):
         if inputs is not None:
             self._report.watch.latencies.add(time.monotonic_ns() - start)
             self._report.look()
+        self._report.samples += action in NEW
         if action in WHOLE:
             self._report.watch.add_period(start)
         if action in SHOWN and loop.output is not None:

@@ -47,8 +47,9 @@ def test_options_that_a_run_knows_itself_are_refused(
 
 
 @pytest.mark.slow
-def test_simulate_leaves_a_run_folder(multicontact, tmp_path):
+def test_simulate_leaves_a_run_folder(multicontact, tmp_path, monkeypatch):
     """Series, summary, figures; it is not replaced unless it is asked for."""
+    monkeypatch.chdir(tmp_path)
     out = str(tmp_path / 'run')
     options = ('--scenario', 'quick', '--plant', 'rigid', '--out', out)
     done = multicontact('simulate', *options, '--duration', '3.0', '--seed', '5')
