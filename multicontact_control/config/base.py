@@ -159,6 +159,22 @@ def _sections(data: Mapping[str, Any], place: str = '') -> Iterator[tuple[str, A
             yield f'{place}{key}', parameters if isinstance(parameters, dict) else None
 
 
+def sets_parameter(path: Path, node: str, name: str) -> bool:
+    """Return whether a ROS 2 parameter file sets a parameter of a node, by its dotted name."""
+    return any(
+        section.rpartition('/')[2] in (node, EVERY_NODE, '*') and _holds(parameters or {}, name)
+        for section, parameters in _sections(read_yaml(path)))
+
+
+def _holds(parameters: Mapping[str, Any], name: str) -> bool:
+    """Return whether nested parameters, whose names may be dotted, too, hold a dotted name."""
+    if name in parameters:
+        return True
+    return any(
+        isinstance(inner, Mapping) and name.startswith(f'{key}.')
+        and _holds(inner, name.removeprefix(f'{key}.')) for key, inner in parameters.items())
+
+
 def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str, Any]]:
     """
     Read a ROS 2 parameter file with at most one section for each of some nodes.

@@ -21,9 +21,9 @@ from multicontact_control.nodes.controller_topics import ControllerOutputs, serv
 from multicontact_control.nodes.diagnostics import Status
 from multicontact_control.nodes.graph import SAFE_TIME, StartupConfig
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
+from multicontact_control.nodes.parameters import folder_of
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import MessageReader
-from multicontact_control.paths import config_dir
 from multicontact_control.sampling import Action, Decision, SampleTiming
 from multicontact_control.sensor.push_test import PushTestConfig
 from multicontact_control.supervision.command_limits import CommandLimits
@@ -52,7 +52,8 @@ class ControllerNodeConfig(StartupConfig):
         0.5, 'Largest difference between the stamps of a joint state and a wrench that are taken '
         'for one sample.', unit='periods', ge=0.0, le=0.5)
     reference_file: str = parameter(
-        '', 'YAML file of a scenario or its reference; empty to obey the command topics.')
+        '', 'YAML file of a scenario or its reference, with a path like that of robot.urdf; empty '
+        'to obey the command topics.')
     effort_output_topic: str = parameter(
         '', 'Topic for the bare efforts (std_msgs/Float64MultiArray) that the forward '
         'controllers of ros2_control take; empty for none.')
@@ -63,18 +64,15 @@ class ControllerNodeConfig(StartupConfig):
         if self.patience and self.patience < 1.0:
             yield ConfigError('patience', '0, or at least 1 period', self.patience)
 
-    @property
-    def folder(self) -> Path:
-        """Return where relative paths start: at the last parameter file, or the package's own."""
-        files = [
-            value for option, value in zip(sys.argv, sys.argv[1:]) if option == '--params-file']
-        return Path(files[-1]).resolve().parent if files else config_dir()
+    def scenario(self, config: ControllerConfig, folder: Path) -> ScenarioTask | None:
+        """
+        Return the scenario to follow, None to obey commands; ConfigError if it is a bad one.
 
-    def scenario(self, config: ControllerConfig) -> ScenarioTask | None:
-        """Return the scenario to follow, None to obey commands; ConfigError if it is a bad one."""
+        A relative path starts at `folder`.
+        """
         if not self.reference_file:
             return None
-        path = self.folder / self.reference_file
+        path = folder / self.reference_file
         values = read_yaml(path)  # of a scenario file more than its reference
         reference = validate(ReferenceConfig, values.get('reference', values), str(path))
         return ScenarioTask(reference, config.rate, config.column_names, config.leader_of)
@@ -90,12 +88,15 @@ class ControllerNode(ManagedNode):
     def __init__(self, **options: Any) -> None:
         super().__init__(topics.CONTROLLER, ControllerConfig, ControllerNodeConfig, **options)
         self._heard = 0  # messages of whatever use
+        self._folder_of = partial(
+            folder_of, node_name=self.get_name(), arguments=options.get('cli_args') or sys.argv)
 
     def configure(self, configurations: Sequence[Any]) -> None:
         """Build the controller and its ends of the topics."""
         config, node_config = configurations
+        scenario = node_config.scenario(config, self._folder_of('reference_file'))
         self._loop = loop = ControlLoop(
-            config, node_config.scenario(config), node_config.command, node_config.folder,
+            config, scenario, node_config.command, self._folder_of('robot.urdf'),
             supervised=node_config.supervised)
         for text in loop.warnings:
             self.get_logger().warning(text)
@@ -160,7 +161,7 @@ class ControllerNode(ManagedNode):
             'steps': report.watch.latencies.count,
             'tick_us': report.watch.latencies.percentiles(),
             'refused': dict(self.refusals.counts), 'unpaired': self._timing.unpaired,
-            'restarts': report.restarts, 'events': self._loop.events.events})
+            'restarts': report.restarts, 'events': [*self._loop.events.events]})
 
     def reconfigure(self, configurations: Sequence[Any]) -> None:
         """Go on with new configurations from the next sample on; raise if that cannot be."""

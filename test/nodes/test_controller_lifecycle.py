@@ -90,7 +90,7 @@ def test_configure_refuses_what_is_wrong_until_it_is_repaired(host, tmp_path):
     node = host.make('robot.urdf:=nowhere.urdf', 'rate:=-500.0',
                      "effort_output_topic:='bare efforts'")
     for name, value in (('rate', 500.0), ('robot.urdf', str(weightless)),
-                        ('robot.urdf', 'puma560.urdf'),
+                        ('robot.urdf', str(config_dir() / 'puma560.urdf')),
                         ('effort_output_topic', '~/efforts')):
         assert node.trigger_configure() == FAILURE
         assert node.state == UNCONFIGURED

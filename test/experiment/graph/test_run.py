@@ -189,7 +189,8 @@ def test_two_graphs_in_one_domain_record_their_own_topics_only(tmp_path):
     with domain.reserve_domain() as domain_id:
         runs = [start_command(
             'run', '--scenario', 'quick', '--plant', 'rigid', '--duration', TICKS / 500.0,
-            '--namespace', side, '--domain-id', domain_id, '--seed', seed, '--out', bag.parent, cwd=tmp_path)
+            '--namespace', side, '--domain-id', domain_id, '--seed', seed, '--out', bag.parent,
+            cwd=tmp_path)
             for seed, (side, bag) in enumerate(bags.items())]
         for run in runs:
             _, errors = end_of(run)
