@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 import json
 from types import NoneType
-from typing import Any, TypeVar
+from typing import Any, cast, TypeVar
 
 from multicontact_control.config import Config, merge, validate
 from multicontact_control.errors import ConfigError
@@ -166,12 +166,15 @@ def resolve_with(
     if not settings:
         return resolved
     setup: Any = getattr(resolved, 'setup', resolved)
-    values, of_nodes = read_settings(settings), {}
+    values = read_settings(settings)
+    of_nodes: dict[str, dict[str, Any]] = {}
     if nodes:
         values, of_nodes = split_off_nodes(values, setup)
     nested = overrides_of(values, setup, '--set ')
     again: Any = resolver(**{**arguments, **{
         ARGUMENTS[section]: laid_over for section, laid_over in nested.items()}})
     if isinstance(again, External):
-        return again._replace(setup=replace(again.setup, nodes=of_nodes))
-    return replace(again, nodes=of_nodes)
+        again = again._replace(setup=replace(again.setup, nodes=of_nodes))
+    else:
+        again = replace(again, nodes=of_nodes)
+    return cast(T, again)
