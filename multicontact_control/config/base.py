@@ -109,7 +109,7 @@ def _field_error(detail: Mapping[str, Any], model: type[Config]) -> ConfigError:
                            f"unknown key '{location[-1]}'")
     if kind == 'missing':
         return ConfigError(field, 'a value', 'nothing')
-    expected = KINDS.get(kind) or PHRASES.sub('', detail['msg'])
+    expected = KINDS.get(kind, PHRASES.sub('', detail['msg']))
     return ConfigError(field, expected, repr(detail['input']))
 
 
@@ -161,9 +161,11 @@ def _sections(data: Mapping[str, Any], place: str = '') -> Iterator[tuple[str, A
 
 def sets_parameter(path: Path, node: str, name: str) -> bool:
     """Return whether a ROS 2 parameter file sets a parameter of a node, by its dotted name."""
-    return any(
-        section.rpartition('/')[2] in (node, EVERY_NODE, '*') and _holds(parameters or {}, name)
-        for section, parameters in _sections(read_yaml(path)))
+    for section, parameters in _sections(read_yaml(path)):
+        concerned = section.rpartition('/')[2] in (node, EVERY_NODE, '*')
+        if concerned and parameters is not None and _holds(parameters, name):
+            return True
+    return False
 
 
 def _holds(parameters: Mapping[str, Any], name: str) -> bool:

@@ -89,7 +89,7 @@ class ControllerNode(ManagedNode):
         super().__init__(topics.CONTROLLER, ControllerConfig, ControllerNodeConfig, **options)
         self._heard = 0  # messages of whatever use
         self._folder_of = partial(
-            folder_of, node_name=self.get_name(), arguments=options.get('cli_args') or sys.argv)
+            folder_of, node_name=self.get_name(), arguments=options.get('cli_args', sys.argv))
 
     def configure(self, configurations: Sequence[Any]) -> None:
         """Build the controller and its ends of the topics."""
