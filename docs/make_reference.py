@@ -183,8 +183,9 @@ def parameters() -> str:
         'the same of a node that runs. In a parameter file dots are levels of the YAML; on the '
         'command line, `--set controller.force.damping_rate=60` (or `noise_estimator.`, '
         '`plant.`, `scenario.`) of `run`, `simulate` and `view` takes the same names, and `*` for '
-        'every NAME. NAME is one of `contact_names`. All units are SI. *Live* values change while '
-        'the node runs, all others while it is unconfigured.']
+        'every NAME. What only a node needs to know is for `run` and `view`, which start nodes. '
+        'NAME is one of `contact_names`. All units are SI. *Live* values change while the node '
+        'runs, all others while it is unconfigured.']
     for node, models in NODES.items():
         sections = [group for model in models for group in groups(model)]
         parts += [f'## {node}', *_group_tables(node, sections, live=True)]

@@ -30,7 +30,7 @@ class Action(Enum):
     ANEW = 'forget the past, then step by a whole sample'
     HALF = 'step by half a sample'
     WITHOUT = 'step without a sample'
-    REPEAT = 'send the last command again'
+    REPEAT = 'send the newest torque again, as the answer to this sample'
     SHOW = 'publish the last tick again, for the estimator that missed it'
     REFUSE = 'refuse the sample: it is older than the last'
 
@@ -62,6 +62,9 @@ class SampleTiming:
     Nothing is missing before the first sample. The time of a tick is its stamp less the first;
     bare, the law's time goes in whole periods.
 
+    A robot that waits for the answer to its sample, and publishes the sample again until it has
+    that, gets it: every answer has the stamp of the newest sample, also after steps without one.
+
     .. [1] Of the sample before, not in the safe behaviour; WAIT until it is there.
     .. [2] The clock was set back; the watchdog answers that.
     .. [3] Once for each period, in which time is counted on. It does not go back when samples
@@ -78,9 +81,9 @@ class SampleTiming:
 
     Attributes
     ----------
-    last_stamp, expected_stamp, tick
-        Of the newest sample, and of the one that should have come by now [ns], -1 for none; its
-        number, from 0.
+    last_stamp, answered_stamp, tick
+        Of the newest sample, and of what is answered now: a sample, or one that should have come
+        by now [ns], -1 for none; the number of the newest, from 0.
     variance, due
         The newest R, shape (r,) [N^2], or None; the monotonic time of `late` [ns], 0 for never.
     unpaired, skipped, apart, tolerance
@@ -110,11 +113,12 @@ class SampleTiming:
             self._waiting = None
         self._first_stamp: int | None = None
         self._older_stamp: int | None = None
-        self._variance_stamp = self.last_stamp = self.expected_stamp = -1
+        self._variance_stamp = self.last_stamp = self.answered_stamp = -1
         self.variance: Vector | None = None
         self._inputs = TickInputs(0.0)
         self._time = self._shift = self._since = 0.0
         self._late = 0  # periods without a sample since the newest one
+        self._half_answered = False  # whether the newest sample came as one half
         self.tick = self.skipped = self.due = 0
 
     def add(self, reading: JointInput | WrenchInput) -> None:
@@ -144,8 +148,8 @@ class SampleTiming:
         stamp, joints, wrench = self._waiting
         came_again, self._came_again = self._came_again, False
         action = Action.STEP
-        if stamp == self.last_stamp:
-            self._waiting = None
+        if self._is_newest(stamp):
+            self._waiting, self.answered_stamp = None, stamp
             return Decision(Action.REPEAT)
         if stamp < self.last_stamp:
             if self._lockstep or not self._supervised:
@@ -167,8 +171,9 @@ class SampleTiming:
             self._shift += self._time + self._period - time
             time = self._time + self._period
         self._waiting = self._older_stamp = None
-        self.tick, self.last_stamp, self.expected_stamp = tick, stamp, stamp
+        self.tick, self.last_stamp, self.answered_stamp = tick, stamp, stamp
         self._time, self._since, self._late = time, now, 0
+        self._half_answered = joints is None or (wrench is None and self._feels)
         self.due = int(now + self._patience_ns) if self._patience_ns else 0
         _, joints_before, wrench_before, variance = self._inputs
         self._inputs = TickInputs(
@@ -176,6 +181,12 @@ class SampleTiming:
             joints._replace(stamp=time) if joints else joints_before,
             wrench._replace(stamp=time) if wrench else wrench_before, variance)
         return Decision(action, self._inputs)
+
+    def _is_newest(self, stamp: int) -> bool:
+        """Return whether a stamp is that of the newest sample, or of its other half [ns]."""
+        if self._half_answered and self.last_stamp >= 0:
+            return abs(stamp - self.last_stamp) <= self.tolerance
+        return stamp == self.last_stamp
 
     def late(self, now: int) -> Decision:
         """Decide if `due` has passed `now` [ns] and everything that has come is taken in."""
@@ -195,7 +206,7 @@ class SampleTiming:
         self.due = int(self._since + self._patience_ns + (periods_late + 1) * self._period_ns)
         if not ticks:  # what is only late is waited for one more period
             return Decision(Action.WAIT)
-        self.expected_stamp = self.last_stamp + round(passed * self._period * 1e9)
+        self.answered_stamp = self.last_stamp + round(passed * self._period * 1e9)
         self._time += ticks * self._period
         self._inputs = self._inputs._replace(time=self._time)
         return Decision(Action.WITHOUT, self._inputs)

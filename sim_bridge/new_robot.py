@@ -49,6 +49,7 @@ GUESSED_OVER_GRAVITY = 3.0  # torque limit at least, over what gravity takes at 
 GUESSED_ARMATURE = 0.1  # kg m^2
 LARGEST_LIMIT = 1e6  # N m or rad/s, from which on a limit is none
 TURNING = ('revolute', 'continuous')
+DIGITS = 9  # behind the point, of a number that is written
 FEWEST_JOINTS = 6  # for force and motion in six directions
 # Places of the operational point that are tried for home, as shares of the arm's length: how far
 # out and how high, on the four sides.
@@ -139,7 +140,7 @@ def new_robot(
     remarks = _remarks(robot)
     _write_controller(robot, controller, missing)
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(_text(urdf.name, values, comments), encoding='utf-8')
+    out.write_text(_text(urdf.name, _rounded(values), comments), encoding='utf-8')
     return (*(f'suspicious: {remark}' for remark in suspicious), *remarks,
             *(f'missing: {what}' for what in missing))
 
@@ -156,11 +157,20 @@ def _write_controller(robot: Robot, out: Path, missing: Sequence[str]) -> None:
     urdf.write_text(robot.arm.urdf, encoding='utf-8')
     guesses = '\n'.join(f'# - {text}' for text in missing)
     write_parameters(
-        out, {'/**': values},
+        out, {'/**': _rounded(values)},
         f'# Written by `multicontact new-robot` beside {Path(robot.name).name}, yours from here '
         "on.\n# Check every contact's normal and point, what hangs on the sensor, the torque "
         "limits\n# and the sensor's frame. Guessed or not known, and yours to replace:\n"
         f'{guesses}\n')
+
+
+def _rounded(value: Any) -> Any:
+    """Return values without what rounding has left in them, such as 8.2e-18."""
+    if isinstance(value, Mapping):
+        return {name: _rounded(entry) for name, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_rounded(entry) for entry in value]
+    return round(value, DIGITS) + 0.0 if isinstance(value, float) else value
 
 
 def _positions(lock: Sequence[str]) -> dict[str, float]:

@@ -33,8 +33,8 @@ PATIENCE = float(os.environ.get('MULTICONTACT_TEST_PATIENCE', '180'))
 def start_python(*arguments: object, **options: Any) -> subprocess.Popen[str]:
     """Start Python in a process of its own; what it writes goes to pipes."""
     return subprocess.Popen([sys.executable, *map(str, arguments)], **{
-        'cwd': ROOT, 'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE, 'text': True,
-        **options})
+        'cwd': ROOT, 'env': {**os.environ, 'PYTHONPATH': str(ROOT)},
+        'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE, 'text': True, **options})
 
 
 def start_command(*arguments: object, **options: Any) -> subprocess.Popen[str]:

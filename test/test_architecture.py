@@ -17,6 +17,7 @@ LAYERS = {
     'sampling': 4, 'loop': 4, 'nodes': 5, 'experiment': 6, 'client': 6, 'view': 7,
     'cli': 8, '__main__': 8}
 PINOCCHIO_HOME = 'multicontact_control.dynamics.robot'
+PRIVATE = 'multicontact_control.nodes.private'
 STEPPED = 'multicontact_control.supervision.supervisor'
 # Tokens of code of a room, without docstrings and comments: what it has, and a twentieth more. An
 # idea that is added takes one out, or its commit says why the house grows.
@@ -87,6 +88,8 @@ def broken_rule(module: str, target: str) -> str:
         return 'pinocchio is wrapped in dynamics/robot.py'
     if target.startswith(STEPPED) and area(module) not in ('supervision', 'loop'):
         return 'samples become torques in loop.py'
+    if target.startswith(('rclpy._', 'rclpy.impl')) and module != PRIVATE:
+        return 'what is private of rclpy is in nodes/private.py'
     if area(module) in ('control', 'supervision') and f'{target}.'.startswith(
             'multicontact_control.force.noise.'):
         return 'R reaches the controller as a number'

@@ -65,7 +65,8 @@ def test_command_compiles_nothing_after_the_compile_step(tmp_path):
         [sys.executable, '-m', 'multicontact_control.cli', 'simulate', '--plant', 'rigid',
          '--bare', '--noise-estimator', 'sage_husa', '--scenario', 'quick', '--duration', '3',
          '--out', str(tmp_path)],
-        capture_output=True, text=True, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+        capture_output=True, text=True, cwd=tmp_path.parent,
+        env={**os.environ, 'PYTHONPATH': str(ROOT)})
     assert done.returncode == 0, done.stderr
     summary = json.loads((tmp_path / 'summary.json').read_text(encoding='utf-8'))
     assert summary['timing']['kernels_compiled'] == 0

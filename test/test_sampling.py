@@ -4,6 +4,7 @@ from multicontact_control.sampling import Action, SampleTiming
 from multicontact_control.supervision.inputs import JointInput, WrenchInput
 import numpy as np
 import pytest
+from waiting_simulator import Exchange
 
 H = 0.002
 PERIOD = 2_000_000
@@ -87,7 +88,7 @@ def test_time_is_counted_on_and_does_not_go_back_when_late_samples_come():
     decisions = [timing.late(round(x * PERIOD)) for x in (1.4, 1.5, 2.5, 3.5)]
     assert [x.action for x in decisions] == [WAIT, WAIT, WITHOUT, WITHOUT]
     assert [x.inputs.time for x in decisions[2:]] == pytest.approx([2 * H, 3 * H])
-    assert timing.expected_stamp == 3 * PERIOD
+    assert timing.answered_stamp == 3 * PERIOD
     times = [sample(timing, k * PERIOD, (3 + k) * PERIOD).inputs.time for k in (1, 2, 3)]
     assert times == pytest.approx([4 * H, 5 * H, 6 * H])
     times = [timing.late(round(x * PERIOD)).inputs.time for x in (56.9, 57.5)]
@@ -146,3 +147,31 @@ def test_bare_time_goes_in_whole_periods_and_joints_alone_are_a_sample_without_a
         action, inputs = timing.what_now(0)
         assert (action, inputs.time, inputs.wrench) == (STEP, k * H, None)
         assert inputs.joints.stamp == pytest.approx(k * H + 1e-6 * (k % 2))
+
+
+def test_other_half_of_a_sample_that_comes_again_is_no_older_sample():
+    """A simulator sends both halves again, and waits for the stamp of its joints."""
+    timing = timing_of(pair_tolerance=0.5, patience=1.5)
+    sample(timing, 0)
+    timing.add(wrench(PERIOD + 50_000))
+    assert timing.late(timing.due).action is HALF
+    assert timing.late(5 * PERIOD).action is WITHOUT
+    timing.add(joints(PERIOD))
+    timing.add(wrench(PERIOD + 50_000))
+    assert timing.what_now(6 * PERIOD).action is REPEAT
+    assert timing.answered_stamp == PERIOD
+
+
+@pytest.mark.parametrize('apart', [0, 600_000])
+@pytest.mark.parametrize('options', [{'patience': 1.5}, {'patience': 0.0}, {'supervised': False}])
+def test_simulator_that_waits_is_answered_whatever_is_lost_late_or_doubled(options, apart):
+    """100 stalls of 0.05 to 10 s, with messages lost, doubled and late before each."""
+    for seed in range(10):
+        random = np.random.default_rng(seed)
+        exchange = Exchange(timing_of(pair_tolerance=0.5, **options), random, apart)
+        for stall in np.exp(random.uniform(np.log(25), np.log(5000), 10)):
+            exchange.set_share(0.1)
+            exchange.run(50)
+            exchange.run(round(stall), halted=True)
+            exchange.set_share(0.0)
+            assert exchange.goes_on(samples=20, within=400), (seed, stall)

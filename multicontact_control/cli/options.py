@@ -64,15 +64,15 @@ class SetupOptions:
         return [*(f'{key}={value}' for name, key in SHORT.items()
                   if (value := getattr(self, name, ''))), *(self.settings or ())]
 
-    def setup(self) -> Setup:
-        """Return the configuration, checked; ConfigError."""
+    def setup(self, *, nodes: bool = False) -> Setup:
+        """Return the configuration, checked, with `nodes` of a graph; ConfigError."""
         from multicontact_control.experiment.overrides import resolve_with
         from multicontact_control.experiment.scenario import resolve
 
         return resolve_with(resolve, {
             'scenario': self.scenario, 'robot': self.robot, 'plant': self.plant,
             'seed': self.seed, 'preset': self.preset,
-            'duration': getattr(self, 'duration', None)}, self.values())
+            'duration': getattr(self, 'duration', None)}, self.values(), nodes=nodes)
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,8 @@ class RunOptions(SetupOptions):
         return resolve_with(resolve_external, {
             'files': files, 'duration': self.duration,
             'scenario': self.scenario if is_given(context, 'scenario') else None,
-            'preset': self.preset if is_given(context, 'preset') else ''}, self.values())
+            'preset': self.preset if is_given(context, 'preset') else ''}, self.values(),
+            nodes=True)
 
 
 def flattened(command: Callable[..., None]) -> Callable[..., None]:

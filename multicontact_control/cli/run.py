@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -63,7 +62,9 @@ def run(
         if commanded and any(x.startswith('scenario.') for x in chosen.settings or ()):
             raise ConfigError('--set scenario', hint='leave it out with --commanded, which plays '
                               'no scenario; --duration sets the length')
-        setup = replace(chosen.setup(), commanded_by_topic=commanded)
+        setup = chosen.setup(nodes=True)
+        if commanded:
+            setup = setup.commanded_over_topics()
     # Only now: bad input is refused before the simulator is loaded.
     from multicontact_control.experiment.results import run_folder
     from multicontact_control.experiment.run import run_on_graph
@@ -130,7 +131,7 @@ def view(
         options.refuse_options(context, ('seed', 'engine'), 'with a recording')
         if run_of(recording)[1]:
             options.refuse_options(context, OF_THE_ARM, 'with a run, which knows its own')
-    setup = chosen.setup()
+    setup = chosen.setup(nodes=not graph and recording is None)
     # Only now: bad input is refused before viser is loaded.
     from multicontact_control.view.run import run_view
 

@@ -23,8 +23,12 @@ import yaml
 UNIT_NORM_TOLERANCE = 1e-3
 EVERY_NODE = '**'  # in the place of a node's name
 LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # ten times as fast
-# With which pydantic begins what it expects.
-PHRASES = re.compile('^(Value error, expected|Input should be|[A-Z][a-z]+ should have) ')
+# What pydantic puts around what it expects: the way it came there, and what it got.
+PHRASES = re.compile(
+    '^(Value error, (expected )?|Input should be |[A-Z][a-z]+ should have )'
+    r'|( after validation)?, (not|unable|got a number) .*$')
+MAPPING = 'a mapping of keys to values'
+KINDS = {'model_type': MAPPING, 'dict_type': MAPPING, 'tuple_type': 'a list of values'}
 
 
 def _unit_length(vector: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -105,7 +109,8 @@ def _field_error(detail: Mapping[str, Any], model: type[Config]) -> ConfigError:
                            f"unknown key '{location[-1]}'")
     if kind == 'missing':
         return ConfigError(field, 'a value', 'nothing')
-    return ConfigError(field, PHRASES.sub('', detail['msg']), repr(detail['input']))
+    expected = KINDS.get(kind, PHRASES.sub('', detail['msg']))
+    return ConfigError(field, expected, repr(detail['input']))
 
 
 def _known_keys(model: type[Config], location: Sequence[int | str]) -> str:
@@ -132,7 +137,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         text = ' '.join(str(error).replace('in "<unicode string>", ', 'at ').split())
         raise ConfigError(str(path), 'valid YAML', hint=text) from None
     if not isinstance(data, dict):
-        raise ConfigError(str(path), 'a mapping of keys to values', type(data).__name__)
+        raise ConfigError(str(path), MAPPING, type(data).__name__)
     return data
 
 
@@ -152,6 +157,24 @@ def _sections(data: Mapping[str, Any], place: str = '') -> Iterator[tuple[str, A
         else:
             parameters = entry['ros__parameters'] if isinstance(entry, dict) and entry else None
             yield f'{place}{key}', parameters if isinstance(parameters, dict) else None
+
+
+def sets_parameter(path: Path, node: str, name: str) -> bool:
+    """Return whether a ROS 2 parameter file sets a parameter of a node, by its dotted name."""
+    for section, parameters in _sections(read_yaml(path)):
+        concerned = section.rpartition('/')[2] in (node, EVERY_NODE, '*')
+        if concerned and parameters is not None and _holds(parameters, name):
+            return True
+    return False
+
+
+def _holds(parameters: Mapping[str, Any], name: str) -> bool:
+    """Return whether nested parameters, whose names may be dotted, too, hold a dotted name."""
+    if name in parameters:
+        return True
+    return any(
+        isinstance(inner, Mapping) and name.startswith(f'{key}.')
+        and _holds(inner, name.removeprefix(f'{key}.')) for key, inner in parameters.items())
 
 
 def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str, Any]]:

@@ -13,7 +13,8 @@ class RobotConfig(Config):
     """The robot's model, and the names of its joints and frames."""
 
     urdf: str = parameter(
-        ..., 'URDF of the arm with its tool: a path, or a path relative to the parameter file.')
+        ..., 'URDF of the arm with its tool: a path, or a path relative to the parameter file '
+        'that it stands in.')
     joint_names: tuple[str, ...] = parameter(
         ..., 'Joints in the order of every joint vector.', min_length=1)
     locked_joints: tuple[str, ...] = parameter(

@@ -62,8 +62,9 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
 
     alpha = (N^T N)^-1 N^T f_c (P04 eqs 2, 5, 7), or as `allow_for_friction` says, of all contacts
     together. To the friction that is expected of each the likeliest other is added,
-    s^2 T^T W^-1 (f_c - N alpha). `N`, `alpha_meas`, without what is `untared`, and `friction` of
-    the contacts, records of `CONTACT`, shape (r,), are filled in.
+    s^2 T^T W^-1 (f_c - N alpha). Of the contacts, records of `CONTACT`, shape (r,), `N` is filled
+    in, which follows from the posture alone; `alpha_meas`, without what is `untared`, and
+    `friction` only if the columns are independent.
     """
     count, law, frame = contacts.shape[0], control.law, control.frame
     wrench, alpha = np.empty(6), np.empty(count)
@@ -73,8 +74,9 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
     for i in range(count):
         rows[i] = contacts[i].N
     W, column = np.empty((6, 6)), np.empty(6)
+    friction = np.zeros((count, 3))
     if law.separated:
-        expect_friction(frame, contacts, rows)
+        expect_friction(frame, contacts, friction, rows)
         allow_for_friction(control, contacts, rows, wrench, W)
     if not factorise_contacts(contacts, True, rows, rows, factor):
         return False
@@ -90,7 +92,7 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
     for i in range(count):
         contact = contacts[i]
         for axis in range(3):
-            contact.friction[axis] *= contact.alpha_meas
+            contact.friction[axis] = friction[i, axis] * contact.alpha_meas
             if contact.config.friction_std > 0.0:
                 fill_friction(law, frame, contact, axis, lever, column)
                 solve_lower(W, column)
@@ -99,17 +101,16 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
 
 
 @compiled
-def expect_friction(frame: Any, contacts: Any, rows: Matrix) -> None:
+def expect_friction(frame: Any, contacts: Any, friction: Matrix, rows: Matrix) -> None:
     """
     Add the friction that 1 N along the normal is expected to come with.
 
     The robot drags a surface along its sliding velocity v by mu v / sqrt(v^2 + v_s^2): filled in
-    in `friction` of the contacts, per newton, and added to `rows`, N^T, shape (r, 6).
+    in `friction`, zero before, per newton, shape (r, 3), and added to `rows`, N^T, shape (r, 6).
     """
     point, velocity, moment = np.empty(3), np.empty(3), np.empty(3)
     for i in range(contacts.shape[0]):
         contact = contacts[i]
-        contact.friction[:] = 0.0
         if contact.config.friction_coefficient <= 0.0:
             continue
         multiply(frame.rotation, contact.config.point, point)
@@ -118,9 +119,9 @@ def expect_friction(frame: Any, contacts: Any, rows: Matrix) -> None:
         velocity -= into * contact.normal
         share = contact.config.friction_coefficient / np.sqrt(
             dot(velocity, velocity) + SLIP_SPEED ** 2)
-        contact.friction[:] = share * velocity
-        cross(point, contact.friction, moment)
-        rows[i, :3] += contact.friction
+        friction[i] = share * velocity
+        cross(point, friction[i], moment)
+        rows[i, :3] += friction[i]
         rows[i, 3:] += moment
 
 

@@ -160,8 +160,8 @@ def read_messages(
     Read the messages of some topics of an MCAP file or a folder, as far as the files go.
 
     `types` has the type of each topic, one of `READERS`, by its name within the `namespace` of
-    the graph. Raises RunError if there is no file, or it holds several graphs and no namespace is
-    given.
+    the graph. Raises ConfigError if there is no file, RunError if it holds several graphs and no
+    namespace is given.
     """
     columns: dict[tuple[str, str], BagColumns] = {}  # by namespace and topic
     names: set[str] = set()  # full names of all topics
@@ -232,8 +232,8 @@ def _records(path: Path) -> Iterator[tuple[Any, Any, Any, Callable[[], Any]] | N
     """Yield schema, channel, record and decoder of every message; None where a file is cut off."""
     files = mcap_files(path)
     if not files:
-        hint = '; `ros2 bag convert` makes MCAP of a database' * any(path.glob('*.db3*'))
-        raise RunError(f'{path}: expected a run, an .mcap file or a folder with one{hint}')
+        hint = '`ros2 bag convert` makes MCAP of a database' * any(path.glob('*.db3*'))
+        raise ConfigError(str(path), 'a run, an .mcap file or a folder with one', hint=hint)
     for file in files:
         try:
             stream: Any = file.open('rb')

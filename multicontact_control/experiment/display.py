@@ -9,7 +9,6 @@ from typing import Any
 from multicontact_control.errors import counted
 from multicontact_control.experiment import judge
 from multicontact_control.experiment.metrics import truth_lacking
-from multicontact_control.experiment.scenario import COMMANDS
 from rich import progress
 from rich.console import Console
 from rich.markup import escape
@@ -85,8 +84,7 @@ def headline(summary: Mapping[str, Any]) -> str:
     if summary['mode'] in (judge.EXTERNAL_RUN, judge.RECORDED):
         text = f'{scenario}, {estimator}, {summary["mode"]}'
     else:
-        what = COMMANDS if summary['commanded_by_topic'] else scenario
-        text = (f'{what}, plant {summary["plant"]}, {estimator}, seed {summary["seed"]}, '
+        text = (f'{scenario}, plant {summary["plant"]}, {estimator}, seed {summary["seed"]}, '
                 f'{summary["mode"]}')
     unknown = truth_lacking(summary['without_truth'], summary['contacts'])
     return text + (f', {unknown}: forces as measured' if unknown else '')

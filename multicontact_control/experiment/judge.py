@@ -302,17 +302,18 @@ def _interventions(run: RunMetrics, log: Sequence[tuple[float, str]]) -> list[st
     if not loaded.any():
         return []
     events = [read_event(*line) for line in log]
-    full = len(events) == CAPACITY
     places = [round(event.time * data.rate) for event in events]
     times, held, names = [], np.zeros(data.ticks, dtype=bool), Counter[str]()
-    ends = [*places[1:], places[-1] if full else data.ticks]
+    ends = [*places[1:], data.ticks]
     for before, event, place, end in zip(events[:1] + events, events, places, ends):
         held[place:end] = _replaces(event)
         if place < data.ticks and loaded[place] and (begun := _begun(before, event)):
             times.append(event.time)
             names.update(begun)
-    helped = [f'the supervisor changed something {CAPACITY} times: what it did later is not known'
-              ] if full else []
+    helped = []
+    if len(events) == CAPACITY:
+        helped.append(f'the supervisor changed something {CAPACITY} times or more: what it did '
+                      f'before {events[0].time:.3g} s is not known')
     commonest = ', '.join(f'{name} {count}' for name, count in names.most_common(3))
     if _again(times) is not None:
         helped.append(

@@ -7,13 +7,14 @@ The first part is the configuration; ``*`` stands for every contact.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 import json
 from types import NoneType
-from typing import Any, TypeVar
+from typing import Any, cast, TypeVar
 
-from multicontact_control.config import merge
+from multicontact_control.config import Config, merge, validate
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.scenario import Setup
+from multicontact_control.experiment.scenario import External, Setup
 from pydantic import BaseModel
 import yaml
 
@@ -23,6 +24,11 @@ ARGUMENTS = {  # of `resolve`, by section
     'controller': 'controller', 'noise_estimator': 'noise_estimator', 'plant': 'plant_overrides',
     'scenario': 'scenario_overrides'}
 EVERY = '*'
+OF_THE_RUN = {  # parameters of nodes, and what sets them in a run
+    'supervised': 'give --bare', 'lockstep': 'give --free-running', 'speed': 'give --speed',
+    'reference_file': 'give --scenario', 'ticks': 'give --duration', 'seed': 'give --seed',
+    'rate': 'set controller.rate and noise_estimator.rate',
+    'startup_peers': 'a run has its own', 'timing_file': 'a run has its own'}
 
 
 def read_settings(settings: Sequence[str]) -> dict[str, Any]:
@@ -102,14 +108,73 @@ def overrides_of(values: Mapping[str, Any], setup: Setup, field: str) -> dict[st
     return nested
 
 
+def node_configs() -> dict[str, type[Config]]:
+    """Return what only the node of each section knows; RosError where ROS cannot be loaded."""
+    from multicontact_control.nodes.controller_node import ControllerNodeConfig
+    from multicontact_control.nodes.graph import StartupConfig
+    from sim_bridge.sim_node import SimNodeConfig
+
+    return {'controller': ControllerNodeConfig, 'noise_estimator': StartupConfig,
+            'plant': SimNodeConfig}
+
+
+def split_off_nodes(
+    values: Mapping[str, Any], setup: Setup,
+) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """
+    Return the values of a setup, and, nested by section, those that only a node knows.
+
+    ConfigError if the node does not take one, or the run sets it.
+    """
+    foreign = [name for name in values if _is_foreign(name, setup)]
+    configs = node_configs() if foreign else {}
+    of_setup = dict(values)
+    of_nodes: dict[str, dict[str, Any]] = {}
+    for name in foreign:
+        section, first, *inner = name.split('.')
+        if section not in configs or first not in configs[section].model_fields:
+            continue
+        if first in OF_THE_RUN:
+            raise ConfigError(f'--set {name}', hint=OF_THE_RUN[first])
+        branch: Any = of_setup.pop(name)
+        for part in reversed((section, first, *inner)):
+            branch = {part: branch}
+        of_nodes = merge(of_nodes, branch)
+    for section, nested in of_nodes.items():
+        validate(configs[section], nested, f'--set {section}')
+    return of_setup, of_nodes
+
+
+def _is_foreign(name: str, setup: Setup) -> bool:
+    """Return whether a dotted name is in a section of a setup that does not know it."""
+    section, *inner = name.split('.')
+    config = getattr(setup, section, None) if section in ARGUMENTS else None
+    return isinstance(config, BaseModel) and bool(inner) and (
+        inner[0] != EVERY and inner[0] not in type(config).model_fields)
+
+
 def resolve_with(
-    resolver: Callable[..., T], arguments: Mapping[str, Any], settings: Sequence[str],
+    resolver: Callable[..., T], arguments: Mapping[str, Any], settings: Sequence[str], *,
+    nodes: bool = False,
 ) -> T:
-    """Return what a function of `scenario` resolves, ``KEY=VALUE`` over its files; ConfigError."""
+    """
+    Return what a function of `scenario` resolves, ``KEY=VALUE`` over its files; ConfigError.
+
+    With `nodes` the values may be those that only a node of the graph knows, too.
+    """
     resolved = resolver(**arguments)
     if not settings:
         return resolved
     setup: Any = getattr(resolved, 'setup', resolved)
-    nested = overrides_of(read_settings(settings), setup, '--set ')
-    return resolver(**{**arguments, **{
-        ARGUMENTS[section]: values for section, values in nested.items()}})
+    values = read_settings(settings)
+    of_nodes: dict[str, dict[str, Any]] = {}
+    if nodes:
+        values, of_nodes = split_off_nodes(values, setup)
+    nested = overrides_of(values, setup, '--set ')
+    again: Any = resolver(**{**arguments, **{
+        ARGUMENTS[section]: laid_over for section, laid_over in nested.items()}})
+    if isinstance(again, External):
+        again = again._replace(setup=replace(again.setup, nodes=of_nodes))
+    else:
+        again = replace(again, nodes=of_nodes)
+    return cast(T, again)

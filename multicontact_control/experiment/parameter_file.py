@@ -16,7 +16,7 @@ class _RosDumper(yaml.SafeDumper):
 
 
 _RosDumper.add_implicit_resolver(
-    'tag:yaml.org,2002:float', re.compile(r'[-+.\d][\w.+-]*|[yYnN]|nan|inf(inity)?', re.I), None)
+    'tag:yaml.org,2002:float', re.compile(r'([-+.\d][\w.+-]*|y|n|nan|inf(inity)?)$', re.I), None)
 
 
 def write_parameters(path: Path, nodes: Mapping[str, Any], head: str = '') -> None:

@@ -44,6 +44,7 @@ CONFIG_FOLDER, BAG_FOLDER, FIGURE_FOLDER, LOG_FOLDER = 'config', 'bag', 'figures
 LEFT_BY_RUNS = frozenset((CONFIG_FOLDER, BAG_FOLDER, FIGURE_FOLDER, LOG_FOLDER, SUMMARY_FILE,
                           REPORT_FILE, recording.SERIES_FILE))
 WHOLE = 1e-3  # of a rate, within which it is taken for one of whole Hz
+RUNS = Path('runs')  # where runs are kept that are not told another place
 NAMED_BY = ('contact_forces/measured', 'contact_forces/estimated', 'contact_forces/desired',
             'contact_forces/noise_variance', 'ground_truth/contact_forces')
 
@@ -55,7 +56,7 @@ def run_folder(
     """
     Yield the folder of a run, as `prepare_folder` makes it; remove it if the run leaves nothing.
 
-    Without `out`, ``latest`` leads to a folder with a summary or a recording.
+    ``runs/latest`` leads to a folder with a summary or a recording.
     """
     folder = prepare_folder(out, scenario, overwrite=overwrite, now=now)
     try:
@@ -63,12 +64,17 @@ def run_folder(
     finally:
         if not any((folder / name).exists() for name in (SUMMARY_FILE, LOG_FOLDER)):
             shutil.rmtree(folder, ignore_errors=True)
-        elif out is None and (
-                (folder / SUMMARY_FILE).is_file() or mcap_files(folder / BAG_FOLDER)):
-            fresh = folder.parent / f'.latest-{os.getpid()}'
-            fresh.unlink(missing_ok=True)
-            fresh.symlink_to(folder.name)
-            fresh.replace(folder.parent / 'latest')
+        elif (folder / SUMMARY_FILE).is_file() or mcap_files(folder / BAG_FOLDER):
+            _link_latest(folder)
+
+
+def _link_latest(folder: Path) -> None:
+    """Let ``runs/latest`` lead to a folder."""
+    RUNS.mkdir(exist_ok=True)
+    fresh = RUNS / f'.latest-{os.getpid()}'
+    fresh.unlink(missing_ok=True)
+    fresh.symlink_to(os.path.relpath(folder.resolve(), RUNS.resolve()))
+    fresh.replace(RUNS / 'latest')
 
 
 def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: datetime) -> Path:
@@ -78,7 +84,7 @@ def prepare_folder(out: Path | None, scenario: str, *, overwrite: bool, now: dat
     Without `out` it is ``runs/<date>-<time>-<scenario>``, numbered if that is taken. ConfigError
     if it cannot be made, or `out` holds anything but a run that `overwrite` lets it delete.
     """
-    folder = out or Path('runs') / f'{now:%Y%m%d-%H%M%S}-{scenario}'
+    folder = out or RUNS / f'{now:%Y%m%d-%H%M%S}-{scenario}'
     try:
         if out is None:
             return _make_numbered(folder)

@@ -10,7 +10,7 @@ import signal
 from typing import Any, TYPE_CHECKING
 
 from multicontact_control.compiled import compiled_here
-from multicontact_control.config import validate
+from multicontact_control.config import merge, validate
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment import judge, results
 from multicontact_control.experiment.claims import claims_of
@@ -58,6 +58,15 @@ def run_simulate(setup: Setup, folder: Path, *, supervised: bool = True) -> dict
     return _finish(result.data, setup, folder, summary)
 
 
+def simulation_parameters(setup: Setup) -> dict[str, dict[str, Any]]:
+    """Return the parameters of the nodes of a simulated graph that belong to no file."""
+    from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, SIM
+
+    return {CONTROLLER: {'patience': SIMULATION_PATIENCE, **setup.node_parameters('controller')},
+            ESTIMATOR: setup.node_parameters('noise_estimator'),
+            SIM: setup.node_parameters('plant')}
+
+
 def run_on_graph(
     setup: Setup, folder: Path, *, endless: bool = False, external: External | None = None,
     supervised: bool = True, **options: Any,
@@ -78,19 +87,22 @@ def run_on_graph(
     config = folder / results.CONFIG_FOLDER
     if external is None or not setup.commanded_by_topic:
         refuse_push_test(setup)
-    parameters: Mapping[str, Any] = {'patience': SIMULATION_PATIENCE}
+    parameters = simulation_parameters(setup)
     if external is not None:
-        parameters, endless = dotted(external.node), external.duration is None
-        node = validate(ControllerNodeConfig, external.node, 'controller_node')
+        endless = external.duration is None
+        of_node = merge(external.node, setup.nodes.get('controller', {}))
+        parameters[CONTROLLER] = dotted(of_node)
+        node = validate(ControllerNodeConfig, of_node, 'controller_node')
         options |= {'domain_id': options.get('domain_id') or 0, 'robot': Robot(
             setup.controller.robot.joint_names, setup.controller.wrench_input,
             node.effort_output_topic, duration=external.duration)}
+    parameters[CONTROLLER]['supervised'] = supervised
     ensure_compiled()
     spec = GraphSpec(
         out=folder, ticks=0 if endless else setup.ticks, rate=setup.controller.rate,
         seed=setup.seed, parameter_files=setup.write(config),
         reference_file=None if setup.commanded_by_topic else config / 'reference.yaml',
-        extra_parameters={CONTROLLER: {**parameters, 'supervised': supervised}}, **options)
+        extra_parameters=parameters, **options)
     result = _show_graph(spec, setup)
     if not result.controlled:
         CONSOLE.print('ended before any sample was answered: there is nothing to report')

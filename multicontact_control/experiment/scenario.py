@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
 import shutil
@@ -65,6 +65,12 @@ class Setup:
     seed: int  # of every random number of the plant
     urdf_dir: Path  # that `controller.robot.urdf` is relative to
     commanded_by_topic: bool = False  # the recording has the forces, not the scenario
+    # Of a run on the graph, nested, by section: what only the section's node knows.
+    nodes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def node_parameters(self, section: str) -> dict[str, Any]:
+        """Return what only the node of a section knows, by dotted names."""
+        return dotted(self.nodes.get(section, {}))
 
     @property
     def simulated(self) -> bool:
@@ -75,6 +81,11 @@ class Setup:
     def ticks(self) -> int:
         """Return the number of samples of the run."""
         return round(self.scenario.duration * self.controller.rate)
+
+    def commanded_over_topics(self) -> Setup:
+        """Return the same arm and surfaces, for commands instead of the scenario's."""
+        scenario = self.scenario.model_copy(update={'name': COMMANDS, 'description': ''})
+        return replace(self, scenario=scenario, commanded_by_topic=True)
 
     def reference(self) -> ScenarioTask:
         """Return the scenario's reference, at its start."""

@@ -14,7 +14,7 @@ try:
     wanted = os.environ.get('RMW_IMPLEMENTATION')
     if wanted and known and wanted not in known:  # rcl would end the process
         raise ImportError(f'RMW_IMPLEMENTATION: expected {" or ".join(known)}, got {wanted}')
-    import rclpy.impl.implementation_singleton  # noqa: F401
+    import rclpy.node  # noqa: F401 - what is compiled of it, too
 except ImportError as error:
     sys.tracebacklimit = 0  # a node's process ends with one line, as a command does
     raise RosError(

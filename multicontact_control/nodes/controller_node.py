@@ -21,9 +21,9 @@ from multicontact_control.nodes.controller_topics import ControllerOutputs, serv
 from multicontact_control.nodes.diagnostics import Status
 from multicontact_control.nodes.graph import SAFE_TIME, StartupConfig
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
+from multicontact_control.nodes.parameters import folder_of
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import MessageReader
-from multicontact_control.paths import config_dir
 from multicontact_control.sampling import Action, Decision, SampleTiming
 from multicontact_control.sensor.push_test import PushTestConfig
 from multicontact_control.supervision.command_limits import CommandLimits
@@ -31,6 +31,7 @@ from multicontact_control.supervision.inputs import JointInput, TickInputs, Wren
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
+NEW = (Action.STEP, Action.ANEW, Action.HALF)
 WHOLE = (Action.STEP, Action.ANEW, Action.REPEAT)
 SHOWN = (Action.STEP, Action.ANEW, Action.HALF, Action.SHOW)
 
@@ -51,7 +52,8 @@ class ControllerNodeConfig(StartupConfig):
         0.5, 'Largest difference between the stamps of a joint state and a wrench that are taken '
         'for one sample.', unit='periods', ge=0.0, le=0.5)
     reference_file: str = parameter(
-        '', 'YAML file of a scenario or its reference; empty to obey the command topics.')
+        '', 'YAML file of a scenario or its reference, with a path like that of robot.urdf; empty '
+        'to obey the command topics.')
     effort_output_topic: str = parameter(
         '', 'Topic for the bare efforts (std_msgs/Float64MultiArray) that the forward '
         'controllers of ros2_control take; empty for none.')
@@ -62,18 +64,15 @@ class ControllerNodeConfig(StartupConfig):
         if self.patience and self.patience < 1.0:
             yield ConfigError('patience', '0, or at least 1 period', self.patience)
 
-    @property
-    def folder(self) -> Path:
-        """Return where relative paths start: at the last parameter file, or the package's own."""
-        files = [
-            value for option, value in zip(sys.argv, sys.argv[1:]) if option == '--params-file']
-        return Path(files[-1]).resolve().parent if files else config_dir()
+    def scenario(self, config: ControllerConfig, folder: Path) -> ScenarioTask | None:
+        """
+        Return the scenario to follow, None to obey commands; ConfigError if it is a bad one.
 
-    def scenario(self, config: ControllerConfig) -> ScenarioTask | None:
-        """Return the scenario to follow, None to obey commands; ConfigError if it is a bad one."""
+        A relative path starts at `folder`.
+        """
         if not self.reference_file:
             return None
-        path = self.folder / self.reference_file
+        path = folder / self.reference_file
         values = read_yaml(path)  # of a scenario file more than its reference
         reference = validate(ReferenceConfig, values.get('reference', values), str(path))
         return ScenarioTask.of(reference, config)
@@ -89,12 +88,15 @@ class ControllerNode(ManagedNode):
     def __init__(self, **options: Any) -> None:
         super().__init__(topics.CONTROLLER, ControllerConfig, ControllerNodeConfig, **options)
         self._heard = 0  # messages of whatever use
+        self._folder_of = partial(
+            folder_of, node_name=self.get_name(), arguments=options.get('cli_args', sys.argv))
 
     def configure(self, configurations: Sequence[Any]) -> None:
         """Build the controller and its ends of the topics."""
         config, node_config = configurations
+        scenario = node_config.scenario(config, self._folder_of('reference_file'))
         self._loop = loop = ControlLoop(
-            config, node_config.scenario(config), node_config.command, node_config.folder,
+            config, scenario, node_config.command, self._folder_of('robot.urdf'),
             supervised=node_config.supervised)
         for text in loop.warnings:
             self.get_logger().warning(text)
@@ -117,7 +119,8 @@ class ControllerNode(ManagedNode):
             self._inputs[wrench] = (partial(messages.read_wrench, frame=robot.sensor_frame),
                                     lambda *reading: timing.add(WrenchInput(*reading)))
         self._outputs = ControllerOutputs(self, config, node_config.effort_output_topic)
-        self._report = ControllerReport(self, loop, timing, [*self._inputs])
+        self._report = ControllerReport(
+            self, loop, timing, [*self._inputs], may_pause=node_config.lockstep)
         serve_commands(self, loop, self._report.answer, lambda: self._node_config.push_test)
         for topic, (read, take_in) in self._inputs.items():
             self._inputs[topic] = MessageReader(topic.message, read), take_in
@@ -125,19 +128,19 @@ class ControllerNode(ManagedNode):
                 topic.message, topic.name, partial(self._on_message, topic),
                 qos.INPUT if node_config.lockstep else qos.SENSOR, raw=True)
         self._node_config = node_config
-        self._command: tuple[bytes, Vector] | None = None  # the last one
+        self._torque: Vector | None = None  # the newest
 
     def activate(self) -> ControllerNodeConfig:
         """Start with the next sample, as if there had been none."""
         self._loop.restart()
         self._timing.restart()
         self._report.inputs.restart()
-        self._command, self.due = None, 0
+        self._torque, self.due = None, 0
         return self._node_config
 
     def deactivate(self) -> None:
         """Go over to the safe behaviour."""
-        self._command = None
+        self._torque = None
         self._loop.supervisor.stop()
         kind = self._loop.config.safe_behaviour.replace('_', ' ')
         self.get_logger().info(f'deactivated: commanding {kind} from the next sample on')
@@ -158,7 +161,7 @@ class ControllerNode(ManagedNode):
             'steps': report.watch.latencies.count,
             'tick_us': report.watch.latencies.percentiles(),
             'refused': dict(self.refusals.counts), 'unpaired': self._timing.unpaired,
-            'restarts': report.restarts, 'events': self._loop.events.events})
+            'restarts': report.restarts, 'events': [*self._loop.events.events]})
 
     def reconfigure(self, configurations: Sequence[Any]) -> None:
         """Go on with new configurations from the next sample on; raise if that cannot be."""
@@ -213,26 +216,32 @@ class ControllerNode(ManagedNode):
             self.refusals.refuse(topics.JOINT_STATES.name, MessageError(
                 'stamp', 'one after that of the last sample', 'an older one'))
         if inputs is not None:
-            self._command = None
+            self._torque = None
             try:
-                torque = loop.step(inputs)
+                self._torque = loop.step(inputs)
             except MulticontactError as error:
                 self.get_logger().error(  # only bare: a supervisor would have answered
                     f'{error}; going over to the safe behaviour, until activated anew')
-                torque = loop.stop()
-            self._command = outputs.command(timing.expected_stamp, torque), torque
-        if self._command is not None and (inputs is not None or action is Action.REPEAT):
-            command, torque = self._command
-            outputs.publish(command)
-            if outputs.publish_bare is not None:
-                outputs.publish_bare(Float64MultiArray(data=torque))
+                self._torque = loop.stop()
+        elif action is Action.REPEAT and loop.supervisor.safe and self._torque is None:
+            self._torque = loop.stop()  # the robot waits, and was deactivated meanwhile
+        if self._torque is not None and (inputs is not None or action is Action.REPEAT):
+            self._answer(self._torque)
         if inputs is not None:
             self._report.watch.latencies.add(time.monotonic_ns() - start)
             self._report.look()
+        self._report.samples += action in NEW
         if action in WHOLE:
             self._report.watch.add_period(start)
         if action in SHOWN and loop.output is not None:
-            outputs.show(timing.expected_stamp, timing.tick, loop.output)
+            outputs.show(timing.answered_stamp, timing.tick, loop.output)
+
+    def _answer(self, torque: Vector) -> None:
+        """Publish a torque under the stamp of what it answers."""
+        outputs = self._outputs
+        outputs.publish(outputs.command(self._timing.answered_stamp, torque))
+        if outputs.publish_bare is not None:
+            outputs.publish_bare(Float64MultiArray(data=torque))
 
 
 def _warm_up(loop: ControlLoop) -> None:

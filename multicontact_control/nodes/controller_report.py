@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 import time
 from typing import Any
 
@@ -34,25 +35,26 @@ class ControllerReport:
     """
     Says what becomes of commands, what the controller does, and what is wrong with its inputs.
 
-    `restarts` counts how often samples have begun anew; the turns of `watch` are samples, its
-    latencies last from the newest message of a sample to its command.
+    `restarts` counts how often samples have begun anew, `samples` those that have another stamp
+    than the one before; the turns of `watch` are samples, its latencies last from the newest
+    message of a sample to its command. In lockstep the robot `may_pause`.
     """
 
     def __init__(
         self, node: ManagedNode, loop: ControlLoop, timing: SampleTiming,
-        inputs: Sequence[topics.Topic],
+        inputs: Sequence[topics.Topic], *, may_pause: bool,
     ) -> None:
         self._node, self._loop, self._timing = node, loop, timing
         bare = node.parameter_set.value('effort_output_topic')
         self._owned = [x.name for x in (*inputs, topics.EFFORT_COMMAND)] + [bare] * bool(bare)
-        self.inputs = Inputs(node, loop.config.rate, *inputs)
+        self.inputs = Inputs(node, loop.config.rate, *inputs, may_pause=may_pause)
         self.watch = LoopStatistics(loop.config.rate)
         self._publisher = create_publisher(node, topics.STATUS)
-        self.restarts = self._refused = self._next_state = self._next_answer = 0
+        self.samples = self.restarts = self._refused = self._next_state = self._next_answer = 0
         self._log_due: dict[str, int] = {}
         self._before: tuple[Any, ...] = (NONE, (), (), '', '')
         self._answered: tuple[Any, ...] = ()
-        self._reported_at = (0, -1)  # number and stamp of the newest sample
+        self._reported_at = (0, 0, -1)  # turns, samples, and the stamp of the newest
 
     def answer(
         self, source: str, identifier: str, error: Exception | None, left_out: str = '',
@@ -162,22 +164,27 @@ class ControllerReport:
                 f'{" and ".join(topic.name for topic in pair)} come, but their stamps are '
                 f'{abs(timing.apart) * 1e-6:.6g} ms apart: expected at most '
                 f'{timing.tolerance * 1e-6:g} ms (pair_tolerance), of one clock'))
-        samples, stamp = self._reported_at
-        self._reported_at = self.watch.intervals.count, timing.last_stamp
-        count, elapsed = self._reported_at[0] - samples, (timing.last_stamp - stamp) / NANOSECONDS
+        turns, samples, stamp = self._reported_at
+        self._reported_at = self.watch.intervals.count, self.samples, timing.last_stamp
+        turned, new = self.watch.intervals.count - turns, self.samples - samples
+        elapsed = (timing.last_stamp - stamp) / NANOSECONDS
+        if new == 0 and turned >= FEWEST:
+            yield self._warn('rate', 'samples come, but all with the same stamp: expected that '
+                             'of each, of one clock')
         expected = config.rate * elapsed
-        if stamp >= 0 and count >= FEWEST and elapsed >= 0.0 and not (
-                expected / WRONG_RATE < count < expected * WRONG_RATE):
-            yield self._warn('rate', f'samples come at {count / max(elapsed, 1e-9):.4g} Hz by '
-                             f'their stamps: expected {config.rate:g} Hz')
+        if stamp >= 0 and new >= FEWEST and elapsed > 0.0 and not (
+                expected / WRONG_RATE < new < expected * WRONG_RATE):
+            yield self._warn('rate', f'samples come at {new / elapsed:.4g} Hz by their stamps: '
+                             f'expected {config.rate:g} Hz')
 
     def _publishers(self) -> Status:
         """Return how many publish each input and command; warn with names where several do."""
-        nodes = {name: sorted(x.node_name for x in self._node.get_publishers_info_by_topic(
+        nodes = {name: Counter(x.node_name for x in self._node.get_publishers_info_by_topic(
             self._node.resolve_topic_name(name))) for name in self._owned}
-        several = '; '.join(f'{len(names)} nodes publish {name}, expected 1: {", ".join(names)}'
-                            for name, names in nodes.items() if len(names) > 1)
-        return Status('publishers', {name: len(names) for name, names in nodes.items()},
+        several = '; '.join(
+            f'{name} has {counts.total()} publishers, expected 1: {_with_counts(counts)}'
+            for name, counts in nodes.items() if counts.total() > 1)
+        return Status('publishers', {name: counts.total() for name, counts in nodes.items()},
                       self._warn('publishers', several))
 
     def _supervisor(self) -> Status:
@@ -243,3 +250,9 @@ class ControllerReport:
                        'force_control': 'allowed' if gate.open else 'disabled'},
             gate.instruction if gate.running or not gate.open else stray,
             f'the readings are {fault}' if fault else gate.instruction if failed else '')
+
+
+def _with_counts(counts: Mapping[str, int]) -> str:
+    """Return names in order, with how many of each there are; one may have just ended."""
+    return ', '.join(f'{name} ({count} times, as if started again)' if count > 1 else name
+                     for name, count in sorted(counts.items()))

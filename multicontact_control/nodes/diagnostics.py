@@ -12,11 +12,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from multicontact_control.arrays import Vector
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.graph import create_publisher, Refusals
-from multicontact_control.nodes.topics import SIM, Topic
+from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, SIM, Topic
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from rclpy.node import Node
 
+OURS = (CONTROLLER, ESTIMATOR)  # what publishes inputs of other nodes
 PERIOD = NANOSECONDS
 STALE_PERIODS = 25  # from which an input at the control rate is stale
 # s: an input is missed after MISSING_AGE; its first message may take DISCOVERY_TIME.
@@ -121,10 +122,18 @@ class LoopStatistics:
 
 
 class Inputs:
-    """When each input came `last`, monotonic time [ns]; logs what is missing."""
+    """
+    When each input came `last`, monotonic time [ns]; logs what is missing.
 
-    def __init__(self, node: Node, rate: float, *inputs: Topic) -> None:
-        self._node, self.max_age = node, STALE_PERIODS / rate  # s
+    Of our own nodes each says itself why it is silent: what they publish is missed only until it
+    has come once. So is all that comes from a robot that `may_pause`, as in lockstep.
+    """
+
+    def __init__(
+        self, node: Node, rate: float, *inputs: Topic, may_pause: bool = False,
+    ) -> None:
+        self._node, self._may_pause = node, may_pause
+        self.max_age = STALE_PERIODS / rate  # s
         self.last = dict.fromkeys(inputs, 0)
         self.restart()
 
@@ -151,17 +160,25 @@ class Inputs:
 
     def _missing(self, topic: Topic) -> str:
         """Return what is expected of a topic that is missing for long, and what there is."""
+        before = self.last[topic] > 0
+        if before and (self._may_pause or topic.publisher in OURS):
+            return ''
         missing = (time.monotonic_ns() - (self.last[topic] or self._since)) / NANOSECONDS
-        if missing < (MISSING_AGE if self.last[topic] else DISCOVERY_TIME):
+        if missing < (MISSING_AGE if before else DISCOVERY_TIME):
             return ''
         name = self._node.resolve_topic_name(topic.name)
         publishers = self._node.get_publishers_info_by_topic(name)
         types = {x.topic_type for x in publishers} - {topic.type_name}
         source = 'the driver of the robot' if topic.publisher == SIM else topic.publisher
-        present = (
-            f'it has no publisher: start {source}, or give its topic, -r {topic.name}:=/its/topic'
-            if not publishers else f'it is published as {", ".join(sorted(types))}' if types else
-            f'publishers: {len(publishers)}, but nothing is sent that can be read')
+        if not publishers:
+            present = f'it has no publisher: start {source}, or give its topic, ' \
+                f'-r {topic.name}:=/its/topic'
+        elif types:
+            present = f'it is published as {", ".join(sorted(types))}'
+        else:
+            names = ', '.join(sorted({x.node_name for x in publishers}))
+            silent = 'sends no more' if before else 'has sent nothing that can be read'
+            present = f'its publisher, {names}, {silent}'
         return (f'no message on {name} for {missing:.1f} s: expected {topic.type_name}: '
                 f'{topic.content} Found: {present}')
 

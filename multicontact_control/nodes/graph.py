@@ -13,12 +13,12 @@ from multicontact_control.config import Config, parameter
 from multicontact_control.errors import ConfigError, MulticontactError
 from multicontact_control.files import write_json
 from multicontact_control.nodes import qos
+from multicontact_control.nodes.private import RcutilsLogger
 from multicontact_control.nodes.runtime import loaded_kernels, one_line
 from multicontact_control.nodes.topics import Topic, TOPICS
 from multicontact_control.process import claim_processor
 from rclpy.exceptions import NameValidationException
 from rclpy.expand_topic_name import expand_topic_name
-from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile

@@ -16,9 +16,9 @@ from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph import Refusals, StartupConfig, StartupGate
 from multicontact_control.nodes.parameters import ParameterSet
+from multicontact_control.nodes.private import change_state_service, RCLError
 from multicontact_control.nodes.runtime import AUTOSTART, Spinner
 from multicontact_control.process import settle_process
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active', 'finalized'
@@ -48,7 +48,7 @@ class ManagedNode(LifecycleNode):
             *(self.statuses() if self.state in (ACTIVE, INACTIVE) else ())])
         self._gate: StartupGate | None = None
         self._gate_passed, self._failure = False, MulticontactError('the node cannot be started')
-        service = self._service_change_state
+        service = change_state_service(self)
         service.callback = partial(self._change_if_possible, service.callback)
         self._lasting: list[Any] = [*self.publishers, *self.subscriptions, *self.services]
 

@@ -10,13 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 import traceback
 from types import NoneType
 import typing
 from typing import Any
 
-from multicontact_control.config.base import Config, merge, model_in, validate
+from multicontact_control.config.base import (
+    Config,
+    merge,
+    model_in,
+    sets_parameter,
+    validate,
+)
 from multicontact_control.errors import check_all, ConfigError, MulticontactError
+from multicontact_control.nodes.private import parameter_overrides
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
@@ -64,10 +72,7 @@ class ParameterSet:
 
     def __init__(self, node: Node, *models: type[Config]) -> None:
         self._node, self._models = node, models
-        # What the command line and its files set, None for an empty list; public ways hide
-        # unknown names.
-        overrides: dict[str, Parameter] = getattr(node, '_parameter_overrides')  # noqa: B009
-        given = {name: parameter.value for name, parameter in overrides.items()
+        given = {name: parameter.value for name, parameter in parameter_overrides(node).items()
                  if name.split('.')[0] not in SET_BY_ROS}
         self._live: dict[str, bool] = {}
         for name, field in (x for model in models for x in _leaves(model, given)):
@@ -125,6 +130,23 @@ class ParameterSet:
 def _plain(value: Any) -> Any:
     """Return an array as a list."""
     return value if isinstance(value, (bool, int, float, str, NoneType)) else list(value)
+
+
+def folder_of(name: str, node_name: str, arguments: Sequence[str]) -> Path:
+    """
+    Return where a relative path starts that is the value of a parameter of a node.
+
+    That is the folder of the last of the parameter files among some command-line arguments that
+    sets it; the current folder, if the command line itself does, or nothing.
+    """
+    folder = Path()
+    for option, value in zip(arguments, arguments[1:]):
+        if option == '--params-file' and sets_parameter(Path(value), node_name, name):
+            folder = Path(value).resolve().parent
+    by_itself = any(
+        option in ('-p', '--param') and value.split(':=')[0].rpartition(':')[2] == name
+        for option, value in zip(arguments, arguments[1:]))
+    return Path() if by_itself else folder
 
 
 def load_parameters(node: Node, *models: type[Config]) -> list[Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from typing import Any, NamedTuple
 
 from multicontact_control.control.controller import ControlOutput
@@ -37,7 +37,8 @@ class EventLog:
     """Counts what a supervisor does, and notes what changes."""
 
     def __init__(self) -> None:
-        self.events: list[tuple[float, str]] = []  # time [s] and what changed, the first ones
+        # Time [s] and what changed: the last ones, since these have the cause of the end.
+        self.events: deque[tuple[float, str]] = deque(maxlen=CAPACITY)
         self.reactions: Counter[str] = Counter()  # ticks with each
         self.rejected: Counter[str] = Counter()  # ticks with each
         self.limited: Counter[str] = Counter()  # ticks with each
@@ -58,7 +59,6 @@ class EventLog:
         self.collisions.update(cause for cause in status.causes if cause.startswith(COLLISION)
                                and cause not in self._before[1])
         self._before = now
-        if len(self.events) < CAPACITY:
-            self.events.append((time, ' | '.join([
-                status.reaction, ' '.join(status.causes + status.limits),
-                ', '.join(status.contact_states), *status.read_before])))
+        self.events.append((time, ' | '.join([
+            status.reaction, ' '.join(status.causes + status.limits),
+            ', '.join(status.contact_states), *status.read_before])))

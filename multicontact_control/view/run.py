@@ -69,8 +69,8 @@ def started(
     """Start a graph that obeys commands, without a recorder, and return what joins it."""
     from multicontact_control.experiment.graph.domain import check_namespace
     from multicontact_control.experiment.graph.run import InterruptedRunError, running_graph
-    from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec
-    from multicontact_control.experiment.run import SIMULATION_PATIENCE
+    from multicontact_control.experiment.graph.spec import GraphSpec
+    from multicontact_control.experiment.run import simulation_parameters
     from multicontact_control.view.graph import GraphSource
 
     def keep_waiting(_: str) -> None:
@@ -85,7 +85,7 @@ def started(
         out=folder, ticks=0, rate=setup.controller.rate, seed=setup.seed, recorded=False,
         domain_id=domain_id, namespace=namespace,
         parameter_files=setup.write(folder / CONFIG_FOLDER),
-        extra_parameters={CONTROLLER: {'patience': SIMULATION_PATIENCE}}), keep_waiting))
+        extra_parameters=simulation_parameters(setup)), keep_waiting))
     return GraphSource(
         setup, f'{setup.plant_name}, simulated in ROS domain {graph.domain_id}',
         namespace=namespace, domain_id=graph.domain_id, check=graph.processes.check_running)

@@ -12,6 +12,11 @@ import pytest
     (('simulate', '--set', 'scenario.duration=0.9'), 'paper.yaml: duration: expected'),
     (('simulate', '--plant', 'x'), "--plant: expected one of rigid, puma, or a path, got 'x'"),
     (('view', 'nowhere'), 'RUN: expected a folder of `multicontact run` or `simulate`'),
+    (('report', 'nowhere'), 'RUN: expected a folder of `multicontact run` or `simulate`'),
+    (('report', '.'), 'expected a run, an .mcap file or a folder with one'),
+    (('run', '--set', 'controller.patience=0.5'), 'patience: expected 0, or at least 1 period'),
+    (('run', '--set', 'controller.lockstep=false'),
+     '--set controller.lockstep: give --free-running'),
     (('view', '.'), 'RUN: expected bag/*.mcap or samples.npz in it, got .'),
     (('run', '--commanded', '--set', 'scenario.duration=20'),
      '--set scenario: leave it out with --commanded'),
@@ -47,8 +52,9 @@ def test_options_that_a_run_knows_itself_are_refused(
 
 
 @pytest.mark.slow
-def test_simulate_leaves_a_run_folder(multicontact, tmp_path):
+def test_simulate_leaves_a_run_folder(multicontact, tmp_path, monkeypatch):
     """Series, summary, figures; it is not replaced unless it is asked for."""
+    monkeypatch.chdir(tmp_path)
     out = str(tmp_path / 'run')
     options = ('--scenario', 'quick', '--plant', 'rigid', '--out', out)
     done = multicontact('simulate', *options, '--duration', '3.0', '--seed', '5')

@@ -86,6 +86,17 @@ def test_measured_forces_are_generalised_least_squares():
         atol=1e-12)
 
 
+def test_contacts_that_cannot_be_told_apart_keep_what_was_measured():
+    """All or nothing: no friction of this sample beside forces of another."""
+    records = columns([FORCE, FORCE], friction=0.3)
+    records['config']['friction_coefficient'] = 0.2
+    records['alpha_meas'], records['friction'] = 7.0, 1.5
+    sliding = control(np.ones(6), separated=True)
+    sliding['frame']['twist'][:3] = 0.0, 0.1, 0.0
+    assert not measure_contacts(sliding, records)
+    assert (records['alpha_meas'] == 7.0).all() and (records['friction'] == 1.5).all()
+
+
 def test_friction_coupling_is_the_worst_misreading():
     records = columns([FORCE, ALONG])
     coupling = friction_coupling(records.copy(), np.eye(3))

@@ -48,7 +48,8 @@ def test_later_files_preset_scenario_law_and_settings_are_laid_over(file, tmp_pa
     scenario.write_text(yaml.safe_dump(SCENARIO))
     options = RunOptions(
         scenario=str(scenario), noise_estimator='fixed', preset='adaptive',
-        settings=['controller.force.damping_rate=33', 'scenario.duration=6'])
+        settings=['controller.force.damping_rate=33', 'scenario.duration=6',
+                  'controller.pair_tolerance=0.2'])
     setup, node, duration = options.external([file, tool], context_with('scenario', 'preset'))
     assert setup.controller.tool.mass == 0.8
     assert setup.controller.force.stiffness == 'adaptive'
@@ -56,6 +57,7 @@ def test_later_files_preset_scenario_law_and_settings_are_laid_over(file, tmp_pa
     assert setup.noise_estimator.estimator == 'fixed'
     assert (duration, setup.commanded_by_topic) == (6.0, False)
     assert dotted(node) == {'patience': 9.0, 'command.force_ceiling': 25.0}
+    assert setup.node_parameters('controller') == {'pair_tolerance': 0.2}
 
 
 def test_what_a_file_says_for_every_node_lies_below_the_sections_of_both(file):

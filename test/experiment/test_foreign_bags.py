@@ -266,5 +266,5 @@ def test_path_without_a_recording_is_refused(tmp_path):
         with pytest.raises(RunError, match='expected samples on joint_states'):
             load(tmp_path / 'x.mcap')
     (tmp_path / 'x.mcap').rename(tmp_path / 'x.db3')
-    with pytest.raises(RunError, match='ros2 bag convert'):
+    with pytest.raises(ConfigError, match='ros2 bag convert'):
         load(tmp_path)

@@ -36,6 +36,9 @@ def test_run_that_latest_leads_to_is_overwritten_where_it_is(tmp_path, monkeypat
         (run / 'summary.json').write_text('{}')
     assert {path.name for path in Path('runs').iterdir()} == {*runs, 'latest'}
     assert latest.is_symlink() and latest.resolve() == run.resolve()
+    with run_folder(Path('elsewhere/mine'), 'paper', overwrite=False, now=NOW) as chosen:
+        (chosen / 'summary.json').write_text('{}')
+    assert latest.resolve() == chosen.resolve()
 
 
 @pytest.mark.parametrize('files', [

@@ -2,7 +2,8 @@
 
 from multicontact_control.config import read_yaml
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.overrides import resolve_with
+from multicontact_control.experiment.overrides import node_configs, OF_THE_RUN, resolve_with
+from multicontact_control.experiment.run import simulation_parameters
 from multicontact_control.experiment.scenario import preset_values, resolve
 from multicontact_control.paths import config_dir
 import pytest
@@ -109,6 +110,33 @@ def test_settings_reach_every_part():
     assert (setup.controller.force.law, setup.controller.force.damping_rate) == ('dob', 60.0)
     assert setup.controller.torque_limit == (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
     assert (setup.noise_estimator.estimator, setup.scenario.duration) == ('fixed', 3.0)
+
+
+@pytest.mark.ros
+def test_settings_reach_what_only_a_node_knows():
+    """Every parameter of the reference is taken, or what sets it in a run is named."""
+    setup = resolve_with(resolve, {'scenario': 'quick'}, [
+        'controller.patience=3', 'controller.command.force_ceiling=20', 'plant.payload=0.5',
+        'noise_estimator.fifo_priority=7', 'controller.force.damping_rate=60'], nodes=True)
+    parameters = simulation_parameters(setup)
+    assert parameters['controller_node'] == {'patience': 3, 'command.force_ceiling': 20}
+    assert parameters['noise_estimator_node'] == {'fifo_priority': 7}
+    assert parameters['sim_node'] == {'payload': 0.5}
+    assert setup.controller.force.damping_rate == 60.0
+    for section, config in node_configs().items():
+        for name in config.model_fields.keys() & OF_THE_RUN.keys():
+            with pytest.raises(ConfigError, match=f'--set {section}.{name}: .*(give|set|run)'):
+                resolve_with(
+                    resolve, {'scenario': 'quick'}, [f'{section}.{name}=1'], nodes=True)
+
+
+@pytest.mark.parametrize(('setting', 'message'), [
+    ('controller.patience=0.5', r'patience: expected 0, or at least 1 period, got 0.5'),
+    ('controller.patients=1', "controller and one of rate, .*'patients'")])
+@pytest.mark.ros
+def test_bad_setting_of_a_node_is_refused(setting, message):
+    with pytest.raises(ConfigError, match=message):
+        resolve_with(resolve, {'scenario': 'quick'}, [setting], nodes=True)
 
 
 @pytest.mark.parametrize(('setting', 'message'), [

@@ -5,7 +5,9 @@ import time
 from arms import HOME
 from fake_arm import EFFORT, FakeArm, PARAMETERS, PERIOD, UNFELT, wrench_message
 from multicontact_control.nodes import messages
+from multicontact_control.nodes.diagnostics import Inputs
 from multicontact_control.nodes.link import GuestNode
+from multicontact_control.nodes.topics import JOINT_STATES, NOISE_VARIANCE
 import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -103,7 +105,8 @@ def test_driver_of_another_robot_is_understood_and_a_wrong_frame_is_refused(host
 @pytest.mark.parametrize(('joints', 'wrench', 'part', 'text'), [
     (1, None, 'inputs', 'ft_sensor/wrench'),  # without a publisher
     (1, 10 ** 9, 'loop', 'ms apart'),
-    (4, 0, 'loop', 'expected 500 Hz')], ids=['missing', 'apart', 'rate'])
+    (4, 0, 'loop', 'expected 500 Hz'),
+    (0, 0, 'loop', 'all with the same stamp')], ids=['missing', 'apart', 'rate', 'still'])
 def test_samples_that_cannot_be_used_are_named(host, joints, wrench, part, text):
     """Joint states come with stamps so many periods apart, wrenches so much later, or not."""
     host.activate(*PARAMETERS)
@@ -133,3 +136,29 @@ def test_second_node_that_publishes_joints_or_commands_is_named(host, host_domai
             x['publishers'][2][topic] == '2' for topic in topics), arm.step)['publishers']
     assert level == 1
     assert all(name in text for name in ('intruder', *topics))
+    assert 'joint_states has 2 publishers, expected 1: intruder, sim_node' in text
+
+
+def test_second_publisher_of_the_same_node_is_counted_and_not_named_twice(host):
+    host.activate(*PARAMETERS)
+    arm, second = FakeArm(host), FakeArm(host)
+    arm.connect()
+    text = arm.diagnostics(lambda x: x['publishers'][2]['joint_states'] == '2')['publishers'][1]
+    assert 'joint_states has 2 publishers, expected 1: sim_node (2 times, ' in text
+    assert second.k == 0
+
+
+@pytest.mark.parametrize(('topic', 'options', 'missed'), [
+    (JOINT_STATES, {}, True), (JOINT_STATES, {'may_pause': True}, False),
+    (NOISE_VARIANCE, {}, False)])
+def test_input_that_came_before_is_missed_only_from_a_robot_that_goes_on(
+        middleware, capfd, topic, options, missed):
+    inputs = Inputs(middleware.node, 500.0, topic, **options)
+    publisher = middleware.node.create_publisher(topic.message, topic.name, 1)
+    wait_for(lambda: middleware.node.count_publishers(topic.name), 'it is known')
+    inputs.last[topic] = 1
+    assert inputs.status(needed=True).warning.startswith(f'no {topic.name} for ')
+    logged = capfd.readouterr().err
+    assert (f'no message on /{topic.name} for ' in logged) == missed
+    assert ('its publisher, sim_node, sends no more' in logged) == missed
+    middleware.node.destroy_publisher(publisher)

@@ -45,6 +45,18 @@ def test_controller_goes_through_every_transition_again_and_again(host):
     assert controller.state == FINALIZED
 
 
+def test_sample_that_comes_again_after_a_deactivation_is_answered_by_the_safe_behaviour(host):
+    """The answer to it is lost, and the robot waits for one."""
+    controller = host.activate(*PARAMETERS, 'safe_behaviour:=zero_torque')
+    arm = FakeArm(host)
+    arm.connect()
+    torque = arm.settle()
+    assert controller.trigger_deactivate() == SUCCESS
+    arm.k -= 1
+    np.testing.assert_array_equal(arm.step(), torque)  # from where it goes over
+    assert 0.0 < np.abs(arm.step() - torque).max() <= LARGEST_STEP
+
+
 def test_process_obeys_possible_transitions_and_leaves_the_arm_safely(middleware, driver):
     process = middleware.start(
         MODULE, *PARAMETERS, 'safe_behaviour:=zero_torque', files=(FILE,))
@@ -78,7 +90,7 @@ def test_configure_refuses_what_is_wrong_until_it_is_repaired(host, tmp_path):
     node = host.make('robot.urdf:=nowhere.urdf', 'rate:=-500.0',
                      "effort_output_topic:='bare efforts'")
     for name, value in (('rate', 500.0), ('robot.urdf', str(weightless)),
-                        ('robot.urdf', 'puma560.urdf'),
+                        ('robot.urdf', str(config_dir() / 'puma560.urdf')),
                         ('effort_output_topic', '~/efforts')):
         assert node.trigger_configure() == FAILURE
         assert node.state == UNCONFIGURED

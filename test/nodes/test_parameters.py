@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from pathlib import Path
 
 from arms import controller_config, seven_joint_urdf
 from multicontact_control.config import Config, ControllerConfig, parameter, Vector
@@ -10,12 +11,14 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.experiment.scenario import dotted, read_controller_files, resolve
 from multicontact_control.nodes.link import GuestNode
-from multicontact_control.nodes.parameters import load_parameters, ParameterSet
+from multicontact_control.nodes.parameters import folder_of, load_parameters, ParameterSet
+from multicontact_control.nodes.private import parameter_overrides
 from multicontact_control.paths import config_dir
 import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sim_bridge.new_robot import new_robot
+import yaml
 
 CONTROLLER_FILE = config_dir() / 'controller.yaml'
 
@@ -79,7 +82,7 @@ def gantry_file(folder):
 def test_file_that_a_command_writes_is_read_by_nodes_and_commands_alike(
         make_node, tmp_path, write):
     file = write(tmp_path)
-    overrides = make_node(file=file)._parameter_overrides
+    overrides = parameter_overrides(make_node(file=file))
     read = read_controller_files([file])
     expected = dotted(read.controller | read.node)
     assert expected and expected == {
@@ -90,10 +93,10 @@ def test_file_that_a_command_writes_is_read_by_nodes_and_commands_alike(
 @pytest.mark.parametrize(('arguments', 'match'), [
     ((), 'size: expected a value, got nothing'),
     (('size:=-1.0',), 'size: expected greater than 0, got -1.0'),
-    (('size:=tall',), "size: expected a valid number.*got 'tall'"),
+    (('size:=tall',), "size: expected a valid number, got 'tall'"),
     (('size:=1.0', 'sise:=2.0'), "sise: expected a known parameter .*got unknown 'sise'"),
     (('size:=1.0', 'gains.order:=1.5'), 'gains.order: expected a valid integer'),
-    (('size:=1.0', 'gains:=3'), 'gains: expected a valid dictionary or instance of Gains, got 3')])
+    (('size:=1.0', 'gains:=3'), 'gains: expected a mapping of keys to values, got 3')])
 def test_load_parameters_refuses_in_one_line(make_node, arguments, match):
     with pytest.raises(ConfigError, match=match) as caught:
         load_parameters(make_node(*arguments), Whole)
@@ -122,3 +125,26 @@ def test_parameter_set_applies_changes_that_pass_the_check_as_a_whole(make_node)
     assert node.set_parameters_atomically([
         Parameter('gains.soft', value=5.0), Parameter('gains.stiff', value=6.0)]).successful
     assert [(x.gains.soft, x.gains.stiff) for x in applied] == [(5.0, 6.0)]
+
+
+@pytest.mark.parametrize(('given', 'folder'), [
+    (('mine', 'launch'), 'mine'), (('launch', 'mine'), 'mine'), (('mine', 'other'), 'other'),
+    (('mine', 'dotted'), 'dotted'), (('launch', 'stranger'), ''), ((), '')])
+def test_path_is_relative_to_the_last_file_that_sets_it(tmp_path, given, folder):
+    """A launch file's own, which is temporary, often comes last."""
+    contents = {
+        'mine': {'/**': {'ros__parameters': {'robot': {'urdf': 'a.urdf', 'joint_names': []}}}},
+        'other': {'left': {'controller_node': {'ros__parameters': {'robot': {'urdf': 'b'}}}}},
+        'dotted': {'/left/controller_node': {'ros__parameters': {'robot.urdf': 'c.urdf'}}},
+        'stranger': {'sim_node': {'ros__parameters': {'robot': {'urdf': 'd.urdf'}}}},
+        'launch': {'/**': {'ros__parameters': {'robot': {'armature': [0.1]}}}}}
+    arguments = ['--ros-args', '-p', 'rate:=500.0']
+    for name in given:
+        (tmp_path / name).mkdir()
+        file = tmp_path / name / 'parameters.yaml'
+        file.write_text(yaml.safe_dump(contents[name]))
+        arguments += ['--params-file', str(file)]
+    expected = tmp_path / folder if folder else Path()
+    assert folder_of('robot.urdf', 'controller_node', arguments) == expected
+    for text in ('robot.urdf:=here.urdf', 'controller_node:robot.urdf:=here.urdf'):
+        assert folder_of('robot.urdf', 'controller_node', [*arguments, '-p', text]) == Path()

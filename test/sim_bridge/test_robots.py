@@ -185,6 +185,9 @@ def test_new_robot_writes_files_that_work_and_says_what_is_missing(
     missing = [text.split(': ')[1] for text in lines if text.startswith('missing: ')]
     assert missing == [*(['tool'] if sensor == 'wrist' else []), 'torque_limit of link0',
                        'speed_limit of link0', 'armature', 'contacts']
+    for file in (mine, controller):
+        text = file.read_text()
+        assert not re.search(r"\de-\d|'[a-z_]+':|-0\.0\b", text), text
     monkeypatch.chdir('/')
     robot = find_robot(str(mine))
     assert [link.torque_limit for link in robot.arm.links] == [50.0] + [100.0] * 6

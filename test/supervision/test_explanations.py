@@ -2,6 +2,7 @@
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.supervision.report import CAPACITY, EventLog, SupervisorStatus
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -39,3 +40,14 @@ def test_base_that_is_tilted_is_told_by_what_arm_and_tool_weigh(robot, degrees, 
 def test_push_from_the_first_sample_on_is_not_taken_for_gravity(robot, push):
     found = findings(robot, push=push)
     assert found and not any(WEIGHS in text for text in found)
+
+
+def test_log_keeps_what_came_last():
+    """The cause of the end, and not the beginning of a long run."""
+    log = EventLog()
+    for k in range(CAPACITY + 5):
+        log.note(0.002 * k, SupervisorStatus('none', (f'cause_{k}',), (), (), (), 0.0))
+    assert len(log.events) == CAPACITY
+    assert log.events[0] == (pytest.approx(0.01), 'none | cause_5 | ')
+    assert f'cause_{CAPACITY + 4}' in log.events[-1][1]
+    assert log.reactions['none'] == CAPACITY + 5

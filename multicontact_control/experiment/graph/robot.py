@@ -22,7 +22,7 @@ class Robot:
     joint_names: Sequence[str]  # that it has, among others
     wrench_input: str = 'raw'  # which wrench the controller reads: raw, filtered or momentum
     effort_output_topic: str = ''  # that it takes efforts from instead of joint_effort_command
-    timeout: float = 5.0  # time without a message after which it counts as gone [s]
+    timeout: float = 12.0  # time without a message after which it counts as gone [s]
     duration: float | None = None  # of the run by its stamps [s]; None until a signal comes
 
 

@@ -125,7 +125,8 @@ def test_node_that_cannot_start_ends_the_run_with_its_log(tmp_path):
 
 @pytest.mark.slow
 def test_second_interrupt_skips_the_report_and_says_how_to_write_it(tmp_path):
-    process = start_command('run', '--plant', 'rigid', '--out', tmp_path / 'run', stderr=None)
+    process = start_command('run', '--plant', 'rigid', '--out', tmp_path / 'run', cwd=tmp_path,
+                            stderr=None)
     for text in ('ready; ', 'stopping the nodes'):
         assert any(text in line for line in process.stdout)
         process.send_signal(signal.SIGINT)
@@ -151,7 +152,7 @@ def test_commanded_arm_obeys_until_a_signal_and_is_judged_by_what_was_commanded(
     with domain.reserve_domain() as domain_id:
         process = start_command(
             'run', '--commanded', '--speed', '0', '--scenario', 'quick', '--plant', 'rigid',
-            '--domain-id', domain_id, '--out', out, stderr=subprocess.STDOUT)
+            '--domain-id', domain_id, '--out', out, cwd=tmp_path, stderr=subprocess.STDOUT)
         try:
             with MultiContactClient(domain_id=domain_id, timeout=PATIENCE) as arm:
                 arm.set_forces({'table': 10.0, 'board': 5.0})
@@ -172,6 +173,7 @@ def test_commanded_arm_obeys_until_a_signal_and_is_judged_by_what_was_commanded(
     assert node_processes(out) == {}
     summary = json.loads((out / 'summary.json').read_text(encoding='utf-8'))
     assert (summary['verdict'], summary['commanded_by_topic']) == ('stable', True)
+    assert summary['scenario'] == 'commands'
     assert summary['ticks'] / summary['rate_hz'] > end.time - state.time
     assert summary['contacts']['table']['rest']['true_error_rms_n'] < 0.1
     run = load_run(out)
@@ -187,7 +189,8 @@ def test_two_graphs_in_one_domain_record_their_own_topics_only(tmp_path):
     with domain.reserve_domain() as domain_id:
         runs = [start_command(
             'run', '--scenario', 'quick', '--plant', 'rigid', '--duration', TICKS / 500.0,
-            '--namespace', side, '--domain-id', domain_id, '--seed', seed, '--out', bag.parent)
+            '--namespace', side, '--domain-id', domain_id, '--seed', seed, '--out', bag.parent,
+            cwd=tmp_path)
             for seed, (side, bag) in enumerate(bags.items())]
         for run in runs:
             _, errors = end_of(run)
