@@ -41,6 +41,8 @@ EVIDENCE = np.dtype([
     ('at_rest', F), ('rested', F),  # its mean at rest in the first 0.2 s [N m], and of those [s]
     ('friction', F), ('moved', F),  # mean along the first 0.5 s of motion [N m], and of those [s]
     ('mean_square', F),  # along them [N^2 m^2]
+    ('area', F),  # integral of the same since the arm was calm last [N m s]
+    ('felt_before', F),  # J_i^T f when it was [N m]
 ], align=True)
 
 # One joint: where it is, its terms of the arm's model, what is set for it, and its torque.
@@ -99,6 +101,8 @@ MOMENTUM = np.dtype([
     ('elapsed', F),  # since the sample before; 0 if it is not known what acted since then [s]
     ('com_velocity', F, 3),  # of what hangs on the sensor, at the sample before [m/s]
     ('collided', B),  # whether a residual is beyond its threshold
+    ('calm', F),  # for how long all of them have been small [s]
+    ('touched', B),  # whether one has been beyond it since they were
     ('is_input', B),  # whether the residual is the wrench of the contacts: there is no sensor
 ], align=True)
 
@@ -257,6 +261,7 @@ FILTER_STATE = np.dtype([('alpha', F), ('filtered', F)])  # [N]
 CONTACT_STATE = np.dtype([
     ('state', I),  # see `supervision.contacts`
     ('losses', I),  # how often it was lost since it was first wanted
+    ('bounces', I),  # touches in a row that were lost before they held
     ('left', B),  # whether it is to be left, or was, for its force or for where it leads
     ('again', B),  # whether it is to be sought although it was given up
     ('wanted', B),  # whether the task asks for it

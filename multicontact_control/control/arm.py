@@ -16,13 +16,14 @@ import numpy as np
 
 # What `see_arm` returns: that the model gave no numbers, or what is unusual, added up.
 NO_NUMBERS = -1
-OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS, TOUCHED = 1, 2, 4, 8
+OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS, TOUCHED, PASSED = 1, 2, 4, 8, 16
 RELEASE = 0.5  # share of its threshold that a residual must fall below to count no more
 # What a residual may follow: tanh(v / v_0), v [rad/s], dv/dt [rad/s^2], J_i^T f [N m].
 REGRESSORS = DIRECTION, SPEED, ACCELERATION, WRENCH = range(4)
 FADING_TIME = 1.0  # s, time constant of what is summed up of them
 REST_TIME, LEARNING_TIME = 0.2, 0.5  # s at rest and in motion, after which no more is learnt
 PRIOR_TIME = 0.01  # s of motion without friction that each joint has behind it
+CALM_SHARE, CALM_TIME = 0.25, 0.1  # of its threshold, and s: a residual below is over by then
 UNPROVEN_THRESHOLD = 3.0  # N m, least threshold of a joint until it has moved that long
 
 
@@ -124,6 +125,32 @@ def learn_friction(
 
 
 @compiled
+def follow_touch(momentum: Any, joints: Any) -> bool:
+    """
+    Sum up the residuals until the arm is calm; return whether one that was a touch has passed.
+
+    What is summed up stays for that tick, and begins anew at the next one.
+    """
+    calm = True
+    for i in range(joints.shape[0]):
+        joint, evidence = joints[i], joints[i].evidence
+        beyond = joint.residual - evidence.at_rest
+        evidence.area += momentum.elapsed * beyond
+        calm = calm and abs(beyond) < CALM_SHARE * joint.threshold
+    momentum.touched = momentum.touched or momentum.collided
+    momentum.calm = momentum.calm + momentum.elapsed if calm else 0.0
+    if momentum.calm < CALM_TIME:
+        return False
+    if momentum.touched:
+        momentum.touched = False
+        return True
+    for i in range(joints.shape[0]):
+        evidence = joints[i].evidence
+        evidence.area, evidence.felt_before = 0.0, evidence.regressor[WRENCH]
+    return False
+
+
+@compiled
 def wrench_of_residual(
     control: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix,
 ) -> None:
@@ -171,7 +198,8 @@ def see_arm(
     int
         NO_NUMBERS if the model gives none, and nothing has changed; otherwise the sum of
         OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS (the contacts depend on each other, and what
-        they bear has not changed) and TOUCHED (a residual is beyond its threshold).
+        they bear has not changed), TOUCHED (a residual is beyond its threshold) and PASSED (none
+        has been for a while, after one was).
 
     """
     control, frame = controls[0], controls[0].frame
@@ -196,6 +224,8 @@ def see_arm(
     if control.momentum.bandwidth > 0.0:
         if observe_momentum(control, joints, mass_matrix, jacobian):
             flags += TOUCHED
+        if follow_touch(control.momentum, joints):
+            flags += PASSED
         if control.momentum.is_input:
             wrench_of_residual(control, joints, mass_matrix, jacobian)
     if not measure_contacts(control, contacts):

@@ -41,8 +41,10 @@ WATCHED_SHARE = 0.5  # of the speed that is allowed, from where on it is looked 
 SINGULAR, NEAR_SINGULAR = 0.08, 0.24
 REACH_RATE = 5.0  # 1/s, of the way left to it: the rate that is allowed
 # What a change of the accelerations costs: of contact points along their normals, of the
-# operational point, of the orientation at a lever of 0.14 m, and of the joints in the metric of M.
-FORCE_COST, MOTION_COST, TURN_COST, JOINT_COST = 1e4, 1.0, 0.14 ** 2, 1e-4  # s^4/m^2, 1/kg
+# operational point, and of the joints in the metric of M. The orientation counts at a lever: what
+# is asked for, a motion or a turn, gives way before what is to stay.
+FORCE_COST, MOTION_COST, JOINT_COST = 1e4, 1.0, 1e-4  # s^4/m^2, s^4/m^2, 1/kg
+MOVING_LEVER, TURNING_LEVER = 0.3, 0.14  # m
 MOST_EXCHANGES = 60  # of a bound that counts for one that does not
 ROUNDING = 1e-12
 
@@ -129,8 +131,19 @@ def add_reach_bounds(
 
 
 @compiled
+def cost_of_turn(twist_des: Vector) -> float:
+    """Return what a change of the angular acceleration costs during a task [s^4/rad^2]."""
+    speed = np.sqrt(dot(twist_des[:3], twist_des[:3]))
+    turn = MOVING_LEVER * np.sqrt(dot(twist_des[3:], twist_des[3:]))
+    turning = turn / max(speed + turn, ROUNDING)
+    lever = MOVING_LEVER + (TURNING_LEVER - MOVING_LEVER) * turning
+    return MOTION_COST * lever ** 2
+
+
+@compiled
 def cost_of_changes(
-    mass_matrix: Matrix, jacobian: Matrix, contacts: Any, by_task: bool, cost: Matrix,
+    mass_matrix: Matrix, jacobian: Matrix, contacts: Any, turn_cost: float, by_task: bool,
+    cost: Matrix,
 ) -> None:
     """
     Fill in H, shape (n, n): a change of the accelerations by x costs x^T H x.
@@ -148,7 +161,7 @@ def cost_of_changes(
     for index in range(contacts.shape[0] + 6):
         if index < 6:
             row[:] = jacobian[index]
-            weight = MOTION_COST if index < 3 else TURN_COST
+            weight = MOTION_COST if index < 3 else turn_cost
         else:
             contact, weight = contacts[index - 6], FORCE_COST
             if not contact.answer.active:
@@ -280,7 +293,8 @@ def bound_motion(
     if not exceeded:
         return 0
     cost, multipliers = np.empty((n, n)), np.empty(count)
-    cost_of_changes(mass_matrix, jacobian, contacts, by_task, cost)
+    turn_cost = cost_of_turn(control.task.twist)
+    cost_of_changes(mass_matrix, jacobian, contacts, turn_cost, by_task, cost)
     if not least_change(cost, rows[:count], excess, multipliers, change):
         return 0
     for i in range(n):

@@ -10,6 +10,7 @@ or the error it raises), `collision` (the joint that it loads last), `start` (`o
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import permutations, product
 from typing import Any
 
 from multicontact_control.algebra import dot
@@ -30,7 +31,7 @@ NOT_FINITE, PULL, SIDEWAYS, OUTSIDE, STRAY = 1, 2, 4, 8, 16
 WRONG_WRENCH = {PULL: 'wrench_pull', STRAY: 'wrench_stray', SIDEWAYS: 'wrench_sideways'}
 COLLISION, CONTRADICTED = 'collision', 'joints_velocity'
 SPEEDS = (('motion_operational_speed', OPERATIONAL_SPEED), ('motion_joint_speed', JOINT_SPEED))
-TOO_FAST = tuple(tuple(cause for cause, bit in SPEEDS if flags & bit) for flags in range(16))
+TOO_FAST = tuple(tuple(cause for cause, bit in SPEEDS if flags & bit) for flags in range(32))
 
 PULL_LIMIT = 4.0  # N, measured pull of a surface that is accepted
 READ_PULL_LIMIT = 8.0  # N, pull that is read and accepted with what is taken off as no force
@@ -46,6 +47,12 @@ MULTIPLE = 0.95  # the same over the joints at rest, from which on it is a multi
 # leans, cosine of the angle between two leans, share of its strength, and smallest singular value
 # that counts over the largest.
 SMALLEST_MASS, SMALLEST_LEAN, SAME_SIDE, SAME_STRENGTH, SMALLEST_SHARE = 0.2, 0.5, 0.9, 0.05, 0.03
+# Of a wrench that comes late: how much of what passed is alike over the joints, the least change
+# of J^T f over a threshold, and the least lag [s].
+LAG_LIKENESS, LAG_CHANGE, LEAST_LAG = 0.95, 0.2, 0.01
+# Of a sensor whose axes are others: the least force that tells it [N], how far off what is read
+# may be from what the torques show in other axes, and must be in its own, over its size.
+AXES_FORCE, AXES_LIKE, AXES_UNLIKE = 3.0, 0.2, 0.5
 # What to say of a residual that follows each of `REGRESSORS`.
 FOLLOWED = (
     'follows the sign of the speed: {} N m of friction that friction.coulomb does not declare',
@@ -207,6 +214,60 @@ def explain_gravity(
     x, y, z = true
     return (f'arm and tool weigh as if gravity were [{x:.1f}, {y:.1f}, {z:.1f}] m/s^2, '
             f'{angle:.0f} deg off robot.gravity_world: check how the base is mounted')
+
+
+def explain_lag(joints: Any) -> str:
+    """
+    Return what says that the wrench comes late, once a collision has passed; else empty.
+
+    A residual is then J^T (f(t) - f(t - tau)), which passes when the force stays; the integral of
+    it is tau times the change of J^T f, with the same tau in every joint.
+    """
+    evidence, weights = joints['evidence'], 1.0 / joints['threshold']
+    areas = evidence['area'] * weights
+    changes = (evidence['regressor'][:, WRENCH] - evidence['felt_before']) * weights
+    if not np.abs(changes).max() > LAG_CHANGE:
+        return ''
+    lag = (areas @ changes) / (changes @ changes)
+    likeness = lag * (areas @ changes) / (areas @ areas)
+    if lag < LEAST_LAG or likeness < LAG_LIKENESS:
+        return ''
+    return (f'the wrench reads what the torques have shown about {1e3 * lag:.0f} ms before: check '
+            'what delays or filters it on its way, and what its stamps are of')
+
+
+@np.errstate(all='ignore')  # of impossible efforts
+def explain_axes(
+    joints: Any, momentum: Any, jacobian: Matrix, rotation_world: Matrix, weight: Vector,
+) -> str:
+    """
+    Return what says that axes of the sensor are exchanged or turned round; else empty.
+
+    `rotation_world` has the sensor's axes as columns, `weight` is what hangs on it, m g, world
+    axes [N]. What the torques show is compared with what is read in all other axes.
+    """
+    felt, weights = joints['evidence']['regressor'][:, WRENCH], 1.0 / joints['threshold']
+    settled = 1.0 - np.exp(-momentum['bandwidth'] * joints['evidence']['rested'].max())
+    torques = np.column_stack([felt, felt + joints['residual']]) / settled
+    wrenches = np.linalg.lstsq(
+        jacobian.T * weights[:, None], torques * weights[:, None], rcond=SMALLEST_SHARE)[0]
+    read, shown = (rotation_world.T @ (wrenches[:3].T - weight).T).T
+    size = np.linalg.norm(shown)
+    if not size > AXES_FORCE or not np.linalg.norm(read - shown) > AXES_UNLIKE * size:
+        return ''
+    others = ((order, np.array(signs)) for order in permutations(range(3))
+              for signs in product((1.0, -1.0), repeat=3))
+    order, signs = min(others, key=lambda axes: np.linalg.norm(
+        axes[1] * shown[list(axes[0])] - read))
+    if np.linalg.norm(signs * shown[list(order)] - read) > AXES_LIKE * size:
+        return ''
+    told = [f'its {"xyz"[i]} is {"-" if sign < 0.0 else ""}{"xyz"[axis]}'
+            for i, (axis, sign) in enumerate(zip(order, signs))
+            if abs(read[i]) > 0.5 * AXES_UNLIKE * size and (axis, sign) != (i, 1.0)]
+    x, y, z = shown
+    return (f'the wrench sensor reads [{read[0]:.1f}, {read[1]:.1f}, {read[2]:.1f}] N where the '
+            f'torques show [{x:.1f}, {y:.1f}, {z:.1f}] N: {", ".join(told)}; check '
+            'robot.sensor_frame and the axes of its driver')
 
 
 def undeclared_friction(joints: Any, names: Sequence[str]) -> Iterator[str]:

@@ -104,6 +104,7 @@ def let_go(contact: Any, place: float, speed: float) -> None:
     contact.displacement, contact.speed = place, 0.0
     if is_active(contact):
         contact.losses += 1
+        contact.bounces += contact.state == IMPACT
         contact.speed = speed
         contact.target = place
         if not np.isnan(contact.origin):
@@ -266,14 +267,16 @@ def desired_force(contact: Any, settings: Any) -> float:
 
 
 @compiled
-def approach_speed(settings: Any, stiffness: float, mass: float) -> float:
+def approach_speed(contact: Any, settings: Any, mass: float) -> float:
     """
     Return the speed of an approach [m/s].
 
     A mass m that meets a surface of stiffness k at a speed v is stopped by a force v sqrt(k m),
-    whatever is commanded meanwhile.
+    whatever is commanded meanwhile. A tip that has bounced off a surface comes more slowly: that
+    may be stiffer than its model.
     """
-    return min(settings.approach_speed, IMPACT_FORCE / np.sqrt(stiffness * max(mass, LEAST_MASS)))
+    impact = IMPACT_FORCE / np.sqrt(contact.stiffness * max(mass, LEAST_MASS))
+    return min(settings.approach_speed, impact) / (1.0 + contact.bounces)
 
 
 @compiled
@@ -419,6 +422,7 @@ def _watch_hold(
         let_go(contact, place, speed)
     elif contact.state == IMPACT and contact.below == 0.0 and contact.in_state >= IMPACT_TIME:
         contact.state = HOLDING
+        contact.bounces = 0
 
 
 @compiled
@@ -432,7 +436,7 @@ def _switch_state(
             let_go(contact, place, speed)
         contact.state = FREE
         contact.left = False
-        contact.losses = 0
+        contact.losses = contact.bounces = 0
         contact.origin = np.nan
         contact.target = 0.0
         contact.untared = 0.0

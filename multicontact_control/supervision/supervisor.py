@@ -7,7 +7,7 @@ import logging
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
-from multicontact_control.control.arm import AMBIGUOUS, ArmState, RELEASE, TOUCHED
+from multicontact_control.control.arm import AMBIGUOUS, ArmState, PASSED, RELEASE, TOUCHED
 from multicontact_control.control.controller import Controller, ControlOutput
 from multicontact_control.control.tasks import TaskSource
 from multicontact_control.dynamics.robot import RobotModel
@@ -158,6 +158,8 @@ class Supervisor:
         if seen.joints and arm.refresh():
             self._arm = arm
             alarms = checks.TOO_FAST[arm.flags] + self._touch(arm.flags)
+            if arm.flags & PASSED:
+                self._look_back()
             if self.config.robot.adds_gravity:
                 self.gate.allow_for(self.controller.own_weight())
         self._wrench_known = seen.measured and not arm.flags & AMBIGUOUS  # then it is older
@@ -187,6 +189,12 @@ class Supervisor:
         joints = self._joints
         last = np.flatnonzero(np.abs(joints['residual']) > RELEASE * joints['threshold'])[-1]
         return (f'{checks.COLLISION}_{self.config.robot.joint_names[last]}',)
+
+    def _look_back(self) -> None:
+        """Tell what is known of a collision once it has passed."""
+        lag = checks.explain_lag(self._joints)
+        if lag and lag not in self.findings:
+            self.findings = (*self.findings, lag)
 
     def _decide(self, causes: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
         """Return what answers the tick, the law or a reaction, and why."""
@@ -315,7 +323,7 @@ class Supervisor:
         if cause == failed:
             return text
         if cause in checks.WRONG_WRENCH.values():
-            return self.stray_force
+            return self._exchanged_axes() or self.stray_force
         touched, names = cause.startswith(checks.COLLISION), self.config.robot.joint_names
         if not touched and cause != checks.CONTRADICTED:
             return ''
@@ -325,9 +333,19 @@ class Supervisor:
                 self.inputs.refute()
             return f'{text}. {DOUBTED}'
         if touched:
-            residual = checks.explain_collision(self._joints, self._controls['momentum'][0], names)
+            residual = self._exchanged_axes() or checks.explain_collision(
+                self._joints, self._controls['momentum'][0], names)
             text = '; '.join(filter(None, (residual, self.stray_force)))
         return text
+
+    def _exchanged_axes(self) -> str:
+        """Return what says that the axes of the wrench sensor are others; empty if nothing."""
+        if not self._wrench_known or self.config.wrench_input == 'momentum':
+            return ''
+        control = self._controls[0]
+        return checks.explain_axes(
+            self._joints, control['momentum'], self._robot.terms.jacobian,
+            control['frame']['sensor_rotation'], control['tool']['weight'])
 
     def _gravity(self) -> str:
         """Return what says that gravity is another, where a collision has led to a pause."""
