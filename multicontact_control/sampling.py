@@ -148,7 +148,10 @@ class SampleTiming:
         stamp, joints, wrench = self._waiting
         came_again, self._came_again = self._came_again, False
         action = Action.STEP
-        if self._is_newest(stamp):
+        comes_again = stamp == self.last_stamp
+        if self._half_answered and self.last_stamp >= 0:  # or it is its other half
+            comes_again = abs(stamp - self.last_stamp) <= self.tolerance
+        if comes_again:
             self._waiting, self.answered_stamp = None, stamp
             return Decision(Action.REPEAT)
         if stamp < self.last_stamp:
@@ -181,12 +184,6 @@ class SampleTiming:
             joints._replace(stamp=time) if joints else joints_before,
             wrench._replace(stamp=time) if wrench else wrench_before, variance)
         return Decision(action, self._inputs)
-
-    def _is_newest(self, stamp: int) -> bool:
-        """Return whether a stamp is that of the newest sample, or of its other half [ns]."""
-        if self._half_answered and self.last_stamp >= 0:
-            return abs(stamp - self.last_stamp) <= self.tolerance
-        return stamp == self.last_stamp
 
     def late(self, now: int) -> Decision:
         """Decide if `due` has passed `now` [ns] and everything that has come is taken in."""

@@ -226,7 +226,9 @@ class ControllerNode(ManagedNode):
         elif action is Action.REPEAT and loop.supervisor.safe and self._torque is None:
             self._torque = loop.stop()  # the robot waits, and was deactivated meanwhile
         if self._torque is not None and (inputs is not None or action is Action.REPEAT):
-            self._answer(self._torque)
+            outputs.publish(outputs.command(timing.answered_stamp, self._torque))
+            if outputs.publish_bare is not None:
+                outputs.publish_bare(Float64MultiArray(data=self._torque))
         if inputs is not None:
             self._report.watch.latencies.add(time.monotonic_ns() - start)
             self._report.look()
@@ -235,13 +237,6 @@ class ControllerNode(ManagedNode):
             self._report.watch.add_period(start)
         if action in SHOWN and loop.output is not None:
             outputs.show(timing.answered_stamp, timing.tick, loop.output)
-
-    def _answer(self, torque: Vector) -> None:
-        """Publish a torque under the stamp of what it answers."""
-        outputs = self._outputs
-        outputs.publish(outputs.command(self._timing.answered_stamp, torque))
-        if outputs.publish_bare is not None:
-            outputs.publish_bare(Float64MultiArray(data=torque))
 
 
 def _warm_up(loop: ControlLoop) -> None:

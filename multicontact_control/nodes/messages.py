@@ -51,19 +51,20 @@ def ns_to_stamp(nanoseconds: int) -> Time:
 
 def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
     """Return so many numbers as an array; they must be finite, and so must be their sum."""
-    expected = counted(length, 'values')
     try:
         numbers = np.array(values)
     except ValueError:  # rows of different lengths
-        raise MessageError(field, f'{expected} in one row', repr(values)) from None
+        raise MessageError(
+            field, f'{counted(length, "values")} in one row', repr(values)) from None
     if numbers.dtype.kind not in NUMBERS:
-        raise MessageError(field, f'{expected} that are numbers', repr(values))
+        raise MessageError(field, f'{counted(length, "values")} that are numbers', repr(values))
     numbers = numbers.astype(np.float64)
     if numbers.ndim != 1:
         raise MessageError(
-            field, f'{expected} in one row', f'an array of shape {numbers.shape}')
+            field, f'{counted(length, "values")} in one row',
+            f'an array of shape {numbers.shape}')
     if numbers.size != length:
-        raise MessageError(field, expected, f'{numbers.size}')
+        raise MessageError(field, counted(length, 'values'), f'{numbers.size}')
     if not math.isfinite(sum(numbers.tolist())):
         raise MessageError(field, 'finite numbers', numbers.tolist())
     return numbers

@@ -64,7 +64,7 @@ def test_contact_is_added_without_code():
             'tip_link': 'tip_table', 'point_world': [0.006, 0.55, 0.41],
             'normal_world': [1.0, 0.0, 0.0], 'friction': 0.1}}},
         scenario_overrides={'reference': {'force_steps': [
-            {'time': 2.5, 'forces': dict.fromkeys(NAMES, 10.0)}]}})
+            {'time': 2.5, 'forces': dict.fromkeys(NAMES, 10.0)}], 'motion': None}})
     result = run_of(setup)
     assert not result.ended_early
     late = result.data.time > 5.0

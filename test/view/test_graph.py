@@ -62,9 +62,9 @@ def test_graph_source_joins_presses_moves_and_tunes(shown):
 
     snapshot = until(shown, lambda snapshot: look(snapshot) and (
         set(snapshot.states) == {'holding'}
-        and (np.abs(snapshot.measured - (8.0, 6.0)) < 0.5).all()), 'the forces')
+        and (np.abs(snapshot.measured - (8.0, 6.0)) < 0.5).all()
+        and np.nanmin(innovations) < 0.0 < np.nanmax(innovations)), 'the forces, and both signs')
     assert any('table holding' in text for _, text in events)
-    assert np.nanmin(innovations) < 0.0 < np.nanmax(innovations), 'it has a sign'
     start = snapshot.position_des
     until(shown, lambda snapshot: len(snapshot.points) and np.isfinite(snapshot.points[-1]).all(),
           'points of the curves')
