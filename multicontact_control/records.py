@@ -261,7 +261,6 @@ FILTER_STATE = np.dtype([('alpha', F), ('filtered', F)])  # [N]
 CONTACT_STATE = np.dtype([
     ('state', I),  # see `supervision.contacts`
     ('losses', I),  # how often it was lost since it was first wanted
-    ('hard_touches', I),  # since it held last
     ('left', B),  # whether it is to be left, or was, for its force or for where it leads
     ('again', B),  # whether it is to be sought although it was given up
     ('wanted', B),  # whether the task asks for it

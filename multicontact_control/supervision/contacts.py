@@ -66,7 +66,6 @@ YIELDING, RETREATING = 0.01, 5e-3  # m forth and back without an answer, after w
 STAYING = 1e-3  # m out of a surface during a pause, at most, of a contact that stays
 UNANSWERED_TIME = 1.0  # s of more force that is asked for, after which there is no answer
 GENTLE = 0.9  # times the approach speed, at most, until a force has answered
-HARD_TOUCH = 3.0  # times the contact threshold, read by the first sample of a touch
 IMPACT_FORCE = 10.0  # N, of a touch at the approach speed, at most, if the surface is as modelled
 TOUCHING = 1.5  # the same at a touch, which comes down to that within `IMPACT_TIME`
 LEAST_MASS = 0.1  # kg, of what moves along a normal
@@ -272,11 +271,10 @@ def approach_speed(contact: Any, settings: Any, mass: float) -> float:
     Return the speed of an approach [m/s].
 
     A mass m that meets a surface of stiffness k at a speed v is stopped by a force v sqrt(k m),
-    whatever is commanded meanwhile. A surface that was hard at a touch is stiffer than its model:
-    the tip comes back more slowly until it holds.
+    whatever is commanded meanwhile.
     """
     impact = IMPACT_FORCE / np.sqrt(contact.stiffness * max(mass, LEAST_MASS))
-    return min(settings.approach_speed, impact) / (1.0 + contact.hard_touches)
+    return min(settings.approach_speed, impact)
 
 
 @compiled
@@ -369,7 +367,6 @@ def _watch_search(
     if alpha > threshold:
         if contact.state == APPROACHING:
             alpha = _touch(contact, settings, alpha)
-            contact.hard_touches += alpha > HARD_TOUCH * threshold
         contact.force_limit = max(alpha, settings.preload) if met_before else settings.preload
         contact.below = contact.level = contact.calm = 0.0
         contact.touch_place = contact.flat_place = place
@@ -423,7 +420,6 @@ def _watch_hold(
         let_go(contact, place, speed)
     elif contact.state == IMPACT and contact.below == 0.0 and contact.in_state >= IMPACT_TIME:
         contact.state = HOLDING
-        contact.hard_touches = 0
 
 
 @compiled
@@ -437,7 +433,7 @@ def _switch_state(
             let_go(contact, place, speed)
         contact.state = FREE
         contact.left = False
-        contact.losses = contact.hard_touches = 0
+        contact.losses = 0
         contact.origin = np.nan
         contact.target = 0.0
         contact.untared = 0.0

@@ -91,7 +91,7 @@ def test_surface_of_a_million_newtons_per_metre_is_held_without_swinging(preset)
     """170 times as stiff as the model; the touch itself is judged by the study of situations."""
     run = pressing('puma', preset=preset, plant_overrides=surfaces(stiffness=1e6))
     with closing(run.loop):
-        run.advance(1000)
+        run.advance(1200)  # with some bounces, of which there are more or less by chance
         late = run.advance(500)
     np.testing.assert_allclose(late.mean(axis=0), FORCE, atol=0.3)
     assert late.std(axis=0).max() < 0.3
