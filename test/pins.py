@@ -87,7 +87,9 @@ def differences(pinned: dict, now: dict) -> list[str]:
 
 def main() -> None:
     """Pin everything anew; the reason is the argument."""
-    reason, = sys.argv[1:]
+    if len(sys.argv) != 2 or sys.argv[1].startswith('-'):
+        sys.exit(__doc__)
+    reason = sys.argv[1]
     reasons = json.loads(FILE.read_text())['reasons']
     FILE.write_text(json.dumps({'reasons': [*reasons, reason], **{
         kind: {name: compute(name) for name in names} for kind, names, compute in (

@@ -131,18 +131,8 @@ def add_reach_bounds(
 
 
 @compiled
-def cost_of_turn(twist_des: Vector) -> float:
-    """Return what a change of the angular acceleration costs during a task [s^4/rad^2]."""
-    speed = np.sqrt(dot(twist_des[:3], twist_des[:3]))
-    turn = MOVING_LEVER * np.sqrt(dot(twist_des[3:], twist_des[3:]))
-    turning = turn / max(speed + turn, ROUNDING)
-    lever = MOVING_LEVER + (TURNING_LEVER - MOVING_LEVER) * turning
-    return MOTION_COST * lever ** 2
-
-
-@compiled
 def cost_of_changes(
-    mass_matrix: Matrix, jacobian: Matrix, contacts: Any, turn_cost: float, by_task: bool,
+    mass_matrix: Matrix, jacobian: Matrix, contacts: Any, twist_des: Vector, by_task: bool,
     cost: Matrix,
 ) -> None:
     """
@@ -158,6 +148,10 @@ def cost_of_changes(
             cost[i, j] = JOINT_COST * mass_matrix[i, j]
     if not by_task:
         return
+    speed = np.sqrt(dot(twist_des[:3], twist_des[:3]))
+    turn = MOVING_LEVER * np.sqrt(dot(twist_des[3:], twist_des[3:]))
+    turning = turn / max(speed + turn, ROUNDING)
+    turn_cost = MOTION_COST * (MOVING_LEVER + (TURNING_LEVER - MOVING_LEVER) * turning) ** 2
     for index in range(contacts.shape[0] + 6):
         if index < 6:
             row[:] = jacobian[index]
@@ -293,8 +287,7 @@ def bound_motion(
     if not exceeded:
         return 0
     cost, multipliers = np.empty((n, n)), np.empty(count)
-    turn_cost = cost_of_turn(control.task.twist)
-    cost_of_changes(mass_matrix, jacobian, contacts, turn_cost, by_task, cost)
+    cost_of_changes(mass_matrix, jacobian, contacts, control.task.twist, by_task, cost)
     if not least_change(cost, rows[:count], excess, multipliers, change):
         return 0
     for i in range(n):
