@@ -1,13 +1,20 @@
 """Causes that the readings can tell, on simulated arms; others are not guessed."""
 
+from collections import deque
+
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
 from multicontact_control.supervision.report import CAPACITY, EventLog, SupervisorStatus
 import numpy as np
 import pytest
+from robots import robot_parameters
 from scipy.spatial.transform import Rotation
 
 WEIGHS = 'weigh as if gravity were'
+LATE, AXES = 'the wrench reads what the torques have shown about', 'the wrench sensor reads'
+EXCHANGED = {
+    'x and y': ([1, 0, 2], [1.0, 1.0, 1.0]), 'x and z': ([2, 1, 0], [1.0, 1.0, 1.0]),
+    'z turned round': ([0, 1, 2], [1.0, 1.0, -1.0])}
 
 
 def findings(robot, ticks=600, push=None, **plant):
@@ -40,6 +47,68 @@ def test_base_that_is_tilted_is_told_by_what_arm_and_tool_weigh(robot, degrees, 
 def test_push_from_the_first_sample_on_is_not_taken_for_gravity(robot, push):
     found = findings(robot, push=push)
     assert found and not any(WEIGHS in text for text in found)
+
+
+def found_with(robot, corrupt, **options):
+    """Return what is found while `quick` runs with another wrench."""
+    loop = ClosedLoop(resolve('quick', robot=robot, plant='rigid', **options))
+    found = []
+    for _ in range(loop.setup.ticks):
+        loop.advance(corrupt)
+        found += [text for text in loop.control.supervisor.findings if text not in found]
+    loop.close()
+    return found
+
+
+def late(ticks):
+    """Return what makes every wrench late, under right stamps."""
+    past = deque(maxlen=ticks + 1)
+
+    def corrupt(inputs):
+        past.append(inputs.wrench.wrench.copy())
+        return inputs._replace(wrench=inputs.wrench._replace(wrench=past[0]))
+    return corrupt
+
+
+def exchanged(order, signs):
+    """Return what gives the sensor other axes."""
+    def corrupt(inputs):
+        wrench = inputs.wrench.wrench.reshape(2, 3)[:, order] * signs
+        return inputs._replace(wrench=inputs.wrench._replace(wrench=wrench.ravel()))
+    return corrupt
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('robot', robot_parameters(['puma', 'panda', 'ur5']))
+def test_wrench_that_comes_late_is_told_by_the_collisions_that_pass(robot):
+    found = found_with(robot, late(20))
+    lags = [float(text.removeprefix(LATE).split()[0]) for text in found if LATE in text]
+    assert lags and 25.0 <= min(lags) <= max(lags) <= 50.0
+    assert not any(AXES in text for text in found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('robot', 'axes', 'said'), [
+    ('puma', 'x and y', 'its x is y'), ('ur5', 'x and y', 'its x is y'),
+    ('puma', 'x and z', 'its x is z'), ('puma', 'z turned round', 'its z is -z')])
+def test_axes_of_the_sensor_that_are_exchanged_are_told_by_the_torques(robot, axes, said):
+    found = found_with(robot, exchanged(*EXCHANGED[axes]))
+    told = [text for text in found if AXES in text]
+    assert told and all(said in text for text in told)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('robot', robot_parameters(['puma', 'panda']))
+def test_touch_that_passes_is_no_late_wrench_and_no_other_axes(robot):
+    loop = ClosedLoop(resolve('quick', robot=robot, plant='rigid'), commanded=True)
+    found = []
+    for tick in range(2000):
+        if tick in (300, 900):
+            loop.plant.push(np.array([0.0, 60.0, 20.0]), 0.05 * (1 + tick // 600))
+        loop.advance()
+        found += loop.control.supervisor.findings
+    loop.close()
+    assert not any(LATE in text or AXES in text for text in found)
 
 
 def test_log_keeps_what_came_last():

@@ -1,0 +1,69 @@
+"""Surfaces as stiff as steel: how they are met, and how a contact comes back that bounced."""
+
+from contextlib import closing
+
+from multicontact_control.config.supervision import ContactStateConfig
+from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.supervision import contacts
+import numpy as np
+import pytest
+from robots import robot_parameters
+
+STEEL = 1e6  # N/m
+SMOOTH = 2.4e-7  # m, of which 0.24 N of roughness come
+FORCE = 10.0  # N
+SETTINGS = contacts.contact_settings(ContactStateConfig(), 0.002)[0]
+
+
+def contact_of(**values):
+    contact = np.array([contacts.FREE_CONTACT])
+    for name, value in values.items():
+        contact[name] = value
+    return contact[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('robot', robot_parameters(['puma', 'panda', 'iiwa', 'ur5']))
+def test_steel_that_the_controller_is_told_of_is_met_and_held_within_a_few_newtons(robot):
+    stiff = {'table': {'stiffness': STEEL}}
+    surface = {'table': {'stiffness': STEEL, 'roughness_std': SMOOTH}}
+    setup = resolve(
+        'one_contact', robot=robot, plant='rigid', noise_estimator={'contact_names': ['table']},
+        controller={'contact_names': ['table'], 'contacts': stiff},
+        plant_overrides={'contact_names': ['table'], 'surfaces': surface})
+    with closing(ClosedLoop(setup, commanded=True)) as loop:
+        for _ in range(50):
+            loop.advance()
+        loop.control.set_forces({'table': FORCE})
+        forces = []
+        for _ in range(2500):
+            loop.advance()
+            forces.append(loop.sample.contact_force[0])
+    assert max(forces) < FORCE + 10.0
+    np.testing.assert_allclose(forces[-300:], FORCE, atol=1.0)
+
+
+@pytest.mark.parametrize(('stiffness', 'mass', 'speed'), [
+    (6000.0, 10.0, 0.02), (1e6, 6.25, 0.004), (1e6, 25.0, 0.002), (1e6, 0.0, 0.02)])
+def test_approach_is_as_slow_as_a_touch_of_ten_newtons_asks_for(stiffness, mass, speed):
+    contact = contact_of(stiffness=stiffness)
+    assert contacts.approach_speed(contact, SETTINGS, mass) == pytest.approx(speed)
+    assert speed * np.sqrt(stiffness * mass) <= 10.0 + 1e-9
+
+
+@pytest.mark.parametrize(('below', 'bound'), [(0.0, 0.0), (0.004, 0.05), (-0.05, 0.05)])
+def test_contact_that_is_not_felt_returns_no_faster_than_it_may_touch(below, bound):
+    """And than a surface within `normal_range` falls away where it slides."""
+    contact = contact_of(
+        state=contacts.HOLDING, answered=True, below=below, approach_speed=0.02)
+    assert contacts.speed_bound(contact, 0.03) == pytest.approx(bound)
+
+
+@pytest.mark.parametrize(('felt', 'rises'), [(2.0, True), (8.0, False)])
+def test_force_after_a_loss_rises_unless_more_is_felt_than_it_asks_for(felt, rises):
+    contact = contact_of(
+        state=contacts.HOLDING, wanted=True, answered=True, losses=1, origin=0.0, asked=FORCE,
+        force_limit=2.0, level=felt, stiffness=6000.0, approach_speed=0.02)
+    contacts.advance_contact(contact, SETTINGS, felt, 0.0, 0.0, 0.0)
+    assert (contact['force_limit'] > 2.0) == rises
