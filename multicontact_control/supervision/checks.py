@@ -53,6 +53,9 @@ LAG_LIKENESS, LAG_CHANGE, LEAST_LAG = 0.95, 0.2, 0.01
 # Of a sensor whose axes are others: the least force that tells it [N], how far off what is read
 # may be from what the torques show in other axes, and must be in its own, over its size.
 AXES_FORCE, AXES_LIKE, AXES_UNLIKE = 3.0, 0.2, 0.5
+# Every exchange of axes, each of them in either direction, shape (48, 3, 3).
+EXCHANGES = np.array([np.diag(signs)[:, order] for order in map(list, permutations(range(3)))
+                      for signs in product((1.0, -1.0), repeat=3)])
 # What to say of a residual that follows each of `REGRESSORS`.
 FOLLOWED = (
     'follows the sign of the speed: {} N m of friction that friction.coulomb does not declare',
@@ -255,15 +258,15 @@ def explain_axes(
     size = np.linalg.norm(shown)
     if not size > AXES_FORCE or not np.linalg.norm(read - shown) > AXES_UNLIKE * size:
         return ''
-    others = ((order, np.array(signs)) for order in permutations(range(3))
-              for signs in product((1.0, -1.0), repeat=3))
-    order, signs = min(others, key=lambda axes: np.linalg.norm(
-        axes[1] * shown[list(axes[0])] - read))
-    if np.linalg.norm(signs * shown[list(order)] - read) > AXES_LIKE * size:
+    errors = np.linalg.norm(EXCHANGES @ shown - read, axis=1)
+    exchange = EXCHANGES[np.argmin(errors)]
+    if errors.min() > AXES_LIKE * size:
         return ''
-    told = [f'its {"xyz"[i]} is {"-" if sign < 0.0 else ""}{"xyz"[axis]}'
-            for i, (axis, sign) in enumerate(zip(order, signs))
-            if abs(read[i]) > 0.5 * AXES_UNLIKE * size and (axis, sign) != (i, 1.0)]
+    told = []
+    for i, row in enumerate(exchange):
+        axis = int(np.argmax(np.abs(row)))
+        if abs(read[i]) > 0.5 * AXES_UNLIKE * size and row[i] != 1.0:
+            told.append(f'its {"xyz"[i]} is {"-" if row[axis] < 0.0 else ""}{"xyz"[axis]}')
     x, y, z = shown
     return (f'the wrench sensor reads [{read[0]:.1f}, {read[1]:.1f}, {read[2]:.1f}] N where the '
             f'torques show [{x:.1f}, {y:.1f}, {z:.1f}] N: {", ".join(told)}; check '
