@@ -26,7 +26,7 @@ LASTING_ERROR, LASTING_SHARE, LASTING_TIME = 1.5, 0.25, 0.3
 LASTING_STD = 0.5  # of such an error, the standard deviation of the noise at most
 # How a task is caught up with: beyond its own speed by so much of the way left [1/s] and of the
 # largest speeds.
-RETURN_RATE, RETURN_SHARE = 4.0, 0.2
+RETURN_RATE, RETURN_SHARE = 3.5, 0.2
 # How far the reference may be ahead of an arm at rest that cannot follow [m], [rad].
 LEAST_LEAD, LEAST_TURN = 0.002, 0.005
 THERE = 5e-5  # m or rad from the task, where it is caught up with

@@ -30,6 +30,7 @@ UNLIKELY_TIME = 0.1  # s, for which velocities are not used after one was unlike
 # by rigid drives does not swing so fast.
 SWING, TURN_TIME, TURNS = 0.05, 0.15, 4.0
 DIRECTION, EXTREME, TURNED = range(3)  # rows of what is known of swings, one column per joint
+AHEAD = 0.2  # of v / w, by which an arm in motion is held ahead of where a hold begins
 RETURN_SPEED = 0.05  # rad/s of each joint, at which a hold goes back to where the first one began
 RETURN_WAY = 0.05  # rad of a joint, beyond which it has gone somewhere else
 COMMANDED_WAY = 5e-3  # m or rad of the reference since then, beyond which it was led elsewhere
@@ -222,7 +223,9 @@ class Reactions:
     def _hold(self, arm: ArmState, rate: Vector, *, timed: bool = True) -> Vector:
         """Return the torque that keeps the arm where it is, or leads it back, shape (n,) [N m]."""
         if self._posture is None:
-            self._posture = arm.q.copy()
+            # It goes on by 0.37 v / w, and comes back: less so if that is allowed for.
+            ahead = AHEAD / self._frequency if timed else 0.0
+            self._posture = arm.q + ahead * rate
             self._begin_swings()
         if self._first is None or np.abs(self._first - self._posture).max() > RETURN_WAY:
             self._first = self._posture.copy()
