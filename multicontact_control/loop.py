@@ -75,6 +75,7 @@ class ControlLoop:
     ) -> None:
         if config.wrench_input == 'momentum' and not supervised:
             raise ConfigError('wrench_input', 'raw or filtered without a supervisor', 'momentum')
+        limits.check(config)
         self.limits = limits
         source = scenario or CommandedTask(config.column_names, config.leader_of)
         self._commanded = source if isinstance(source, CommandedTask) else None

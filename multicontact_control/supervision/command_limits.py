@@ -8,7 +8,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.config import Config, ControllerConfig, LimitsConfig, parameter
 from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.control.tasks import MotionReading
-from multicontact_control.errors import CommandError
+from multicontact_control.errors import CommandError, ConfigError
 import numpy as np
 
 AXES = 'position x', 'position y', 'position z'
@@ -26,6 +26,14 @@ class CommandLimits(Config):
         0.2, 'How long twist and acceleration of a motion command count if no other follows; then '
         'only its pose does.', unit='s', live=True, gt=0.0)
 
+    def check(self, config: ControllerConfig) -> None:
+        """Refuse, by ConfigError, a force that a contact is left for."""
+        ceiling = config.contact_state.force_ceiling
+        if not self.force_ceiling < ceiling:
+            raise ConfigError('command.force_ceiling',
+                              f'below contact_state.force_ceiling {ceiling:g} N',
+                              f'{self.force_ceiling:g} N')
+
     def check_forces(
         self, config: ControllerConfig, forces: Mapping[str, float],
         before: Mapping[str, float], shares: Mapping[str, float],
@@ -35,7 +43,8 @@ class CommandLimits(Config):
 
         `shares` are couples relative to the force of their contact.
         """
-        ceiling, columns = self.force_ceiling, dict(zip(config.column_names, config.columns))
+        ceiling = min(self.force_ceiling, config.contact_state.force_ceiling)
+        columns = dict(zip(config.column_names, config.columns))
         for name, force in forces.items():
             if name not in columns:
                 raise CommandError('contact', f'one of {", ".join(columns)}', f"'{name}'")

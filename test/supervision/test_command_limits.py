@@ -3,7 +3,7 @@
 from arms import controller_config
 from multicontact_control.config import LimitsConfig
 from multicontact_control.control.tasks import MotionReading
-from multicontact_control.errors import CommandError
+from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.supervision.command_limits import check_motion, CommandLimits
 import numpy as np
 import pytest
@@ -48,3 +48,11 @@ def test_check_motion_refuses_what_is_faster_than_the_limits(twist, acceleration
         return
     with pytest.raises(CommandError, match=message):
         check_motion(motion, LimitsConfig())
+
+
+def test_force_that_a_contact_is_left_for_is_refused_at_the_start():
+    with pytest.raises(ConfigError) as caught:
+        CommandLimits(force_ceiling=100.0).check(controller_config())
+    assert str(caught.value) == (
+        'command.force_ceiling: expected below contact_state.force_ceiling 60 N, got 100 N')
+    CommandLimits().check(controller_config())
