@@ -98,8 +98,8 @@ class ControllerReport:
             self._warn(f'{now[:2]}{bool(now[2])}', self._reaction() or 'control goes on')
         for name, state in zip(loop.config.contact_names, status.contact_states):
             if state == NAMES[GIVEN_UP] and status.contact_states != before[5]:
-                self._warn(f'given up {name}', f'{name}: given up, until it is commanded or sought '
-                           'again (contact_state.retry_time, force_ceiling)')
+                self._warn(f'given up {name}', f'{name}: given up, until it is commanded or '
+                           'sought again (contact_state.retry_time, force_ceiling)')
         if status.unwatched != before[4]:
             self._warn(f'unwatched {status.unwatched}',
                        status.unwatched or 'effort in joint_states: of use in all joints again')
