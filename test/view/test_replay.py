@@ -124,7 +124,7 @@ def test_seek_shows_states_events_and_curves_of_then(replay):
 
 
 def test_replay_shows_what_happens_at_one_sample_in_its_order(replay, recorded_run):
-    paused = [(1.0, 'none | | free, free'), (2.0, 'hold | joints_stale | free, free'),
+    paused = [(1.0, 'none |  | free, free'), (2.0, 'hold | joints_stale | free, free'),
               (2.0, 'float | joints_stale | free, free')]
     played = ReplaySource(
         replace(replay.scene, marks=()), RunData.load(recorded_run), paused)
