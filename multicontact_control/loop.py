@@ -62,7 +62,8 @@ class ControlLoop:
         The answer to the newest sample, None before the first and in the safe behaviour, and what
         the supervisor did, None if not supervised.
     events, time
-        What it did since the last restart, and the time of the newest tick [s].
+        What it did since the last restart, each at the stamp of the newest sample less the first,
+        as a recording has it; and the supervisor's time of the newest tick [s].
     push_gate, warnings, remark
         What allows force control, what is suspicious of the arm's model, and how noisy the
         contact forces are.
@@ -120,7 +121,7 @@ class ControlLoop:
         output, self.status = self.supervisor.step(inputs)
         self.output = None if self.supervisor.safe else output
         if self.status is not None:
-            self.events.note(inputs.time, self.status)
+            self.events.note(inputs.time - inputs.ahead, self.status)
         if inputs.wrench is not None and inputs.wrench.stamp == inputs.time:
             self._readings.append((self.time, self.supervisor.inputs.raw.copy(),
                                    self.supervisor.controller.arm.velocity.copy()))

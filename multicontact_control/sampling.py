@@ -68,7 +68,7 @@ class SampleTiming:
     .. [1] Of the sample before, not in the safe behaviour; WAIT until it is there.
     .. [2] The clock was set back; the watchdog answers that.
     .. [3] Once for each period, in which time is counted on. It does not go back when samples
-       come again: their stamps are shifted from then on.
+       come again: their stamps are shifted from then on, and `TickInputs.ahead` says by how much.
 
     Parameters
     ----------
@@ -178,11 +178,12 @@ class SampleTiming:
         self._time, self._since, self._late = time, now, 0
         self._half_answered = joints is None or (wrench is None and self._feels)
         self.due = int(now + self._patience_ns) if self._patience_ns else 0
-        _, joints_before, wrench_before, variance = self._inputs
+        before = self._inputs
         self._inputs = TickInputs(
             time if self._supervised else tick * self._period,
-            joints._replace(stamp=time) if joints else joints_before,
-            wrench._replace(stamp=time) if wrench else wrench_before, variance)
+            joints._replace(stamp=time) if joints else before.joints,
+            wrench._replace(stamp=time) if wrench else before.wrench,
+            before.variance, self._shift)
         return Decision(action, self._inputs)
 
     def late(self, now: int) -> Decision:
@@ -204,6 +205,8 @@ class SampleTiming:
         if not ticks:  # what is only late is waited for one more period
             return Decision(Action.WAIT)
         self.answered_stamp = self.last_stamp + round(passed * self._period * 1e9)
-        self._time += ticks * self._period
-        self._inputs = self._inputs._replace(time=self._time)
+        counted = ticks * self._period
+        self._time += counted
+        self._inputs = self._inputs._replace(
+            time=self._time, ahead=self._inputs.ahead + counted)
         return Decision(Action.WITHOUT, self._inputs)

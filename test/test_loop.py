@@ -292,6 +292,21 @@ def test_loop_commands_finite_torques_within_limits_for_any_input(
     assert (np.abs(np.diff(torques, axis=0)) <= steps * (1.0 + 1e-9)).all()
 
 
+def test_events_are_at_the_time_of_their_samples_when_a_simulator_has_paused():
+    bench = Bench()
+    bench.step(100)
+    paused = bench.k
+    for _ in range(500):
+        bench.step_without()
+    bench.step(500)
+    assert bench.loop.time == pytest.approx((bench.k - 1 + 500) * H, abs=2 * H)
+    events = [(round(time / H), what.split(' ')[0]) for time, what in bench.loop.events.events]
+    reacting = [(tick, reaction) for tick, reaction in events if reaction != 'none']
+    assert reacting[0][0] == paused - 1  # of the last sample before the pause
+    tick, reaction = events[-1]
+    assert reaction == 'none' and paused < tick < bench.k
+
+
 def test_no_tick_compiles_anything():
     """In any reaction: it would take seconds."""
     bench, before = Bench(), compiled_here()

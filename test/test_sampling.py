@@ -91,6 +91,8 @@ def test_time_is_counted_on_and_does_not_go_back_when_late_samples_come():
     assert timing.answered_stamp == 3 * PERIOD
     times = [sample(timing, k * PERIOD, (3 + k) * PERIOD).inputs.time for k in (1, 2, 3)]
     assert times == pytest.approx([4 * H, 5 * H, 6 * H])
+    own = [(x.inputs.time - x.inputs.ahead) / H for x in decisions[2:]]
+    assert own == pytest.approx([0.0, 0.0], abs=1e-9)
     times = [timing.late(round(x * PERIOD)).inputs.time for x in (56.9, 57.5)]
     assert times == pytest.approx([56 * H, 57 * H])  # what was slept through counts once
     assert sample(timing, 66 * PERIOD).action is STEP

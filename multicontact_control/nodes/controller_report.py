@@ -94,7 +94,8 @@ class ControllerReport:
         if now == self._before or time.monotonic_ns() < self._next_state:
             return
         before, self._before = self._before, now
-        if now[:3] != before[:3]:
+        # Inactive, no reaction ends in control: the node says what it commands.
+        if now[:3] != before[:3] and not loop.supervisor.safe:
             self._warn(f'{now[:2]}{bool(now[2])}', self._reaction() or 'control goes on')
         for name, state in zip(loop.config.contact_names, status.contact_states):
             if state == NAMES[GIVEN_UP] and status.contact_states != before[5]:

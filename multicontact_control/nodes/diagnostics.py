@@ -123,7 +123,7 @@ class LoopStatistics:
 
 class Inputs:
     """
-    When each input came `last`, monotonic time [ns]; logs what is missing.
+    When each input came `last`, monotonic time [ns]; logs what is missing, and what comes again.
 
     Of our own nodes each says itself why it is silent: what they publish is missed only until it
     has come once. So is all that comes from a robot that `may_pause`, as in lockstep.
@@ -140,6 +140,7 @@ class Inputs:
     def restart(self) -> None:
         """Wait for all of them from now on."""
         self.last, self._since = dict.fromkeys(self.last, 0), time.monotonic_ns()
+        self._reminded: dict[Topic, int] = {}  # of what is missing, when that was last logged [ns]
 
     def age(self, topic: Topic) -> float:
         """Return how long ago an input came last [s], infinity if it never has."""
@@ -150,13 +151,26 @@ class Inputs:
         """Return ages; if `needed`, which are above `max_age`, and what is done about it."""
         ages = {topic: self.age(topic) for topic in self.last}
         stale = {topic: age for topic, age in ages.items() if needed and age > self.max_age}
-        if missing := '; '.join(filter(None, map(self._missing, stale))):
-            self._node.get_logger().warning(missing, throttle_duration_sec=REMINDER_PERIOD)
+        for topic in self.last:
+            if topic in stale:
+                self._remind(topic)
+            elif needed and topic in self._reminded:
+                del self._reminded[topic]
+                self._node.get_logger().warning(
+                    f'messages on {self._node.resolve_topic_name(topic.name)} come now')
         warning = ', '.join(f'no {topic.name} ' + (
             f'for {age:.3g} s' if age < math.inf else 'ever') for topic, age in stale.items())
         return Status('inputs', {
             f'age_s {topic.name}': age if age < math.inf else None for topic, age in ages.items()},
             warning and warning + consequence)
+
+    def _remind(self, topic: Topic) -> None:
+        """Log that a topic is missing, if it is and that was not logged a short while ago."""
+        missing, now = self._missing(topic), time.monotonic_ns()
+        logged = self._reminded.get(topic)
+        if missing and (logged is None or now >= logged + REMINDER_PERIOD * NANOSECONDS):
+            self._reminded[topic] = now
+            self._node.get_logger().warning(missing)
 
     def _missing(self, topic: Topic) -> str:
         """Return what is expected of a topic that is missing for long, and what there is."""
@@ -179,8 +193,9 @@ class Inputs:
             names = ', '.join(sorted({x.node_name for x in publishers}))
             silent = 'sends no more' if before else 'has sent nothing that can be read'
             present = f'its publisher, {names}, {silent}'
-        return (f'no message on {name} for {missing:.1f} s: expected {topic.type_name}: '
-                f'{topic.content} Found: {present}')
+        # What is found goes first: a terminal cuts a long line.
+        return (f'no message on {name} for {missing:.1f} s: {present}; expected '
+                f'{topic.type_name}: {topic.content}')
 
 
 def message_status(refusals: Refusals, **dropped: int) -> Status:

@@ -94,12 +94,18 @@ class VarianceInput(NamedTuple):
 
 
 class TickInputs(NamedTuple):
-    """The newest of each input, however old, at a tick; `time` is on the stamps' clock [s]."""
+    """
+    The newest of each input, however old, at a tick; `time` is on the stamps' clock [s].
+
+    `ahead` is by how much `time` is beyond the newest sample's stamp less the first [s]: what was
+    counted on while no sample came.
+    """
 
     time: float
     joints: JointInput | None = None
     wrench: WrenchInput | None = None
     variance: VarianceInput | None = None
+    ahead: float = 0.0
 
 
 class Seen(NamedTuple):
@@ -498,7 +504,7 @@ class Inputs:
 
     def validate(self, inputs: TickInputs, command: Vector | None = None) -> Seen:
         """Take in what came at a tick, and the command before it [N m]; say what is valid."""
-        time, joints, wrench, variance = inputs
+        time, joints, wrench, variance, _ = inputs
         state = self._state
         if self._estimated:  # by the momentum observer, which takes some samples to begin
             known = state['unknown'] <= len(self._commands) + 1

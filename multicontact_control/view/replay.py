@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -45,7 +46,9 @@ class ReplaySource:
         self._normals = np.array([
             config.contacts[name].normal_world for name in config.contact_names])
         self._points = block_points(data, config)
-        self._events = [read_event(*line) for line in sorted(events)] or presses(
+        # While a simulator pauses, several things happen at one sample: they keep their order.
+        in_time = sorted(events, key=itemgetter(0))
+        self._events = [read_event(*line) for line in in_time] or presses(
             data, list(config.leaders))
         self._event_times = [event.time for event in self._events]
         changes = source.ChangeReader(config.contact_names)
@@ -53,7 +56,8 @@ class ReplaySource:
         self._end = (data.ticks - 1) / data.rate
         self.scene = replace(
             scene, duration=self._end, true_forces=bool(np.isfinite(data.alpha_true).any()),
-            marks=tuple(sorted([*scene.marks, *(each for each in texts if each[1])])))
+            marks=tuple(sorted(
+                [*scene.marks, *(each for each in texts if each[1])], key=itemgetter(0))))
         self._since, self._from = monotonic(), 0.0
         self._speed, self._playing, self._changed = 1.0, False, True
         self._shown, self._next = -np.inf, 0.0

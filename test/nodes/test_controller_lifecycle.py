@@ -3,7 +3,7 @@
 from pathlib import Path
 import re
 
-from fake_arm import EFFORT, FakeArm
+from fake_arm import EFFORT, FakeArm, UNFELT
 from fake_arm import PARAMETERS as STILL
 from multicontact_control.nodes.lifecycle import FAILURE, FINALIZED, SUCCESS, UNCONFIGURED
 from multicontact_control.nodes.link import ACTIVATE, CONFIGURE, DEACTIVATE, TransitionError
@@ -55,6 +55,18 @@ def test_sample_that_comes_again_after_a_deactivation_is_answered_by_the_safe_be
     arm.k -= 1
     np.testing.assert_array_equal(arm.step(), torque)  # from where it goes over
     assert 0.0 < np.abs(arm.step() - torque).max() <= LARGEST_STEP
+
+
+def test_reaction_that_ends_by_a_deactivation_is_not_said_to_end_in_control(host, capfd):
+    controller = host.activate('sensor.frozen_ticks:=0', UNFELT, 'patience:=50.0')
+    arm = FakeArm(host)
+    arm.connect()
+    arm.diagnostics(lambda x: x['supervisor'][2]['reaction'] == 'float', host.pause)
+    assert controller.trigger_deactivate() == SUCCESS
+    arm.connect()
+    logged = capfd.readouterr().err
+    assert 'float instead of control' in logged
+    assert 'control goes on' not in logged.partition('deactivated: ')[2]
 
 
 def test_process_obeys_possible_transitions_and_leaves_the_arm_safely(middleware, driver):

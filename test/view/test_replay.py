@@ -123,6 +123,16 @@ def test_seek_shows_states_events_and_curves_of_then(replay):
         replay.command(source.SEEK, time=90.0)
 
 
+def test_replay_shows_what_happens_at_one_sample_in_its_order(replay, recorded_run):
+    paused = [(1.0, 'none |  | free, free'), (2.0, 'hold | joints_stale | free, free'),
+              (2.0, 'float | joints_stale | free, free')]
+    played = ReplaySource(
+        replace(replay.scene, marks=()), RunData.load(recorded_run), paused)
+    snapshot = seek(played, 2.0)
+    assert snapshot.reaction == 'float'
+    assert ['hold' in what for _, what in snapshot.events[-2:]] == [True, False]
+
+
 def test_replay_draws_the_whole_of_an_oscillation(replay, recorded_run):
     data = RunData.load(recorded_run)
     wave = 20.0 * np.sin(0.7 * np.pi * np.arange(data.ticks))[:, None]  # 175 Hz
