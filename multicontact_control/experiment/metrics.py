@@ -234,14 +234,33 @@ class RunMetrics:
                 return begin / self.data.rate
         return None
 
-    def rise_over_design(self, i: int) -> float | None:
-        """Return the rise of the largest step over the designed one, if both are known."""
-        config, largest = self.setup.controller, self.largest_step(i)
-        if largest is None or largest.rise_63_s is None or not config.robot.urdf:
-            return None  # without a URDF it is a recording, which tells no gains
+    def designed_rise_of(self, i: int) -> float | None:
+        """Return the designed rise of a contact's force [s], None where none is known."""
+        config = self.setup.controller
+        if not config.robot.urdf:
+            return None  # it is a recording, which tells no gains
         if config.law_of(self.data.contact_names[self.leaders[i]]) != 'aob':
             return None
-        return largest.rise_63_s / designed_rise(config.force)
+        return designed_rise(config.force)
+
+    def rise_over_design(self, i: int) -> float | None:
+        """Return the rise of the largest step over the designed one, if both are known."""
+        designed, largest = self.designed_rise_of(i), self.largest_step(i)
+        if designed is None or largest is None or largest.rise_63_s is None:
+            return None
+        return largest.rise_63_s / designed
+
+    def rises_over_design(self, i: int) -> list[float]:
+        """Return the rises of all steps up over the designed one, as far as they are known."""
+        designed = self.designed_rise_of(i)
+        if designed is None:
+            return []
+        return [step.rise_63_s / designed for step in self.steps_up(i)
+                if step.rise_63_s is not None]
+
+    def steps_up(self, i: int) -> list[StepResponse]:
+        """Return the answers of a contact to its steps up."""
+        return [step for step in self.step_responses(i) if step.size_n > 0.0]
 
     def largest_step(self, i: int) -> StepResponse | None:
         """Return the answer of a contact to its largest step up, None without any."""
