@@ -72,7 +72,8 @@ class Event(NamedTuple):
 
 def read_event(time: float, what: str) -> Event:
     """Return what a line of the log says."""
-    reaction, reasons, states = what.split(' | ')
+    # After these three come what contacts read before they touch, in words of their own.
+    reaction, reasons, states, *_ = what.split(' | ')
     names = reasons.split()
     return Event(
         time, reaction, tuple(name for name in names if name not in LIMITS),
@@ -187,10 +188,10 @@ def _step_qualities(run: RunMetrics) -> Iterator[tuple[str, bool]]:
 
 
 def _rise_quality(run: RunMetrics) -> Iterator[tuple[str, bool]]:
-    """Yield how fast all steps up were, as the paper's claims see them, and if as designed."""
+    """Yield how fast steps were, those of the paper's claims, and whether as designed."""
     rises: list[float] = []
     for i in range(len(run.leaders)):
-        if any(step.rise_63_s is None for step in run.steps_up(i)):
+        if any(step.rise_63_s is None for step in run.timed_steps(i)):
             yield '63 % of a step never reached', False
             return
         rises += run.rises_over_design(i)

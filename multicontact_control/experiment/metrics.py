@@ -251,16 +251,24 @@ class RunMetrics:
         return largest.rise_63_s / designed
 
     def rises_over_design(self, i: int) -> list[float]:
-        """Return the rises of all steps up over the designed one, as far as they are known."""
+        """Return the rises of `timed_steps` over the designed one, as far as they are known."""
         designed = self.designed_rise_of(i)
         if designed is None:
             return []
-        return [step.rise_63_s / designed for step in self.steps_up(i)
+        return [step.rise_63_s / designed for step in self.timed_steps(i)
                 if step.rise_63_s is not None]
 
-    def steps_up(self, i: int) -> list[StepResponse]:
-        """Return the answers of a contact to its steps up."""
-        return [step for step in self.step_responses(i) if step.size_n > 0.0]
+    def timed_steps(self, i: int) -> list[StepResponse]:
+        """
+        Return the answers of a contact whose rise is judged: to steps up.
+
+        Of a run that obeys commands it is that to the largest: a slider makes steps as small as
+        the noise.
+        """
+        steps = [step for step in self.step_responses(i) if step.size_n > 0.0]
+        if self.setup.commanded_by_topic:
+            steps = sorted(steps, key=lambda step: step.size_n)[-1:]
+        return steps
 
     def largest_step(self, i: int) -> StepResponse | None:
         """Return the answer of a contact to its largest step up, None without any."""

@@ -186,7 +186,8 @@ def read_summary(folder: Path) -> dict[str, Any]:
     """Return the content of ``summary.json``; ConfigError if there is none, or it is none."""
     if not (folder / SUMMARY_FILE).is_file():
         raise ConfigError(
-            str(folder), f'a run with {SUMMARY_FILE}', 'one without, which did not come to its end',
+            str(folder), f'a run with {SUMMARY_FILE}',
+            'one without, which did not come to its end',
             hint='`multicontact report` reads what was recorded')
     summary = read_json(folder / SUMMARY_FILE)
     if not isinstance(summary, dict) or summary.get('schema') != SCHEMA:

@@ -221,6 +221,9 @@ def resolve(
     setup = Setup(
         scenario=config, controller=controller_config, noise_estimator=estimator_config,
         plant=plant_config, plant_name=source.name, seed=seed, urdf_dir=source.robot.urdf_dir())
+    urdf = setup.urdf_dir / setup.controller.robot.urdf
+    if not urdf.is_file():
+        raise ConfigError('controller.robot.urdf', 'a URDF file', urdf)
     check_together(setup, path)
     return setup
 
@@ -258,9 +261,6 @@ def check_together(setup: Setup, path: Path) -> None:
                     f'reference.force_steps.{index}.forces.{name}',
                     f'0 or {state.smallest_force:g} to {state.force_ceiling:g} N '
                     '(contact_state.smallest_force, .force_ceiling)', f'{force:g} N', str(path))
-    urdf = setup.urdf_dir / setup.controller.robot.urdf
-    if not urdf.is_file():
-        raise ConfigError('controller.robot.urdf', 'a URDF file', urdf)
     try:
         setup.reference()
     except ConfigError as error:

@@ -11,6 +11,7 @@ from multicontact_control.experiment.judge import HELD, INTERRUPTED, judge, NOT_
 from multicontact_control.experiment.metrics import RunMetrics
 from multicontact_control.experiment.results import summarise
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.supervision.report import EventLog, SupervisorStatus
 import numpy as np
 import pytest
 from rich.console import Console
@@ -154,6 +155,15 @@ def test_supervisor_that_steps_in_more_than_five_times_holds_the_run(setup, data
     assert f'({cause} 6)' in verdict.reasons[0] and verdict.unstable_at is None
 
 
+def test_line_of_the_log_on_what_a_contact_reads_before_it_touches_is_read(setup, data):
+    report = EventLog()
+    for time, state in ((0.0, 'free'), (2.6, 'holding')):
+        report.note(time, SupervisorStatus(
+            'none', (), (), (), (state, state), time, read_before=('table reads -1.0 N',)))
+    assert [len(what.split(' | ')) for _, what in report.events] == [4, 4]
+    assert judge(data, setup, events=report.events).name == STABLE
+
+
 def test_bounces_before_load_and_slow_references_are_no_interventions(setup, data):
     for start, every, cycle in (
             (0.5, 0.1, ('none |  | impact, holding', 'none |  | lost, holding')),
@@ -247,7 +257,7 @@ def test_quality_and_claims_say_the_same_of_a_slow_small_step(delay):
     """The smallest step of board alone is late: both see it, by the same bounds."""
     setup = resolve('paper', plant='puma')
     data = paper_run(setup)
-    small = min(RunMetrics(data, setup).steps_up(1), key=lambda step: step.size_n)
+    small = min(RunMetrics(data, setup).timed_steps(1), key=lambda step: step.size_n)
     begin = round(small.time_s * RATE)
     before = float(setup.commanded(data.time)[begin - 1, 1])
     data.alpha_true[begin:begin + round(delay * RATE), 1] = before
