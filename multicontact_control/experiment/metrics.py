@@ -234,29 +234,14 @@ class RunMetrics:
                 return begin / self.data.rate
         return None
 
-    def designed_rise_of(self, i: int) -> float | None:
-        """Return the designed rise of a contact's force [s], None where none is known."""
+    def rise_over_design(self, i: int, step: StepResponse | None) -> float | None:
+        """Return the rise of a contact's step over the designed one, if both are known."""
         config = self.setup.controller
-        if not config.robot.urdf:
-            return None  # it is a recording, which tells no gains
+        if step is None or step.rise_63_s is None or not config.robot.urdf:
+            return None  # without a URDF it is a recording, which tells no gains
         if config.law_of(self.data.contact_names[self.leaders[i]]) != 'aob':
             return None
-        return designed_rise(config.force)
-
-    def rise_over_design(self, i: int) -> float | None:
-        """Return the rise of the largest step over the designed one, if both are known."""
-        designed, largest = self.designed_rise_of(i), self.largest_step(i)
-        if designed is None or largest is None or largest.rise_63_s is None:
-            return None
-        return largest.rise_63_s / designed
-
-    def rises_over_design(self, i: int) -> list[float]:
-        """Return the rises of `timed_steps` over the designed one, as far as they are known."""
-        designed = self.designed_rise_of(i)
-        if designed is None:
-            return []
-        return [step.rise_63_s / designed for step in self.timed_steps(i)
-                if step.rise_63_s is not None]
+        return step.rise_63_s / designed_rise(config.force)
 
     def timed_steps(self, i: int) -> list[StepResponse]:
         """
@@ -334,7 +319,7 @@ class RunMetrics:
         largest = self.largest_step(i)
         return {
             'step_rise_63_s': largest.rise_63_s if largest else None,
-            'step_rise_over_design': self.rise_over_design(i),
+            'step_rise_over_design': self.rise_over_design(i, largest),
             'step_overshoot_percent': largest.overshoot_percent if largest else None,
             'step_settling_s': largest.settling_s if largest else None,
             'step_steady_error_n': largest.steady_error_n if largest else None,
