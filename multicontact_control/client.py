@@ -254,7 +254,7 @@ class MultiContactClient(ControllerLink):
         """
         for field, value, unit in (('force_tolerance', force_tolerance, 'N'),
                                    ('timeout', timeout, 's'), ('settle_time', settle_time, 's')):
-            messages.require_number(field, value, unit)
+            messages.require_not_negative(field, value, unit)
         give_up = time.monotonic() + timeout
         while missing := self._missing(force_tolerance, settle_time):
             if time.monotonic() > give_up:

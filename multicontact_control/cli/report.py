@@ -24,13 +24,16 @@ def report(
     """
     Show verdict, numbers and figures of runs on a page in HTML, and print the verdict.
 
-    A run of the scenario `paper` is judged by the claims of the paper, too. Of a recording without
-    ground truth the measured forces are shown, and the run is not judged. Names and rate are those
-    of the messages, or of --controller.
+    A run of the scenario `paper` is judged by the claims of the paper, too; page and terminal have
+    their table. Of a recording without ground truth the measured forces are shown, and the run is
+    not judged. Names and rate are those of the messages, or of --controller.
     """
+    from multicontact_control.experiment.claims import claims_of
+    from multicontact_control.experiment.display import print_claims
     from multicontact_control.experiment.judge import verdict_text
     from multicontact_control.experiment.report import write_report
     from multicontact_control.experiment.results import is_whole_run, load, report_folder
+    from rich.console import Console
 
     if all(map(is_whole_run, runs)):
         options.refuse_options(context, ('controller', 'namespace'),
@@ -42,6 +45,10 @@ def report(
         for line in (verdict_text(run.summary), quality, *run.summary.get('remarks', ())):
             if line:
                 typer.echo(f'{run.folder}: {line}')
+        said = claims_of(run.data, run.setup, run.summary, asked=claims)
+        if said:
+            print_claims(Console(highlight=False, soft_wrap=True), [
+                claim._asdict() for claim in said])
     typer.echo(f'report in {paths[0]}, {len(paths) - 1} figures')
 
 

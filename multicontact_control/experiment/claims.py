@@ -9,7 +9,12 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from multicontact_control.experiment import metrics
-from multicontact_control.experiment.judge import HELD
+from multicontact_control.experiment.judge import (
+    DESIGNED_MOTION_ERROR,
+    HELD,
+    LONGEST_RISE,
+    SHORTEST_RISE,
+)
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 import numpy as np
@@ -251,9 +256,11 @@ STATEMENTS = (
               over=PAPER_ESTIMATOR),
     Statement('The contact forces follow their commands with the designed time constant',
               'time constant 0.02 s (Figs 3, 4)', the_run(), _rises,
-              '63 % of a step, over the design', '{:.2f} x', 0.6, 1.4),
+              '63 % of a step, over the design', '{:.2f} x',
+              SHORTEST_RISE, LONGEST_RISE),
     Statement('The motion is tracked', 'Fig. 5', the_run(), _motion('moving_position_rms_m', 1e3),
-              'rms error of the position in motion', '{:.2f} mm', high=5.0),
+              'rms error of the position in motion', '{:.2f} mm',
+              high=1e3 * DESIGNED_MOTION_ERROR),
     Statement('The orientation stays fixed', 'Fig. 5', the_run(),
               _motion('orientation_max_rad', 1.0), 'largest error', '{:.4f} rad', high=0.02),
     Statement('The noise variance is about 0.6 N² at rest', '0.6 N² (Fig. 6)',
@@ -280,7 +287,8 @@ STATEMENTS = (
               '6000 N/m for both, "not perfect"', wrong_stiffness, of_contacts(_static_error),
               'mean error at rest over the command', '{:.1%}', high=0.02),
     Statement('It leaves the force dynamics as designed', '6000 N/m for both, "not perfect"',
-              wrong_stiffness, _rises, '63 % of a step, over the design', '{:.2f} x', 0.6, 1.4),
+              wrong_stiffness, _rises, '63 % of a step, over the design', '{:.2f} x',
+              SHORTEST_RISE, LONGEST_RISE),
     Statement('Without on-line R the control works only at rest; motion makes it unstable',
               'sec. 5.2', runs_with(FIXED), _unstable(in_motion=True),
               'runs', 'unstable in motion', low=1.0),

@@ -122,8 +122,9 @@ def print_claims(console: Console, claims: Sequence[Mapping[str, Any]]) -> None:
         verdict = '[green]holds[/green]' if claim['holds'] else '[yellow]differs[/yellow]'
         said = f'{claim["claim"]} ({claim["paper"]})'
         table.add_row(*map(escape, (said, claim['measured'], claim['why'])), verdict)
-    # In a narrow terminal cells are wrapped; the console itself wraps nothing.
-    console.print(table, soft_wrap=False)
+    if judged:
+        # In a narrow terminal cells are wrapped; the console itself wraps nothing.
+        console.print(table, soft_wrap=False)
     others = len(claims) - len(judged)
     if others:
         console.print(f'{counted(others, "claims")} not judged by one run: `multicontact study '

@@ -234,14 +234,26 @@ class RunMetrics:
                 return begin / self.data.rate
         return None
 
-    def rise_over_design(self, i: int) -> float | None:
-        """Return the rise of the largest step over the designed one, if both are known."""
-        config, largest = self.setup.controller, self.largest_step(i)
-        if largest is None or largest.rise_63_s is None or not config.robot.urdf:
+    def rise_over_design(self, i: int, step: StepResponse | None) -> float | None:
+        """Return the rise of a contact's step over the designed one, if both are known."""
+        config = self.setup.controller
+        if step is None or step.rise_63_s is None or not config.robot.urdf:
             return None  # without a URDF it is a recording, which tells no gains
         if config.law_of(self.data.contact_names[self.leaders[i]]) != 'aob':
             return None
-        return largest.rise_63_s / designed_rise(config.force)
+        return step.rise_63_s / designed_rise(config.force)
+
+    def timed_steps(self, i: int) -> list[StepResponse]:
+        """
+        Return the answers of a contact whose rise is judged: to steps up.
+
+        Of a run that obeys commands it is that to the largest: a slider makes steps as small as
+        the noise.
+        """
+        steps = [step for step in self.step_responses(i) if step.size_n > 0.0]
+        if self.setup.commanded_by_topic:
+            steps = sorted(steps, key=lambda step: step.size_n)[-1:]
+        return steps
 
     def largest_step(self, i: int) -> StepResponse | None:
         """Return the answer of a contact to its largest step up, None without any."""
@@ -307,7 +319,7 @@ class RunMetrics:
         largest = self.largest_step(i)
         return {
             'step_rise_63_s': largest.rise_63_s if largest else None,
-            'step_rise_over_design': self.rise_over_design(i),
+            'step_rise_over_design': self.rise_over_design(i, largest),
             'step_overshoot_percent': largest.overshoot_percent if largest else None,
             'step_settling_s': largest.settling_s if largest else None,
             'step_steady_error_n': largest.steady_error_n if largest else None,

@@ -13,7 +13,7 @@ from types import NoneType
 from typing import Any, cast, TypeVar
 
 from multicontact_control.config import Config, merge, validate
-from multicontact_control.errors import ConfigError
+from multicontact_control.errors import ConfigError, RosError
 from multicontact_control.experiment.scenario import External, Setup
 from pydantic import BaseModel
 import yaml
@@ -53,10 +53,27 @@ def paths_of(name: str, setup: Setup, field: str) -> list[tuple[str, ...]]:
     if section not in ARGUMENTS or not inner:
         raise ConfigError(field, f'a dotted name that begins with {", ".join(ARGUMENTS)}',
                           f"'{name}'")
+    if _is_foreign(name, setup):
+        _refuse_of_node(section, inner[0], field)
     places: list[tuple[str, ...]] = [(section,)]
     for part in inner:
         places = [(*place, key) for place in places for key in _keys(setup, place, part, field)]
     return places
+
+
+def _refuse_of_node(section: str, parameter: str, field: str) -> None:
+    """Refuse a parameter that only the node of a section knows; ConfigError of a `field`."""
+    try:
+        configs = node_configs()
+    except RosError:
+        return
+    if section not in configs or parameter not in configs[section].model_fields:
+        return
+    if parameter in OF_THE_RUN:
+        hint = f'a parameter of a node, which `run` sets: {OF_THE_RUN[parameter]}'
+    else:
+        hint = 'a parameter of a node: only `run` takes it, and `view` that starts one'
+    raise ConfigError(field, hint=hint)
 
 
 def _keys(setup: Setup, place: tuple[str, ...], part: str, field: str) -> list[str]:

@@ -183,7 +183,12 @@ class LoadedRun(NamedTuple):
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
-    """Return the content of ``summary.json``; ConfigError if that is no summary."""
+    """Return the content of ``summary.json``; ConfigError if there is none, or it is none."""
+    if not (folder / SUMMARY_FILE).is_file():
+        raise ConfigError(
+            str(folder), f'a run with {SUMMARY_FILE}',
+            'one without, which did not come to its end',
+            hint='`multicontact report` reads what was recorded')
     summary = read_json(folder / SUMMARY_FILE)
     if not isinstance(summary, dict) or summary.get('schema') != SCHEMA:
         raise ConfigError(str(folder / SUMMARY_FILE), f'the summary of a run (schema {SCHEMA})')
@@ -216,8 +221,9 @@ def load_setup(folder: Path) -> Setup:
         commanded_by_topic=bool(summary.get('commanded_by_topic')))
 
 
-def load_run(folder: Path) -> LoadedRun:
+def load_run(folder: Path | str) -> LoadedRun:
     """Read the folder of a run; ConfigError if it is none, RunError if it cannot be read."""
+    folder = Path(folder)
     setup = load_setup(folder)
     summary = read_summary(folder)
     if (folder / BAG_FOLDER).is_dir():

@@ -91,6 +91,7 @@ def run_on_graph(
     if external is not None:
         endless = external.duration is None
         of_node = merge(external.node, setup.nodes.get('controller', {}))
+        setup = replace(setup, nodes={**setup.nodes, 'controller': of_node})
         parameters[CONTROLLER] = dotted(of_node)
         node = validate(ControllerNodeConfig, of_node, 'controller_node')
         options |= {'domain_id': options.get('domain_id') or 0, 'robot': Robot(

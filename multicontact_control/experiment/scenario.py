@@ -38,6 +38,7 @@ COMMANDS = 'commands'  # in the place of a scenario's name
 NO_PLANT: Any = None  # in the place of the plant where the robot is the user's own
 SHORTEST, UNTIL_STOPPED = 1.0, 1e6  # s, of a run, and of one that Ctrl-C ends
 OF_THE_RUN = ('startup_peers', 'timing_file')
+NODES_FILE = 'nodes.yaml'  # of what only nodes know
 
 
 class ScenarioConfig(Config):
@@ -99,7 +100,11 @@ class Setup:
         return commanded
 
     def write(self, folder: Path) -> dict[str, Path]:
-        """Write the exact configuration into a folder, and return the file of each node."""
+        """
+        Write the exact configuration into a folder, and return the file of each node.
+
+        What only nodes know, as far as it was set, is in a file of its own.
+        """
         folder.mkdir(parents=True, exist_ok=True)
         urdf = Path(self.controller.robot.urdf)
         shutil.copyfile(self.urdf_dir / urdf, folder / urdf.name)
@@ -112,6 +117,10 @@ class Setup:
             nodes['sim_node'] = ('plant.yaml', self.plant)
         for node, (name, config) in nodes.items():
             write_parameters(folder / name, {f'/**/{node}': config.model_dump(mode='json')})
+        of_nodes = {f'/**/{node}': self.nodes[Path(name).stem] for node, (name, _) in nodes.items()
+                    if self.nodes.get(Path(name).stem)}
+        if of_nodes:
+            write_parameters(folder / NODES_FILE, of_nodes)
         for name, config in (('reference.yaml', self.scenario.reference),
                              ('scenario.yaml', self.scenario)):
             write_text(folder / name, yaml.safe_dump(
@@ -212,6 +221,9 @@ def resolve(
     setup = Setup(
         scenario=config, controller=controller_config, noise_estimator=estimator_config,
         plant=plant_config, plant_name=source.name, seed=seed, urdf_dir=source.robot.urdf_dir())
+    urdf = setup.urdf_dir / setup.controller.robot.urdf
+    if not urdf.is_file():
+        raise ConfigError('controller.robot.urdf', 'a URDF file', urdf)
     check_together(setup, path)
     return setup
 

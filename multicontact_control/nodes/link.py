@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import atexit
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 import os
@@ -19,7 +19,7 @@ from multicontact_control.nodes.graph import create_publisher, take
 from multicontact_control.nodes.messages import ControllerStatus, identify, new_identifier, REFUSED
 from multicontact_control.nodes.runtime import start_ros
 from multicontact_control.nodes.topics import Topic
-from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
@@ -192,6 +192,7 @@ class GuestNode:
         values = [*map(parameter_value_to_python, self.call(
             node_name, GetParameters, 'get_parameters', request).values)]
         if len(values) != len(names) or None in values:
+            self._require_known(node_name, names)
             raise RunError(f'{node_name}: expected the parameters {", ".join(names)}, got not all')
         return values
 
@@ -202,7 +203,17 @@ class GuestNode:
         result = self.call(
             node_name, SetParametersAtomically, 'set_parameters_atomically', request).result
         if not result.successful:
+            self._require_known(node_name, values)  # rclpy names none that is not declared
             raise RunError(str(result.reason))
+
+    def _require_known(self, node_name: str, names: Iterable[str]) -> None:
+        """Refuse names of parameters that a node does not have; RunError with all of them."""
+        known = self.call(
+            node_name, ListParameters, 'list_parameters', ListParameters.Request()).result.names
+        unknown = [f"'{name}'" for name in names if name not in known]
+        if unknown:
+            raise RunError(
+                f'{node_name}: expected parameters that it has, got {", ".join(unknown)}')
 
     def _wait(self, condition: Callable[[], Any], timeout: float, what: str) -> bool:
         """Return whether a condition came true in time; errors of `keep_waiting` go through."""

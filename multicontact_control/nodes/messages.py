@@ -91,6 +91,13 @@ def require_positive(field: str, value: object, unit: str) -> None:
         raise MessageError(field, f'above 0 {unit}', f'{value:g} {unit}')
 
 
+def require_not_negative(field: str, value: object, unit: str) -> None:
+    """Refuse what is not one finite number from 0 on, in a unit."""
+    require_number(field, value, unit)
+    if float(value) < 0.0:  # type: ignore[arg-type]
+        raise MessageError(field, f'at least 0 {unit}', f'{value:g} {unit}')
+
+
 def require_named_numbers(field: str, values: object, unit: str) -> None:
     """Refuse what is not a mapping of names to finite numbers, in a unit."""
     if not isinstance(values, Mapping):

@@ -8,8 +8,10 @@ from multicontact_control.experiment import figures
 from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.display import print_summary, summary_rows, verdict_lines
 from multicontact_control.experiment.judge import HELD, INTERRUPTED, judge, NOT_STABLE, STABLE
+from multicontact_control.experiment.metrics import RunMetrics
 from multicontact_control.experiment.results import summarise
 from multicontact_control.experiment.scenario import resolve
+from multicontact_control.supervision.report import EventLog, SupervisorStatus
 import numpy as np
 import pytest
 from rich.console import Console
@@ -109,6 +111,23 @@ def test_missing_contacts_answers_and_infinite_numbers_are_not_stable(setup, dat
         *judge(data, setup).reasons}
 
 
+def test_run_that_ends_before_its_load_is_not_judged_and_tells_of_no_claim():
+    setup = resolve('paper', plant='puma', duration=1.0)
+    data = perfect_run(setup)
+    data.alpha_true[:] = 0.0
+    data.alpha_des[:] = 0.0
+    summary = summarise(data, setup, mode='in_process', timing={})
+    assert (summary['verdict'], summary['unjudged'], summary['instabilities']) == (
+        'not judged', 'never under load', [])
+    end_by_verdict(summary)
+    summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
+    assert {claim['holds'] for claim in summary['claims']} == {None}
+    console = Console(width=80, soft_wrap=True, record=True, file=io.StringIO())
+    print_summary(console, summary, 'here')
+    text = console.export_text()
+    assert 'claim of the paper' not in text and '13 claims not judged' in text
+
+
 @pytest.mark.parametrize(('hidden', 'whose'), [
     (lambda data: (slice(None), 1), ' of board'),
     (lambda data: np.arange(data.ticks) % 10 > 0, ''),  # published at 50 Hz
@@ -134,6 +153,15 @@ def test_supervisor_that_steps_in_more_than_five_times_holds_the_run(setup, data
         assert (verdict.name, len(verdict.reasons)) == (name, int(times > 5))
     cause = caught.split(' | ')[1].strip() or 'contact lost'
     assert f'({cause} 6)' in verdict.reasons[0] and verdict.unstable_at is None
+
+
+def test_line_of_the_log_on_what_a_contact_reads_before_it_touches_is_read(setup, data):
+    report = EventLog()
+    for time, state in ((0.0, 'free'), (2.6, 'holding')):
+        report.note(time, SupervisorStatus(
+            'none', (), (), (), (state, state), time, read_before=('table reads -1.0 N',)))
+    assert [len(what.split(' | ')) for _, what in report.events] == [4, 4]
+    assert judge(data, setup, events=report.events).name == STABLE
 
 
 def test_bounces_before_load_and_slow_references_are_no_interventions(setup, data):
@@ -222,6 +250,26 @@ def test_stable_run_says_beside_its_verdict_how_good_it_is(setup, data, force, s
     verdict, quality = verdict_lines(summary, 'here')[1:3]
     assert 'stable' in verdict and quality.startswith(said)
     assert 'rise 1.02 of the design' in quality and 'steady-state error at most 0.00 N' in quality
+
+
+@pytest.mark.parametrize('delay', [0.02, 0.04, 0.06, 0.08])
+def test_quality_and_claims_say_the_same_of_a_slow_small_step(delay):
+    """The smallest step of board alone is late: both see it, by the same bounds."""
+    setup = resolve('paper', plant='puma')
+    data = paper_run(setup)
+    small = min(RunMetrics(data, setup).timed_steps(1), key=lambda step: step.size_n)
+    begin = round(small.time_s * RATE)
+    before = float(setup.commanded(data.time)[begin - 1, 1])
+    data.alpha_true[begin:begin + round(delay * RATE), 1] = before
+    data.alpha_true[begin + round(delay * RATE):begin + 100, 1] = before + small.size_n
+    summary = summarise(data, setup, mode='in_process', timing={})
+    rises = next(claim for claim in claims_of(data, setup, summary) if 'time constant' in
+                 claim.claim)
+    bad, _, good = summary['quality'].rpartition('; ')
+    said = bad if 'rise' in bad else good
+    assert said.startswith('as designed') == rises.holds == (delay in (0.04, 0.06))
+    ends = {part.split()[-1] for part in rises.measured.replace(' x', '').split(', ')}
+    assert any(end in said for end in ends)
 
 
 def test_loss_that_the_controller_alone_sees_is_named_as_such(setup, data):

@@ -91,10 +91,12 @@ def test_measured_force_settles_within_the_noise_of_its_sensor(setup, data):
 
 def test_rise_over_the_design_is_known_of_the_law_that_is_designed(setup, data):
     data.alpha_true[:] = delayed(data, 0.05)
-    assert RunMetrics(data, setup).rise_over_design(0) == pytest.approx(1.02, abs=0.01)
+    run = RunMetrics(data, setup)
+    assert run.rise_over_design(0, run.largest_step(0)) == pytest.approx(1.02, abs=0.01)
     other = setup.controller.model_copy(update={
         'force': setup.controller.force.model_copy(update={'law': 'pi'})})
-    assert RunMetrics(data, replace(setup, controller=other)).rise_over_design(0) is None
+    run = RunMetrics(data, replace(setup, controller=other))
+    assert run.rise_over_design(0, run.largest_step(0)) is None
 
 
 def test_couple_has_no_loss_and_its_steps_begin_at_zero():

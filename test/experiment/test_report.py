@@ -2,9 +2,11 @@
 
 import json
 import re
+import shutil
 
 from browser import Tab
 from multicontact_control.cli.application import app
+from multicontact_control.errors import ConfigError
 from multicontact_control.experiment import report
 from multicontact_control.experiment.page import envelope, figure, Panel, Trace, write_page
 from multicontact_control.experiment.results import load_run, summarise
@@ -38,6 +40,7 @@ def test_report_command_writes_a_page_and_figures(folder, tmp_path):
         result = CliRunner().invoke(
             app, ['report', str(folder), '--out', str(tmp_path), *options])
         assert result.exit_code == 0, result.output
+        assert ('claim of the paper' in result.output) == bool(options)
         text = (tmp_path / 'report.html').read_text(encoding='utf-8')
         for words in ('Contact force: table', 'Noise variance', 'Timing', 'damping_rate: 100.0',
                       *claims):
@@ -47,6 +50,14 @@ def test_report_command_writes_a_page_and_figures(folder, tmp_path):
         f'{name}.{ending}' for name in (
             'fig3_force_table', 'fig4_force_board', 'fig5_motion', 'fig6_noise_variance')
         for ending in ('pdf', 'png')]
+
+
+def test_run_is_loaded_by_text_and_one_without_a_summary_is_said_to_be_one(folder, tmp_path):
+    assert load_run(str(folder)).summary == load_run(folder).summary
+    shutil.copytree(folder / 'config', tmp_path / 'config')
+    with pytest.raises(ConfigError, match='expected a run with summary.json, got one without, '
+                       'which did not come to its end; `multicontact report` reads'):
+        load_run(tmp_path)
 
 
 def test_report_of_two_runs_has_figures_of_both_and_one_table(folder, tmp_path, monkeypatch):

@@ -1,6 +1,6 @@
 """Scenarios, presets, and values laid over everything by name."""
 
-from multicontact_control.config import read_yaml
+from multicontact_control.config import read_parameters, read_yaml
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.overrides import node_configs, OF_THE_RUN, resolve_with
 from multicontact_control.experiment.run import simulation_parameters
@@ -140,6 +140,32 @@ def test_bad_setting_of_a_node_is_refused(setting, message):
 
 
 @pytest.mark.parametrize(('setting', 'message'), [
+    ('controller.patience=-1', 'a parameter of a node: only `run` takes it'),
+    ('controller.command.force_ceiling=20', 'a parameter of a node: only `run` takes it'),
+    ('plant.payload=1', 'a parameter of a node: only `run` takes it'),
+    ('controller.supervised=false', 'a parameter of a node, which `run` sets: give --bare'),
+    ('plant.speed=2', 'a parameter of a node, which `run` sets: give --speed')])
+@pytest.mark.ros
+def test_setting_of_a_node_is_named_as_one_where_there_is_no_node(setting, message):
+    key = setting.partition('=')[0]
+    with pytest.raises(ConfigError, match=f'^--set {key}: {message}'):
+        resolve_with(resolve, {'scenario': 'quick'}, [setting])
+
+
+@pytest.mark.ros
+def test_settings_of_nodes_are_in_the_files_of_a_run(tmp_path):
+    settings = ['controller.patience=3', 'controller.command.force_ceiling=20']
+    for chosen in ([], settings):
+        setup = resolve_with(resolve, {'scenario': 'quick'}, chosen, nodes=True)
+        setup.write(tmp_path)
+        assert (tmp_path / 'nodes.yaml').is_file() == bool(chosen)
+    assert read_parameters(tmp_path / 'nodes.yaml') == {
+        'patience': 3, 'command': {'force_ceiling': 20}}
+
+
+@pytest.mark.parametrize(('setting', 'message'), [
+    ('controller.robot.urdf=nosuch.urdf',
+     'controller.robot.urdf: expected a URDF file, got .*nosuch.urdf'),
     ('plant', "--set: expected KEY=VALUE.*'plant'"),
     ('controller.force.damping_rate=[', 'a value as in a YAML file'),
     ('controller.force.wurst=1', "one of law, .*'wurst'"),
