@@ -267,7 +267,7 @@ class LawEntry(NamedTuple):
     """A force law of the registry."""
 
     design: Design
-    reads: tuple[str, ...]  # the fields of `ForceConfig` that the design reads: no others are there
+    reads: tuple[str, ...]  # fields of `ForceConfig`: the design has these, and no others
 
 
 LAWS: Mapping[str, LawEntry] = {
