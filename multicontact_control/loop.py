@@ -180,13 +180,18 @@ class ControlLoop:
 
     def design(self, config: ControllerConfig) -> Design:
         """Return what to go on with; see `Controller.design`: another thread may wait for it."""
+        self._keep_pushed_tool(config)
         return self.supervisor.controller.design(config)
 
     def use(self, design: Design) -> None:
-        """Go on with what has been designed, without a jump. A push test keeps its tool."""
-        if self.push_gate.running and design.config.tool != self.config.tool:
-            raise CommandError('tool', hint='wait: it cannot change while a push test runs')
+        """Go on with what has been designed, without a jump."""
+        self._keep_pushed_tool(design.config)  # a push test may have begun meanwhile
         self.supervisor.use(design)
+
+    def _keep_pushed_tool(self, config: ControllerConfig) -> None:
+        """Refuse another tool while a push test runs."""
+        if self.push_gate.running and config.tool != self.config.tool:
+            raise CommandError('tool', hint='wait: it cannot change while a push test runs')
 
     def set_forces(
         self, forces: dict[str, float], centres: Mapping[str, float] | None = None,
