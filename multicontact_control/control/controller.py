@@ -125,6 +125,7 @@ class Controller:
         self.laws: Any = make_force_laws(config)
         with contextlib.suppress(SingularTaskError, ContactGeometryError):
             self.answer()  # all joints at 0 need not be a good posture
+        continue_laws(make_force_laws(config), self.laws)  # as a live change does
         self.reset()
 
     def _adopt(self, config: ControllerConfig) -> None:

@@ -15,6 +15,7 @@ from multicontact_control.config import Config
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph import Refusals, StartupConfig, StartupGate
+from multicontact_control.nodes.live_changes import LiveChanges
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.private import change_state_service, RCLError
 from multicontact_control.nodes.runtime import AUTOSTART, Spinner
@@ -43,6 +44,8 @@ class ManagedNode(LifecycleNode):
         self.refusals = Refusals(self.get_logger())
         self.parameter_set = ParameterSet(self, *models)
         self.parameter_set.refuse = self.refusals.refuse
+        self.parameter_set.design = self.design
+        self._changes = LiveChanges(self, self.parameter_set)
         self._diagnostics = Diagnostics(self, lambda: [
             Status('life cycle', {'state': self.state}),
             *(self.statuses() if self.state in (ACTIVE, INACTIVE) else ())])
@@ -71,8 +74,12 @@ class ManagedNode(LifecycleNode):
     def deactivate(self) -> None:
         """Stop the node's work; by itself it gives no more answers."""
 
-    def reconfigure(self, configurations: Sequence[Any]) -> None:
-        """Go on with new configurations, or raise `MulticontactError` and change nothing."""
+    def design(self, configurations: Sequence[Any]) -> Any:
+        """Return what new configurations lead to, or raise; called in another thread."""
+        return configurations
+
+    def reconfigure(self, design: Any) -> None:
+        """Go on with what new configurations lead to, or raise and change nothing."""
 
     def look(self, spinner: Spinner) -> None:
         """Do what is due; called after each callback, at `due`, and when the gate has opened."""
@@ -101,6 +108,7 @@ class ManagedNode(LifecycleNode):
             self.working = self._gate_passed = self._gate.poll()
         if self.working or self.state == INACTIVE:
             self.look(spinner)
+        self._changes.poll()
         self._diagnostics.poll()
 
     def close(self) -> None:
@@ -113,6 +121,7 @@ class ManagedNode(LifecycleNode):
         def work() -> None:
             self.configure(self.parameter_set.configurations())
             self.parameter_set.use = self.reconfigure
+            self.parameter_set.version += 1
             settle_process()
         return self._attempt('configure', work, INACTIVE)
 
