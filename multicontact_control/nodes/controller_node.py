@@ -178,8 +178,8 @@ class ControllerNode(ManagedNode):
             self._loop.use(new)
         self._node_config, self._loop.limits = node_config, node_config.command
 
-    def statuses(self) -> list[Status]:
-        """Return what diagnostics report."""
+    def statuses(self) -> Iterator[Status | None]:
+        """Yield what diagnostics report, and None for a pause."""
         return self._report.statuses()
 
     def _on_message(self, topic: topics.Topic, data: bytes) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 import gc
 import sys
@@ -15,6 +15,7 @@ from multicontact_control.config import Config
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph import Refusals, StartupConfig, StartupGate
+from multicontact_control.nodes.helper import Helper
 from multicontact_control.nodes.live_changes import LiveChanges
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.private import change_state_service, RCLError
@@ -35,7 +36,7 @@ class ManagedNode(LifecycleNode):
     A transition that fails says why in one line and leaves the node where it was. rclpy calls
     callbacks in every state: they look at `state`. A node is `working` once it is active and its
     peers are there. `look` is called at `due` at the latest, monotonic time [ns]; 0 for now and
-    then.
+    then. What takes longer than a sample may wait is for the `helper`.
     """
 
     def __init__(self, name: str, *models: type[Config], **options: Any) -> None:
@@ -45,10 +46,9 @@ class ManagedNode(LifecycleNode):
         self.parameter_set = ParameterSet(self, *models)
         self.parameter_set.refuse = self.refusals.refuse
         self.parameter_set.design = self.design
-        self._changes = LiveChanges(self, self.parameter_set)
-        self._diagnostics = Diagnostics(self, lambda: [
-            Status('life cycle', {'state': self.state}),
-            *(self.statuses() if self.state in (ACTIVE, INACTIVE) else ())])
+        self.helper = Helper()
+        self._changes = LiveChanges(self, self.parameter_set, self.helper)
+        self._diagnostics = Diagnostics(self, self._all_statuses, self.helper)
         self._gate: StartupGate | None = None
         self._gate_passed, self._failure = False, MulticontactError('the node cannot be started')
         service = change_state_service(self)
@@ -68,8 +68,8 @@ class ManagedNode(LifecycleNode):
         """Write the counts of the run; the ends of topics are destroyed by themselves."""
 
     @abstractmethod
-    def statuses(self) -> Sequence[Status]:
-        """Return what diagnostics report."""
+    def statuses(self) -> Iterable[Status | None]:
+        """Yield what diagnostics report, and None where a sample may come between."""
 
     def deactivate(self) -> None:
         """Stop the node's work; by itself it gives no more answers."""
@@ -110,6 +110,11 @@ class ManagedNode(LifecycleNode):
             self.look(spinner)
         self._changes.poll()
         self._diagnostics.poll()
+
+    def _all_statuses(self) -> Iterator[Status | None]:
+        yield Status('life cycle', {'state': self.state})
+        if self.state in (ACTIVE, INACTIVE):
+            yield from self.statuses()
 
     def close(self) -> None:
         """Leave what a configured node leaves at its end."""
@@ -152,6 +157,7 @@ class ManagedNode(LifecycleNode):
         """Close, and destroy the ends of topics and services that `configure` has created."""
         self.close()
         self.parameter_set.use = None
+        self._diagnostics.restart()
         if self._gate is not None:
             self._lasting.append(self._gate.marker)
         self._gate, self.working, self.due = None, False, 0

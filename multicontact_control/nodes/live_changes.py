@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
+from multicontact_control.nodes.helper import Helper
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.private import answer_later
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
@@ -21,13 +21,12 @@ class LiveChanges:
     """
     Answers requests to set parameters of a node, each once its change is in force or refused.
 
-    What a change leads to takes longer than a sample may wait: a thread computes it, one change
-    after the other, and `poll`, called by the node's loop, takes it over.
+    What a change leads to takes longer than a sample may wait: the helper computes it, one change
+    after the other. `poll`, called by the node's loop, takes it over.
     """
 
-    def __init__(self, node: Node, parameters: ParameterSet) -> None:
-        self._parameters = parameters
-        self._thread = ThreadPoolExecutor(1, 'design')
+    def __init__(self, node: Node, parameters: ParameterSet, helper: Helper) -> None:
+        self._parameters, self._helper = parameters, helper
         self._requests: deque[Iterator[None]] = deque()
         for service in node.services:
             if service.srv_type is SetParameters:
@@ -62,8 +61,6 @@ class LiveChanges:
             version = None
             while version != parameters.version:  # another change has come first
                 version = parameters.version
-                designed = self._thread.submit(parameters.design_change, change)
-                while not designed.done():
-                    yield
+                designed = yield from self._helper.do(parameters.design_change, change)
             results.append(parameters.set(change, designed.result))
         answer()

@@ -71,6 +71,7 @@ class Supervisor:
         self._steadiness = reactions.Steadiness(config.period)
         self._adopt(config)
         checks.check_plausibility(*self._answered)  # compiled here: no sample waits for it
+        operational_wrench(self._controls[0], np.zeros(6))
         self.reset()
 
     def reset(self) -> None:
