@@ -15,7 +15,7 @@ from pathlib import Path
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.geometry import offset_shares, placed_way
-from multicontact_control.control.controller import ControlOutput
+from multicontact_control.control.controller import ControlOutput, Design
 from multicontact_control.control.tasks import CommandedTask, MotionReading, TaskSource
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
@@ -177,10 +177,23 @@ class ControlLoop:
         return self.push_gate.instruction or CANCELLED
 
     def reconfigure(self, config: ControllerConfig) -> None:
-        """Go on with another configuration; see `Supervisor`. A push test keeps its tool."""
+        """Go on with another configuration; ConfigError and nothing changed if that cannot be."""
+        self.use(self.design(config))
+
+    def design(self, config: ControllerConfig) -> Design:
+        """Return what to go on with; see `Controller.design`: another thread may wait for it."""
+        self._keep_pushed_tool(config)
+        return self.supervisor.controller.design(config)
+
+    def use(self, design: Design) -> None:
+        """Go on with what has been designed, without a jump."""
+        self._keep_pushed_tool(design.config)  # a push test may have begun meanwhile
+        self.supervisor.use(design)
+
+    def _keep_pushed_tool(self, config: ControllerConfig) -> None:
+        """Refuse another tool while a push test runs."""
         if self.push_gate.running and config.tool != self.config.tool:
             raise CommandError('tool', hint='wait: it cannot change while a push test runs')
-        self.supervisor.reconfigure(config)
 
     def set_forces(
         self, forces: dict[str, float], centres: Mapping[str, float] | None = None,

@@ -7,11 +7,14 @@ import contextlib
 import ctypes
 import gc
 import os
+import sys
 
 # Read by numpy's libraries when they are loaded. Threads only delay products of 6 x 6 matrices.
 THREAD_VARIABLES = (
     'OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS', 'NUMBA_NUM_THREADS')
 PR_SET_TIMERSLACK = 29
+# s, in which a thread that computes lets another one go on: a sample does not wait for it longer.
+SWITCH_INTERVAL = 5e-5
 MCL_CURRENT, MCL_FUTURE = 1, 2
 
 
@@ -26,6 +29,7 @@ def settle_process() -> None:
     gc.collect()  # a full collection takes several control periods
     gc.freeze()
     gc.disable()
+    sys.setswitchinterval(SWITCH_INTERVAL)
     with contextlib.suppress(AttributeError, OSError):  # Linux: waits are 50 us too long else
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
 

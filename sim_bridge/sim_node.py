@@ -25,6 +25,7 @@ from multicontact_control.config import parameter
 from multicontact_control.errors import MessageError, RunError
 from multicontact_control.nodes import diagnostics, messages, qos, topics
 from multicontact_control.nodes.graph import create_publisher, Refusals, StartupConfig, StartupGate
+from multicontact_control.nodes.helper import Helper
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import MessageReader, StreamPublisher
@@ -127,7 +128,7 @@ class SimNode(Node):
             topics.PUSH.message, topics.PUSH.name, self._on_push, topics.PUSH.profile)
         self._watch = diagnostics.LoopStatistics(config.rate)
         self._inputs = diagnostics.Inputs(self, config.rate, topics.EFFORT_COMMAND)
-        self._diagnostics = diagnostics.Diagnostics(self, self._statuses)
+        self._diagnostics = diagnostics.Diagnostics(self, self._statuses, Helper())
         description.publish(String(data=self._plant.description.urdf))
         self._gate = StartupGate(self, config)
         self._origin = 0  # stamp of sample 0 [ns]

@@ -142,7 +142,7 @@ def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
     before = bench.step()
     known = bench.loop.supervisor.controller.laws['observer'].copy()
     config = still_config(force={'time_constant': 0.05}, motion={'natural_frequency': 15.0})
-    bench.loop.supervisor.reconfigure(config)
+    bench.loop.reconfigure(config)
     assert bench.loop.config is config
     new = bench.loop.supervisor.controller.laws['observer']
     assert known['x_est'][0].any() and (new['feedback'][:, 0] < known['feedback'][:, 0]).all()
@@ -152,7 +152,7 @@ def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
     np.testing.assert_array_equal(after[0], before)
     assert bench.states['table'] == 'holding'
     with pytest.raises(ConfigError, match='^rate: .*cannot change'):
-        bench.loop.supervisor.reconfigure(still_config(rate=400.0))
+        bench.loop.reconfigure(still_config(rate=400.0))
     assert bench.loop.config is config
 
 

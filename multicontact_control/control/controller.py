@@ -56,6 +56,13 @@ class ControlOutput(NamedTuple):
         return self.contacts['answer']
 
 
+class Design(NamedTuple):
+    """What a configuration of a controller leads to."""
+
+    config: ControllerConfig
+    laws: Records  # of `FORCE_LAW`, shape (r,), which know nothing yet; for one use
+
+
 class Controller:
     """
     Multi-contact compliant motion control of one arm (P04 sec. 3-4).
@@ -118,6 +125,7 @@ class Controller:
         self.laws: Any = make_force_laws(config)
         with contextlib.suppress(SingularTaskError, ContactGeometryError):
             self.answer()  # all joints at 0 need not be a good posture
+        continue_laws(make_force_laws(config), self.laws)  # as a live change does
         self.reset()
 
     def _adopt(self, config: ControllerConfig) -> None:
@@ -162,8 +170,18 @@ class Controller:
         self.contacts['normal'] = self.contacts['config']['normal']
         self.contacts['surface_speed_est'] = 0.0
 
-    def check(self, config: ControllerConfig) -> None:
-        """Raise a ConfigError for another arm, contacts or rate, or what cannot be of these."""
+    def design(self, config: ControllerConfig) -> Design:
+        """
+        Return what another configuration leads to, which changes nothing; see `use`.
+
+        It may take long, and be called in another thread than `answer`.
+
+        Raises
+        ------
+        ConfigError
+            For another arm, contacts or rate, or what cannot be of these.
+
+        """
         for name in ('rate', 'robot', 'contact_names', 'column_names'):
             if getattr(config, name) != getattr(self.config, name):
                 raise ConfigError(
@@ -178,15 +196,14 @@ class Controller:
         place_columns(config, columns)
         check_columns(config.column_names, columns)  # normals may be others
         check_resolution(config, self.controls, columns)
-        make_force_laws(config)
+        return Design(config, make_force_laws(config))
 
-    def reconfigure(self, config: ControllerConfig) -> None:
+    def use(self, design: Design) -> None:
         """Go on with other gains; the force laws keep what they know as far as possible."""
-        self._adopt(config)
+        self._adopt(design.config)
         if self.started:
-            laws = make_force_laws(config)
-            continue_laws(laws, self.laws)
-            self.laws = laws
+            continue_laws(design.laws, self.laws)
+            self.laws = design.laws
 
     def take(self, q: Vector, qd: Vector, wrench_sensor: Vector) -> None:
         """

@@ -145,7 +145,7 @@ def design_for_range(
         values = _faster(FASTER[name], usual, speed)
         if name == 'lqg':
             values['lqg']['noise_variance'] = noise_variance
-        law = LAWS[name](model, validate(ForceConfig, {**values, **given}))
+        law = LAWS[name].design(model, validate(ForceConfig, {**values, **given}))
         if not isinstance(law, LinearLaw):
             law = steady_law(law, steady_gain(law, noise_variance))
         low, high = stable_ratios(law, stiff)

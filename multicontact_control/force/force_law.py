@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields
 from functools import lru_cache
-from typing import Any, get_args
+from types import SimpleNamespace
+from typing import Any, cast, get_args
 
 from multicontact_control.algebra import dot
 from multicontact_control.arrays import Mask, Matrix, Vector
@@ -14,7 +15,7 @@ from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig, FedForward, ForceConfig
 from multicontact_control.config.contact import FORCE
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.laws import design_aob, LAWS, LinearLaw, LoopModel, steady_law
+from multicontact_control.force.laws import LAWS, LinearLaw, LoopModel, steady_law
 from multicontact_control.force.margins import (
     closed_loop,
     last_stable,
@@ -47,6 +48,7 @@ ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
 SLOWEST_BOUND, FASTEST_BOUND, BOUND_SHARE = 60.0, 80.0, 0.125  # 1/s, 1/s, -
 BORNE_TIME = 0.05  # s, in which it is forgotten what a surface bears
 RATIOS = tuple(np.geomspace(1.0, 100.0, 9).tolist())  # where the loop's limit is looked for
+Gains = tuple[tuple[str, Any], ...]  # fields of `ForceConfig`, and their values
 
 
 def loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
@@ -54,7 +56,11 @@ def loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
     return LoopModel(stiffness, config.force.damping_rate, config.loop_delay, config.period)
 
 
-@lru_cache(maxsize=64)  # a live change is checked first, and then made; most contacts are alike
+def gains_of(name: str, force: ForceConfig) -> Gains:
+    """Return what the design of a law reads, by name: the same gains are designed for once."""
+    return tuple((field, getattr(force, field)) for field in LAWS[name].reads)
+
+
 def design_law(name: str, force: ForceConfig, model: LoopModel) -> ObserverDesign | LinearLaw:
     """
     Return a force law of the registry; its arrays are not to be changed.
@@ -65,8 +71,15 @@ def design_law(name: str, force: ForceConfig, model: LoopModel) -> ObserverDesig
         If there is none, or none of finite numbers.
 
     """
+    return _design_of(name, gains_of(name, force), model)
+
+
+@lru_cache(maxsize=64)  # most contacts are alike, and most live changes are of other gains
+def _design_of(name: str, gains: Gains, model: LoopModel) -> ObserverDesign | LinearLaw:
+    # A design has what it says that it reads, and nothing that the key is without.
+    force: Any = SimpleNamespace(**dict(gains))
     with _designing(name):
-        design = LAWS[name](model, force)
+        design = LAWS[name].design(model, force)
         for field in fields(design):
             value = getattr(design, field.name)
             if isinstance(value, np.ndarray) and not np.isfinite(value).all():
@@ -93,10 +106,12 @@ def make_force_laws(config: ControllerConfig) -> Records:
     laws: Any = np.zeros(len(config.columns), dtype=FORCE_LAW)
     names, force = list(LAWS), config.force
     adaptive = force.stiffness == 'adaptive'
-    limits = [
-        largest_ratio(force, loop_model(config, k), config.initial_noise_variance)
-        for k in np.geomspace(force.adaptive.lowest, force.adaptive.highest, LIMITS).tolist()
-    ] if adaptive else []
+    limits = []
+    if adaptive:
+        stiffnesses = np.geomspace(force.adaptive.lowest, force.adaptive.highest, LIMITS)
+        gains = gains_of('aob', force)
+        limits = [largest_ratio(gains, loop_model(config, k), config.initial_noise_variance)
+                  for k in stiffnesses.tolist()]
     for law, column in zip(laws, config.columns):
         name = config.law_of(column.contact)
         stiffness = force.adaptive.highest if adaptive else column.stiffness
@@ -120,11 +135,15 @@ def make_force_laws(config: ControllerConfig) -> Records:
 
 
 @lru_cache(maxsize=64)  # the first sample and a live change are not to wait for it once more
-def largest_ratio(force: ForceConfig, model: LoopModel, noise_variance: float) -> float:
-    """Return how many times as stiff as its model a surface may be, with a constant R [N^2]."""
+def largest_ratio(gains: Gains, model: LoopModel, noise_variance: float) -> float:
+    """
+    Return how many times as stiff as its model a surface may be, with a constant R [N^2].
+
+    `gains` are those of the observer, see `gains_of`.
+    """
     none = np.zeros((1, 1))
     with _designing('aob'):
-        design = design_aob(model, force)
+        design = cast(ObserverDesign, _design_of('aob', gains, model))
         law = steady_law(design, steady_gain(design, noise_variance))
 
         def stable(ratio: float) -> bool:

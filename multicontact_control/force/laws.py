@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import ForceConfig
@@ -261,7 +262,20 @@ def design_feedforward(model: LoopModel, config: ForceConfig) -> LinearLaw:
 
 Design = Callable[[LoopModel, ForceConfig], ObserverDesign | LinearLaw]
 
-LAWS: Mapping[str, Design] = {
-    'aob': design_aob, 'pi': design_pi, 'dob': design_dob, 'lqg': design_lqg,
-    'admittance': design_admittance, 'impedance': design_impedance,
-    'feedforward': design_feedforward}
+
+class LawEntry(NamedTuple):
+    """A force law of the registry."""
+
+    design: Design
+    reads: tuple[str, ...]  # fields of `ForceConfig`: the design has these, and no others
+
+
+LAWS: Mapping[str, LawEntry] = {
+    'aob': LawEntry(design_aob, (
+        'time_constant', 'second_pole_ratio', 'active_state_order', 'process_noise')),
+    'pi': LawEntry(design_pi, ('pi',)),
+    'dob': LawEntry(design_dob, ('dob',)),
+    'lqg': LawEntry(design_lqg, ('lqg', 'process_noise')),
+    'admittance': LawEntry(design_admittance, ('admittance',)),
+    'impedance': LawEntry(design_impedance, ('impedance',)),
+    'feedforward': LawEntry(design_feedforward, ())}

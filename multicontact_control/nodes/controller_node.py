@@ -12,6 +12,7 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig, parameter, read_yaml, validate
+from multicontact_control.control.controller import Design
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.errors import ConfigError, MessageError, MulticontactError
 from multicontact_control.loop import ControlLoop
@@ -163,15 +164,22 @@ class ControllerNode(ManagedNode):
             'refused': dict(self.refusals.counts), 'unpaired': self._timing.unpaired,
             'restarts': report.restarts, 'events': [*self._loop.events.events]})
 
-    def reconfigure(self, configurations: Sequence[Any]) -> None:
-        """Go on with new configurations from the next sample on; raise if that cannot be."""
+    def design(self, configurations: Sequence[Any]) -> tuple[Design | None, Any]:
+        """Compute what a new configuration of the controller leads to; None if it is as it was."""
         config, node_config = configurations
-        if config != self._loop.config:
-            self._loop.reconfigure(config)
+        if config == self._loop.config:
+            return None, node_config
+        return self._loop.design(config), node_config
+
+    def reconfigure(self, design: tuple[Design | None, Any]) -> None:
+        """Go on with new configurations from the next sample on; raise if that cannot be."""
+        new, node_config = design
+        if new is not None:
+            self._loop.use(new)
         self._node_config, self._loop.limits = node_config, node_config.command
 
-    def statuses(self) -> list[Status]:
-        """Return what diagnostics report."""
+    def statuses(self) -> Iterator[Status | None]:
+        """Yield what diagnostics report, and None for a pause."""
         return self._report.statuses()
 
     def _on_message(self, topic: topics.Topic, data: bytes) -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.geometry import misread_friction
 from multicontact_control.contact.resolution import resolutions, SPREAD
+from multicontact_control.control.controller import ControlOutput
 from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.diagnostics import Inputs, LoopStatistics, message_status, Status
@@ -50,7 +53,8 @@ class ControllerReport:
         self.inputs = Inputs(node, loop.config.rate, *inputs, may_pause=may_pause)
         self.watch = LoopStatistics(loop.config.rate)
         self._publisher = create_publisher(node, topics.STATUS)
-        self.samples = self.restarts = self._refused = self._next_state = self._next_answer = 0
+        self.samples = self.restarts = self._refused = self._told = 0
+        self._next_state = self._next_answer = 0
         self._log_due: dict[str, int] = {}
         self._before: tuple[Any, ...] = (NONE, (), (), '', '')
         self._answered: tuple[Any, ...] = ()
@@ -117,16 +121,21 @@ class ControllerReport:
             self._node.get_logger().warning(text)
         return text
 
-    def _publish(
+    def _publish(self, event: str, *answer: str, **details: Any) -> None:
+        self._told += 1
+        self._publisher.publish(self._state(event, *answer, **details)())
+
+    def _state(
         self, event: str, identifier: str = '', refusal: str = '', *, left_out: str = '',
         readers: int = 0,
-    ) -> None:
+    ) -> Callable[[], DiagnosticStatus]:
+        """Return what builds the message of ~/status on an event."""
         loop, status, reaction = self._loop, self._loop.status or QUIET, self._reaction()
         trouble = refusal or '; '.join(filter(None, (reaction, left_out)))
         text = trouble or loop.push_gate.instruction or (
             'safe behaviour' if loop.supervisor.safe else 'held' if loop.held else
             '; '.join(status.read_before) or 'ok')
-        self._publisher.publish(ControllerStatus(
+        state = ControllerStatus(
             event=event, command=identifier, text=text, life_cycle=self._node.state,
             reaction=status.reaction, causes=' '.join(status.causes),
             contacts=', '.join(f'{name} {state}' for name, state in zip(
@@ -135,29 +144,36 @@ class ControllerReport:
             push_test=loop.push_gate.instruction, unwatched=status.unwatched,
             forces=loop.commanded_forces, left_out=left_out, placing={
                 name: tuple(column.tolist())
-                for name, column in loop.supervisor.task.placing_columns().items()}).message(
-                f'{self._node.get_name()}: status',
-                DiagnosticStatus.WARN if trouble else DiagnosticStatus.OK))
+                for name, column in loop.supervisor.task.placing_columns().items()})
+        return partial(state.message, f'{self._node.get_name()}: status',
+                       DiagnosticStatus.WARN if trouble else DiagnosticStatus.OK)
 
-    def statuses(self) -> list[Status]:
-        """Return what diagnostics report."""
+    def statuses(self) -> Iterator[Status | None]:
+        """Yield what diagnostics report, and None where a sample may come between."""
         loop, timing, active = self._loop, self._timing, self._node.state == ACTIVE
-        self._publish(STATE)
+        told = self._told
+        state = yield from self._node.helper.do(self._state(STATE))
+        if told == self._told:  # else what is newer has been told meanwhile
+            self._publisher.publish(state.result())
+        yield None
         self.watch.missed, timing.skipped = timing.skipped, 0
         warnings = [f'{self.watch.missed} samples without a command'] if self.watch.missed else []
         if active:
             warnings += self._odd_samples()
+        seen = yield from self._node.helper.do(self.watch.report)
+        yield Status('loop', {
+            **seen.result(), 'steps': self.watch.latencies.count,
+            'restarts': self.restarts, 'safe_behaviour': loop.supervisor.safe,
+            'supervised': loop.supervisor.guarded}, '; '.join(warnings))
         held = self.inputs.age(topics.NOISE_VARIANCE) > self.inputs.max_age
-        return [
-            Status('loop', {
-                **self.watch.report(), 'steps': self.watch.latencies.count,
-                'restarts': self.restarts, 'safe_behaviour': loop.supervisor.safe,
-                'supervised': loop.supervisor.guarded}, '; '.join(warnings)),
-            self.inputs.status(
-                needed=active, consequence=': the last R is held' if held else ''),
-            self._publishers(), self._contacts(), self._sensor(),
-            message_status(self._node.refusals, unpaired=timing.unpaired),
-            *([self._supervisor()] if loop.supervisor.guarded else [])]
+        yield self.inputs.status(
+            needed=active, consequence=': the last R is held' if held else '')
+        yield from self._publishers()
+        yield from self._contacts()
+        yield from self._sensor()
+        yield message_status(self._node.refusals, unpaired=timing.unpaired)
+        if loop.supervisor.guarded:
+            yield self._supervisor()
 
     def _odd_samples(self) -> Iterator[str]:
         """Yield what is odd of readings: no pairs, the rate since the last call."""
@@ -182,15 +198,20 @@ class ControllerReport:
             yield self._warn('rate', f'samples come at {new / elapsed:.4g} Hz by their stamps: '
                              f'expected {config.rate:g} Hz')
 
-    def _publishers(self) -> Status:
-        """Return how many publish each input and command; warn with names where several do."""
-        nodes = {name: Counter(x.node_name for x in self._node.get_publishers_info_by_topic(
-            self._node.resolve_topic_name(name))) for name in self._owned}
+    def _publishers(self) -> Iterator[Status | None]:
+        """Yield how many publish each input and command; warn with names where several do."""
+        counted = yield from self._node.helper.do(self._count_publishers)
+        nodes = counted.result()
         several = '; '.join(
             f'{name} has {counts.total()} publishers, expected 1: {_with_counts(counts)}'
             for name, counts in nodes.items() if counts.total() > 1)
-        return Status('publishers', {name: counts.total() for name, counts in nodes.items()},
-                      self._warn('publishers', several))
+        yield Status('publishers', {name: counts.total() for name, counts in nodes.items()},
+                     self._warn('publishers', several))
+
+    def _count_publishers(self) -> dict[str, Counter[str]]:
+        """Return how often each node publishes, by the name of each input and of the command."""
+        return {name: Counter(x.node_name for x in self._node.get_publishers_info_by_topic(
+            self._node.resolve_topic_name(name))) for name in self._owned}
 
     def _supervisor(self) -> Status:
         """Return what the supervisor does, and in how many ticks it did something else."""
@@ -216,12 +237,14 @@ class ControllerReport:
         return '; '.join(
             (f'{status.reaction} instead of control: {causes}', *supervisor.findings))
 
-    def _contacts(self) -> Status:
-        """Return the states of the contacts and R [N^2]; their forces are on topics."""
+    def _contacts(self) -> Iterator[Status | None]:
+        """Yield the states of the contacts and R [N^2]; their forces are on topics."""
         loop, output, config = self._loop, self._loop.output, self._loop.config
         values: dict[str, Any] = {'held': loop.held}
         if output is None:
-            return Status('contacts', values)
+            yield Status('contacts', values)
+            return
+        unreadable = yield from self._node.helper.do(_hard_to_read, config, output)
         trouble: list[str] = []
         if self._timing.variance is not None:
             variances = dict(zip(config.column_names, self._timing.variance.tolist()))
@@ -233,28 +256,38 @@ class ControllerReport:
                 if not bounds.smallest < each < bounds.largest]
         states = dict(zip(config.contact_names, loop.status.contact_states if loop.status else [
             'force' if output.answer['active'][i] else 'motion' for i in config.leaders]))
-        trouble += [f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
-                   f'contacts.{where}.friction_std' for where, what, gain in misread_friction(
-                       config, output.contacts, output.pose.rotation_world)]
         trouble += loop.status.read_before if loop.status else ()
-        trouble += [f'the noise of {each} is above 1/{SPREAD:g} of {each.field} with the tool '
-                    'turned as it is' for each in resolutions(
-                        config, output.controls, output.contacts) if not each.suffices]
+        trouble += unreadable.result()
         trouble += [f'{name} is {state}' for name, state in states.items() if state in TROUBLED]
-        return Status('contacts', values | states, '; '.join(trouble))
+        yield Status('contacts', values | states, '; '.join(trouble))
 
-    def _sensor(self) -> Status:
-        """Return the health of the wrist sensor, and what is still to be proved of it."""
+    def _sensor(self) -> Iterator[Status | None]:
+        """Yield the health of the wrist sensor, and what is still to be proved of it."""
         gate, supervisor = self._loop.push_gate, self._loop.supervisor
-        fault = supervisor.inputs.sensor_fault
-        if stray := '' if gate.running else supervisor.stray_force:
+        felt = yield from self._node.helper.do(lambda: supervisor.stray_force)
+        stray = '' if gate.running else felt.result()
+        if stray:
             self._warn('stray', stray)
+        fault = supervisor.inputs.sensor_fault
         failed = gate.result is not None and not gate.result.passed and not gate.running
-        return Status(
+        yield Status(
             'sensor', {'fault': fault or 'none', 'push_test': gate.instruction or 'none',
                        'force_control': 'allowed' if gate.open else 'disabled'},
             gate.instruction if gate.running or not gate.open else stray,
             f'the readings are {fault}' if fault else gate.instruction if failed else '')
+
+
+def _hard_to_read(config: ControllerConfig, output: ControlOutput) -> list[str]:
+    """Return which forces friction or the noise of the sensor spoil with the tool as it is."""
+    trouble = [
+        f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
+        f'contacts.{where}.friction_std' for where, what, gain in misread_friction(
+            config, output.contacts, output.pose.rotation_world)]
+    noisy = resolutions(config, output.controls, output.contacts)
+    trouble += [
+        f'the noise of {each} is above 1/{SPREAD:g} of {each.field} with the tool turned as it is'
+        for each in noisy if not each.suffices]
+    return trouble
 
 
 def _with_counts(counts: Mapping[str, int]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 import math
 import time
@@ -12,13 +12,16 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from multicontact_control.arrays import Vector
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.graph import create_publisher, Refusals
+from multicontact_control.nodes.helper import Helper
 from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, SIM, Topic
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 
 OURS = (CONTROLLER, ESTIMATOR)  # what publishes inputs of other nodes
-PERIOD = NANOSECONDS
+PERIOD, PAUSE = NANOSECONDS, 5_000_000  # ns, of reports, and between two steps of one
+NO_STEP_LEFT = object()
 STALE_PERIODS = 25  # from which an input at the control rate is stale
 # s: an input is missed after MISSING_AGE; its first message may take DISCOVERY_TIME.
 MISSING_AGE, DISCOVERY_TIME, REMINDER_PERIOD = 1.0, 3.0, 30.0
@@ -47,24 +50,56 @@ def status_message(name: str, status: Status) -> DiagnosticStatus:
             for key, x in status.values.items()])
 
 
-class Diagnostics:
-    """Publishes what `collect` returns of a node, once a second of the wall clock."""
+def report_message(node: Node, statuses: Iterable[Status]) -> bytes:
+    """Return the message of a whole report of a node, serialised."""
+    name = node.get_fully_qualified_name().lstrip('/')
+    message = DiagnosticArray(status=[status_message(name, status) for status in statuses])
+    message.header.stamp = node.get_clock().now().to_msg()
+    return bytes(serialize_message(message))
 
-    def __init__(self, node: Node, collect: Callable[[], Sequence[Status]]) -> None:
-        self._node, self._collect = node, collect
+
+class Diagnostics:
+    """
+    Publishes what `collect` yields of a node, once a second of the wall clock.
+
+    No sample waits for a whole report: it is made step by step, with `PAUSE` between two of them,
+    and the message by the helper.
+    `collect` yields None where its own work may pause.
+    """
+
+    def __init__(
+        self, node: Node, collect: Callable[[], Iterable[Status | None]], helper: Helper,
+    ) -> None:
+        self._node, self._collect, self._helper = node, collect, helper
         self._publisher = create_publisher(node, topics.DIAGNOSTICS)
-        self._next = time.monotonic_ns() + PERIOD
+        self._next = self._due = time.monotonic_ns() + PERIOD  # report, and step
+        self._steps: Iterator[None] | None = None  # of the report that is being made
+
+    def restart(self) -> None:
+        """Drop the report that is being made: what it tells of has gone."""
+        self._steps, self._due = None, self._next
 
     def poll(self) -> None:
-        """Publish if a second has passed; called by the node's loop, which knows when it can."""
+        """Do a step if it is due; called by the node's loop, which knows when it can."""
         now = time.monotonic_ns()
-        if now >= self._next:
+        if now < self._due:
+            return
+        self._due = now + PAUSE
+        if self._steps is None:
+            self._steps = self._report()
             self._next = max(self._next + PERIOD, now + PERIOD // 2)  # no burst after a pause
-            name = self._node.get_fully_qualified_name().lstrip('/')
-            message = DiagnosticArray(status=[status_message(name, status)
-                                              for status in self._collect()])
-            message.header.stamp = self._node.get_clock().now().to_msg()
-            self._publisher.publish(message)
+        if next(self._steps, NO_STEP_LEFT) is NO_STEP_LEFT:
+            self._steps, self._due = None, self._next
+
+    def _report(self) -> Iterator[None]:
+        """Publish one report, and yield between its steps."""
+        statuses = []
+        for status in self._collect():
+            yield
+            if status is not None:
+                statuses.append(status)
+        message = yield from self._helper.do(report_message, self._node, statuses)
+        self._publisher.publish(message.result())
 
 
 class DurationLog:
@@ -87,9 +122,12 @@ class DurationLog:
     def percentiles(self, since: int = 0, expected: float = 0.0) -> dict[str, float | None]:
         """Return median, tails and maximum of what is not as `expected` [us]; None without any."""
         off = np.abs(self.microseconds(since) - expected)
-        values = np.percentile(off, list(PERCENTILES.values())).round(3).tolist() if (
-            off.size) else [None] * len(PERCENTILES)
-        return dict(zip(PERCENTILES, values))
+        if not off.size:
+            return dict.fromkeys(PERCENTILES)
+        off.sort()  # np.percentile takes several times as long
+        places = np.array([*PERCENTILES.values()]) / 100.0 * (off.size - 1)
+        values = np.interp(places, np.arange(off.size), off).round(3)
+        return dict(zip(PERCENTILES, values.tolist()))
 
 
 class LoopStatistics:
@@ -166,9 +204,11 @@ class Inputs:
 
     def _remind(self, topic: Topic) -> None:
         """Log that a topic is missing, if it is and that was not logged a short while ago."""
-        missing, now = self._missing(topic), time.monotonic_ns()
-        logged = self._reminded.get(topic)
-        if missing and (logged is None or now >= logged + REMINDER_PERIOD * NANOSECONDS):
+        now, logged = time.monotonic_ns(), self._reminded.get(topic)
+        if logged is not None and now < logged + REMINDER_PERIOD * NANOSECONDS:
+            return  # what is missing takes long to find out
+        missing = self._missing(topic)
+        if missing:
             self._reminded[topic] = now
             self._node.get_logger().warning(missing)
 

@@ -26,6 +26,7 @@ from multicontact_control.config import Config, parameter
 from multicontact_control.config import Vector as Numbers
 from multicontact_control.errors import ConfigError, MulticontactError, RunError
 from multicontact_control.nodes import diagnostics, graph, messages, qos, topics
+from multicontact_control.nodes.helper import Helper
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import one_line, run_node, Spinner
 from multicontact_control.nodes.streams import MessageReader, StreamPublisher
@@ -158,7 +159,7 @@ class FrankaBridge(Node):
                 (sensor, messages.read_wrench))}
         self._watch = diagnostics.LoopStatistics(1.0 / CYCLE)
         self._inputs = diagnostics.Inputs(self, 1.0 / (CYCLE * self._config.divider), sensor)
-        self._diagnostics = diagnostics.Diagnostics(self, self._statuses)
+        self._diagnostics = diagnostics.Diagnostics(self, self._statuses, Helper())
         self._status_publisher = self.create_publisher(DiagnosticStatus, '~/status', qos.EVENT)
         self._reported: tuple[float, tuple[str, ...]] = (0.0, (self._problem,))
         self._ending, self._recovery, self._recovered = False, Event(), Event()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 import gc
 import sys
@@ -15,6 +15,8 @@ from multicontact_control.config import Config
 from multicontact_control.errors import MulticontactError
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
 from multicontact_control.nodes.graph import Refusals, StartupConfig, StartupGate
+from multicontact_control.nodes.helper import Helper
+from multicontact_control.nodes.live_changes import LiveChanges
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.private import change_state_service, RCLError
 from multicontact_control.nodes.runtime import AUTOSTART, Spinner
@@ -34,7 +36,7 @@ class ManagedNode(LifecycleNode):
     A transition that fails says why in one line and leaves the node where it was. rclpy calls
     callbacks in every state: they look at `state`. A node is `working` once it is active and its
     peers are there. `look` is called at `due` at the latest, monotonic time [ns]; 0 for now and
-    then.
+    then. What takes longer than a sample may wait is for the `helper`.
     """
 
     def __init__(self, name: str, *models: type[Config], **options: Any) -> None:
@@ -43,9 +45,10 @@ class ManagedNode(LifecycleNode):
         self.refusals = Refusals(self.get_logger())
         self.parameter_set = ParameterSet(self, *models)
         self.parameter_set.refuse = self.refusals.refuse
-        self._diagnostics = Diagnostics(self, lambda: [
-            Status('life cycle', {'state': self.state}),
-            *(self.statuses() if self.state in (ACTIVE, INACTIVE) else ())])
+        self.parameter_set.design = self.design
+        self.helper = Helper()
+        self._changes = LiveChanges(self, self.parameter_set, self.helper)
+        self._diagnostics = Diagnostics(self, self._all_statuses, self.helper)
         self._gate: StartupGate | None = None
         self._gate_passed, self._failure = False, MulticontactError('the node cannot be started')
         service = change_state_service(self)
@@ -65,14 +68,18 @@ class ManagedNode(LifecycleNode):
         """Write the counts of the run; the ends of topics are destroyed by themselves."""
 
     @abstractmethod
-    def statuses(self) -> Sequence[Status]:
-        """Return what diagnostics report."""
+    def statuses(self) -> Iterable[Status | None]:
+        """Yield what diagnostics report, and None where a sample may come between."""
 
     def deactivate(self) -> None:
         """Stop the node's work; by itself it gives no more answers."""
 
-    def reconfigure(self, configurations: Sequence[Any]) -> None:
-        """Go on with new configurations, or raise `MulticontactError` and change nothing."""
+    def design(self, configurations: Sequence[Any]) -> Any:
+        """Return what new configurations lead to, or raise; called in another thread."""
+        return configurations
+
+    def reconfigure(self, design: Any) -> None:
+        """Go on with what new configurations lead to, or raise and change nothing."""
 
     def look(self, spinner: Spinner) -> None:
         """Do what is due; called after each callback, at `due`, and when the gate has opened."""
@@ -101,7 +108,13 @@ class ManagedNode(LifecycleNode):
             self.working = self._gate_passed = self._gate.poll()
         if self.working or self.state == INACTIVE:
             self.look(spinner)
+        self._changes.poll()
         self._diagnostics.poll()
+
+    def _all_statuses(self) -> Iterator[Status | None]:
+        yield Status('life cycle', {'state': self.state})
+        if self.state in (ACTIVE, INACTIVE):
+            yield from self.statuses()
 
     def close(self) -> None:
         """Leave what a configured node leaves at its end."""
@@ -113,6 +126,7 @@ class ManagedNode(LifecycleNode):
         def work() -> None:
             self.configure(self.parameter_set.configurations())
             self.parameter_set.use = self.reconfigure
+            self.parameter_set.version += 1
             settle_process()
         return self._attempt('configure', work, INACTIVE)
 
@@ -143,6 +157,7 @@ class ManagedNode(LifecycleNode):
         """Close, and destroy the ends of topics and services that `configure` has created."""
         self.close()
         self.parameter_set.use = None
+        self._diagnostics.restart()
         if self._gate is not None:
             self._lasting.append(self._gate.marker)
         self._gate, self.working, self.due = None, False, 0

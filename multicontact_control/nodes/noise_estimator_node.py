@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 import sys
 import time
@@ -102,14 +102,13 @@ class NoiseEstimatorNode(ManagedNode):
                 if self._last_answer:
                     self._publisher.publish(self._last_answer)
 
-    def statuses(self) -> list[Status]:
-        """Return what diagnostics report."""
-        return [
-            Status('loop', {**self._watch.report(), 'samples': self._samples}),
-            self._inputs.status(needed=self.state == ACTIVE),
-            message_status(self.refusals, dropped=self._estimator.dropped, **{
-                f'{name} at_a_bound_of_noise_variance': int(count) for name, count in zip(
-                    self._config.contact_names, self._estimator.bounded)})]
+    def statuses(self) -> Iterator[Status]:
+        """Yield what diagnostics report."""
+        yield Status('loop', {**self._watch.report(), 'samples': self._samples})
+        yield self._inputs.status(needed=self.state == ACTIVE)
+        yield message_status(self.refusals, dropped=self._estimator.dropped, **{
+            f'{name} at_a_bound_of_noise_variance': int(count) for name, count in zip(
+                self._config.contact_names, self._estimator.bounded)})
 
 
 def main() -> int:

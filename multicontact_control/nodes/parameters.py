@@ -27,6 +27,7 @@ from multicontact_control.errors import check_all, ConfigError, MulticontactErro
 from multicontact_control.nodes.private import parameter_overrides
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -66,8 +67,9 @@ class ParameterSet:
     Declares the parameters of models.
 
     While `use` is None all of them may change, to be validated when they are used; else only
-    those that are live: `use` takes the configurations with a change, or raises, and `refuse`
-    hears the name and error of a change that is not taken.
+    those that are live: `use` takes what `design` makes of the configurations with a change, or
+    either raises, and `refuse` hears the name and error of a change that is not taken. `version`
+    counts what makes a design that was begun before out of date.
     """
 
     def __init__(self, node: Node, *models: type[Config]) -> None:
@@ -83,7 +85,10 @@ class ParameterSet:
             self._live[name] = descriptor.additional_constraints != LOCKED
             node.declare_parameter(name, _plain(value), descriptor, ignore_override=True)
         self._unknown = {name: x for name, x in given.items() if name not in self._live}
-        self.use: Callable[[Sequence[Any]], None] | None = None
+        self.design: Callable[[Sequence[Any]], Any] = lambda configurations: configurations
+        self.use: Callable[[Any], None] | None = None
+        self.version = 0
+        self._designed: Callable[[], Any] | None = None  # of the change that is under way
         self.refuse: Callable[[str, Exception], None] = lambda name, error: None
         node.add_on_set_parameters_callback(self._on_set)
 
@@ -110,15 +115,37 @@ class ParameterSet:
         """Return the present value of a parameter, None if it has none."""
         return _plain(self._node.get_parameter_or(name).value)
 
+    def design_change(self, parameters: Sequence[Parameter]) -> Any:
+        """Return what a change leads to, or raise; another thread may wait for it."""
+        changes = self._known(parameters)
+        for name, value in changes.items():
+            if value is None or not self._live[name] and value != self.value(name):
+                raise ConfigError(name, hint=f'{LOCKED}; it stays {self.value(name)}')
+        return self.design(self.configurations(changes))
+
+    def set(
+        self, parameters: Sequence[Parameter], designed: Callable[[], Any],
+    ) -> SetParametersResult:
+        """Change parameters at once; `designed` returns or raises as `design_change` did."""
+        self._designed = designed
+        try:
+            return self._node.set_parameters_atomically(parameters)
+        except ParameterNotDeclaredException as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        finally:
+            self._designed = None
+
+    def _known(self, parameters: Sequence[Parameter]) -> dict[str, Any]:
+        return {x.name: _plain(x.value) for x in parameters if x.name in self._live}
+
     def _on_set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        changes = {x.name: _plain(x.value) for x in parameters if x.name in self._live}
+        changes = self._known(parameters)
         if self.use is None or not changes:
             return SetParametersResult(successful=True)
+        designed = self._designed or partial(self.design_change, parameters)
         try:
-            for name, value in changes.items():
-                if value is None or not self._live[name] and value != self.value(name):
-                    raise ConfigError(name, hint=f'{LOCKED}; it stays {self.value(name)}')
-            self.use(self.configurations(changes))
+            self.use(designed())
+            self.version += 1
         except Exception as error:
             if not isinstance(error, MulticontactError):  # a mistake here: not for the arm to pay
                 self._node.get_logger().error(traceback.format_exc())

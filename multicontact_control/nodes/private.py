@@ -6,7 +6,9 @@ Another release of rclpy may need another way here, and nowhere else.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
 
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -15,7 +17,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.service import Service
 
-__all__ = ['change_state_service', 'parameter_overrides', 'RCLError', 'RcutilsLogger']
+__all__ = [
+    'answer_later', 'change_state_service', 'parameter_overrides', 'RCLError', 'RcutilsLogger']
 # RCLError is what a transition that is not possible now raises, RcutilsLogger what a node's
 # `get_logger` returns: neither has a public name.
 
@@ -38,3 +41,25 @@ def change_state_service(node: LifecycleNode) -> Service:
     to be wrapped.
     """
     return node._service_change_state
+
+
+def answer_later(
+    service: Service, take_in: Callable[[Any, Callable[[Any], None]], None],
+) -> None:
+    """
+    Let requests of a service be answered when their callback has long returned.
+
+    `take_in` is called with each request and with what sends a response to it. The events executor
+    knows no coroutines as callbacks of services: it calls `callback`, then `send_response`.
+    """
+    send = service.send_response
+    newest: list[Any] = []
+
+    def callback(request: Any, response: Any) -> Any:
+        newest[:] = [request]
+        return response
+
+    def send_response(_response: Any, header: Any) -> None:
+        take_in(newest.pop(), partial(send, header=header))
+
+    service.callback, service.send_response = callback, send_response

@@ -20,6 +20,7 @@ from multicontact_control.config import parameter
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import graph, qos
 from multicontact_control.nodes.diagnostics import Diagnostics, Status
+from multicontact_control.nodes.helper import Helper
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.topics import CONTROLLER, RECORDER, Topic, TOPICS
@@ -115,7 +116,7 @@ class RecorderNode(Node):
                     qos.profile(qos.STREAM.depth, latched=latched), raw=True)))
         self._lost: Counter[str] = Counter()  # messages by topic, since the first of each
         self._next_flush = 0.0
-        self._diagnostics = Diagnostics(self, self._statuses)
+        self._diagnostics = Diagnostics(self, self._statuses, Helper())
         self._gate = graph.StartupGate(self, self._config)
 
     def run(self, spinner: Spinner) -> None:

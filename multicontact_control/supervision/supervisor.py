@@ -8,7 +8,7 @@ from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.control.arm import AMBIGUOUS, ArmState, PASSED, RELEASE, TOUCHED
-from multicontact_control.control.controller import Controller, ControlOutput
+from multicontact_control.control.controller import Controller, ControlOutput, Design
 from multicontact_control.control.tasks import TaskSource
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, MulticontactError, SingularTaskError
@@ -71,6 +71,7 @@ class Supervisor:
         self._steadiness = reactions.Steadiness(config.period)
         self._adopt(config)
         checks.check_plausibility(*self._answered)  # compiled here: no sample waits for it
+        operational_wrench(self._controls[0], np.zeros(6))
         self.reset()
 
     def reset(self) -> None:
@@ -440,11 +441,10 @@ class Supervisor:
             self._task_ticks * self._period, self._unwatched() if self._seen.unheard else '',
             self.task.read_before if self.task.reads_before else ()) if self.guarded else None
 
-    def reconfigure(self, config: ControllerConfig) -> None:
-        """Go on with other live parameters, without a jump; or ConfigError, as it was before."""
-        self.controller.check(config)
-        self.controller.reconfigure(config)
-        self._adopt(config)
+    def use(self, design: Design) -> None:
+        """Go on with other live parameters, without a jump; see `Controller.design`."""
+        self.controller.use(design)
+        self._adopt(design.config)
         self.gate.go_over()
 
     def _adopt(self, config: ControllerConfig) -> None:

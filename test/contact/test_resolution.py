@@ -69,7 +69,7 @@ def test_contacts_far_enough_apart_are_accepted_and_their_noise_is_told():
     contacts = {**config.contacts, 'board': config.contacts['board'].model_copy(
         update={'point_operational': (0.004, 0.0, 0.214)})}
     with pytest.raises(ConfigError, match='forces whose noise'):
-        loop.supervisor.controller.check(config.model_copy(update={'contacts': contacts}))
+        loop.supervisor.controller.design(config.model_copy(update={'contacts': contacts}))
 
 
 @pytest.mark.parametrize(('half_length', 'accepted'), [(0.05, True), (0.01, True), (0.004, False)])

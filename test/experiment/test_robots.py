@@ -108,7 +108,7 @@ def test_push_test_names_the_fault_of_the_mounting(plant, mounting, verdict):
         loop.advance()
     tool = control.config.tool.model_copy(
         update={'bias_sensor': tuple(control.tare().tolist())})
-    control.supervisor.reconfigure(control.config.model_copy(update={'tool': tool}))
+    control.reconfigure(control.config.model_copy(update={'tool': tool}))
     control.push_test(CONFIG)
     for tick in itertools.count(150):
         if gate.result is not None:

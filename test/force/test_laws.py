@@ -1,5 +1,6 @@
 """Every force law against its own equations, on the contact of eq. 32, and when it takes over."""
 
+from dataclasses import asdict
 from functools import cache
 import re
 import shlex
@@ -7,7 +8,14 @@ from typing import get_args
 
 from multicontact_control.cli.options import Law, SetupOptions
 from multicontact_control.config import ForceConfig, read_yaml
-from multicontact_control.config.force import LawName
+from multicontact_control.config.force import (
+    AdmittanceConfig,
+    DobConfig,
+    ImpedanceConfig,
+    LawName,
+    LqgConfig,
+    PiConfig,
+)
 from multicontact_control.experiment.law_report import (
     contact_loop,
     design_for_range,
@@ -23,6 +31,7 @@ from multicontact_control.force.force_law import (
     answer_forces,
     continue_laws,
     design_law,
+    largest_ratio,
     loop_model,
     make_force_laws,
     step_linear,
@@ -38,6 +47,14 @@ import pytest
 
 H, K, DELAY = 0.002, 6000.0, 0.006
 LINEAR = [name for name in LAWS if name != 'aob']
+OTHER_GAINS = {
+    'time_constant': 0.031, 'second_pole_ratio': 1.7, 'active_state_order': 2,
+    'process_noise': 2.3e-3, 'fed_forward': 'estimate',
+    'pi': PiConfig(bandwidth=11.0, integral_rate=3.0, filter_cutoff=19.0),
+    'dob': DobConfig(observer_bandwidth=31.0, bandwidth=17.0),
+    'lqg': LqgConfig(noise_variance=1.3, input_weight=2.0),
+    'admittance': AdmittanceConfig(bandwidth=13.0, inertia_time=0.007, integral_rate=3.0),
+    'impedance': ImpedanceConfig(natural_frequency=21.0)}
 INTEGRATING = ('aob', 'pi', 'dob', 'lqg', 'admittance')
 
 
@@ -230,3 +247,27 @@ def test_registry_has_every_law_in_every_place():
     assert set(read_yaml(config_dir() / 'tuning.yaml')) == names
     presets = {path.stem for path in (config_dir() / 'presets/laws').glob('*.yaml')}
     assert presets == names - {'aob'}  # `paper`, `best`, `adaptive`
+
+
+@pytest.mark.parametrize('name', LAWS)
+def test_design_depends_on_the_gains_that_its_law_says_it_reads_and_on_no_others(name):
+    config = config_of(name)
+    model = loop_model(config, K)
+    before = design_law(name, config.force, model)
+    for field, other in OTHER_GAINS.items():
+        force = config.force.model_copy(update={field: other})
+        direct, design = LAWS[name].design(model, force), design_law(name, force, model)
+        assert (design is before) == (field not in LAWS[name].reads), field
+        np.testing.assert_equal(asdict(design), asdict(direct))
+
+
+def test_live_change_of_what_adaptive_limits_do_not_read_computes_none_anew():
+    config = resolve('quick', preset='adaptive').controller
+    laws, known = make_force_laws(config), largest_ratio.cache_info().misses
+    for field in set(OTHER_GAINS) - set(LAWS['aob'].reads):
+        force = config.force.model_copy(update={field: OTHER_GAINS[field]})
+        make_force_laws(config.model_copy(update={'force': force}))
+    assert largest_ratio.cache_info().misses == known
+    force = config.force.model_copy(update={'time_constant': OTHER_GAINS['time_constant']})
+    limits = make_force_laws(config.model_copy(update={'force': force}))['stiffness']
+    assert (limits['ratio_limit'] != laws['stiffness']['ratio_limit']).all()

@@ -282,7 +282,7 @@ class Live:
 
     def values(self, part):
         """Return the values of a part of the diagnostics."""
-        return next(x.values for x in self.node.statuses() if x.part == part)
+        return next(x.values for x in self.node.statuses() if x and x.part == part)
 
     def restart(self):
         assert self.node.trigger_deactivate() == self.node.trigger_activate() == SUCCESS

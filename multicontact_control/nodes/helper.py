@@ -1,0 +1,24 @@
+"""A thread beside that of a node, for what no sample is to wait for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, TypeVar
+
+T = TypeVar('T')
+Pausing = Generator[None, None, T]  # yields where a sample may come between, and returns T
+
+
+class Helper:
+    """Does one thing after the other; its thread starts with the first."""
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, 'helper')
+
+    def do(self, work: Callable[..., T], *arguments: Any) -> Pausing[Future[T]]:
+        """Yield until the thread has done some work; return its outcome."""
+        outcome = self._thread.submit(work, *arguments)
+        while not outcome.done():
+            yield
+        return outcome
