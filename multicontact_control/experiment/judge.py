@@ -73,7 +73,8 @@ class Event(NamedTuple):
 
 def read_event(time: float, what: str) -> Event:
     """Return what a line of the log says."""
-    reaction, reasons, states = what.split(' | ')
+    # Behind these, in words: what was read of contacts before a touch.
+    reaction, reasons, states, *_ = what.split(' | ')
     names = reasons.split()
     return Event(
         time, reaction, tuple(name for name in names if name not in LIMITS),
