@@ -7,7 +7,14 @@ from multicontact_control.cli.run import end_by_verdict
 from multicontact_control.experiment import figures
 from multicontact_control.experiment.claims import claims_of
 from multicontact_control.experiment.display import print_summary, summary_rows, verdict_lines
-from multicontact_control.experiment.judge import HELD, INTERRUPTED, judge, NOT_STABLE, STABLE
+from multicontact_control.experiment.judge import (
+    HELD,
+    INTERRUPTED,
+    judge,
+    NOT_STABLE,
+    read_event,
+    STABLE,
+)
 from multicontact_control.experiment.metrics import RunMetrics
 from multicontact_control.experiment.results import summarise
 from multicontact_control.experiment.scenario import resolve
@@ -278,6 +285,12 @@ def test_loss_that_the_controller_alone_sees_is_named_as_such(setup, data):
     rows = {label: cells for label, *cells in summary_rows(summary)}
     assert rows['contact lost [times]'] == ['0', '0']
     assert rows['lost to the controller [times]'] == ['0', '1']
+
+
+def test_event_is_read_with_what_was_read_of_contacts_before_a_touch():
+    event = read_event(1.0, 'hold | joints_stale | free, force | table: read 3 N before a touch')
+    assert (event.reaction, event.causes) == ('hold', ('joints_stale',))
+    assert event.contact_states == ('free', 'force')
 
 
 def test_claims_of_the_paper_are_printed_in_a_narrow_terminal():
