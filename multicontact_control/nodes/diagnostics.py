@@ -24,7 +24,7 @@ PERIOD, PAUSE = NANOSECONDS, 5_000_000  # ns, of reports, and between two steps 
 NO_STEP_LEFT = object()
 STALE_PERIODS = 25  # from which an input at the control rate is stale
 # s: an input is missed after MISSING_AGE; its first message may take DISCOVERY_TIME.
-MISSING_AGE, DISCOVERY_TIME, REMINDER_PERIOD = 1.0, 3.0, 30.0
+MISSING_AGE, DISCOVERY_TIME = 1.0, 3.0
 CAPACITY = 1 << 18  # durations: 8 minutes at 500 Hz
 PERCENTILES = {'p50': 50.0, 'p99': 99.0, 'p999': 99.9, 'max': 100.0}
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -178,7 +178,7 @@ class Inputs:
     def restart(self) -> None:
         """Wait for all of them from now on."""
         self.last, self._since = dict.fromkeys(self.last, 0), time.monotonic_ns()
-        self._reminded: dict[Topic, int] = {}  # of what is missing, when that was last logged [ns]
+        self._missed: set[Topic] = set()  # what was said to be missing
 
     def age(self, topic: Topic) -> float:
         """Return how long ago an input came last [s], infinity if it never has."""
@@ -189,28 +189,25 @@ class Inputs:
         """Return ages; if `needed`, which are above `max_age`, and what is done about it."""
         ages = {topic: self.age(topic) for topic in self.last}
         stale = {topic: age for topic, age in ages.items() if needed and age > self.max_age}
-        for topic in self.last:
-            if topic in stale:
-                self._remind(topic)
-            elif needed and topic in self._reminded:
-                del self._reminded[topic]
-                self._node.get_logger().warning(
-                    f'messages on {self._node.resolve_topic_name(topic.name)} come now')
+        if needed:
+            for topic in ages:
+                self._log_change(topic, topic in stale)
         warning = ', '.join(f'no {topic.name} ' + (
             f'for {age:.3g} s' if age < math.inf else 'ever') for topic, age in stale.items())
         return Status('inputs', {
             f'age_s {topic.name}': age if age < math.inf else None for topic, age in ages.items()},
             warning and warning + consequence)
 
-    def _remind(self, topic: Topic) -> None:
-        """Log that a topic is missing, if it is and that was not logged a short while ago."""
-        now, logged = time.monotonic_ns(), self._reminded.get(topic)
-        if logged is not None and now < logged + REMINDER_PERIOD * NANOSECONDS:
+    def _log_change(self, topic: Topic, stale: bool) -> None:
+        """Log once that a topic is missing, and once that it comes again."""
+        if stale == (topic in self._missed):
             return  # what is missing takes long to find out
-        missing = self._missing(topic)
-        if missing:
-            self._reminded[topic] = now
-            self._node.get_logger().warning(missing)
+        change = f'messages on {self._node.resolve_topic_name(topic.name)} come now'
+        if stale:
+            change = self._missing(topic)
+        if change:
+            self._missed ^= {topic}
+            self._node.get_logger().warning(change)
 
     def _missing(self, topic: Topic) -> str:
         """Return what is expected of a topic that is missing for long, and what there is."""

@@ -56,6 +56,7 @@ AXES_FORCE, AXES_LIKE, AXES_UNLIKE = 3.0, 0.2, 0.5
 # Every exchange of axes, each of them in either direction, shape (48, 3, 3).
 EXCHANGES = np.array([np.diag(signs)[:, order] for order in map(list, permutations(range(3)))
                       for signs in product((1.0, -1.0), repeat=3)])
+EXCHANGED = (EXCHANGES != np.eye(3)).any(axis=2).sum(axis=1)  # how many axes are others in each
 # What to say of a residual that follows each of `REGRESSORS`.
 FOLLOWED = (
     'follows the sign of the speed: {} N m of friction that friction.coulomb does not declare',
@@ -259,9 +260,10 @@ def explain_axes(
     if not size > AXES_FORCE or not np.linalg.norm(read - shown) > AXES_UNLIKE * size:
         return ''
     errors = np.linalg.norm(EXCHANGES @ shown - read, axis=1)
-    exchange = EXCHANGES[np.argmin(errors)]
     if errors.min() > AXES_LIKE * size:
         return ''
+    # Of exchanges that are alike, as of two equal forces, the least.
+    exchange = EXCHANGES[np.argmin(errors + 0.5 * AXES_LIKE * size * EXCHANGED)]
     told = []
     for i, row in enumerate(exchange):
         axis = int(np.argmax(np.abs(row)))
