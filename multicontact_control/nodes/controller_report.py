@@ -152,7 +152,9 @@ class ControllerReport:
         """Yield what diagnostics report, and None where a sample may come between."""
         loop, timing, active = self._loop, self._timing, self._node.state == ACTIVE
         told = self._told
-        state = yield from self._node.helper.do(self._state(STATE))
+        build_message = self._state(STATE)
+        yield None
+        state = yield from self._node.helper.do(build_message)
         if told == self._told:  # else what is newer has been told meanwhile
             self._publisher.publish(state.result())
         yield None

@@ -1,4 +1,4 @@
-"""Parameters that change while samples come: what takes long is computed beside them."""
+"""What takes long beside samples: parameters that change, and diagnostics."""
 
 from threading import Event
 
@@ -11,6 +11,9 @@ from rclpy.parameter import Parameter
 from ros_graph import wait_for
 
 pytestmark = pytest.mark.ros
+
+PARTS = ['life cycle', 'loop', 'inputs', 'publishers', 'contacts', 'sensor', 'messages',
+         'supervisor']
 
 
 class Asker:
@@ -93,3 +96,25 @@ def test_change_that_is_made_meanwhile_is_kept(arm, controller, asker, released)
     config = controller._loop.config
     assert future.result().results[0].successful
     assert (config.force.time_constant, config.motion.natural_frequency) == (0.05, 15.0)
+
+
+def test_diagnostics_collect_one_part_a_turn_and_are_one_report(arm, controller, monkeypatch):
+    diagnostics, collected, per_turn = controller._diagnostics, [], []
+    collect, poll = diagnostics._collect, diagnostics.poll
+
+    def collect_watched():
+        for status in collect():
+            collected.append(status)
+            yield status
+
+    def poll_watched():
+        before = len(collected)
+        poll()
+        per_turn.append(len(collected) - before)
+
+    monkeypatch.setattr(diagnostics, '_collect', collect_watched)
+    monkeypatch.setattr(diagnostics, 'poll', poll_watched)
+    wait_for(lambda: arm.step() is not None and sum(map(bool, collected)) >= len(PARTS),
+             'a whole report')
+    assert max(per_turn) == 1
+    assert list(arm.diagnostics(lambda parts: True)) == PARTS
