@@ -148,7 +148,7 @@ def test_a_quarter_of_the_situations_is_safe(tmp_path):
     """On every arm that is installed; `multicontact study situations` has all of them."""
     results = run_study(study('situations', seed=(0,)), tmp_path, console=QUIET)
     frame = results.frame
-    assert len(frame) >= 200 and frame['part'].nunique() == 10
+    assert len(frame) >= 200 and frame['part'].nunique() == 11
     unsafe = frame[~frame['safe']]
     assert unsafe.empty, unsafe[['part', 'robot', 'what', 'problems']].to_string()
 
