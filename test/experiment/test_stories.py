@@ -86,26 +86,6 @@ def test_encoders_of_12_bits_beside_measured_speeds_press_and_slide(plant):
     assert run.reactions == {'none'} and np.max(run.forces) < 1.3 * FORCE
 
 
-@pytest.mark.parametrize('preset', ['best', 'adaptive'])
-def test_surface_of_a_million_newtons_per_metre_is_held_without_swinging(preset):
-    """170 times as stiff as the model, approached as slowly as that asks for."""
-    table = {'contact_names': ['table']}
-    loop = ClosedLoop(resolve(
-        'one_contact', plant='puma', preset=preset, noise_estimator=table,
-        controller={**table, 'contact_state': {'approach_speed': 0.005}},
-        plant_overrides={**table, 'surfaces': {'table': {'stiffness': 1e6}}}), commanded=True)
-    with closing(loop):
-        for _ in range(20):
-            loop.advance()
-        loop.control.set_forces({'table': FORCE})
-        forces = []
-        for _ in range(2500):
-            loop.advance()
-            forces.append(loop.sample.contact_force[0])
-    np.testing.assert_allclose(np.mean(forces[-500:]), FORCE, atol=0.3)
-    assert np.std(forces[-500:]) < 0.3
-
-
 def test_slow_slide_with_friction_in_joints_and_on_surfaces_does_not_stick_and_slip():
     run = pressing('puma', plant_overrides=surfaces(friction=0.4, slip_speed=1e-3))
     with closing(run.loop):

@@ -67,17 +67,17 @@ def refute(loop):
 @pytest.mark.slow
 def test_hold_of_refuted_velocities_keeps_its_place_against_a_push(plant='rigid'):
     for wrong in WRONG.values():
-        held_against_a_push(plant, wrong)
+        assert_held_against_a_push(plant, wrong)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize('name', ARMS)
 @pytest.mark.parametrize('wrong', list(WRONG))
 def test_hold_of_refuted_velocities_keeps_the_place_of_every_arm(name, wrong):
-    held_against_a_push(f'{name}/rigid', WRONG[wrong])
+    assert_held_against_a_push(f'{name}/rigid', WRONG[wrong])
 
 
-def held_against_a_push(plant, wrong):
+def assert_held_against_a_push(plant, wrong):
     """Push an arm with wrong velocities: it is held where that began, also at rest if refuted."""
     with make_loop(plant) as loop:
         loop.plant.push(PUSH, 1.5, tool=True)

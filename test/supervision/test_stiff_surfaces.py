@@ -23,15 +23,12 @@ def contact_of(**values):
     return contact[0]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('robot', robot_parameters(['puma', 'panda', 'iiwa', 'ur5']))
-def test_steel_that_the_controller_is_told_of_is_met_and_held_within_a_few_newtons(robot):
-    stiff = {'table': {'stiffness': STEEL}}
-    surface = {'table': {'stiffness': STEEL, 'roughness_std': SMOOTH}}
+def press(controller, surface, **arguments):
+    """Return the forces of 5 s on a table [N]."""
+    table = {'contact_names': ['table']}
     setup = resolve(
-        'one_contact', robot=robot, plant='rigid', noise_estimator={'contact_names': ['table']},
-        controller={'contact_names': ['table'], 'contacts': stiff},
-        plant_overrides={'contact_names': ['table'], 'surfaces': surface})
+        'one_contact', noise_estimator=table, controller={**table, **controller},
+        plant_overrides={**table, 'surfaces': {'table': surface}}, **arguments)
     with closing(ClosedLoop(setup, commanded=True)) as loop:
         for _ in range(50):
             loop.advance()
@@ -40,8 +37,25 @@ def test_steel_that_the_controller_is_told_of_is_met_and_held_within_a_few_newto
         for _ in range(2500):
             loop.advance()
             forces.append(loop.sample.contact_force[0])
-    assert max(forces) < FORCE + 10.0
+    return np.array(forces)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('robot', robot_parameters(['puma', 'panda', 'iiwa', 'ur5']))
+def test_steel_that_the_controller_is_told_of_is_met_and_held_within_a_few_newtons(robot):
+    forces = press({'contacts': {'table': {'stiffness': STEEL}}},
+                   {'stiffness': STEEL, 'roughness_std': SMOOTH}, robot=robot, plant='rigid')
+    assert forces.max() < FORCE + 10.0
     np.testing.assert_allclose(forces[-300:], FORCE, atol=1.0)
+
+
+@pytest.mark.parametrize('preset', ['best', 'adaptive'])
+def test_steel_that_is_not_told_of_is_held_without_swinging_if_it_is_approached_slowly(preset):
+    """170 times as stiff as the model, on flexible drives with friction."""
+    forces = press({'contact_state': {'approach_speed': 0.005}}, {'stiffness': STEEL},
+                   plant='puma', preset=preset)
+    np.testing.assert_allclose(forces[-500:].mean(), FORCE, atol=0.3)
+    assert forces[-500:].std() < 0.3
 
 
 @pytest.mark.parametrize(('stiffness', 'mass', 'speed'), [
