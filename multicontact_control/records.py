@@ -165,7 +165,7 @@ CONTACT = np.dtype([
     ('surface_speed_est', F),  # what is added to the configured speed, estimated [m/s]
     ('friction', F, 3),  # found, world axes [N]
     ('stiffness', F),  # k of the model in use [N/m]
-    ('mass', F),  # what moves along N, 1 / (N^T Lambda^-1 N) [kg]
+    ('mobility', F),  # N^T Lambda^-1 N of the newest answer, 0 before the first [1/kg]
     ('stiffness_est', F), ('stiffness_std', F),  # estimate of k, 0 for none; its error [N/m]
     ('ratio_bound', F),  # largest likely true stiffness over that of the model in use
     ('margin', F),  # largest ratio at which the force loop is stable, over that one

@@ -14,7 +14,7 @@ from multicontact_control.dynamics.operational_space import (
     mobility_and_inertia,
 )
 from multicontact_control.dynamics.rotations import rotation_vector
-from multicontact_control.force.force_law import answer_forces, mobility_along
+from multicontact_control.force.force_law import answer_forces
 import numpy as np
 
 # What `control_law` returns; LIMITED: a torque limit was enforced.
@@ -169,8 +169,10 @@ def control_law(
         return SINGULAR
     rows, factor = np.zeros((count, 6)), np.empty((count, count))
     weighted_rows, weighted_factor = np.empty((count, 6)), np.empty((count, count))
+    along = np.empty(6)
     for i in range(count):
-        contacts[i].mass = 1.0 / mobility_along(contacts[i], mobility)
+        multiply(mobility, contacts[i].N, along)
+        contacts[i].mobility = dot(contacts[i].N, along)
         if contacts[i].answer.active:
             rows[i] = contacts[i].N
         weighted_rows[i] = rows[i]
@@ -182,7 +184,7 @@ def control_law(
     f_t, f_c, acceleration = np.empty(6), np.empty(6), np.empty(6)
     bias, force, inputs = np.empty(6), np.empty(6), np.empty(count)
     motion_law(law, task, frame, f_t)
-    answer_forces(laws, contacts, controls[0], mobility, inputs)
+    answer_forces(laws, contacts, controls[0], inputs)
     if not law.decoupled:
         drive_coordinates(rows, inputs)
     force_law(law, rows, factor, frame.twist, contacts, inputs, f_c)

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from typing import Any, cast, get_args
 
 from multicontact_control.algebra import dot
-from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.arrays import Mask, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig, FedForward, ForceConfig
 from multicontact_control.config.contact import FORCE
@@ -250,7 +250,7 @@ def step_linear(law: Any, contact: Any, speed: float) -> float:
 
 
 @compiled
-def force_to_feed(law: Any, contact: Any, K_2: float, mobility: Matrix) -> float:
+def force_to_feed(law: Any, contact: Any, K_2: float) -> float:
     """
     Return the contact force that is fed forward in P04 eq. 24 [N].
 
@@ -266,23 +266,12 @@ def force_to_feed(law: Any, contact: Any, K_2: float, mobility: Matrix) -> float
     desired = law.stiffness.alpha_ref if law.stiffness.adaptive else contact.answer.alpha_des
     if law.fed == DESIRED:
         return desired
-    share = min(K_2 * K_2 / (2.0 * law.stiffness.k * mobility_along(contact, mobility)), 1.0)
+    share = min(K_2 * K_2 / (2.0 * law.stiffness.k * contact.mobility), 1.0)
     return contact.answer.alpha_est + share * (desired - contact.answer.alpha_est)
 
 
 @compiled
-def mobility_along(contact: Any, mobility: Matrix) -> float:
-    """Return N_i^T Lambda^-1 N_i of a contact [1/kg]."""
-    along = 0.0
-    for i in range(6):
-        along += contact.N[i] * dot(mobility[i], contact.N)
-    return along
-
-
-@compiled
-def bound_speed(
-    contact: Any, law: Any, control: Any, u: float, speed: float, mobility: Matrix,
-) -> float:
+def bound_speed(contact: Any, law: Any, control: Any, u: float, speed: float) -> float:
     """
     Return u within what keeps the tip at `speed_bound` if nothing bears it [m/s^2].
 
@@ -293,7 +282,7 @@ def bound_speed(
     """
     period = control.law.period
     damping = control.law.K_2 * speed
-    fed = contact.answer.alpha_fed * mobility_along(contact, mobility)
+    fed = contact.answer.alpha_fed * contact.mobility
     slower = contact.speed_bound - speed
     rate = min(max(control.law.K_2, SLOWEST_BOUND), FASTEST_BOUND)
     largest = rate * slower + contact.borne
@@ -308,15 +297,13 @@ def bound_speed(
 
 
 @compiled
-def answer_forces(
-    laws: Any, contacts: Any, control: Any, mobility: Matrix, inputs: Vector,
-) -> None:
+def answer_forces(laws: Any, contacts: Any, control: Any, inputs: Vector) -> None:
     """
     Let the force law of every active contact answer its sample.
 
     A contact that has just become active starts from its measured force. Records of `FORCE_LAW`
     and `CONTACT`, shape (r,), are changed, `inputs`, shape (r,), is filled with u, 0 where not
-    active [m/s^2]; `mobility` is Lambda^-1.
+    active [m/s^2].
     """
     for i in range(contacts.shape[0]):
         contact, law, answer = contacts[i], laws[i], contacts[i].answer
@@ -352,8 +339,8 @@ def answer_forces(
         else:
             observe(observer, contact, control.measured, 0.0)
             inputs[i] = command(observer, answer.alpha_des)
-        answer.alpha_fed = force_to_feed(law, contact, control.law.K_2, mobility)
+        answer.alpha_fed = force_to_feed(law, contact, control.law.K_2)
         if contact.speed_bound > 0.0:
-            inputs[i] = bound_speed(contact, law, control, inputs[i], speed, mobility)
+            inputs[i] = bound_speed(contact, law, control, inputs[i], speed)
         else:
             contact.borne = 0.0

@@ -318,7 +318,7 @@ def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: An
         else:
             state.stiffness = column.stiffness
             state.approach_speed = contacts.approach_speed(
-                state, limit.contacts, column.mass)
+                state, limit.contacts, column.mobility)
             # Of the surface, as far as it is known: what is as fast does not leave it.
             state.surface_speed = column.config.surface_speed + column.surface_speed_est
             others, speed = 0.0, dot(normal, rate)

@@ -68,7 +68,6 @@ UNANSWERED_TIME = 1.0  # s of more force that is asked for, after which there is
 GENTLE = 0.9  # times the approach speed, at most, until a force has answered
 IMPACT_FORCE = 10.0  # N, of a touch at the approach speed, at most, if the surface is as modelled
 TOUCHING = 1.5  # the same at a touch, which comes down to that within `IMPACT_TIME`
-LEAST_MASS = 0.1  # kg, of what moves along a normal
 SETTLING_PERIODS, SETTLING_DELAYS = 2, 3  # in which a step of what is read has passed the filters
 
 FREE_CONTACT: Records = np.zeros((), dtype=CONTACT_STATE)
@@ -266,15 +265,17 @@ def desired_force(contact: Any, settings: Any) -> float:
 
 
 @compiled
-def approach_speed(contact: Any, settings: Any, mass: float) -> float:
+def approach_speed(contact: Any, settings: Any, mobility: float) -> float:
     """
     Return the speed of an approach [m/s].
 
     A mass m that meets a surface of stiffness k at a speed v is stopped by a force v sqrt(k m),
-    whatever is commanded meanwhile.
+    whatever is commanded meanwhile. `mobility` is 1 / m along the normal [1/kg], 0 until the
+    control law has been asked.
     """
-    impact = IMPACT_FORCE / np.sqrt(contact.stiffness * max(mass, LEAST_MASS))
-    return min(settings.approach_speed, impact)
+    if mobility <= 0.0:
+        return settings.approach_speed
+    return min(settings.approach_speed, IMPACT_FORCE * np.sqrt(mobility / contact.stiffness))
 
 
 @compiled

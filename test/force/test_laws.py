@@ -126,7 +126,7 @@ def one_contact(desired):
     contacts, control = np.zeros(1, dtype=CONTACT), np.zeros(1, dtype=CONTROL)
     contacts['answer']['active'], contacts['N'] = True, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
     contacts['noise_variance'], contacts['answer']['alpha_des'] = 0.6, desired
-    control['measured'] = True
+    control['measured'], contacts['mobility'] = True, 1.0
     return contacts, control
 
 
@@ -139,7 +139,7 @@ def hold(laws, ticks, *, disturbance, desired=10.0, state=None):
     for _ in range(ticks):
         contacts['alpha_meas'] = x[0]
         control['frame']['twist'][0, 2] = x[1] / K
-        answer_forces(laws, contacts, control[0], np.eye(6), inputs)
+        answer_forces(laws, contacts, control[0], inputs)
         x = plant.Phi @ x + plant.Gamma * (inputs[0] + disturbance)
         forces.append(x[0])
     return np.array(forces), x
@@ -188,7 +188,7 @@ def test_law_knows_what_acts_beyond_its_answer(name):
     for aware in (True, False):
         laws, inputs, (contacts, control) = laws_of(name), np.empty(1), one_contact(20.0)
         for _ in range(100):  # everything is clipped: nothing moves
-            answer_forces(laws, contacts, control[0], np.eye(6), inputs)
+            answer_forces(laws, contacts, control[0], inputs)
             if aware:
                 act_beyond(laws, np.array([True]), -inputs)
         part = laws[0]['linear']['p_est'] if laws['is_linear'][0] else (
