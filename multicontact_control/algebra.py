@@ -1,10 +1,17 @@
-"""Small dense linear algebra for compiled code: for 6 x 6 plain loops are faster than LAPACK."""
+"""
+Small dense linear algebra for compiled code: for 6 x 6 plain loops are faster than LAPACK.
+
+What has three elements is returned as a tuple, which compiled code keeps in registers; what has
+more is filled in, so that nothing is allocated.
+"""
 
 from __future__ import annotations
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 import numpy as np
+
+Triple = tuple[float, float, float]
 
 
 @compiled
@@ -74,12 +81,32 @@ def solve_cholesky(L: Matrix, x: Vector) -> None:
 
 
 @compiled
-def dot(x: Vector, y: Vector) -> float:
+def dot(x: Vector | Triple, y: Vector | Triple) -> float:
     """Return x^T y, both of shape (n,)."""
     total = 0.0
-    for i in range(x.shape[0]):
+    for i in range(len(x)):
         total += x[i] * y[i]
     return total
+
+
+@compiled
+def length(x: Vector | Triple) -> float:
+    """Return |x|."""
+    return np.sqrt(dot(x, x))
+
+
+@compiled
+def add(x: Vector, y: Vector | Triple) -> None:
+    """Add y to x, both of shape (n,)."""
+    for i in range(len(x)):
+        x[i] += y[i]
+
+
+@compiled
+def add_scaled(x: Vector, factor: float, y: Vector | Triple) -> None:
+    """Add a multiple of y to x, both of shape (n,)."""
+    for i in range(len(x)):
+        x[i] += factor * y[i]
 
 
 @compiled
@@ -97,29 +124,84 @@ def gram(X: Matrix, G: Matrix) -> None:
 
 
 @compiled
-def cross(a: Vector, b: Vector, c: Vector) -> None:
-    """Fill c with a x b, all of shape (3,); c must be neither of them."""
-    c[0] = a[1] * b[2] - a[2] * b[1]
-    c[1] = a[2] * b[0] - a[0] * b[2]
-    c[2] = a[0] * b[1] - a[1] * b[0]
+def frobenius_norm(A: Matrix) -> float:
+    """Return the root of the sum of all squares, which no singular value exceeds."""
+    total = 0.0
+    for i in range(A.shape[0]):
+        total += dot(A[i], A[i])
+    return np.sqrt(total)
 
 
 @compiled
-def velocity_at(twist: Vector, lever: Vector, velocity: Vector) -> None:
-    """Fill in v + omega x l, shape (3,), of a twist [v, omega] at its end of a lever."""
-    cross(twist[3:], lever, velocity)
-    velocity += twist[:3]
+def invert(A: Matrix, factor: Matrix, root: Matrix, inverse: Matrix) -> bool:
+    """
+    Fill in A^-1 of a symmetric A, shape (n, n); return whether A is positive definite.
+
+    `factor`, L of A = L L^T, and `root`, L^-1, are filled in as well.
+    """
+    if not cholesky(A, factor, 0.0):
+        return False
+    root[:] = 0.0
+    for i in range(A.shape[0]):
+        root[i, i] = 1.0
+    solve_lower_columns(factor, root)
+    gram(root, inverse)
+    return True
+
+
+@compiled
+def between(start: Vector | Triple, end: Vector | Triple) -> Triple:
+    """Return the way from one point to another."""
+    return end[0] - start[0], end[1] - start[1], end[2] - start[2]
+
+
+@compiled
+def combined(a: float, x: Vector | Triple, b: float, y: Vector | Triple) -> Triple:
+    """Return a x + b y."""
+    return a * x[0] + b * y[0], a * x[1] + b * y[1], a * x[2] + b * y[2]
+
+
+@compiled
+def divided(vector: Vector | Triple, divisor: float) -> Triple:
+    """Return a vector over a number."""
+    return vector[0] / divisor, vector[1] / divisor, vector[2] / divisor
+
+
+@compiled
+def cross(a: Vector | Triple, b: Vector | Triple) -> Triple:
+    """Return a x b."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def across(vector: Vector | Triple, axis: Vector | Triple) -> Triple:
+    """Return what a vector has across a unit axis."""
+    return combined(1.0, vector, -dot(vector, axis), axis)
+
+
+@compiled
+def rotated(rotation: Matrix, vector: Vector | Triple) -> Triple:
+    """Return R v, R of shape (3, 3)."""
+    return dot(rotation[0], vector), dot(rotation[1], vector), dot(rotation[2], vector)
+
+
+@compiled
+def velocity_at(twist: Vector, lever: Vector | Triple) -> Triple:
+    """Return v + omega x l of a twist [v, omega] at its end of a lever."""
+    x, y, z = cross(twist[3:], lever)
+    return x + twist[0], y + twist[1], z + twist[2]
 
 
 @compiled
 def rotate_by(vector: Vector, rotation: Matrix) -> None:
     """Turn a rotation, shape (3, 3), by a rotation vector [rad] (Rodrigues)."""
-    angle = np.sqrt(dot(vector, vector))
+    angle = length(vector)
     if angle < 1e-12:
         return
-    axis, once, twice = vector / angle, np.empty(3), np.empty(3)
+    axis = divided(vector, angle)
     for j in range(3):
-        column = rotation[:, j].copy()
-        cross(axis, column, once)
-        cross(axis, once, twice)
-        rotation[:, j] = column + np.sin(angle) * once + (1.0 - np.cos(angle)) * twice
+        once = cross(axis, rotation[:, j])
+        twice = cross(axis, once)
+        for i in range(3):
+            rotation[i, j] = rotation[i, j] + (
+                np.sin(angle) * once[i]) + (1.0 - np.cos(angle)) * twice[i]

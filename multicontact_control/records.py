@@ -14,6 +14,8 @@ F, I, B = np.float64, np.int64, np.bool_
 
 MAX_ORDER = 3  # of an observer's active state
 MAX_STATES = 2 + MAX_DELAY_PERIODS + MAX_ORDER  # force, its rate, delayed inputs, active states
+MAX_JOINTS = 12  # of an arm
+MAX_COLUMNS = 6  # of N: more are always dependent
 LIMITS = 8  # points of the curve of what stiffness a force loop is stable up to
 
 # What is set for the control law and for taking the measured wrench apart; one.

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import math
 from typing import Any
 
-from multicontact_control.algebra import cross, dot, multiply
+from multicontact_control.algebra import across, cross, rotated
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
@@ -30,22 +30,23 @@ def fill_normal_space(contacts: Any, rotation: Matrix) -> None:
     Fill in N_i, the wrench that a unit force at contact i makes.
 
     N_i = [n_i; n_i x l_i] (P04 eq. 5), with the lever l_i = -R p_i from the contact point to
-    the operational point. A couple of 1 N is that of two forces at a distance b on both sides of
-    the centre that differ by 1 N: N_i = [0; b e x n] along a direction e of the tool, and
-    [0; b (e - n (n . e))] across it. R has the axes of the operational frame as columns.
+    the operational point, so that n x l = R p x n. A couple of 1 N is that of two forces at a
+    distance b on both sides of the centre that differ by 1 N: N_i = [0; b e x n] along a
+    direction e of the tool, and [0; b (e - n (n . e))] across it. R has the axes of the operational frame as columns.
     """
-    lever, moment = np.empty(3), np.empty(3)
     for i in range(contacts.shape[0]):
         contact, config = contacts[i], contacts[i].config
-        normal = contacts[i if config.kind == FORCE else config.leader].normal
-        multiply(rotation, config.point if config.kind == FORCE else config.direction, lever)
-        if config.kind == ACROSS:
-            moment[:] = lever - dot(lever, normal) * normal
-        else:  # n x l = R p x n
-            cross(lever, normal, moment)
-        contact.N[:3], contact.N[3:] = 0.0, config.half_length * moment
         if config.kind == FORCE:
-            contact.N[:3], contact.N[3:] = normal, moment
+            contact.N[:3] = contact.normal
+            contact.N[3:] = cross(rotated(rotation, config.point), contact.normal)
+            continue
+        normal, direction = contacts[config.leader].normal, rotated(rotation, config.direction)
+        contact.N[:3] = 0.0
+        if config.kind == ACROSS:
+            contact.N[3:] = across(direction, normal)
+        else:
+            contact.N[3:] = cross(direction, normal)
+        contact.N[3:] *= config.half_length
 
 
 def normal_space(contacts: Records, rotation_world: Matrix) -> Matrix:

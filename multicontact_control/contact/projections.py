@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import cholesky, multiply, solve_cholesky
+from multicontact_control.algebra import add_scaled, cholesky, multiply, solve_cholesky
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 
@@ -45,7 +45,7 @@ def factorise_contacts(
 @compiled
 def compose_acceleration(
     rows: Matrix, weighted_rows: Matrix, weighted_factor: Matrix, f_t: Vector, f_c: Vector,
-    acceleration: Vector,
+    beta: Vector, acceleration: Vector,
 ) -> None:
     """
     Fill in Omega_m f_t* + Omega_c f_c* (P04 eq. 27).
@@ -53,12 +53,12 @@ def compose_acceleration(
     As Omega_m = 1 - Omega_c with Omega_c = D (N^T D)^-1 N^T, this is
     f_t* - D (N^T D)^-1 N^T (f_t* - f_c*). D = N gives the paper's projections (eqs 11-13),
     D = Lambda^-1 N the dynamically consistent ones. `rows` and `weighted_rows` are N^T and D^T,
-    shape (r, 6), `weighted_factor` is that of N^T D.
+    shape (r, 6), `weighted_factor` is that of N^T D; `beta`, shape (r,), is overwritten.
     """
-    acceleration[:] = f_t - f_c
-    beta = rows[:, 0].copy()
+    for i in range(6):
+        acceleration[i] = f_t[i] - f_c[i]
     multiply(rows, acceleration, beta)
     solve_cholesky(weighted_factor, beta)
     acceleration[:] = f_t
     for i in range(rows.shape[0]):
-        acceleration -= weighted_rows[i] * beta[i]
+        add_scaled(acceleration, -beta[i], weighted_rows[i])

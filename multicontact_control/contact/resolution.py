@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.contact.wrench import measure_contacts
+from multicontact_control.contact.wrench import CONTACT_SPACE, measure_contacts
 from multicontact_control.errors import ConfigError
 from multicontact_control.records import Records
 import numpy as np
@@ -56,10 +56,10 @@ def force_noise(controls: Records, contacts: Records, readings: Vector) -> Vecto
     controls, contacts = controls.copy(), contacts.copy()
     controls['tool'] = 0
     controls['frame']['twist'] = 0.0
-    variances = np.zeros(len(contacts))
+    variances, space = np.zeros(len(contacts)), np.zeros(1, dtype=CONTACT_SPACE)
     for axis, deviation in enumerate(readings):
         controls['wrench'] = deviation * (np.arange(6) == axis)
-        if not measure_contacts(controls[0], contacts):
+        if not measure_contacts(controls[0], contacts, space[0]):
             return np.full(len(contacts), np.inf)
         variances += contacts['alpha_meas'] ** 2
     return np.sqrt(variances)

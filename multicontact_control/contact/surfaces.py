@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import dot, multiply, velocity_at
+from multicontact_control.algebra import (
+    between,
+    combined,
+    divided,
+    dot,
+    length,
+    rotated,
+    velocity_at,
+)
 from multicontact_control.compiled import compiled
 from multicontact_control.config.contact import FORCE
 import numpy as np
@@ -48,31 +56,31 @@ def follow_normal(frame: Any, contact: Any) -> None:
     and stays within a declared angle. A velocity steeper than that angle, and than 34 degrees, is
     that of a bounce.
     """
-    config = contact.config
+    config, normal = contact.config, contact.normal
     if contact.alpha_meas < PRESSED:
         return
-    point, velocity = np.empty(3), np.empty(3)
-    multiply(frame.rotation, config.point, point)
-    velocity_at(frame.twist, point, velocity)
-    seen, speed = contact.alpha_meas * contact.normal + contact.friction, dot(velocity, velocity)
-    if speed < SLIDING_SPEED * SLIDING_SPEED:
+    velocity = velocity_at(frame.twist, rotated(frame.rotation, config.point))
+    squared_speed = dot(velocity, velocity)
+    if squared_speed < SLIDING_SPEED * SLIDING_SPEED:
         return
     steep = dot(velocity, config.normal)
-    if steep * steep > max(STEEP, 1.0 - config.smallest_cosine ** 2) * speed:
+    if steep * steep > max(STEEP, 1.0 - config.smallest_cosine ** 2) * squared_speed:
         return
-    seen -= dot(seen, velocity) / speed * velocity
-    length = np.sqrt(dot(seen, seen))
-    if length < PRESSED:
+    force = combined(contact.alpha_meas, normal, 1.0, contact.friction)
+    seen = combined(1.0, force, -dot(force, velocity) / squared_speed, velocity)
+    size = length(seen)
+    if size < PRESSED:
         return
-    turn = config.normal_gain * (seen / length - contact.normal)
-    way = np.sqrt(dot(turn, turn))
-    seen = contact.normal + (min(1.0, config.turn_limit / way) if way > 0.0 else 0.0) * turn
-    length = np.sqrt(dot(seen, seen))
-    cosine = dot(seen, config.normal) / length
-    if cosine >= config.smallest_cosine:
-        contact.normal[:] = seen / length
-        return
-    side = seen / length - cosine * config.normal
-    scale = np.sqrt(1.0 - config.smallest_cosine * config.smallest_cosine) / np.sqrt(
-        dot(side, side))
-    contact.normal[:] = config.smallest_cosine * config.normal + scale * side
+    missing = between(normal, divided(seen, size))
+    way = config.normal_gain * length(missing)
+    gain = config.normal_gain
+    if way > config.turn_limit:
+        gain *= config.turn_limit / way
+    turned = combined(1.0, normal, gain, missing)
+    normal[:] = divided(turned, length(turned))
+    cosine = dot(normal, config.normal)
+    if cosine < config.smallest_cosine:
+        side = combined(1.0, normal, -cosine, config.normal)
+        sine = np.sqrt(1.0 - config.smallest_cosine * config.smallest_cosine)
+        normal[:] = combined(
+            config.smallest_cosine, config.normal, sine / length(side), side)

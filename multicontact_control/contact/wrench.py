@@ -11,10 +11,15 @@ from __future__ import annotations
 from typing import Any
 
 from multicontact_control.algebra import (
+    across,
+    add,
+    add_scaled,
+    between,
     cholesky,
     cross,
     dot,
     multiply,
+    rotated,
     solve_cholesky,
     solve_lower,
     velocity_at,
@@ -24,8 +29,16 @@ from multicontact_control.compiled import compiled
 from multicontact_control.config import ToolConfig
 from multicontact_control.contact.geometry import fill_normal_space
 from multicontact_control.contact.projections import factorise_contacts
-from multicontact_control.records import CONTROL, Records, TOOL
+from multicontact_control.records import CONTROL, F, MAX_COLUMNS, Records, TOOL
 import numpy as np
+
+# What `measure_contacts` works in; one.
+CONTACT_SPACE = np.dtype([
+    ('wrench', F, 6), ('alpha', F, MAX_COLUMNS),  # f_c [N, N m], and of each contact [N]
+    ('rows', F, (MAX_COLUMNS, 6)), ('factor', F, (MAX_COLUMNS, MAX_COLUMNS)),  # of N^T W^-1 N
+    ('friction', F, (MAX_COLUMNS, 3)),  # that 1 N along each normal comes with
+    ('W', F, (6, 6)), ('root', F, (6, 6)), ('column', F, 6),  # W and W^(1/2); of friction
+], align=True)
 
 SLIP_SPEED = 0.01  # m/s, v_s: the sliding speed at which 71 % of the friction is expected
 
@@ -42,21 +55,19 @@ def operational_wrench(control: Any, wrench: Vector) -> None:
     """
     frame, tool, reading = control.frame, control.tool, control.wrench
     rotation, weight, bias = frame.sensor_rotation, tool.weight, tool.bias
-    com, moment, lever = np.zeros(3), np.empty(3), frame.sensor_position - frame.position
-    wrench[:3], wrench[3:] = weight, 0.0
+    wrench[:3] = weight
+    wrench[3:] = 0.0
     for i in range(3):
         for j in range(3):
-            com[i] += rotation[i, j] * tool.com_sensor[j]
             wrench[i] += rotation[i, j] * (reading[j] - bias[j])
             wrench[3 + i] += rotation[i, j] * (reading[3 + j] - bias[3 + j])
-    cross(com, weight, moment)
-    wrench[3:] += moment
-    cross(lever, wrench, moment)
-    wrench[3:] += moment
+    lever = between(frame.position, frame.sensor_position)
+    add(wrench[3:], cross(rotated(rotation, tool.com_sensor), weight))
+    add(wrench[3:], cross(lever, wrench))
 
 
 @compiled
-def measure_contacts(control: Any, contacts: Any) -> bool:
+def measure_contacts(control: Any, contacts: Any, space: Any) -> bool:
     """
     Work out the contact forces; return whether the columns of N are independent.
 
@@ -64,20 +75,18 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
     together. To the friction that is expected of each the likeliest other is added,
     s^2 T^T W^-1 (f_c - N alpha). Of the contacts, records of `CONTACT`, shape (r,), `N` is filled
     in, which follows from the posture alone; `alpha_meas`, without what is `untared`, and
-    `friction` only if the columns are independent.
+    `friction` only if the columns are independent. `space` is a record of `CONTACT_SPACE`.
     """
     count, law, frame = contacts.shape[0], control.law, control.frame
-    wrench, alpha = np.empty(6), np.empty(count)
-    rows, factor = np.empty((count, 6)), np.empty((count, count))
+    wrench, alpha, rows = space.wrench, space.alpha[:count], space.rows[:count]
+    factor = space.factor[:count, :count]
     operational_wrench(control, wrench)
     fill_normal_space(contacts, frame.rotation)
     for i in range(count):
         rows[i] = contacts[i].N
-    W, column = np.empty((6, 6)), np.empty(6)
-    friction = np.zeros((count, 3))
     if law.separated:
-        expect_friction(frame, contacts, friction, rows)
-        allow_for_friction(control, contacts, rows, wrench, W)
+        expect_friction(frame, contacts, space.friction, rows)
+        allow_for_friction(control, contacts, space)
     if not factorise_contacts(contacts, True, rows, rows, factor):
         return False
     multiply(rows, wrench, alpha)
@@ -87,15 +96,14 @@ def measure_contacts(control: Any, contacts: Any) -> bool:
     if not law.separated:
         return True
     for i in range(count):
-        wrench -= rows[i] * alpha[i]
-    lever = frame.sensor_position - frame.position
+        add_scaled(wrench, -alpha[i], rows[i])
     for i in range(count):
-        contact = contacts[i]
+        contact, column = contacts[i], space.column
         for axis in range(3):
-            contact.friction[axis] = friction[i, axis] * contact.alpha_meas
+            contact.friction[axis] = space.friction[i, axis] * contact.alpha_meas
             if contact.config.friction_std > 0.0:
-                fill_friction(law, frame, contact, axis, lever, column)
-                solve_lower(W, column)
+                fill_friction(law, frame, contact, axis, column)
+                solve_lower(space.root, column)
                 contact.friction[axis] += contact.config.friction_std ** 2 * dot(column, wrench)
     return True
 
@@ -106,29 +114,24 @@ def expect_friction(frame: Any, contacts: Any, friction: Matrix, rows: Matrix) -
     Add the friction that 1 N along the normal is expected to come with.
 
     The robot drags a surface along its sliding velocity v by mu v / sqrt(v^2 + v_s^2): filled in
-    in `friction`, zero before, per newton, shape (r, 3), and added to `rows`, N^T, shape (r, 6).
+    in `friction`, per newton, shape (r, 3), and added to `rows`, N^T, shape (r, 6).
     """
-    point, velocity, moment = np.empty(3), np.empty(3), np.empty(3)
     for i in range(contacts.shape[0]):
         contact = contacts[i]
+        friction[i] = 0.0
         if contact.config.friction_coefficient <= 0.0:
             continue
-        multiply(frame.rotation, contact.config.point, point)
-        velocity_at(frame.twist, point, velocity)
-        into = dot(velocity, contact.normal)
-        velocity -= into * contact.normal
+        point = rotated(frame.rotation, contact.config.point)
+        velocity = across(velocity_at(frame.twist, point), contact.normal)
         share = contact.config.friction_coefficient / np.sqrt(
             dot(velocity, velocity) + SLIP_SPEED ** 2)
-        friction[i] = share * velocity
-        cross(point, friction[i], moment)
-        rows[i, :3] += friction[i]
-        rows[i, 3:] += moment
+        add_scaled(friction[i], share, velocity)
+        add(rows[i, :3], friction[i])
+        add(rows[i, 3:], cross(point, friction[i]))
 
 
 @compiled
-def allow_for_friction(
-    control: Any, contacts: Any, rows: Matrix, wrench: Vector, factor: Matrix,
-) -> None:
+def allow_for_friction(control: Any, contacts: Any, space: Any) -> None:
     """
     Weigh a wrench and the columns of N by what besides the normal forces may be in it.
 
@@ -136,57 +139,58 @@ def allow_for_friction(
     the sensor's noise, and friction of a standard deviation in every direction across the normal
     of each contact, and about it.
 
-    N^T, shape (r, 6), and f_c, shape (6,), are replaced by W^(-1/2) times themselves; `factor` is
-    filled with W^(1/2), lower triangular, in units of the noise at the sensor, shape (6, 6).
+    N^T in `rows` and f_c in `wrench` of a record of `CONTACT_SPACE` are replaced by W^(-1/2) times
+    themselves; `root` is filled with W^(1/2), lower triangular, in units of the noise at the
+    sensor.
     """
     law, frame = control.law, control.frame
-    W = np.eye(6)
-    lever, friction = frame.sensor_position - frame.position, np.empty(6)
+    W, friction = space.W, space.column
+    W[:] = 0.0
+    for i in range(6):
+        W[i, i] = 1.0
     for i in range(contacts.shape[0]):
         contact = contacts[i]
         if contact.config.friction_std <= 0.0:
             continue
         for axis in range(4):  # three of the force, then the torque about the normal
             std = contact.config.friction_std if axis < 3 else contact.config.torsion_std
-            fill_friction(law, frame, contact, axis, lever, friction)
+            fill_friction(law, frame, contact, axis, friction)
             for j in range(6):
                 for k in range(6):
                     W[j, k] += std * std * friction[j] * friction[k]
-    cholesky(W, factor, 0.0)  # positive definite, as it is 1 and more
-    weigh_at_sensor(law, lever, wrench)
-    solve_lower(factor, wrench)
+    cholesky(W, space.root, 0.0)  # positive definite, as it is 1 and more
+    weigh_at_sensor(law, frame, space.wrench)
+    solve_lower(space.root, space.wrench)
     for i in range(contacts.shape[0]):
-        weigh_at_sensor(law, lever, rows[i])
-        solve_lower(factor, rows[i])
+        weigh_at_sensor(law, frame, space.rows[i])
+        solve_lower(space.root, space.rows[i])
 
 
 @compiled
-def fill_friction(
-    law: Any, frame: Any, contact: Any, axis: int, lever: Vector, column: Vector,
-) -> None:
+def fill_friction(law: Any, frame: Any, contact: Any, axis: int, column: Vector) -> None:
     """
     Fill in the wrench at the sensor, over its noise, of 1 N of friction along a world axis.
 
     Axis 3 stands for 1 N m about the normal.
     """
-    point, normal = np.empty(3), contact.normal
-    multiply(frame.rotation, contact.config.point, point)
+    normal = contact.normal
+    column[:] = 0.0
     if axis < 3:
-        column[:3] = -normal * normal[axis]
+        add_scaled(column[:3], -normal[axis], normal)
         column[axis] += 1.0
-        cross(point, column, column[3:])
+        column[3:] = cross(rotated(frame.rotation, contact.config.point), column)
     else:
-        column[:3], column[3:] = 0.0, normal
-    weigh_at_sensor(law, lever, column)
+        column[3:] = normal
+    weigh_at_sensor(law, frame, column)
 
 
 @compiled
-def weigh_at_sensor(law: Any, lever: Vector, wrench: Vector) -> None:
-    """Move a wrench by the lever from operational point to sensor, in units of its noise."""
-    moment = np.empty(3)
-    cross(lever, wrench, moment)
-    wrench[3:] = (wrench[3:] - moment) / law.torque_noise
-    wrench[:3] /= law.force_noise
+def weigh_at_sensor(law: Any, frame: Any, wrench: Vector) -> None:
+    """Move a wrench from the operational point to the sensor, in units of its noise."""
+    moment = cross(between(frame.position, frame.sensor_position), wrench)
+    for i in range(3):
+        wrench[i] /= law.force_noise
+        wrench[3 + i] = (wrench[3 + i] - moment[i]) / law.torque_noise
 
 
 def tool_record(tool: ToolConfig, gravity_world: Vector) -> Records:

@@ -4,14 +4,27 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import cross, dot, multiply, solve_lower, velocity_at
+from multicontact_control.algebra import (
+    add,
+    between,
+    cross,
+    dot,
+    multiply,
+    rotated,
+    solve_lower,
+    velocity_at,
+)
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.contact.wrench import measure_contacts, operational_wrench
-from multicontact_control.dynamics.operational_space import mobility_and_inertia
+from multicontact_control.contact.wrench import (
+    CONTACT_SPACE,
+    measure_contacts,
+    operational_wrench,
+)
+from multicontact_control.dynamics.operational_space import INERTIA_SPACE, mobility_and_inertia
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
-from multicontact_control.records import JOINT
+from multicontact_control.records import F, JOINT, MAX_JOINTS
 import numpy as np
 
 # What `see_arm` returns: that the model gave no numbers, or what is unusual, added up.
@@ -26,9 +39,20 @@ PRIOR_TIME = 0.01  # s of motion without friction that each joint has behind it
 CALM_SHARE, CALM_TIME = 0.25, 0.1  # of its threshold, and s: a residual below is over by then
 UNPROVEN_THRESHOLD = 3.0  # N m, least threshold of a joint until it has moved that long
 
+# What `see_arm` works in; one.
+ARM_SPACE = np.dtype([
+    ('wrench', F, 6),  # of the tool on the arm, or that the residual stands for [N, N m]
+    ('felt', F, MAX_JOINTS),  # J^T f [N m]
+    ('inertial', F, MAX_JOINTS),  # M dv/dt [N m]
+    ('reduced', F, MAX_JOINTS), ('acceleration', F, 6),  # L^-1 r, and of the operational point
+    ('inertia', INERTIA_SPACE), ('contacts', CONTACT_SPACE),
+], align=True)
+
 
 @compiled
-def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix) -> bool:
+def observe_momentum(
+    control: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix, space: Any,
+) -> bool:
     """
     Update the residual of every joint; return whether one is beyond its threshold.
 
@@ -39,42 +63,47 @@ def observe_momentum(control: Any, joints: Any, mass_matrix: Matrix, jacobian: M
     that is `unwatched`, as its torque is not known, stays. `control.momentum` and `joints` are
     changed.
     """
-    momentum, law, frame, tool = control.momentum, control.law, control.frame, control.tool
-    n = joints.shape[0]
-    lever, velocity, moment = np.empty(3), np.empty(3), np.empty(3)
-    multiply(frame.sensor_rotation, tool.com_sensor, lever)
-    lever += frame.sensor_position - frame.position  # to the tool's centre of mass
-    velocity_at(frame.twist, lever, velocity)
-    if momentum.elapsed > 0.0:
-        wrench, inertial, felt = np.zeros(6), np.zeros(n), np.empty(n)
+    momentum, frame, tool = control.momentum, control.frame, control.tool
+    n, elapsed, wrench = joints.shape[0], momentum.elapsed, space.wrench
+    to_com = rotated(frame.sensor_rotation, tool.com_sensor)
+    to_sensor = between(frame.position, frame.sensor_position)
+    lever = to_com[0] + to_sensor[0], to_com[1] + to_sensor[1], to_com[2] + to_sensor[2]
+    velocity = velocity_at(frame.twist, lever)  # of the tool's centre of mass
+    if elapsed > 0.0:
+        wrench[:] = 0.0
         if not momentum.is_input:
-            # Of what the sensor feels, the arm's model has the tool's inertia already.
             operational_wrench(control, wrench)
-            inertia = tool.mass * (velocity - momentum.com_velocity) / momentum.elapsed
-            cross(lever, inertia, moment)
-            wrench[:3] -= inertia
-            wrench[3:] -= moment
-        multiply(jacobian.T, wrench, felt)
-        speeds = joints['velocity']
-        change, direction = speeds - joints['last_velocity'], np.tanh(speeds / law.friction_speed)
+            # Of what the sensor feels, the arm's model has the tool's inertia already.
+            change = between(momentum.com_velocity, velocity)
+            inertia = (-tool.mass * change[0] / elapsed, -tool.mass * change[1] / elapsed,
+                       -tool.mass * change[2] / elapsed)
+            add(wrench[:3], inertia)
+            add(wrench[3:], cross(lever, inertia))
         for i in range(n):
+            space.felt[i] = dot(jacobian[:, i], wrench)
+            space.inertial[i] = 0.0
             for j in range(n):
-                inertial[i] += mass_matrix[min(i, j), max(i, j)] * change[j]
-        inertial /= momentum.elapsed
-        taken = joints['effort'] - inertial - 0.5 * (joints['bias_torque'] + joints['last_bias'])
-        taken -= joints['coulomb'] * direction
-        taken -= joints['viscous'] * speeds
-        taken -= felt
-        share = 1.0 - np.exp(-momentum.bandwidth * momentum.elapsed)
-        touched, factor = False, RELEASE if momentum.collided else 1.0
+                space.inertial[i] += mass_matrix[min(i, j), max(i, j)] * (
+                    joints[j].velocity - joints[j].last_velocity)
+            space.inertial[i] /= elapsed
+        share, touched = 1.0 - np.exp(-momentum.bandwidth * elapsed), False
+        factor = 1.0
+        if momentum.collided:
+            factor = RELEASE
         for i in range(n):
             joint = joints[i]
-            if np.isfinite(taken[i]) and not joint.unwatched:  # the other joints go on
-                joint.residual += share * (taken[i] - joint.residual)
+            direction = np.tanh(joint.velocity / control.law.friction_speed)
+            unexplained = joint.effort - space.inertial[i] - (
+                0.5 * (joint.bias_torque + joint.last_bias))
+            unexplained -= joint.coulomb * direction
+            unexplained -= joint.viscous * joint.velocity
+            unexplained -= space.felt[i]
+            if np.isfinite(unexplained) and not joint.unwatched:  # the other joints go on
+                joint.residual += share * (unexplained - joint.residual)
                 joint.slack += share * (
-                    momentum.dynamic_share * abs(inertial[i]) + joint.doubt - joint.slack)
-                learn_friction(
-                    momentum, joint, share, direction[i], change[i] / momentum.elapsed, felt[i])
+                    momentum.dynamic_share * abs(space.inertial[i]) + joint.doubt - joint.slack)
+                acceleration = (joint.velocity - joint.last_velocity) / elapsed
+                learn_friction(momentum, joint, share, direction, acceleration, space.felt[i])
             limit = joint.threshold + joint.slack
             touched = touched or abs(joint.residual) > factor * limit
         momentum.collided = touched
@@ -152,33 +181,32 @@ def follow_touch(momentum: Any, joints: Any) -> bool:
 
 @compiled
 def wrench_of_residual(
-    control: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix,
+    control: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix, space: Any,
 ) -> None:
     """
     Fill in the wrench that explains the residual, as a sensor at the operational point reads it.
 
     f = J_bar^T r, J_bar = M^-1 J^T Lambda. In a singular posture `control.wrench` stays as it was.
     """
-    n = joints.shape[0]
-    L, Y = np.empty((n, n)), np.empty((n, 6))
-    mobility, Lambda = np.empty((6, 6)), np.empty((6, 6))
-    law, rotation = control.law, control.frame.sensor_rotation
+    n, inertia, rotation = joints.shape[0], space.inertia, control.frame.sensor_rotation
     damping, _ = mobility_and_inertia(
-        mass_matrix, jacobian, law.singular_mobility, L, Y, mobility, Lambda)
+        mass_matrix, jacobian, control.law.singular_mobility, inertia)
     if damping < 0.0:
         return
-    reduced, acceleration, wrench = joints['residual'].copy(), np.empty(6), np.empty(6)
-    solve_lower(L, reduced)
-    multiply(Y.T, reduced, acceleration)
-    multiply(Lambda, acceleration, wrench)
-    multiply(rotation.T, wrench[:3], control.wrench[:3])
-    multiply(rotation.T, wrench[3:], control.wrench[3:])
+    reduced = space.reduced[:n]
+    for i in range(n):
+        reduced[i] = joints[i].residual
+    solve_lower(inertia.L[:n, :n], reduced)
+    multiply(inertia.Y[:n].T, reduced, space.acceleration)
+    multiply(inertia.Lambda, space.acceleration, space.wrench)
+    control.wrench[:3] = rotated(rotation.T, space.wrench[:3])
+    control.wrench[3:] = rotated(rotation.T, space.wrench[3:])
 
 
 @compiled
 def see_arm(
     motion: Matrix, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix, placements: Any,
-    joints: Any, controls: Any, contacts: Any,
+    joints: Any, controls: Any, contacts: Any, space: Any,
 ) -> int:
     """
     Take in all that is known of a sample before anything is asked for.
@@ -202,7 +230,7 @@ def see_arm(
         has been for a while, after one was).
 
     """
-    control, frame = controls[0], controls[0].frame
+    control, frame, space = controls[0], controls[0].frame, space[0]
     if not np.isfinite(bias_torque).all():
         return NO_NUMBERS
     position, rotation, sensor_position, sensor_rotation = placements
@@ -222,13 +250,13 @@ def see_arm(
             dot(turn, turn) > frame.turn_limit ** 2):
         flags += OPERATIONAL_SPEED
     if control.momentum.bandwidth > 0.0:
-        if observe_momentum(control, joints, mass_matrix, jacobian):
+        if observe_momentum(control, joints, mass_matrix, jacobian, space):
             flags += TOUCHED
         if follow_touch(control.momentum, joints):
             flags += PASSED
         if control.momentum.is_input:
-            wrench_of_residual(control, joints, mass_matrix, jacobian)
-    if not measure_contacts(control, contacts):
+            wrench_of_residual(control, joints, mass_matrix, jacobian, space)
+    if not measure_contacts(control, contacts, space.contacts):
         flags += AMBIGUOUS
     return flags
 
@@ -271,6 +299,7 @@ class ArmState:
         self.frames['speed_limit'] = self.frames['turn_limit'] = np.inf
         self.inertia: Vector = self.joints['inertia']
         self.bias_torque: Vector = self.joints['bias_torque']
+        self._space: Any = np.zeros(1, dtype=ARM_SPACE)
         self.pose = Pose(self.frames['position'][0], self.frames['rotation'][0])
         self.refresh()
 
@@ -284,5 +313,5 @@ class ArmState:
         terms = self.robot.compute(self.q, self.velocity)
         self.flags = see_arm(
             self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
-            terms.placements, self.joints, self.controls, self.contacts)
+            terms.placements, self.joints, self.controls, self.contacts, self._space)
         return self.flags != NO_NUMBERS

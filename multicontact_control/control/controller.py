@@ -11,7 +11,7 @@ from multicontact_control.contact.geometry import check_columns, place_columns
 from multicontact_control.contact.resolution import check_resolution
 from multicontact_control.contact.wrench import tool_between, tool_record
 from multicontact_control.control.arm import AMBIGUOUS, ArmState
-from multicontact_control.control.law import control_law, DEPENDENT, LIMITED
+from multicontact_control.control.law import control_law, DEPENDENT, LAW_SPACE, LIMITED
 from multicontact_control.control.tasks import quintic
 from multicontact_control.dynamics.operational_space import MAX_CONDITION, STOP_MARGIN
 from multicontact_control.dynamics.robot import RobotModel
@@ -117,6 +117,7 @@ class Controller:
         self.measured = (self.arm.motion, self.controls['wrench'][0],
                          self.contacts['noise_variance'])
         self.torque: Vector = self.arm.joints['torque']
+        self._space: Any = np.zeros(1, dtype=LAW_SPACE)
         self._adopt(config)
         check_columns(config.column_names, self.contacts)
         self.resolutions = check_resolution(config, self.controls, self.contacts)
@@ -249,7 +250,7 @@ class Controller:
         terms = self.robot.terms
         status = control_law(
             self.controls, self.arm.joints, terms.mass_matrix, terms.jacobian,
-            terms.jacobian_rate, self.contacts, self.laws)
+            terms.jacobian_rate, self.contacts, self.laws, self._space)
         if status > LIMITED:
             self.refuse(status)
         return bool(status == LIMITED)

@@ -4,21 +4,43 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.algebra import dot, multiply, solve_cholesky, solve_lower
+from multicontact_control.algebra import (
+    add_scaled,
+    dot,
+    multiply,
+    solve_cholesky,
+    solve_lower,
+)
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.projections import compose_acceleration, factorise_contacts
 from multicontact_control.contact.surfaces import follow_surfaces
 from multicontact_control.dynamics.operational_space import (
     add_nullspace_torque,
+    INERTIA_SPACE,
     mobility_and_inertia,
 )
 from multicontact_control.dynamics.rotations import rotation_vector
 from multicontact_control.force.force_law import answer_forces
+from multicontact_control.records import F, MAX_COLUMNS, MAX_JOINTS
 import numpy as np
 
 # What `control_law` returns; LIMITED: a torque limit was enforced.
 OK, LIMITED, SINGULAR, DEPENDENT = range(4)
+
+# What `control_law` works in; one. The first r rows of matrices with one per contact are used.
+LAW_SPACE = np.dtype([
+    ('inertia', INERTIA_SPACE),
+    ('rows', F, (MAX_COLUMNS, 6)), ('weighted_rows', F, (MAX_COLUMNS, 6)),  # N^T, D^T
+    ('factor', F, (MAX_COLUMNS, MAX_COLUMNS)),  # of N^T N
+    ('weighted_factor', F, (MAX_COLUMNS, MAX_COLUMNS)),  # of N^T D
+    ('along', F, 6), ('beta', F, MAX_COLUMNS),  # Lambda^-1 N_i; of `compose_acceleration`
+    ('inputs', F, MAX_COLUMNS), ('alpha_star', F, MAX_COLUMNS),  # [m/s^2]
+    ('f_t', F, 6), ('f_c', F, 6),  # [m/s^2, rad/s^2]
+    ('acceleration', F, 6), ('bias', F, 6),  # that Lambda is applied to; mu + p over Lambda
+    ('force', F, 6), ('held', F, 6),  # F, and of that what is fed forward [N, N m]
+    ('reduced', F, MAX_JOINTS), ('pull', F, MAX_JOINTS),  # L^-1 (C v + g); of the null space
+], align=True)
 
 
 @compiled
@@ -30,10 +52,13 @@ def motion_law(law: Any, task: Any, frame: Any, f_t: Vector) -> None:
     k_v = 2 zeta omega_n (P04 sec. 3.1; sec. 5.2: critically damped, 30 rad/s); world axes, shape
     (6,) [m/s^2, rad/s^2].
     """
-    turn = np.empty(3)
+    turn = f_t[3:]
     rotation_vector(task.rotation, frame.rotation, turn)
-    f_t[:3], f_t[3:] = law.k_p * (task.position - frame.position), law.k_p * turn
-    f_t += task.acceleration + law.k_v * (task.twist - frame.twist)
+    for i in range(3):
+        f_t[i] = law.k_p * (task.position[i] - frame.position[i])
+        turn[i] *= law.k_p
+    for i in range(6):
+        f_t[i] += task.acceleration[i] + law.k_v * (task.twist[i] - frame.twist[i])
 
 
 @compiled
@@ -54,7 +79,7 @@ def drive_coordinates(rows: Matrix, inputs: Vector) -> None:
 @compiled
 def force_law(
     law: Any, rows: Matrix, factor: Matrix, twist: Vector, contacts: Any, inputs: Vector,
-    f_c: Vector,
+    alpha_star: Vector, f_c: Vector,
 ) -> None:
     """
     Fill in f_c*, the acceleration that serves the force loops with damping K_2 (P04 eq. 30).
@@ -68,9 +93,8 @@ def force_law(
 
     N^T of the active contacts is in `rows`, shape (r, 6), N^T N is factorised in `factor`, shape
     (r, r); `inputs` are u of the contact points or, as published, of the coordinates along N_i,
-    shape (r,) [m/s^2].
+    shape (r,) [m/s^2]; `alpha_star`, shape (r,), is overwritten.
     """
-    alpha_star = np.empty(inputs.shape[0])
     multiply(rows, twist, alpha_star)
     if not law.decoupled:
         solve_cholesky(factor, alpha_star)
@@ -135,7 +159,7 @@ def finish_torque(law: Any, joints: Any) -> bool:
 @compiled
 def control_law(
     controls: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix, jacobian_rate: Matrix,
-    contacts: Any, laws: Any,
+    contacts: Any, laws: Any, space: Any,
 ) -> int:
     """
     Work out the joint torque of one tick.
@@ -152,6 +176,8 @@ def control_law(
         M (upper triangle), J and dJ/dt.
     contacts, laws
         Records of `CONTACT` and `FORCE_LAW`, both changed, shape (r,).
+    space
+        One record of `LAW_SPACE`.
 
     Returns
     -------
@@ -159,50 +185,51 @@ def control_law(
         OK or LIMITED, or what is wrong; the force laws have not been touched then.
 
     """
-    law, frame, task = controls[0].law, controls[0].frame, controls[0].task
-    n, count = joints.shape[0], contacts.shape[0]
-    L, Y = np.empty((n, n)), np.empty((n, 6))
-    mobility, Lambda = np.empty((6, 6)), np.empty((6, 6))
+    law, frame, task, space = controls[0].law, controls[0].frame, controls[0].task, space[0]
+    n, count, inertia = joints.shape[0], contacts.shape[0], space.inertia
     damping, frame.mobility = mobility_and_inertia(
-        mass_matrix, jacobian, law.singular_mobility, L, Y, mobility, Lambda)
+        mass_matrix, jacobian, law.singular_mobility, inertia)
     if damping < 0.0:
         return SINGULAR
-    rows, factor = np.zeros((count, 6)), np.empty((count, count))
-    weighted_rows, weighted_factor = np.empty((count, 6)), np.empty((count, count))
-    along = np.empty(6)
+    rows, weighted_rows = space.rows[:count], space.weighted_rows[:count]
+    factor, weighted_factor = space.factor[:count, :count], space.weighted_factor[:count, :count]
+    inputs, alpha_star = space.inputs[:count], space.alpha_star[:count]
     for i in range(count):
-        multiply(mobility, contacts[i].N, along)
-        contacts[i].mobility = dot(contacts[i].N, along)
+        multiply(inertia.mobility, contacts[i].N, space.along)
+        contacts[i].mobility = dot(contacts[i].N, space.along)
+        rows[i] = 0.0
         if contacts[i].answer.active:
             rows[i] = contacts[i].N
         weighted_rows[i] = rows[i]
         if law.inertia_metric:
-            multiply(mobility, rows[i], weighted_rows[i])
+            multiply(inertia.mobility, rows[i], weighted_rows[i])
     if not (factorise_contacts(contacts, False, rows, rows, factor) and factorise_contacts(
             contacts, False, rows, weighted_rows, weighted_factor)):
         return DEPENDENT
-    f_t, f_c, acceleration = np.empty(6), np.empty(6), np.empty(6)
-    bias, force, inputs = np.empty(6), np.empty(6), np.empty(count)
-    motion_law(law, task, frame, f_t)
+    motion_law(law, task, frame, space.f_t)
     answer_forces(laws, contacts, controls[0], inputs)
     if not law.decoupled:
         drive_coordinates(rows, inputs)
-    force_law(law, rows, factor, frame.twist, contacts, inputs, f_c)
+    force_law(law, rows, factor, frame.twist, contacts, inputs, alpha_star, space.f_c)
     follow_surfaces(frame, contacts)
-    compose_acceleration(rows, weighted_rows, weighted_factor, f_t, f_c, acceleration)
-    reduced = joints['bias_torque'].copy()  # mu + p = Lambda (J M^-1 (C v + g) - dJ/dt v)
-    solve_lower(L, reduced)
-    multiply(Y.T, reduced, bias)
+    acceleration = space.acceleration
+    compose_acceleration(rows, weighted_rows, weighted_factor, space.f_t, space.f_c,
+                         space.beta[:count], acceleration)
+    reduced = space.reduced[:n]  # mu + p = Lambda (J M^-1 (C v + g) - dJ/dt v)
+    for j in range(n):
+        reduced[j] = joints[j].bias_torque
+    solve_lower(inertia.L[:n, :n], reduced)
+    multiply(inertia.Y[:n].T, reduced, space.bias)
     for i in range(6):
         for j in range(n):
-            bias[i] -= jacobian_rate[i, j] * joints[j].velocity
-        acceleration[i] += bias[i]
-    multiply(Lambda, acceleration, force)
-    held = np.zeros(6)
+            space.bias[i] -= jacobian_rate[i, j] * joints[j].velocity
+        acceleration[i] += space.bias[i]
+    force, held = space.force, space.held
+    multiply(inertia.Lambda, acceleration, force)
+    held[:] = 0.0
     for i in range(count):
-        contact = contacts[i]
-        force += rows[i] * contact.answer.alpha_fed
-        held += rows[i] * contact.answer.alpha_fed
+        add_scaled(force, contacts[i].answer.alpha_fed, rows[i])
+        add_scaled(held, contacts[i].answer.alpha_fed, rows[i])
     for j in range(n):
         joints[j].torque, joints[j].priority = 0.0, joints[j].bias_torque
     for i in range(6):
@@ -210,5 +237,6 @@ def control_law(
             joints[j].torque += jacobian[i, j] * force[i]
             joints[j].priority += jacobian[i, j] * held[i]
     if n > 6 or damping > 0.0:
-        add_nullspace_torque(joints, mass_matrix, jacobian, L, Y, Lambda, law)
+        add_nullspace_torque(
+            joints, mass_matrix, jacobian, inertia, law, reduced, space.pull[:n], space.along)
     return LIMITED if finish_torque(law, joints) else OK

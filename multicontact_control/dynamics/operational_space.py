@@ -8,7 +8,9 @@ from multicontact_control.algebra import (
     cholesky,
     cross,
     dot,
+    frobenius_norm,
     gram,
+    invert,
     multiply,
     solve_lower,
     solve_lower_columns,
@@ -16,16 +18,24 @@ from multicontact_control.algebra import (
 )
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.records import F, MAX_JOINTS
 import numpy as np
 
 MAX_CONDITION = 1e8  # of Lambda^-1, from which on a posture is singular
 STOP_MARGIN = 0.1  # rad, from how far before its stop on a joint is pushed away from it
 
+# What `mobility_and_inertia` fills in; the first n rows and columns are used. One.
+INERTIA_SPACE = np.dtype([
+    ('L', F, (MAX_JOINTS, MAX_JOINTS)),  # M = L L^T, lower triangle
+    ('Y', F, (MAX_JOINTS, 6)),  # L^-1 J^T
+    ('mobility', F, (6, 6)), ('Lambda', F, (6, 6)),  # J M^-1 J^T, and its inverse
+    ('factor', F, (6, 6)), ('root', F, (6, 6)),  # of Lambda^-1, and the inverse of that
+], align=True)
+
 
 @compiled
 def mobility_and_inertia(
-    mass_matrix: Matrix, jacobian: Matrix, singular_mobility: float, L: Matrix, Y: Matrix,
-    mobility: Matrix, Lambda: Matrix,
+    mass_matrix: Matrix, jacobian: Matrix, singular_mobility: float, space: Any,
 ) -> tuple[float, float]:
     """
     Work out Lambda = (J M^-1 J^T)^-1 (P04 eq. 23) and what leads to it.
@@ -33,7 +43,8 @@ def mobility_and_inertia(
     M = L L^T, Y = L^-1 J^T, Lambda^-1 = Y^T Y. Below an eigenvalue e_0 of Lambda^-1,
     d = e_0 / 2 (1 - e / e_0)^2 is added to its diagonal: damped least squares in the metric of M.
     Lambda then has no eigenvalue above 2 / e_0 and changes smoothly; away from singularities it
-    is exact.
+    is exact. The smallest eigenvalue of Lambda^-1 is 1 / |Lambda|_F or more: where that is enough,
+    no eigenvalues are computed.
 
     Parameters
     ----------
@@ -41,21 +52,30 @@ def mobility_and_inertia(
         M, shape (n, n), of which the upper triangle is read [kg m^2], and J, shape (6, n).
     singular_mobility
         e_0, 0 for no damping [1/kg].
-    L, Y, mobility, Lambda
-        Filled, shapes (n, n) (lower triangle), (n, 6), (6, 6), (6, 6).
+    space
+        A record of `INERTIA_SPACE`, filled in.
 
     Returns
     -------
     tuple[float, float]
         d, -1 if the arm cannot accelerate the operational point in every direction, and the
-        smallest eigenvalue of Lambda^-1 before it is damped [1/kg].
+        smallest eigenvalue of Lambda^-1 before it is damped, at least [1/kg].
 
     """
+    n, mobility = mass_matrix.shape[0], space.mobility
+    L, Y = space.L[:n, :n], space.Y[:n]
     if not cholesky(mass_matrix, L, 0.0):
         return -1.0, 0.0
     Y[:] = jacobian.T
     solve_lower_columns(L, Y)
     gram(Y, mobility)
+    smallest, trace = 0.0, 0.0
+    for i in range(6):
+        trace += mobility[i, i]
+    if invert(mobility, space.factor, space.root, space.Lambda):
+        smallest = 1.0 / frobenius_norm(space.Lambda)
+    if smallest >= singular_mobility and smallest * MAX_CONDITION > trace:
+        return 0.0, smallest
     eigenvalues, damping = np.linalg.eigvalsh(mobility), 0.0
     smallest, largest = eigenvalues[0], eigenvalues[-1]
     if singular_mobility > 0.0 and smallest < singular_mobility:
@@ -64,10 +84,7 @@ def mobility_and_inertia(
             mobility[i, i] += damping
     if not (smallest + damping) * MAX_CONDITION > largest + damping:  # or it is not a number
         return -1.0, smallest
-    factor, root = np.empty((6, 6)), np.eye(6)
-    cholesky(mobility, factor, 0.0)
-    solve_lower_columns(factor, root)
-    gram(root, Lambda)
+    invert(mobility, space.factor, space.root, space.Lambda)
     return damping, smallest
 
 
@@ -88,7 +105,7 @@ def mobility_gradient(
     J has shape (6, n), M = L L^T, Y = L^-1 J^T.
     """
     n = jacobian.shape[1]
-    joint_rates, change = np.empty(n), np.empty(3)
+    joint_rates = np.empty(n)
     multiply(Y, direction, joint_rates)
     solve_lower_transposed(L, joint_rates)  # M^-1 J^T u
     linear, angular = direction[:3], direction[3:]
@@ -96,17 +113,17 @@ def mobility_gradient(
         gradient[k] = 0.0
         for i in range(n):
             first, second = (k, i) if k <= i else (i, k)
-            cross(jacobian[3:, first], jacobian[:3, second], change)
+            change = cross(jacobian[3:, first], jacobian[:3, second])
             gradient[k] += 2.0 * joint_rates[i] * dot(linear, change)
             if k <= i:
-                cross(jacobian[3:, k], jacobian[3:, i], change)
+                change = cross(jacobian[3:, k], jacobian[3:, i])
                 gradient[k] += 2.0 * joint_rates[i] * dot(angular, change)
 
 
 @compiled
 def add_nullspace_torque(
-    joints: Any, mass_matrix: Matrix, jacobian: Matrix, L: Matrix, Y: Matrix, Lambda: Matrix,
-    law: Any,
+    joints: Any, mass_matrix: Matrix, jacobian: Matrix, inertia: Any, law: Any, free: Vector,
+    pull: Vector, acceleration: Vector,
 ) -> None:
     """
     Give the motion that the operational point does not see a posture, off the stops, and damp it.
@@ -116,10 +133,10 @@ def add_nullspace_torque(
     Coriolis' part aside.
 
     The torque of `joints`, records of `JOINT`, shape (n,), is added to; d, k_q and k_s are in
-    `law`, a record of `LAW`; see `mobility_and_inertia` for the rest.
+    `law`, a record of `LAW`, `inertia` is one of `INERTIA_SPACE`. `free`, `pull`, shape (n,), and
+    `acceleration`, shape (6,), are overwritten.
     """
     n = joints.shape[0]
-    free, pull = np.empty(n), np.empty(n)
     for j in range(n):
         joint = joints[j]
         below = max(STOP_MARGIN - (joint.q - joint.lower), 0.0)
@@ -136,10 +153,8 @@ def add_nullspace_torque(
             for j in range(n):
                 free[i] += mass_matrix[min(i, j), max(i, j)] * pull[j]
         joints[i].torque += free[i]
-    solve_lower(L, free)
-    acceleration, force = np.empty(6), np.empty(6)
-    multiply(Y.T, free, acceleration)
-    multiply(Lambda, acceleration, force)
+    solve_lower(inertia.L[:n, :n], free)
+    multiply(inertia.Y[:n].T, free, acceleration)
     for j in range(n):
         for i in range(6):
-            joints[j].torque -= jacobian[i, j] * force[i]
+            joints[j].torque -= jacobian[i, j] * dot(inertia.Lambda[i], acceleration)

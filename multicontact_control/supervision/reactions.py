@@ -9,7 +9,7 @@ from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.controller import Controller, ControlOutput
-from multicontact_control.dynamics.operational_space import mobility_and_inertia
+from multicontact_control.dynamics.operational_space import INERTIA_SPACE, mobility_and_inertia
 from multicontact_control.supervision.velocities import OFFSET, SHARE
 import numpy as np
 
@@ -78,18 +78,17 @@ def hold_torque(
         One record of `LAW`, for what is done near singularities.
 
     """
-    n, least = len(way), min(frequency, FREE_FREQUENCY)
+    least = min(frequency, FREE_FREQUENCY)
     free = least ** 2 * way - 2.0 * least * velocity
     upper = np.triu(mass_matrix)
     torque: Vector = bias_torque + (upper + np.triu(upper, 1).T) @ free
-    L, Y = np.empty((n, n)), np.empty((n, 6))
-    mobility, Lambda = np.empty((6, 6)), np.empty((6, 6))
+    inertia: Any = np.zeros(1, dtype=INERTIA_SPACE)[0]
     singular, _ = mobility_and_inertia(
-        mass_matrix, jacobian, laws['singular_mobility'][0], L, Y, mobility, Lambda)
+        mass_matrix, jacobian, laws['singular_mobility'][0], inertia)
     if singular < 0.0:
         return torque
     stiffer = frequency ** 2 * way - 2.0 * damping * frequency * velocity - free
-    torque += jacobian.T @ (Lambda @ (jacobian @ stiffer))
+    torque += jacobian.T @ (inertia['Lambda'] @ (jacobian @ stiffer))
     return torque
 
 

@@ -3,7 +3,7 @@
 from multicontact_control.config.contact import ACROSS, ALONG, FORCE
 from multicontact_control.contact.geometry import friction_coupling, normal_space
 from multicontact_control.contact.surfaces import follow_surfaces
-from multicontact_control.contact.wrench import measure_contacts
+from multicontact_control.contact.wrench import CONTACT_SPACE, measure_contacts
 from multicontact_control.records import CONTACT, CONTROL, FRAME
 import numpy as np
 import pytest
@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 NORMAL = np.array([0.6, 0.0, -0.8])
 POINT = np.array([0.02, -0.05, 0.2])
 HALF = 0.04
+
+SPACE = np.zeros(1, dtype=CONTACT_SPACE)[0]
 
 
 def columns(kinds, *, friction=0.0, direction=(0.0, 1.0, 0.0)):
@@ -59,7 +61,7 @@ def test_couple_column_is_a_difference_of_forces_at_both_ends():
     records = columns([FORCE, ALONG])
     wrench = sum(force * point_column(POINT + side * HALF * along)
                  for side, force in ((-1.0, 4.0), (1.0, 9.0)))
-    assert measure_contacts(control(wrench), records)
+    assert measure_contacts(control(wrench), records, SPACE)
     np.testing.assert_allclose(records['alpha_meas'], [13.0, 5.0], atol=1e-12)
 
 
@@ -78,7 +80,7 @@ def test_measured_forces_are_generalised_least_squares():
         0.3 ** 2 * (T @ T.T + HALF ** 2 * np.outer(turn, turn))) @ shift.T
     A, weight = shift @ N, np.linalg.inv(W)
     expected = np.linalg.solve(A.T @ weight @ A, A.T @ weight @ shift @ wrench)
-    assert measure_contacts(control(wrench, separated=True, lever=lever), records)
+    assert measure_contacts(control(wrench, separated=True, lever=lever), records, SPACE)
     np.testing.assert_allclose(records['alpha_meas'], expected, rtol=1e-9)
     residual = shift @ (wrench - N @ expected)
     np.testing.assert_allclose(
@@ -93,7 +95,7 @@ def test_contacts_that_cannot_be_told_apart_keep_what_was_measured():
     records['alpha_meas'], records['friction'] = 7.0, 1.5
     sliding = control(np.ones(6), separated=True)
     sliding['frame']['twist'][:3] = 0.0, 0.1, 0.0
-    assert not measure_contacts(sliding, records)
+    assert not measure_contacts(sliding, records, SPACE)
     assert (records['alpha_meas'] == 7.0).all() and (records['friction'] == 1.5).all()
 
 
@@ -106,7 +108,7 @@ def test_friction_coupling_is_the_worst_misreading():
         friction = np.cos(angle) * np.array([0.0, 1.0, 0.0]) + np.sin(angle) * across
         read = records.copy()
         wrench = np.concatenate([friction, np.cross(POINT, friction)])
-        assert measure_contacts(control(wrench), read)
+        assert measure_contacts(control(wrench), read, SPACE)
         worst = np.maximum(worst, np.abs(read['alpha_meas']))
     np.testing.assert_allclose(coupling[:, 0], worst, rtol=1e-4)
     assert (coupling[:, 1] == 0.0).all()

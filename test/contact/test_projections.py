@@ -42,7 +42,8 @@ def projections(N, Lambda=None):
     Omega_m, Omega_c, column = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
     for k, unit in enumerate(np.eye(6)):
         for matrix, f_t, f_c in ((Omega_m, unit, np.zeros(6)), (Omega_c, np.zeros(6), unit)):
-            compose_acceleration(*factorised(N, Lambda), f_t, f_c, column)
+            compose_acceleration(
+                *factorised(N, Lambda), f_t, f_c, np.empty(N.shape[1]), column)
             matrix[:, k] = column
     np.testing.assert_allclose(Omega_c, np.eye(6) - Omega_m, atol=1e-12)
     return Omega_c.T, Omega_m

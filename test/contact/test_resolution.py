@@ -3,7 +3,7 @@
 from arms import controller_config
 from multicontact_control.config import merge
 from multicontact_control.contact.resolution import force_noise
-from multicontact_control.contact.wrench import measure_contacts
+from multicontact_control.contact.wrench import CONTACT_SPACE, measure_contacts
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
@@ -15,6 +15,8 @@ import pytest
 from scipy.signal import butter, lfilter
 
 NOISE = np.repeat([0.05, 0.004], 3)  # the defaults [N, N m]
+
+SPACE = np.zeros(1, dtype=CONTACT_SPACE)[0]
 
 
 def pair(apart, degrees=0.0, **changes):
@@ -41,7 +43,7 @@ def test_force_noise_is_that_of_drawn_readings(friction_std):
     controls['tool'] = 0
     for reading in readings:
         controls['wrench'] = reading
-        assert measure_contacts(controls[0], columns)
+        assert measure_contacts(controls[0], columns, SPACE)
         drawn.append(columns['alpha_meas'].copy())
     np.testing.assert_allclose(np.std(drawn, axis=0), expected, rtol=0.05)
 
