@@ -47,6 +47,15 @@ EVIDENCE = np.dtype([
     ('felt_before', F),  # J_i^T f when it was [N m]
 ], align=True)
 
+# Limits of one joint at the last gate, and what is left of the torques before.
+JOINT_GATE = np.dtype([
+    ('step', F),  # of the torque, per period [N m]
+    ('lower', F), ('upper', F),  # positions at which it comes to rest [rad]
+    ('speed', F),  # [rad/s]
+    ('last', F),  # what was commanded last and what was added [N m]
+    ('lacking', F), ('difference', F),  # see `supervision.gate.blend` [N m]
+], align=True)
+
 # One joint: where it is, its terms of the arm's model, what is set for it, and its torque.
 JOINT = np.dtype([
     ('q', F),  # position [rad]
@@ -74,6 +83,7 @@ JOINT = np.dtype([
     ('least_threshold', F),  # the same without friction [N m]
     ('allowance', F), ('learnt_limit', F),  # friction in it, at least and at most [N m]
     ('evidence', EVIDENCE),
+    ('gate', JOINT_GATE),
     ('slack', F),  # added to that, as the arm accelerates or the effort is in doubt [N m]
 ], align=True)
 
@@ -314,29 +324,13 @@ TASK_LIMITS = np.dtype([
     ('reach', F), ('turn', F),  # greatest way and angle of the reference from the arm [m], [rad]
     ('ramp', F), ('turn_ramp', F),  # largest accelerations of the reference [m/s^2], [rad/s^2]
     ('box', F, (2, 3)),  # lower and upper corner of the workspace [m]
-    ('bounded', B),  # whether stops, speeds or the reach of the arm have just bound its motion
+    ('guarded', B), ('time', F), ('bounded_at', F), ('bounded', B),  # whether stops, speeds or the reach of the arm have just bound its motion
     ('behind', B),  # whether the reference has still to catch up with the task
     ('position', F, 3), ('rotation', F, (3, 3)),  # the reference, before contacts move it [m]
     ('twist', F, 6),  # its velocity while it catches up [m/s, rad/s]
     ('reads_before', B),  # whether something is read that no touch explains
     ('ahead', F, 3), ('turned_ahead', F, 3),  # of the arm, a tick ago, off normals [m], [rad]
 ], align=True)
-
-# What an answer of the law must be like; one.
-PLAUSIBILITY = np.dtype([
-    ('inertia', F),  # what a lost contact may read more: the tool's inertia [N]
-    ('friction_bound', F),  # force across the normals, per force along them
-    ('force_ceiling', F),  # along them, of contacts that are not commanded [N]
-    ('box', F, (2, 3)),  # where the operational point may be [m]
-])
-
-# Limits of one joint at the last gate.
-JOINT_LIMITS = np.dtype([
-    ('step', F),  # of the torque, per period [N m]
-    ('lower', F), ('upper', F),  # positions at which it comes to rest [rad]
-    ('speed', F),  # [rad/s]
-    ('last', F),  # what was commanded last and what was added [N m]
-])
 
 # What the input stage is set to; one. Three values are those of joints, wrench and R.
 INPUT_SETTINGS = np.dtype([

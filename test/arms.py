@@ -10,7 +10,7 @@ from multicontact_control.config import (
     RobotConfig,
     validate,
 )
-from multicontact_control.control.arm import AMBIGUOUS
+from multicontact_control.flags import AMBIGUOUS
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.paths import config_dir

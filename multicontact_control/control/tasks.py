@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import math
 from typing import NamedTuple, Protocol
 
+from multicontact_control.algebra import quintic
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import (
     Config,
@@ -100,16 +101,6 @@ class ReferenceConfig(Config):
         times = [step.time for step in self.force_steps]
         if times != sorted(times):
             yield ConfigError('reference.force_steps', 'times in rising order', times)
-
-
-def quintic(elapsed: float, duration: float) -> tuple[float, float, float]:
-    """Return b = 10 x^3 - 15 x^4 + 6 x^5, x = elapsed / duration, and its two derivatives."""
-    if elapsed >= duration:
-        return 1.0, 0.0, 0.0
-    x = max(0.0, elapsed / duration)
-    return (x ** 3 * (10.0 + x * (-15.0 + 6.0 * x)),
-            30.0 * x ** 2 * (1.0 - x) ** 2 / duration,
-            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration ** 2)
 
 
 def shortest_duration(change: Vector, limits: LimitsConfig) -> float:

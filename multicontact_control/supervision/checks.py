@@ -13,25 +13,34 @@ from collections.abc import Iterator, Sequence
 from itertools import permutations, product
 from typing import Any
 
-from multicontact_control.algebra import dot
+from multicontact_control.algebra import add_scaled, length
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.control import arm
-from multicontact_control.control.arm import DIRECTION, JOINT_SPEED, OPERATIONAL_SPEED, WRENCH
+from multicontact_control.control.arm import DIRECTION, WRENCH
 from multicontact_control.control.controller import Controller
-from multicontact_control.records import PLAUSIBILITY, Records
+from multicontact_control.flags import (
+    JOINT_SPEED,
+    NOT_FINITE,
+    OPERATIONAL_SPEED,
+    OUTSIDE,
+    PULL,
+    REFUSED,
+    SIDEWAYS,
+    STRAY,
+)
+from multicontact_control.records import B, F, I, Records
 from multicontact_control.supervision.contacts import FREE, LOST
 from multicontact_control.supervision.reactions import NONE, SEVERITY
 import numpy as np
 
-# What `check_plausibility` returns, added up.
-NOT_FINITE, PULL, SIDEWAYS, OUTSIDE, STRAY = 1, 2, 4, 8, 16
 WRONG_WRENCH = {PULL: 'wrench_pull', STRAY: 'wrench_stray', SIDEWAYS: 'wrench_sideways'}
+CONTRADICTING = PULL | STRAY | SIDEWAYS
+CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
 COLLISION, CONTRADICTED = 'collision', 'joints_velocity'
-SPEEDS = (('motion_operational_speed', OPERATIONAL_SPEED), ('motion_joint_speed', JOINT_SPEED))
-TOO_FAST = tuple(tuple(cause for cause, bit in SPEEDS if flags & bit) for flags in range(32))
+TOO_FAST = {OPERATIONAL_SPEED: 'motion_operational_speed', JOINT_SPEED: 'motion_joint_speed'}
 
 PULL_LIMIT = 4.0  # N, measured pull of a surface that is accepted
 READ_PULL_LIMIT = 8.0  # N, pull that is read and accepted with what is taken off as no force
@@ -65,6 +74,23 @@ FOLLOWED = (
     'follows the wrench, of which the torques show {} times: check its sign, unit and frame '
     '(robot.sensor_frame), and the scale of the effort')
 
+# What an answer of the law must be like; one.
+PLAUSIBILITY = np.dtype([
+    ('inertia', F),  # what a lost contact may read more: the tool's inertia [N]
+    ('friction_bound', F),  # force across the normals, per force along them
+    ('force_ceiling', F),  # along them, of contacts that are not commanded [N]
+    ('box', F, (2, 3)),  # where the operational point may be [m]
+], align=True)
+
+# How answers have been judged; one.
+JUDGEMENT = np.dtype([
+    ('plausibility', PLAUSIBILITY),
+    ('refuses', B),  # whether a wrench that contradicts the contacts is refused
+    ('resumes', B),  # whether the law has not been in control, so that one sample is enough
+    ('contradictions', I),  # in a row
+    ('wrench', F, 6),  # at the operational point, less what the contacts explain [N, N m]
+], align=True)
+
 
 def reaction_to(causes: tuple[str, ...], config: ControllerConfig) -> str:
     """Return the severest reaction that causes call for, each by its name or its part's."""
@@ -78,22 +104,21 @@ def reaction_to(causes: tuple[str, ...], config: ControllerConfig) -> str:
 
 @compiled
 def check_plausibility(
-    limits: Any, controls: Any, joints: Any, contacts: Any, states: Any,
+    bounds: Any, control: Any, joints: Any, contacts: Any, states: Any, wrench: Vector,
 ) -> int:
     """
     Check the answer of the control law that is in the joints.
 
-    Returns the sum of NOT_FINITE, PULL (a surface pulls, beyond what was read before; after the
-    loss of a contact the inertia of the tool that is braked is allowed for), SIDEWAYS (more than
-    friction can explain), STRAY (a contact that is free is beyond the force ceiling) and OUTSIDE
-    (the operational point is out of its box).
+    `wrench`, shape (6,), is overwritten. Returns the sum of NOT_FINITE, PULL (a surface pulls,
+    beyond what was read before; after the loss of a contact the inertia of the tool that is braked
+    is allowed for), SIDEWAYS (more than friction can explain), STRAY (a contact that is free is
+    beyond the force ceiling) and OUTSIDE (the operational point is out of its box).
     """
-    bounds, control, flags = limits[0], controls[0], 0
-    if not np.isfinite(joints['torque']).all():
-        flags = NOT_FINITE
-    wrench, pressed = np.zeros(6), 0.0
+    flags, pressed, sideways = 0, 0.0, wrench[:3]
+    for j in range(joints.shape[0]):
+        if not np.isfinite(joints[j].torque):
+            flags = NOT_FINITE
     operational_wrench(control, wrench)
-    sideways = wrench[:3]
     for i in range(contacts.shape[0]):
         contact, answer = contacts[i], contacts[i].answer
         if not np.isfinite(
@@ -103,21 +128,55 @@ def check_plausibility(
         if contact.config.leader != i:
             continue
         pressed += abs(contact.alpha_meas)
-        sideways -= (contact.alpha_meas + contact.untared) * contact.normal
-        allowance = bounds.inertia if states[i].state == LOST else 0.0
-        # What a free contact is read with is what its search begins with.
-        known = min(states[i].baseline, 0.0) if states[i].state == FREE else 0.0
+        add_scaled(sideways, -(contact.alpha_meas + contact.untared), contact.normal)
+        allowance = known = 0.0
+        if states[i].state == LOST:
+            allowance = bounds.inertia
+        if states[i].state == FREE:  # what it is read with is what its search begins with
+            known = min(states[i].baseline, 0.0)
         if contact.alpha_meas - known < -(PULL_LIMIT + allowance) or (
                 contact.alpha_meas + contact.untared < -(READ_PULL_LIMIT + allowance)):
             flags |= PULL
         if contact.alpha_meas > bounds.force_ceiling and states[i].state == FREE:
             flags |= STRAY
-    if np.sqrt(dot(sideways, sideways)) > SIDEWAYS_LIMIT + bounds.friction_bound * pressed:
+    if length(sideways) > SIDEWAYS_LIMIT + bounds.friction_bound * pressed:
         flags |= SIDEWAYS
     place, box = control.frame.position, bounds.box
-    if (place < box[0]).any() or (place > box[1]).any():
-        flags |= OUTSIDE
+    for k in range(3):
+        if place[k] < box[0, k] or place[k] > box[1, k]:
+            flags |= OUTSIDE
     return flags
+
+
+@compiled
+def judge_answer(judgement: Any, control: Any, joints: Any, contacts: Any, states: Any) -> int:
+    """
+    Judge the answer of the control law that is in the joints; see `check_plausibility`.
+
+    REFUSED is added to what that returns if the answer is not to be commanded: it is not finite,
+    or contradicts the contacts for the second time in a row. What leads out of the box are the
+    contacts that are pressed: they are left.
+    """
+    doubts = check_plausibility(judgement.plausibility, control, joints, contacts, states,
+                                judgement.wrench)
+    if doubts & NOT_FINITE:
+        return doubts | REFUSED
+    contradicts = judgement.refuses and doubts & CONTRADICTING
+    judgement.contradictions = judgement.contradictions + 1 if contradicts else 0
+    if contradicts and (
+            judgement.contradictions >= CONTRADICTIONS or judgement.resumes):
+        return doubts | REFUSED
+    if doubts & OUTSIDE:
+        for i in range(contacts.shape[0]):
+            states[i].left = states[i].left or contacts[i].answer.active
+    return doubts
+
+
+def cause_to_refuse(found: int) -> str:
+    """Return the cause by which an answer is refused."""
+    if found & NOT_FINITE:
+        return 'law_not_finite'
+    return next(cause for flag, cause in WRONG_WRENCH.items() if found & flag)
 
 
 def plausibility_limits(config: ControllerConfig) -> Records:

@@ -63,32 +63,33 @@ class ContactTask:
         self.states: Any = np.zeros(len(config.columns), dtype=CONTACT_STATE)
         self._names = config.column_names
         self._codes, self._leaders = self.states['state'], np.array(config.leaders)
-        self._limits: Any = np.zeros(1, dtype=TASK_LIMITS)
-        self._limits['contacts'] = contacts.contact_settings(validate(
+        self.limits: Any = np.zeros(1, dtype=TASK_LIMITS)
+        self.limits['contacts'] = contacts.contact_settings(validate(
             ContactStateConfig, {**config.contact_state.model_dump(), **source.contact_state},
             'reference.approach'), config.period, config.measuring_delay)
-        self._limits['box'] = [config.limits.workspace_lower or [-np.inf] * 3,
+        self.limits['box'] = [config.limits.workspace_lower or [-np.inf] * 3,
                                config.limits.workspace_upper or [np.inf] * 3]
         self.retune(config)
         self.locked = config.sensor.require_push_test  # at first
-        first = self.states[0], self._limits['contacts'][0]  # no tick waits for numba
+        first = self.states[0], self.limits['contacts'][0]  # no tick waits for numba
         contacts.let_go(first[0], 0.0, 0.0)
         contacts.go_on(first[0], 0.0, 0.0)
         contacts.read_anew(*first, 0.0)
         take_off(self._columns[0], first[0])
-        _limit_task(self._limits, self._controls, self._columns, self.states)
+        self.limits['guarded'] = guarded
+        limit_task(self.limits[0], self._controls[0], self._columns, self.states)
         self.reset()
 
     def retune(self, config: ControllerConfig) -> None:
         """Let the task be so far ahead of the arm that the motion law asks for its limits."""
         felt = config.wrench_input != 'momentum'  # whose observer knows of the tool
-        self._limits['contacts']['tool_mass'] = config.tool.mass if felt else 0.0
+        self.limits['contacts']['tool_mass'] = config.tool.mass if felt else 0.0
         lead = 2.0 * config.motion.damping_ratio / config.motion.natural_frequency  # k_v / k_p
-        self._limits['lead'] = lead
-        self._limits['reach'] = lead * config.limits.operational_speed
-        self._limits['turn'] = lead * config.limits.operational_turn
-        self._limits['ramp'] = config.limits.operational_acceleration
-        self._limits['turn_ramp'] = config.limits.operational_turn_acceleration
+        self.limits['lead'] = lead
+        self.limits['reach'] = lead * config.limits.operational_speed
+        self.limits['turn'] = lead * config.limits.operational_turn
+        self.limits['ramp'] = config.limits.operational_acceleration
+        self.limits['turn_ramp'] = config.limits.operational_turn_acceleration
 
     def reset(self) -> None:
         """Let all contacts start anew, free; a hold ends."""
@@ -108,9 +109,9 @@ class ContactTask:
         self._task: Task = Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces)
         self.states[~pressed] = contacts.FREE_CONTACT
         self._columns['untared'][~pressed] = self._columns['speed_bound'][~pressed] = 0.0
-        self.bounded_at, self._limits['behind'] = -math.inf, False
-        self._limits['position'], self._limits['rotation'] = position, rotation
-        self._limits['twist'] = 0.0
+        self.limits['bounded_at'], self.limits['behind'] = -math.inf, False
+        self.limits['position'], self.limits['rotation'] = position, rotation
+        self.limits['twist'] = 0.0
         self._kept: Mask | None = None  # contacts, from the end of a pause to the next tick
 
     def start(self, pose: Pose) -> None:
@@ -133,9 +134,11 @@ class ContactTask:
         if self._guarded:
             if self._kept is not None:
                 self._return(self._kept)
-            self._limits['bounded'] = time - self.bounded_at < BOUNDED_TIME
-            self.limited = _limit_task(self._limits, self._controls, self._columns, self.states)
-            self.reads_before = bool(self._limits['reads_before'][0])
+            self.limits['time'] = time
+
+    @property
+    def seeks(self) -> bool:
+        return not self._guarded
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -168,7 +171,7 @@ class ContactTask:
 
     def resume(self) -> Mask:
         """Go on from where the arm is; return which contacts are kept: pressed and felt, (r,)."""
-        felt = self._columns['alpha_meas'] > self._limits['contacts']['contact_threshold']
+        felt = self._columns['alpha_meas'] > self.limits['contacts']['contact_threshold']
         self._kept = (self._active & felt)[self._columns['config']['leader']]
         return self._kept
 
@@ -183,13 +186,13 @@ class ContactTask:
                 contacts.go_on(state, column['alpha_meas'], place)
             else:
                 contacts.let_go(state, place, 0.0)
-                contacts.read_anew(state, self._limits['contacts'][0], column['alpha_meas'])
+                contacts.read_anew(state, self.limits['contacts'][0], column['alpha_meas'])
                 take_off(column, state)
-        limits = self._limits
+        limits = self.limits
         limits['position'] = self._frame['position'] - along @ normals
         limits['rotation'] = self._frame['rotation']
         limits['twist'] = limits['ahead'] = limits['turned_ahead'] = 0.0
-        self.bounded_at, limits['behind'] = -math.inf, True
+        limits['bounded_at'], limits['behind'] = -math.inf, True
 
     def sought_normals(self) -> Any:
         """Return normals of what is sought or held, couples with 0, shape (k, 3)."""
@@ -203,9 +206,12 @@ class ContactTask:
 
 
 @compiled
-def _limit_task(limits: Any, controls: Any, columns: Any, states: Any) -> bool:
+def limit_task(limit: Any, control: Any, columns: Any, states: Any) -> bool:
     """Bring a task that is wanted to one that may be followed; return whether it was limited."""
-    limit, frame, task = limits[0], controls[0].frame, controls[0].task
+    if not limit.guarded:
+        return False
+    frame, task = control.frame, control.task
+    limit.bounded = limit.time - limit.bounded_at < BOUNDED_TIME
     behind = _follow_task(limit, frame, task)
     _follow_contacts(limit, frame, task, columns, states)
     return _bound_task(limit, frame, task, columns) or behind

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from multicontact_control.config import ToolConfig
 from multicontact_control.control.arm import ArmState
-from multicontact_control.control.law import control_law, LAW_SPACE, OK
+from multicontact_control.control.law import control_law, LAW_SPACE
 from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.dynamics.rotations import Pose, rotation_vector
 from multicontact_control.errors import ConfigError
@@ -194,8 +194,8 @@ def torque_for(model, q, v, acceleration, **nullspace):
     arm.motion[:] = q, v
     arm.refresh()
     assert control_law(
-        controls, arm.joints, terms.mass_matrix, terms.jacobian, terms.jacobian_rate,
-        contacts, np.zeros(0, dtype=FORCE_LAW), np.zeros(1, dtype=LAW_SPACE)) == OK
+        controls[0], arm.joints, terms.mass_matrix, terms.jacobian, terms.jacobian_rate,
+        contacts, np.zeros(0, dtype=FORCE_LAW), np.zeros(1, dtype=LAW_SPACE)[0]) == 0
     return arm.joints['torque'].copy()
 
 
