@@ -40,6 +40,7 @@ def make(q=HOME, velocity=REST, config=CONFIG, limit=LIMIT, guarded=True):
     arm.motion[:] = q, velocity
     assert arm.refresh()
     arm.joints['torque_limit'] = limit
+    arm.joints['lower'], arm.joints['upper'] = config.limits.joint_lower, config.limits.joint_upper
     return TorqueGate(config, arm, guarded=guarded), arm
 
 
