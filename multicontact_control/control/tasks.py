@@ -21,6 +21,7 @@ import numpy as np
 
 STILL = np.zeros(6)  # twist and acceleration
 STILL.flags.writeable = False
+STAMP_TOLERANCE = 1e-9  # s
 LARGEST_SINE = 0.5  # of a scenario's motion to a surface that is pressed: some are tilted
 QUINTIC_SPEED, QUINTIC_ACCELERATION = 15.0 / 8.0, 10.0 / math.sqrt(3.0)  # peaks of b' and b''
 
@@ -48,6 +49,8 @@ class TaskSource(Protocol):
         Return the task at a time since the start [s].
 
         The source makes the contacts of measured forces, shape (r,) [N]; contact states without.
+        What is the same object as at the time before is taken for the same: an array that was
+        returned must not be changed.
         """
 
 
@@ -183,8 +186,8 @@ class ScenarioTask:
             forces |= step.forces
             rows.append(list(forces.values()))
         self.forces: Matrix = np.array(rows)
-        rest = np.zeros(len(names))
-        self._wanted = [((row > 0.0)[self._leader_of], row) for row in (*self.forces, rest)]
+        self._wanted_after_step = [((row > 0.0)[self._leader_of], row) for row in self.forces]
+        self._nothing_wanted = np.zeros(len(names), dtype=bool), np.zeros(len(names))
         self._step_times = [step.time for step in config.force_steps]
 
     @classmethod
@@ -221,8 +224,11 @@ class ScenarioTask:
     def task(self, time: float, alpha_meas: Vector | None = None) -> Task:
         """Return the task of one tick; see `TaskSource.task`."""
         since = time - self._approach.start_time
-        done = bisect_right(self._step_times, time + 1e-9) if since >= 0.0 else -1
-        active, alpha_des = self._wanted[done]
+        if since < 0.0:
+            active, alpha_des = self._nothing_wanted
+        else:
+            steps_taken = bisect_right(self._step_times, time + STAMP_TOLERANCE)
+            active, alpha_des = self._wanted_after_step[steps_taken]
         twist = acceleration = STILL
         if alpha_meas is not None:
             if not self._touched.all():
@@ -261,7 +267,8 @@ class CommandedTask:
     The task that a user sets, over topics or from a program; `CommandLimits` checks the commands.
 
     Names and leaders are those of a `ScenarioTask`. Until a motion is commanded, `pose` is that
-    of the start, and None before. A contact with a force above 0 is force controlled.
+    of the start, and None before. A contact with a force above 0 is force controlled. The task is
+    the same object until something else is commanded, or a motion has lasted long enough.
     """
 
     contact_state: Mapping[str, float] = {}
@@ -277,7 +284,9 @@ class CommandedTask:
         self._twist = self._acceleration = STILL
         self._lasting = self._until = math.inf  # of these two [s]; NaN until the next tick
         self._alpha_des = np.zeros(len(self._names))
+        self._active: Mask = np.zeros(len(self._names), dtype=bool)
         self._shares = np.full(len(self._names), math.nan)
+        self._task: Task | None = None
 
     def set_forces(
         self, forces: Mapping[str, float], shares: Mapping[str, float] | None = None,
@@ -297,6 +306,8 @@ class CommandedTask:
         known = ~np.isnan(followed)
         desired[known] = followed[known] * desired[self._leader_of][known]
         self._alpha_des, self._shares = desired, followed
+        self._active = (desired > 0.0)[self._leader_of]
+        self._task = None
         return bool((desired != before).any())
 
     @property
@@ -329,14 +340,19 @@ class CommandedTask:
         self.pose = Pose.from_quaternion(position, quaternion)
         self._twist, self._acceleration = twist, acceleration
         self._lasting, self._until = lasting, math.nan
+        self._task = None
 
     def task(self, time: float, alpha_meas: Vector | None = None) -> Task:
         """Return the commanded task; see `TaskSource.task`."""
-        if self.pose is None:
-            raise ConfigError('reference', 'start() before task()', 'task()')
         if math.isnan(self._until):
             self._until = time + self._lasting
         if time > self._until:
             self._twist = self._acceleration = STILL
-        return Task(self.pose, self._twist, self._acceleration,
-                    (self._alpha_des > 0.0)[self._leader_of], self._alpha_des)
+            self._until = math.inf
+            self._task = None
+        if self._task is None:
+            if self.pose is None:
+                raise ConfigError('reference', 'start() before task()', 'task()')
+            self._task = Task(
+                self.pose, self._twist, self._acceleration, self._active, self._alpha_des)
+        return self._task

@@ -124,6 +124,7 @@ class Supervisor:
             if resumes:
                 self._resume()
             self.task.ask(self._task_ticks * self._period)
+            task_limited = self.task.limit()
             limited = self.controller.answer()
             part = 'internal'
             if refused := self._check():
@@ -137,10 +138,10 @@ class Supervisor:
             if self.guarded and not LASTING_LIMITS.isdisjoint(limits):
                 self.controller.account_for(torque)
             if not BOUNDING_LIMITS.isdisjoint(limits):
-                self.task.bounded_at = self._task_ticks * self._period
+                self.task.limits['bounded_at'] = self._task_ticks * self._period
             self._task_ticks += 1
             return self._report(
-                torque, reaction, causes, ('reference', *limits) if self.task.limited else limits)
+                torque, reaction, causes, ('reference', *limits) if task_limited else limits)
         except Exception as error:
             if not self.guarded:
                 raise
