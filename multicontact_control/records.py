@@ -118,7 +118,7 @@ MOMENTUM = np.dtype([
     ('is_input', B),  # whether the residual is the wrench of the contacts: there is no sensor
 ], align=True)
 
-# What the motion law is asked for, world axes; one.
+# Where the operational frame is to be, world axes.
 TASK = np.dtype([
     ('position', F, 3),  # x_des [m]
     ('rotation', F, (3, 3)),  # desired axes of the operational frame as columns
@@ -128,7 +128,9 @@ TASK = np.dtype([
 
 # All that the control law works on besides joints, contacts and observers; one.
 CONTROL = np.dtype([
-    ('law', LAW), ('frame', FRAME), ('tool', TOOL), ('task', TASK), ('momentum', MOMENTUM),
+    ('law', LAW), ('frame', FRAME), ('tool', TOOL), ('momentum', MOMENTUM),
+    ('wanted', TASK),  # what the source of the task asks for
+    ('task', TASK),  # what the motion law is asked for: that, as far as contacts and limits allow
     ('wrench', F, 6),  # what the wrist sensor reads, in its frame [N, N m]
     ('measured', B),  # whether that is of this sample; if not, observers only predict
 ], align=True)
@@ -181,6 +183,8 @@ CONTACT = np.dtype([
     ('stiffness_est', F), ('stiffness_std', F),  # estimate of k, 0 for none; its error [N/m]
     ('ratio_bound', F),  # largest likely true stiffness over that of the model in use
     ('margin', F),  # largest ratio at which the force loop is stable, over that one
+    ('wanted', B),  # whether the source of the task asks for it
+    ('alpha_wanted', F),  # force that it asks for [N]
     ('answer', FORCE_ANSWER),
 ], align=True)
 
@@ -268,69 +272,6 @@ NOISE_WINDOW = np.dtype([
 
 # What the filter of one contact remembers of the sample before.
 FILTER_STATE = np.dtype([('alpha', F), ('filtered', F)])  # [N]
-
-# The supervised state of one contact.
-CONTACT_STATE = np.dtype([
-    ('state', I),  # see `supervision.contacts`
-    ('losses', I),  # how often it was lost since it was first wanted
-    ('left', B),  # whether it is to be left, or was, for its force or for where it leads
-    ('again', B),  # whether it is to be sought although it was given up
-    ('wanted', B),  # whether the task asks for it
-    ('asked', F),  # force the task asks for [N]
-    ('asked_for', F),  # since when it is the same [s]
-    ('displacement', F),  # of the reference along the normal, relative to the task [m]
-    ('speed', F), ('acceleration', F),  # of that displacement [m/s], [m/s^2]
-    ('force_limit', F),  # upper limit of the desired force [N]
-    ('in_state', F),  # since when in this state [s]
-    ('below', F),  # for how long less is felt than by one that holds; < 0 if thrown back [s]
-    ('shaken', F),  # until it may be thrown back again without being lost [s]
-    ('level', F),  # force it is held with, averaged [N]
-    ('origin', F),  # displacement at which the surface is, NaN if it was never met [m]
-    ('start', F),  # displacement at which the search began [m]
-    ('fall', F),  # by which a surface may be lower where the tip has slid to since a loss [m]
-    ('target', F),  # displacement to go to [m]
-    ('stiffness', F),  # modelled, of the surface [N/m]
-    ('surface_speed', F),  # along the normal, as far as it is known [m/s]
-    ('approach_speed', F),  # largest one towards a surface that is not felt [m/s]
-    ('averaged', F),  # samples in `baseline`, up to as many as are averaged
-    ('baseline', F),  # what is read without a touch [N]
-    ('untared', F),  # of that, what is taken off the measured force [N]
-    ('free_way', F),  # of the search, on which nothing was felt [m]
-    ('free_baseline', F),  # `baseline` at its end [N]
-    ('answered', B),  # whether a force has risen with the way into the surface
-    ('resumed', B),  # whether it was pressed before a pause, and has not answered since
-    ('resting', F),  # force that the tip is said to rest on before a search, 0 if not [N]
-    ('last_speed', F),  # of the tip along the normal, at the sample before [m/s]
-    ('seen', F),  # for how long a force is seen that has not answered [s]
-    ('felt', F),  # that force without the tool's inertia, smoothed [N]
-    ('read', F), ('least_read', F),  # the same with it, and its minimum [N]
-    ('unanswered', F),  # for how long clearly more than that is asked for [s]
-    ('least', F), ('least_place', F),  # minimum of `felt`, and where the tip was then [N], [m]
-    ('touch_place', F), ('flat_place', F),  # of the touch, and of the last force near that [m]
-    ('calm', F),  # until it has more than the preload, of one that has answered late [s]
-], align=True)
-
-# What is set for all contacts: `ContactStateConfig`, h, times of at least some periods, and the
-# mass whose inertia the wrench has in it [kg]; one.
-CONTACT_SETTINGS = np.dtype([(name, F) for name in (
-    'period', 'loss_time', 'bounce_time', 'approach_speed', 'approach_ramp_time',
-    'approach_distance', 'contact_threshold', 'release_threshold', 'preload', 'force_ceiling',
-    'retry_time', 'settling_time', 'tool_mass')])
-
-# Bounds of a task, and the reference that follows it; one.
-TASK_LIMITS = np.dtype([
-    ('contacts', CONTACT_SETTINGS),
-    ('lead', F),  # k_v / k_p: an error of v k_v / k_p makes the motion law move at v [s]
-    ('reach', F), ('turn', F),  # greatest way and angle of the reference from the arm [m], [rad]
-    ('ramp', F), ('turn_ramp', F),  # largest accelerations of the reference [m/s^2], [rad/s^2]
-    ('box', F, (2, 3)),  # lower and upper corner of the workspace [m]
-    ('guarded', B), ('time', F), ('bounded_at', F), ('bounded', B),  # whether stops, speeds or the reach of the arm have just bound its motion
-    ('behind', B),  # whether the reference has still to catch up with the task
-    ('position', F, 3), ('rotation', F, (3, 3)),  # the reference, before contacts move it [m]
-    ('twist', F, 6),  # its velocity while it catches up [m/s, rad/s]
-    ('reads_before', B),  # whether something is read that no touch explains
-    ('ahead', F, 3), ('turned_ahead', F, 3),  # of the arm, a tick ago, off normals [m], [rad]
-], align=True)
 
 # What the input stage is set to; one. Three values are those of joints, wrench and R.
 INPUT_SETTINGS = np.dtype([

@@ -65,6 +65,7 @@ class Law:
         if not law.started:
             self._task.start(law.start())
         self._task.ask(measurement.time)
+        self._task.limit()
         law.answer()
         return law.output(law.torque.copy())
 

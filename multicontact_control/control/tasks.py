@@ -22,6 +22,7 @@ import numpy as np
 
 STILL = np.zeros(6)  # twist and acceleration
 STILL.flags.writeable = False
+STAMP_TOLERANCE = 1e-9  # s
 LARGEST_SINE = 0.5  # of a scenario's motion to a surface that is pressed: some are tilted
 QUINTIC_SPEED, QUINTIC_ACCELERATION = 15.0 / 8.0, 10.0 / math.sqrt(3.0)  # peaks of b' and b''
 
@@ -37,9 +38,20 @@ class Task(NamedTuple):
 
 
 class TaskSource(Protocol):
-    """Where tasks come from; `contact_state` are fields of `ContactStateConfig` that they set."""
+    """
+    Where tasks come from.
+
+    Attributes
+    ----------
+    contact_state
+        Fields of `ContactStateConfig` that they set.
+    seeks
+        Whether a contact is still to be made, if the source makes them.
+
+    """
 
     contact_state: Mapping[str, float]
+    seeks: bool
 
     def start(self, pose: Pose, normals_world: Matrix) -> None:
         """Begin from a pose at rest, beside contact normals INTO the surfaces, shape (r, 3)."""
@@ -49,6 +61,8 @@ class TaskSource(Protocol):
         Return the task at a time since the start [s].
 
         The source makes the contacts of measured forces, shape (r,) [N]; contact states without.
+        What is the same object as at the time before is taken for the same: an array that was
+        returned must not be changed.
         """
 
 
@@ -174,8 +188,8 @@ class ScenarioTask:
             forces |= step.forces
             rows.append(list(forces.values()))
         self.forces: Matrix = np.array(rows)
-        rest = np.zeros(len(names))
-        self._wanted = [((row > 0.0)[self._leader_of], row) for row in (*self.forces, rest)]
+        self._wanted_after_step = [((row > 0.0)[self._leader_of], row) for row in self.forces]
+        self._nothing_wanted = np.zeros(len(names), dtype=bool), np.zeros(len(names))
         self._step_times = [step.time for step in config.force_steps]
 
     @classmethod
@@ -207,16 +221,20 @@ class ScenarioTask:
         """Begin from a pose at rest; see `TaskSource.start`."""
         self._pose, self._normals, self._position = pose, normals_world, pose.position_world
         self._touched: Mask = np.zeros(len(normals_world), dtype=bool)
+        self.seeks = True
         self._advance = np.zeros(len(normals_world))
 
     def task(self, time: float, alpha_meas: Vector | None = None) -> Task:
         """Return the task of one tick; see `TaskSource.task`."""
         since = time - self._approach.start_time
-        done = bisect_right(self._step_times, time + 1e-9) if since >= 0.0 else -1
-        active, alpha_des = self._wanted[done]
+        if since < 0.0:
+            active, alpha_des = self._nothing_wanted
+        else:
+            steps_taken = bisect_right(self._step_times, time + STAMP_TOLERANCE)
+            active, alpha_des = self._wanted_after_step[steps_taken]
         twist = acceleration = STILL
         if alpha_meas is not None:
-            if not self._touched.all():
+            if self.seeks:
                 twist, acceleration = self._seek(since, alpha_meas)
                 alpha_des = np.where(self._touched, alpha_des, 0.0)
             active = self._touched
@@ -235,6 +253,7 @@ class ScenarioTask:
         if since >= 0.0:
             felt = alpha_meas > approach.contact_threshold
             self._touched = self._touched | felt[self._leader_of]
+            self.seeks = not self._touched.all()
         if since <= 0.0:
             return STILL, STILL
         speed, rate = approach.speed, 0.0
@@ -252,10 +271,12 @@ class CommandedTask:
     The task that a user sets, over topics or from a program; `CommandLimits` checks the commands.
 
     Names and leaders are those of a `ScenarioTask`. Until a motion is commanded, `pose` is that
-    of the start, and None before. A contact with a force above 0 is force controlled.
+    of the start, and None before. A contact with a force above 0 is force controlled. The task is
+    the same object until something else is commanded, or a motion has lasted long enough.
     """
 
     contact_state: Mapping[str, float] = {}
+    seeks = False
 
     def __init__(self, names: Sequence[str], leader_of: Sequence[int] | None = None) -> None:
         self._names = tuple(names)
@@ -268,7 +289,9 @@ class CommandedTask:
         self._twist = self._acceleration = STILL
         self._lasting = self._until = math.inf  # of these two [s]; NaN until the next tick
         self._alpha_des = np.zeros(len(self._names))
+        self._active: Mask = np.zeros(len(self._names), dtype=bool)
         self._shares = np.full(len(self._names), math.nan)
+        self._task: Task | None = None
 
     def set_forces(
         self, forces: Mapping[str, float], shares: Mapping[str, float] | None = None,
@@ -288,6 +311,8 @@ class CommandedTask:
         known = ~np.isnan(followed)
         desired[known] = followed[known] * desired[self._leader_of][known]
         self._alpha_des, self._shares = desired, followed
+        self._active = (desired > 0.0)[self._leader_of]
+        self._task = None
         return bool((desired != before).any())
 
     @property
@@ -320,14 +345,19 @@ class CommandedTask:
         self.pose = Pose.from_quaternion(position, quaternion)
         self._twist, self._acceleration = twist, acceleration
         self._lasting, self._until = lasting, math.nan
+        self._task = None
 
     def task(self, time: float, alpha_meas: Vector | None = None) -> Task:
         """Return the commanded task; see `TaskSource.task`."""
-        if self.pose is None:
-            raise ConfigError('reference', 'start() before task()', 'task()')
         if math.isnan(self._until):
             self._until = time + self._lasting
         if time > self._until:
             self._twist = self._acceleration = STILL
-        return Task(self.pose, self._twist, self._acceleration,
-                    (self._alpha_des > 0.0)[self._leader_of], self._alpha_des)
+            self._until = math.inf
+            self._task = None
+        if self._task is None:
+            if self.pose is None:
+                raise ConfigError('reference', 'start() before task()', 'task()')
+            self._task = Task(
+                self.pose, self._twist, self._acceleration, self._active, self._alpha_des)
+        return self._task

@@ -5,7 +5,18 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from multicontact_control.algebra import dot, rotate_by
+from multicontact_control.algebra import (
+    across,
+    add,
+    add_scaled,
+    between,
+    combined,
+    divided,
+    dot,
+    length,
+    rotate_by,
+    Triple,
+)
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig, validate
@@ -14,8 +25,9 @@ from multicontact_control.config.supervision import ContactStateConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import STILL, Task, TaskSource
 from multicontact_control.dynamics.rotations import Pose, rotation_vector
-from multicontact_control.records import CONTACT_STATE, TASK_LIMITS
+from multicontact_control.records import B, F, MAX_COLUMNS
 from multicontact_control.supervision import contacts
+from multicontact_control.supervision.contacts import CONTACT_SETTINGS, CONTACT_STATE
 import numpy as np
 
 GUARD_SHARE = 0.3  # of the force held, below which the measured force is fed forward
@@ -38,16 +50,46 @@ STEP_TIME, STEP_SHARE = 0.01, 0.15
 PARALLEL = 1e-6  # length that is left of a normal that the others span already
 
 
+# Bounds of a task, and the reference that follows it; one.
+TASK_LIMITS = np.dtype([
+    ('guarded', B),  # whether these, and contact states, apply; if not, the task is as wanted
+    ('contacts', CONTACT_SETTINGS),
+    ('lead', F),  # k_v / k_p: an error of v k_v / k_p makes the motion law move at v [s]
+    ('reach', F), ('turn', F),  # greatest way and angle of the reference from the arm [m], [rad]
+    ('ramp', F), ('turn_ramp', F),  # largest accelerations of the reference [m/s^2], [rad/s^2]
+    ('lower', F, 3), ('upper', F, 3),  # corners of the workspace [m]
+    ('time', F),  # of the task, since the start [s]
+    ('bounded_at', F),  # that time when stops, speeds or reach bounded the arm's motion last [s]
+    ('bounded', B),  # whether they have just done so
+    ('behind', B),  # whether the reference has still to catch up with the task
+    ('position', F, 3), ('rotation', F, (3, 3)),  # the reference, before contacts move it [m]
+    ('twist', F, 6),  # its velocity while it catches up [m/s, rad/s]
+    ('ahead', F, 3), ('turned_ahead', F, 3),  # of the arm, a tick ago, off normals [m], [rad]
+    ('reads_before', B),  # whether something is read that no touch explains
+    ('changed', B),  # whether contacts have changed their states since `state_names` were told
+    ('way', F, 3), ('turned_way', F, 3),  # worked with: what the reference goes [m], [rad]
+    ('axes', F, (MAX_COLUMNS, 3)),  # worked with: normals of active contacts, orthogonal
+], align=True)
+
+
 class ContactTask:
     """
-    A task as far as contacts and limits allow it, written into the records of a controller.
+    A task as far as contacts and limits allow it, in the records of a controller.
 
-    A hold keeps the arm where it is and pressing as it does, a lock keeps it where it is without
-    contact; the time of the source stands still meanwhile. If not `guarded`, neither contact
-    states nor limits apply: the source makes the contacts. `states` are records of
-    `CONTACT_STATE`, shape (r,); `limited` is whether a limit was enforced at the last tick,
-    `bounded_at` when the motion of the arm was bounded last [s], which its user sets, and
-    `reads_before` whether there is anything in `read_before`.
+    In a tick `ask` writes what the source wants into `wanted` of the records, and `limit` makes of
+    that the `task` and what is asked of each contact. A hold keeps the arm where it is and
+    pressing as it does, a lock keeps it where it is without contact; the time of the source stands
+    still meanwhile. If not `guarded`, neither contact states nor limits apply: the source makes
+    the contacts.
+
+    Attributes
+    ----------
+    limits, states
+        One record of `TASK_LIMITS`, and records of `CONTACT_STATE`, shape (r,). Who moves the arm
+        sets `bounded_at`.
+    held, locked
+        Whether there is a hold, or a lock.
+
     """
 
     def __init__(
@@ -56,19 +98,23 @@ class ContactTask:
     ) -> None:
         self._source, self._guarded = source, guarded
         self._controls, self._columns = controller.controls, controller.contacts
-        self._frame, answer = self._controls['frame'][0], self._columns['answer']
-        self._places = [self._controls['task'][0][name] for name in (
-            'position', 'rotation', 'twist', 'acceleration')]
-        self._active, self._alpha_des = answer['active'], answer['alpha_des']
+        self._frame, wanted = self._controls['frame'][0], self._controls['wanted'][0]
+        wanted['rotation'] = np.eye(3)
+        self._places = (
+            wanted['position'], wanted['rotation'], wanted['twist'], wanted['acceleration'],
+            self._columns['wanted'], self._columns['alpha_wanted'])
+        self._written: tuple[object, ...] = (None,) * len(self._places)
+        self._active = self._columns['answer']['active']
         self.states: Any = np.zeros(len(config.columns), dtype=CONTACT_STATE)
-        self._names = config.column_names
-        self._codes, self._leaders = self.states['state'], np.array(config.leaders)
+        self._names, self._leaders = config.column_names, np.array(config.leaders)
+        self._codes = self.states['state']
         self.limits: Any = np.zeros(1, dtype=TASK_LIMITS)
+        self.limits['guarded'] = guarded
         self.limits['contacts'] = contacts.contact_settings(validate(
             ContactStateConfig, {**config.contact_state.model_dump(), **source.contact_state},
             'reference.approach'), config.period, config.measuring_delay)
-        self.limits['box'] = [config.limits.workspace_lower or [-np.inf] * 3,
-                               config.limits.workspace_upper or [np.inf] * 3]
+        self.limits['lower'] = config.limits.workspace_lower or -np.inf
+        self.limits['upper'] = config.limits.workspace_upper or np.inf
         self.retune(config)
         self.locked = config.sensor.require_push_test  # at first
         first = self.states[0], self.limits['contacts'][0]  # no tick waits for numba
@@ -76,8 +122,7 @@ class ContactTask:
         contacts.go_on(first[0], 0.0, 0.0)
         contacts.read_anew(*first, 0.0)
         take_off(self._columns[0], first[0])
-        self.limits['guarded'] = guarded
-        limit_task(self.limits[0], self._controls[0], self._columns, self.states)
+        self.limit()
         self.reset()
 
     def retune(self, config: ControllerConfig) -> None:
@@ -93,8 +138,10 @@ class ContactTask:
 
     def reset(self) -> None:
         """Let all contacts start anew, free; a hold ends."""
-        self.limited = self.held = self.reads_before = False
-        self._time = self._lost_time = 0.0
+        self.held = False
+        self._lost_time = 0.0
+        self.limits['time'] = 0.0
+        self.limits['reads_before'] = False
         self._active[:] = False
         self._stand(pressing=False)
 
@@ -106,9 +153,10 @@ class ContactTask:
             position -= state['displacement'] * normal
         if pressing:
             forces[pressed] = self._task.alpha_des[pressed]
-        self._task: Task = Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces)
+        self._want(Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces))
         self.states[~pressed] = contacts.FREE_CONTACT
         self._columns['untared'][~pressed] = self._columns['speed_bound'][~pressed] = 0.0
+        self.limits['changed'] = True
         self.limits['bounded_at'], self.limits['behind'] = -math.inf, False
         self.limits['position'], self.limits['rotation'] = position, rotation
         self.limits['twist'] = 0.0
@@ -120,30 +168,50 @@ class ContactTask:
         self._source.start(pose, self._columns['normal'].copy())
 
     def ask(self, time: float) -> None:
-        """Write what is wanted at a time since the start [s] into the controller's records."""
+        """Get what is wanted at a time since the start [s]; see `limit`."""
         if self.held or self.locked:
-            self._lost_time += time - self._time
+            self._lost_time += time - float(self.limits['time'][0])
         else:
-            self._task = self._source.task(
+            task = self._source.task(
                 time - self._lost_time, None if self._guarded else self._columns['alpha_meas'])
-        self._time, task = time, self._task
-        for place, wanted in zip(
-                self._places, (*task.pose_des, task.twist_des, task.acceleration_des)):
-            place[:] = wanted
-        self._active[:], self._alpha_des[:] = task.active, task.alpha_des
-        if self._guarded:
-            if self._kept is not None:
-                self._return(self._kept)
-            self.limits['time'] = time
+            if task is not self._task:
+                self._want(task)
+        self.limits['time'] = time
+        if self._guarded and self._kept is not None:
+            self._return(self._kept)
+
+    def _want(self, task: Task) -> None:
+        """Write what is new in a task into the records; what is the same object stands there."""
+        self._task = task
+        parts = (*task.pose_des, *task[1:])
+        for place, part, written in zip(self._places, parts, self._written):
+            if part is not written:
+                place[:] = part
+        self._written = parts
+
+    def limit(self) -> bool:
+        """Make a task of what is wanted that may be followed; return whether it was limited."""
+        return bool(limit_task(
+            self.limits[0], self._controls[0], self._columns, self.states))
 
     @property
     def seeks(self) -> bool:
-        return not self._guarded
+        """Whether the source makes contacts of the forces of this sample: it is seen first."""
+        return not self._guarded and self._source.seeks
+
+    @property
+    def reads_before(self) -> bool:
+        """Return whether there is anything in `read_before`."""
+        return bool(self.limits['reads_before'][0])
 
     @property
     def state_names(self) -> tuple[str, ...]:
         """Return the state of each contact's normal force."""
-        return tuple([contacts.NAMES[code] for code in self._codes[self._leaders].tolist()])
+        if self.limits['changed'][0]:
+            self.limits['changed'] = False
+            codes = self._codes[self._leaders].tolist()
+            self._state_names = tuple([contacts.NAMES[code] for code in codes])
+        return self._state_names
 
     @property
     def read_before(self) -> tuple[str, ...]:
@@ -193,6 +261,7 @@ class ContactTask:
         limits['rotation'] = self._frame['rotation']
         limits['twist'] = limits['ahead'] = limits['turned_ahead'] = 0.0
         limits['bounded_at'], limits['behind'] = -math.inf, True
+        limits['changed'] = True
 
     def sought_normals(self) -> Any:
         """Return normals of what is sought or held, couples with 0, shape (k, 3)."""
@@ -207,13 +276,61 @@ class ContactTask:
 
 @compiled
 def limit_task(limit: Any, control: Any, columns: Any, states: Any) -> bool:
-    """Bring a task that is wanted to one that may be followed; return whether it was limited."""
+    """
+    Bring a task that is wanted to one that may be followed; return whether it was limited.
+
+    Parameters
+    ----------
+    limit
+        A record of `TASK_LIMITS`, changed.
+    control
+        One of `CONTROL`, whose `task` is filled in.
+    columns
+        Records of `CONTACT`, shape (r,): what of each is answered is said there.
+    states
+        Records of `CONTACT_STATE`, shape (r,), changed; couples are in that of their force.
+
+    """
+    frame, wanted, task = control.frame, control.wanted, control.task
+    task.position[:], task.rotation[:] = wanted.position, wanted.rotation
+    task.twist[:], task.acceleration[:] = wanted.twist, wanted.acceleration
     if not limit.guarded:
+        for i in range(columns.shape[0]):
+            answer = columns[i].answer
+            answer.active, answer.alpha_des = columns[i].wanted, columns[i].alpha_wanted
         return False
-    frame, task = control.frame, control.task
     limit.bounded = limit.time - limit.bounded_at < BOUNDED_TIME
     behind = _follow_task(limit, frame, task)
-    _follow_contacts(limit, frame, task, columns, states)
+    away = between(task.position, frame.position)
+    rate = between(task.twist[:3], frame.twist[:3])
+    shift = (0.0, 0.0, 0.0)
+    limit.reads_before = False
+    for i in range(columns.shape[0]):
+        states[i].moved = states[i].displacement
+    for i in range(columns.shape[0]):
+        column, state = columns[i], states[i]
+        before, first = state.state, column.config.leader
+        if first == i:
+            others = 0.0
+            for j in range(columns.shape[0]):
+                if j != i:
+                    others += dot(column.normal, columns[j].normal) * states[j].moved
+            # Turning about the tool moves the operational point, and a surface that is not where
+            # the task has it moves the contact point: what escapes does both.
+            _follow_force(limit.contacts, frame, column, state,
+                          dot(column.normal, away) - others, dot(column.normal, rate))
+        else:  # its normal force comes before
+            _follow_couple(limit.contacts, column, state, columns[first], states[first])
+        take_off(column, state)
+        limit.changed = limit.changed or state.state != before
+        if state.untared != 0.0 or state.resting != 0.0:
+            limit.reads_before = True
+        shift = combined(1.0, shift, state.displacement, column.normal)
+        if not column.answer.active:
+            column.answer.alpha_des = 0.0
+            add_scaled(task.twist[:3], state.speed, column.normal)
+            add_scaled(task.acceleration[:3], state.acceleration, column.normal)
+    add(task.position, shift)
     return _bound_task(limit, frame, task, columns) or behind
 
 
@@ -226,7 +343,8 @@ def _follow_task(limit: Any, frame: Any, task: Any) -> bool:
     reference goes straight to the task, but no farther ahead of the arm than `LEAST_LEAD`: so it
     slows down with the arm, does not run away, and does not pull the arm along the bound.
     """
-    way, turn = task.position - limit.position, np.empty(3)
+    way, turn = limit.way, limit.turned_way
+    way[:] = between(limit.position, task.position)
     rotation_vector(task.rotation, limit.rotation, turn)
     if not limit.behind:
         steps = _is_step(way, task.twist[:3], limit.twist[:3], limit.reach / limit.lead) or (
@@ -238,7 +356,7 @@ def _follow_task(limit: Any, frame: Any, task: Any) -> bool:
         limit.behind = True
     there = _catch_up(way, task.twist[:3], task.acceleration[:3], limit, limit.twist[:3],
                       frame.twist[:3], limit.ahead, LEAST_LEAD, limit.reach, limit.ramp)
-    limit.position += way
+    add(limit.position, way)
     task.position[:] = limit.position
     there_turned = _catch_up(turn, task.twist[3:], task.acceleration[3:], limit, limit.twist[3:],
                              frame.twist[3:], limit.turned_ahead, LEAST_TURN, limit.turn,
@@ -253,7 +371,7 @@ def _follow_task(limit: Any, frame: Any, task: Any) -> bool:
 @compiled
 def _is_step(way: Vector, speed_des: Vector, speed: Vector, fastest: float) -> bool:
     """Return whether a task is a step away from the reference, or suddenly faster."""
-    missing = speed_des - speed
+    missing = between(speed, speed_des)
     jumps = dot(way, way) > (STEP_TIME * fastest) ** 2
     faster = dot(speed_des, speed_des) > dot(speed, speed)
     return jumps or (faster and dot(missing, missing) > (STEP_SHARE * fastest) ** 2)
@@ -272,90 +390,82 @@ def _catch_up(
     motion of the arm is bounded, v_r is at most v + (l - e) k_p / k_v, at a distance e ahead of an
     arm of speed v: the motion law then pulls the arm by k_p l at most.
     """
-    h, length, fastest = limit.contacts.period, np.sqrt(dot(way, way)), reach / limit.lead
-    wanted, slower = speed_des.copy(), False
-    if length > 0.0:
-        direction = way / length
-        along = max(0.0, dot(wanted, direction) + min(
-            RETURN_RATE * length, RETURN_SHARE * fastest))
+    h, distance, fastest = limit.contacts.period, length(way), reach / limit.lead
+    wanted, slower = (speed_des[0], speed_des[1], speed_des[2]), False
+    if distance > 0.0:
+        direction = divided(way, distance)
+        closing = min(RETURN_RATE * distance, RETURN_SHARE * fastest)
+        along = max(0.0, dot(wanted, direction) + closing)
         allowed = dot(speed_of_arm, direction) + (least_lead - dot(ahead, direction)) / limit.lead
         slower = limit.bounded and along > allowed
         if slower:
             along = max(allowed, 0.0)
-        wanted += direction * (along - dot(wanted, direction))
-        wanted *= min(1.0, fastest / max(np.sqrt(dot(wanted, wanted)), THERE))
+        wanted = combined(1.0, wanted, along - dot(wanted, direction), direction)
+        share = min(1.0, fastest / max(length(wanted), THERE))
+        wanted = (share * wanted[0], share * wanted[1], share * wanted[2])
         if slower:
             ramp *= BRAKING_SHARE
-    change = wanted - speed
-    speed += change * min(1.0, h * ramp / max(np.sqrt(dot(change, change)), THERE))
-    missing = speed_des - speed
-    if length < THERE and not slower and dot(missing, missing) < (2.0 * h * ramp) ** 2:
+    change = between(speed, wanted)
+    add_scaled(speed, min(1.0, h * ramp / max(length(change), THERE)), change)
+    missing = between(speed, speed_des)
+    if distance < THERE and not slower and dot(missing, missing) < (2.0 * h * ramp) ** 2:
         speed[:] = speed_des
         return True
-    way[:] = h * speed
-    speed_des[:], acceleration[:] = speed, 0.0
+    for k in range(3):
+        way[k] = h * speed[k]
+        speed_des[k], acceleration[k] = speed[k], 0.0
     return False
 
 
 @compiled
-def _follow_contacts(limit: Any, frame: Any, task: Any, columns: Any, states: Any) -> None:
-    """Advance all contacts: say what the force law does, move the task by their displacements."""
-    position, twist, acceleration = task.position, task.twist, task.acceleration
-    away, rate = frame.position - position, frame.twist[:3] - twist[:3]
-    moved, shift = states['displacement'].copy(), np.zeros(3)
-    limit.reads_before = False
-    for i in range(columns.shape[0]):
-        column, state = columns[i], states[i]
-        answer, normal = column.answer, column.normal
-        state.asked_for += limit.contacts.period
-        if state.asked != answer.alpha_des:
-            state.asked_for = 0.0
-        state.wanted, state.asked = answer.active, answer.alpha_des
-        first = column.config.leader
-        if first != i:  # a couple is in the state of its normal force, which comes before
-            leader, force = states[first], columns[first]
-            state.state, state.in_state = leader.state, leader.in_state
-            bound = LARGEST_OFFSET * force.answer.alpha_des
-            answer.alpha_des = min(max(state.asked, -bound), bound)
-            column.guarded = force.guarded
-            # What turns the tool in free space is no couple.
-            answer.active = contacts.is_active(leader) and (leader.answered or leader.resumed)
-            contacts.follow_couple(state, leader, limit.contacts, column.alpha_meas)
-        else:
-            state.stiffness = column.stiffness
-            state.approach_speed = contacts.approach_speed(
-                state, limit.contacts, column.mobility)
-            # Of the surface, as far as it is known: what is as fast does not leave it.
-            state.surface_speed = column.config.surface_speed + column.surface_speed_est
-            others, speed = 0.0, dot(normal, rate)
-            for j in range(columns.shape[0]):
-                if j != i:
-                    others += dot(normal, columns[j].normal) * moved[j]
-            # Turning about the tool moves the operational point, and a surface that is not where
-            # the task has it moves the contact point: what escapes does both.
-            place = dot(normal, away) - others
-            if contacts.is_refuted(state, limit.contacts, place):
-                contacts.refute(state, limit.contacts, place, speed)
-                take_off(column, state)
-            contacts.advance_contact(
-                state, limit.contacts, column.alpha_meas, place, speed,
-                min(speed, dot(column.N, frame.twist)) - state.surface_speed)
-            answer.alpha_des = contacts.desired_force(state, limit.contacts)
-            fall_speed = _fall_speed(frame, column.config)
-            _follow_slide(limit.contacts.period, fall_speed, column, state)
-            column.guarded = state.state == contacts.HOLDING and state.in_state > GUARD_TIME and (
-                column.alpha_meas < GUARD_SHARE * min(state.level, state.asked))
-            answer.active = contacts.is_active(state)
-            column.speed_bound = contacts.speed_bound(state, fall_speed)
-        shift += state.displacement * normal
+def _follow_force(
+    settings: Any, frame: Any, column: Any, state: Any, place: float, speed: float,
+) -> None:
+    """Advance a contact whose tip is at a place [m, m/s]; say what the force law does with it."""
+    answer = column.answer
+    state.asked_for += settings.period
+    if state.asked != column.alpha_wanted:
+        state.asked_for = 0.0
+    state.wanted, state.asked = column.wanted, column.alpha_wanted
+    state.stiffness = column.stiffness
+    state.approach_speed = contacts.approach_speed(state, settings, column.mobility)
+    # Of the surface, as far as it is known: what is as fast does not leave it.
+    state.surface_speed = column.config.surface_speed + column.surface_speed_est
+    if contacts.refute(state, settings, place, speed):
         take_off(column, state)
-        if state.untared != 0.0 or state.resting != 0.0:
-            limit.reads_before = True
-        if not answer.active:
-            answer.alpha_des = 0.0
-            twist[:3] += state.speed * normal
-            acceleration[:3] += state.acceleration * normal
-    position += shift
+    escape = min(speed, dot(column.N, frame.twist)) - state.surface_speed
+    contacts.advance_contact(state, settings, column.alpha_meas, place, speed, escape)
+    answer.active = state.state in contacts.PRESSED
+    answer.alpha_des = contacts.desired_force(state, settings)
+    fall_speed = _follow_slide(settings.period, frame, column, state)
+    held = state.state == contacts.HOLDING and state.in_state > GUARD_TIME
+    column.guarded = held and column.alpha_meas < GUARD_SHARE * min(state.level, state.asked)
+    column.speed_bound = contacts.speed_bound(state, fall_speed)
+
+
+@compiled
+def _follow_couple(settings: Any, column: Any, couple: Any, force: Any, leader: Any) -> None:
+    """
+    Let a couple act while its contact does; `force` and `leader` are the records of that.
+
+    What it reads before the touch is taken off, as of its normal force.
+    """
+    couple.state, couple.in_state = leader.state, leader.in_state
+    bound = LARGEST_OFFSET * force.answer.alpha_des
+    column.answer.alpha_des = min(max(column.alpha_wanted, -bound), bound)
+    column.guarded = force.guarded
+    # What turns the tool in free space is no couple.
+    column.answer.active = leader.state in contacts.PRESSED and (
+        leader.answered or leader.resumed)
+    if leader.state == contacts.FREE:
+        couple.untared = 0.0
+    if leader.state == contacts.FREE or leader.state == contacts.GIVEN_UP:
+        contacts.average_reading(couple, settings, column.alpha_meas)
+    elif leader.state == contacts.APPROACHING:
+        contacts.follow_reading(
+            couple, settings, column.alpha_meas, leader.speed * settings.period)
+    elif leader.state == contacts.IMPACT and leader.free_way < contacts.FREE_WAY:
+        couple.untared = 0.0
 
 
 @compiled
@@ -366,32 +476,27 @@ def take_off(column: Any, state: Any) -> None:
 
 
 @compiled
-def _fall_speed(frame: Any, config: Any) -> float:
-    """Return how fast a surface within `normal_range` falls away at most while sliding [m/s]."""
-    velocity = frame.twist[:3] - dot(frame.twist[:3], config.normal) * config.normal
-    slope = np.sqrt(1.0 - config.smallest_cosine ** 2) / config.smallest_cosine
-    return slope * np.sqrt(dot(velocity, velocity))
-
-
-@compiled
-def _follow_slide(period: float, fall_speed: float, column: Any, state: Any) -> None:
+def _follow_slide(period: float, frame: Any, column: Any, state: Any) -> float:
     """
     Allow for a surface that is not as told where the tip slides on it.
 
     Its force changes all the time, which counts as noise, R grows to hundreds of N^2, and the law
     is blind while the surface falls away. The error e of the averaged force that lasts bounds it:
     R <= (e / 2)^2. After a loss the surface is sought as much deeper as it may be within
-    `normal_range`.
+    `normal_range`. Returns how fast it falls away within that at most [m/s].
     """
+    config = column.config
+    slope = np.sqrt(1.0 - config.smallest_cosine ** 2) / config.smallest_cosine
+    fall_speed = slope * length(across(frame.twist[:3], config.normal))
     error = abs(state.level - state.asked)
     if state.state == contacts.HOLDING and min(state.in_state, state.asked_for) > LASTING_TIME:
         if error > max(LASTING_ERROR, LASTING_SHARE * state.asked):
             bound = (LASTING_STD * error) ** 2
             column.noise_variance = min(column.noise_variance, bound)
-    if contacts.is_active(state):
-        state.fall = 0.0
-        return
     state.fall += fall_speed * period
+    if state.state in contacts.PRESSED:
+        state.fall = 0.0
+    return fall_speed
 
 
 @compiled
@@ -401,34 +506,37 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
     position, twist, acceleration = task.position, task.twist, task.acceleration
     limited = False
     for k in range(3):
-        inside = min(max(position[k], limit.box[0, k]), limit.box[1, k])
+        inside = min(max(position[k], limit.lower[k]), limit.upper[k])
         if inside != position[k]:
             position[k], twist[k], acceleration[k], limited = inside, 0.0, 0.0, True
-    gap, way, turn = position - frame.position, limit.lead * twist[:3], np.empty(3)
-    axes, count = np.empty((columns.shape[0], 3)), 0
+    gap = between(frame.position, position)
+    way = (limit.lead * twist[0], limit.lead * twist[1], limit.lead * twist[2])
+    axes, count = limit.axes, 0
     for i in range(columns.shape[0]):
         if not columns[i].answer.active or columns[i].config.leader != i:
             continue
-        axis = axes[count]  # made orthogonal to those before (Gram-Schmidt)
-        axis[:] = columns[i].normal
-        for j in range(count):
-            axis -= dot(axis, axes[j]) * axes[j]
-        length = np.sqrt(dot(axis, axis))
-        if length > PARALLEL:
-            axis /= length
+        normal = columns[i].normal
+        axis = (normal[0], normal[1], normal[2])
+        for j in range(count):  # made orthogonal to those before (Gram-Schmidt)
+            axis = across(axis, axes[j])
+        left = length(axis)
+        if left > PARALLEL:
+            axis = divided(axis, left)
+            axes[count] = axis
             count += 1
-            along, ahead = dot(gap, axis), dot(way, axis)
-            gap -= along * axis
-            way -= ahead * axis
-    share = _share_within(gap, way, limit.reach, twist[:3], acceleration[:3])
+            gap, way = across(gap, axis), across(way, axis)
+    limit.ahead[:] = gap
+    share = _share_within(limit.ahead, way, limit.reach, twist[:3], acceleration[:3])
     if share < 1.0:
-        position -= gap * (1.0 - share)
-    rotation_vector(task.rotation, frame.rotation, turn)
-    limit.ahead[:], limit.turned_ahead[:] = gap, turn
+        add_scaled(position, share - 1.0, gap)
+    turn, turned_way = limit.turned_way, twist[3:]
+    rotation_vector(task.rotation, frame.rotation, limit.turned_ahead)
+    way = (limit.lead * turned_way[0], limit.lead * turned_way[1], limit.lead * turned_way[2])
     turn_share = _share_within(
-        turn, limit.lead * twist[3:], limit.turn, twist[3:], acceleration[3:])
+        limit.turned_ahead, way, limit.turn, twist[3:], acceleration[3:])
     if turn_share < 1.0:
-        turn *= turn_share
+        for k in range(3):
+            turn[k] = turn_share * limit.turned_ahead[k]
         task.rotation[:] = frame.rotation
         rotate_by(turn, task.rotation)
     return limited or share <= 1.0 or turn_share <= 1.0
@@ -436,7 +544,7 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
 
 @compiled
 def _share_within(
-    gap: Vector, way: Vector, reach: float, twist: Vector, acceleration: Vector,
+    gap: Vector, way: Triple, reach: float, twist: Vector, acceleration: Vector,
 ) -> float:
     """
     Return the share of a gap within reach, 2 if all is, with the way that its speed adds.
@@ -445,17 +553,17 @@ def _share_within(
     fast already is not braked by more than the reach asks for.
     """
     squared = dot(gap, gap)
-    length = np.sqrt(squared)
+    distance = np.sqrt(squared)
     together = squared + 2.0 * dot(gap, way) + dot(way, way)
-    if not (length > reach or together > reach * reach):
+    if not (distance > reach or together > reach * reach):
         return 2.0
     acceleration[:] = 0.0
-    if length >= reach:
+    if distance >= reach:
         twist[:] = 0.0
-        return reach / length
+        return reach / distance
     # |gap + s way| = reach
     along, square = dot(gap, way), dot(way, way)
-    twist *= (np.sqrt(along * along + square * (reach * reach - squared)) - along) / square
+    share = (np.sqrt(along * along + square * (reach * reach - squared)) - along) / square
+    for k in range(3):
+        twist[k] *= share
     return 1.0
-
-

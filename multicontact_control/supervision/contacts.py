@@ -26,11 +26,12 @@ from typing import Any
 
 from multicontact_control.compiled import compiled
 from multicontact_control.config.supervision import ContactStateConfig
-from multicontact_control.records import CONTACT_SETTINGS, CONTACT_STATE, Records
+from multicontact_control.records import B, F, I, Records
 import numpy as np
 
 NAMES = ('free', 'approaching', 'impact', 'holding', 'lost', 'retracting', 'given up')
 FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(len(NAMES))
+PRESSED = IMPACT, HOLDING  # where the force law drives it
 RELEASE_SHARE = 0.3  # of the force held or asked for, below which a contact may be lost
 ESCAPE_SPEED = 0.1  # m/s into the surface, beyond the task's, that only a lost contact reaches
 IMPACT_TIME = 0.05  # s in contact from touch to holding, at least
@@ -70,6 +71,55 @@ IMPACT_FORCE = 10.0  # N, of a touch at the approach speed, at most, if the surf
 TOUCHING = 1.5  # the same at a touch, which comes down to that within `IMPACT_TIME`
 SETTLING_PERIODS, SETTLING_DELAYS = 2, 3  # in which a step of what is read has passed the filters
 
+# The supervised state of one contact.
+CONTACT_STATE = np.dtype([
+    ('state', I),  # one of those above
+    ('losses', I),  # how often it was lost since it was first wanted
+    ('left', B),  # whether it is to be left, or was, for its force or for where it leads
+    ('again', B),  # whether it is to be sought although it was given up
+    ('wanted', B),  # whether the task asks for it
+    ('asked', F),  # force the task asks for [N]
+    ('asked_for', F),  # since when it is the same [s]
+    ('displacement', F),  # of the reference along the normal, relative to the task [m]
+    ('moved', F),  # the same when the tick began [m]
+    ('speed', F), ('acceleration', F),  # of that displacement [m/s], [m/s^2]
+    ('force_limit', F),  # upper limit of the desired force [N]
+    ('in_state', F),  # since when in this state [s]
+    ('below', F),  # for how long less is felt than by one that holds; < 0 if thrown back [s]
+    ('shaken', F),  # until it may be thrown back again without being lost [s]
+    ('level', F),  # force it is held with, averaged [N]
+    ('origin', F),  # displacement at which the surface is, NaN if it was never met [m]
+    ('start', F),  # displacement at which the search began [m]
+    ('fall', F),  # by which a surface may be lower where the tip has slid to since a loss [m]
+    ('target', F),  # displacement to go to [m]
+    ('stiffness', F),  # modelled, of the surface [N/m]
+    ('surface_speed', F),  # along the normal, as far as it is known [m/s]
+    ('approach_speed', F),  # largest one towards a surface that is not felt [m/s]
+    ('averaged', F),  # samples in `baseline`, up to as many as are averaged
+    ('baseline', F),  # what is read without a touch [N]
+    ('untared', F),  # of that, what is taken off the measured force [N]
+    ('free_way', F),  # of the search, on which nothing was felt [m]
+    ('free_baseline', F),  # `baseline` at its end [N]
+    ('answered', B),  # whether a force has risen with the way into the surface
+    ('resumed', B),  # whether it was pressed before a pause, and has not answered since
+    ('resting', F),  # force that the tip is said to rest on before a search, 0 if not [N]
+    ('last_speed', F),  # of the tip along the normal, at the sample before [m/s]
+    ('seen', F),  # for how long a force is seen that has not answered [s]
+    ('felt', F),  # that force without the tool's inertia, smoothed [N]
+    ('read', F), ('least_read', F),  # the same with it, and its minimum [N]
+    ('unanswered', F),  # for how long clearly more than that is asked for [s]
+    ('least', F), ('least_place', F),  # minimum of `felt`, and where the tip was then [N], [m]
+    ('touch_place', F), ('flat_place', F),  # of the touch, and of the last force near that [m]
+    ('calm', F),  # until it has more than the preload, of one that has answered late [s]
+], align=True)
+
+# What is set for all contacts: `ContactStateConfig`, h, times of at least some periods, and the
+# mass whose inertia the wrench has in it [kg]; one.
+CONTACT_SETTINGS = np.dtype([(name, F) for name in (
+    'period', 'loss_time', 'bounce_time', 'approach_speed', 'approach_ramp_time',
+    'approach_distance', 'contact_threshold', 'release_threshold', 'preload', 'force_ceiling',
+    'retry_time', 'settling_time', 'tool_mass')])
+
 FREE_CONTACT: Records = np.zeros((), dtype=CONTACT_STATE)
 FREE_CONTACT['origin'] = np.nan
 
@@ -92,16 +142,10 @@ def contact_settings(
 
 
 @compiled
-def is_active(contact: Any) -> bool:
-    """Return whether the force law drives a contact."""
-    return contact.state == IMPACT or contact.state == HOLDING
-
-
-@compiled
 def let_go(contact: Any, place: float, speed: float) -> None:
     """Give a contact back to the motion law, which leads the tip to where the surface was."""
     contact.displacement, contact.speed = place, 0.0
-    if is_active(contact):
+    if contact.state in PRESSED:
         contact.losses += 1
         contact.speed = speed
         contact.target = place
@@ -172,26 +216,6 @@ def read_anew(contact: Any, settings: Any, alpha: float) -> None:
         contact.free_way = 0.0
         contact.start = contact.displacement
         _take_off(contact, settings, contact.baseline)
-
-
-@compiled
-def follow_couple(couple: Any, force: Any, settings: Any, alpha: float) -> None:
-    """Take what a couple reads before the touch of its contact off, as of its normal force."""
-    if force.state == FREE:
-        couple.untared = 0.0
-    if force.state == FREE or force.state == GIVEN_UP:
-        average_reading(couple, settings, alpha)
-    elif force.state == APPROACHING:
-        follow_reading(couple, settings, alpha, force.speed * settings.period)
-    elif force.state == IMPACT and force.free_way < FREE_WAY:
-        couple.untared = 0.0
-
-
-@compiled
-def _begin_answer(contact: Any) -> None:
-    """Wait for an answer from now on."""
-    contact.answered = contact.resumed = False
-    contact.seen = contact.resting = contact.unanswered = 0.0
 
 
 @compiled
@@ -286,7 +310,7 @@ def speed_bound(contact: Any, fall_speed: float) -> float:
     A contact that holds, but is not felt any more, has been thrown back, or its surface falls away
     by `fall_speed` at most: it returns no faster than it may touch.
     """
-    if not is_active(contact):
+    if contact.state not in PRESSED:
         return 0.0
     if contact.answered:
         return contact.approach_speed + fall_speed if contact.below != 0.0 else 0.0
@@ -297,37 +321,30 @@ def speed_bound(contact: Any, fall_speed: float) -> float:
 
 
 @compiled
-def is_refuted(contact: Any, settings: Any, place: float) -> bool:
-    """Return whether the tip has gone too far, or too long, without an answer of a surface."""
-    way = place - contact.least_place
-    if not is_active(contact) or contact.answered or contact.seen <= settings.settling_time:
+def refute(contact: Any, settings: Any, place: float, speed: float) -> bool:
+    """
+    Let a contact go if it is none; return whether it was let go.
+
+    It is none, and all that is read is no force, once the tip has gone too far, or too long,
+    without an answer of a surface.
+    """
+    if contact.state not in PRESSED or contact.answered:
         return False
+    if contact.seen <= settings.settling_time:
+        return False
+    way = place - contact.least_place
     if contact.resumed:  # it may slide along a slope meanwhile
-        return way > settings.approach_distance
-    # A law that goes on by a way of its own, as an impedance does, may stand in free space.
-    return way > YIELDING or way < -RETREATING or contact.unanswered > UNANSWERED_TIME
-
-
-@compiled
-def refute(contact: Any, settings: Any, place: float, speed: float) -> None:
-    """Let a contact go that was none: all that is read is no force."""
-    _take_off(contact, settings, contact.untared + contact.felt)
-    contact.free_way = FREE_WAY
-    contact.origin = np.nan
-    contact.level = 0.0
-    let_go(contact, place, speed)
-
-
-@compiled
-def _search(contact: Any, settings: Any, alpha: float, place: float, speed: float) -> None:
-    """Tell on the way to a surface what is read freely from what comes of it."""
-    seen = TARE_SHARE * settings.contact_threshold
-    if alpha < seen:
-        _begin_answer(contact)
-        contact.free_way = max(contact.free_way, contact.displacement - contact.start)
-        contact.free_baseline = contact.baseline
+        refuted = way > settings.approach_distance
     else:
-        _watch_answer(contact, settings, alpha, place, speed)
+        # A law that goes on by a way of its own, as an impedance does, may stand in free space.
+        refuted = way > YIELDING or way < -RETREATING or contact.unanswered > UNANSWERED_TIME
+    if refuted:
+        _take_off(contact, settings, contact.untared + contact.felt)
+        contact.free_way = FREE_WAY
+        contact.origin = np.nan
+        contact.level = 0.0
+        let_go(contact, place, speed)
+    return refuted
 
 
 @compiled
@@ -358,13 +375,19 @@ def _watch_search(
     contact: Any, settings: Any, alpha: float, place: float, speed: float,
 ) -> None:
     """Touch, or give up, or begin to look for a lost surface."""
+    met_before = not np.isnan(contact.origin)
     threshold = settings.contact_threshold
+    nothing_seen = alpha < TARE_SHARE * threshold
+    if contact.state == LOST or nothing_seen:  # an answer is waited for from now on
+        contact.answered = contact.resumed = False
+        contact.seen = contact.resting = contact.unanswered = 0.0
+    else:
+        _watch_answer(contact, settings, alpha, place, speed)
     if contact.state == LOST:  # a tool that is being braked reads its own inertia
         threshold = max(2.0 * threshold, TOUCH_SHARE * contact.level)
-        _begin_answer(contact)
-    else:
-        _search(contact, settings, alpha, place, speed)
-    met_before = not np.isnan(contact.origin)
+    elif nothing_seen:
+        contact.free_way = max(contact.free_way, contact.displacement - contact.start)
+        contact.free_baseline = contact.baseline
     if alpha > threshold:
         if contact.state == APPROACHING:
             alpha = _touch(contact, settings, alpha)
@@ -373,16 +396,18 @@ def _watch_search(
         contact.touch_place = contact.flat_place = place
         contact.state = IMPACT
     elif contact.state == LOST:
-        if contact.in_state >= LOST_TIME and (
-                abs(contact.target - contact.displacement) < 2e-4 and abs(contact.speed) < 2e-3):
+        stands = abs(contact.target - contact.displacement) < 2e-4 and abs(contact.speed) < 2e-3
+        if contact.in_state >= LOST_TIME and stands:
             if met_before:
                 contact.start = contact.displacement
             contact.state = APPROACHING
-    elif contact.displacement - contact.start > (
-            min(SEARCH_DISTANCE + contact.fall, settings.approach_distance) if met_before
-            else settings.approach_distance):
-        contact.target = contact.start
-        contact.state = GIVEN_UP
+    else:
+        farthest = settings.approach_distance
+        if met_before:
+            farthest = min(SEARCH_DISTANCE + contact.fall, farthest)
+        if contact.displacement - contact.start > farthest:
+            contact.target = contact.start
+            contact.state = GIVEN_UP
 
 
 @compiled
@@ -424,44 +449,42 @@ def _watch_hold(
 
 
 @compiled
-def _switch_state(
-    contact: Any, settings: Any, alpha: float, place: float, speed: float, escape: float,
-) -> None:
-    """Go to another state if it is time; see `advance_contact`."""
-    met_before = not np.isnan(contact.origin)
-    if not contact.wanted:
-        if is_active(contact):
-            let_go(contact, place, speed)
-        contact.state = FREE
+def _leave(contact: Any, place: float, speed: float) -> None:
+    """Forget a contact that the task does not ask for."""
+    if contact.state in PRESSED:
+        let_go(contact, place, speed)
+    contact.state = FREE
+    contact.left = False
+    contact.losses = 0
+    contact.origin = np.nan
+    contact.target = 0.0
+    contact.untared = 0.0
+
+
+@compiled
+def _search_again(contact: Any, settings: Any) -> None:
+    """Look again for a surface that was given up, if it is time or asked for."""
+    due = 0.0 < settings.retry_time <= contact.in_state and not contact.left
+    if due or contact.again:
         contact.left = False
-        contact.losses = 0
-        contact.origin = np.nan
-        contact.target = 0.0
-        contact.untared = 0.0
-    elif (alpha > settings.force_ceiling and contact.state != RETRACTING) or (
-            contact.left and is_active(contact)):
-        contact.displacement = place
-        contact.speed = speed
-        contact.target = place - RETRACT_DISTANCE
-        contact.left = True
-        contact.state = RETRACTING
-    elif contact.state == FREE:
-        contact.start = contact.displacement
+        # As far as before, wherever the tip has come to meanwhile.
+        contact.start = contact.target if np.isnan(contact.origin) else contact.origin
         _begin_search(contact, settings)
-    elif is_active(contact):
-        _watch_hold(contact, settings, alpha, place, speed, escape)
-    elif contact.state == RETRACTING:
-        if abs(contact.target - contact.displacement) < 1e-4:
-            contact.state = GIVEN_UP
-    elif contact.state == GIVEN_UP:
-        due = 0.0 < settings.retry_time <= contact.in_state and not contact.left
-        if due or contact.again:
-            contact.left = False
-            # As far as before, wherever the tip has come to meanwhile.
-            contact.start = contact.origin if met_before else contact.target
-            _begin_search(contact, settings)
-    else:
-        _watch_search(contact, settings, alpha, place, speed)
+
+
+@compiled
+def _lead_tip(contact: Any, settings: Any) -> None:
+    """Go on by a displacement that is ramped, bounded and braked."""
+    h, wanted, change = settings.period, contact.approach_speed, BRAKING
+    if contact.state != APPROACHING:
+        limit = RETRACT_SPEED if contact.state == RETRACTING else wanted
+        wanted = min(max(
+            POSITION_RATE * (contact.target - contact.displacement), -limit), limit)
+    elif abs(contact.speed) <= contact.approach_speed:
+        change = contact.approach_speed / settings.approach_ramp_time
+    contact.acceleration = min(max((wanted - contact.speed) / h, -change), change)
+    contact.speed += contact.acceleration * h
+    contact.displacement += contact.speed * h
 
 
 @compiled
@@ -473,38 +496,48 @@ def advance_contact(
 
     `escape` is the speed into the surface, less that of the surface, of a lost contact [m/s].
     """
-    h = settings.period
+    h, before = settings.period, contact.state
     contact.in_state += h
-    contact.again = contact.again and contact.state == GIVEN_UP
-    before = contact.state
+    contact.again = contact.again and before == GIVEN_UP
     if before == FREE or before == GIVEN_UP:
         average_reading(contact, settings, alpha)
     elif before == APPROACHING:
         follow_reading(contact, settings, alpha, contact.speed * h)
-    _switch_state(contact, settings, alpha, place, speed, escape)
+    too_hard = alpha > settings.force_ceiling and before != RETRACTING
+    if not contact.wanted:
+        _leave(contact, place, speed)
+    elif too_hard or (contact.left and before in PRESSED):
+        contact.displacement, contact.speed = place, speed
+        contact.target = place - RETRACT_DISTANCE
+        contact.left = True
+        contact.state = RETRACTING
+    elif before == FREE:
+        contact.start = contact.displacement
+        _begin_search(contact, settings)
+    elif before in PRESSED:
+        _watch_hold(contact, settings, alpha, place, speed, escape)
+    elif before == RETRACTING:
+        if abs(contact.target - contact.displacement) < 1e-4:
+            contact.state = GIVEN_UP
+    elif before == GIVEN_UP:
+        _search_again(contact, settings)
+    else:
+        _watch_search(contact, settings, alpha, place, speed)
     contact.last_speed = speed
     if contact.state != before:
         contact.in_state = 0.0
         if contact.state == FREE or contact.state == GIVEN_UP:
             contact.averaged = 0.0
-    if is_active(contact):
-        contact.acceleration = 0.0
-        # It has what is asked for once it holds; after a loss at a bounded rate.
-        if contact.state == HOLDING and contact.losses == 0:
-            contact.force_limit = max(contact.force_limit, contact.asked)
-        elif contact.state == HOLDING or not np.isnan(contact.origin) and contact.losses > 0:
-            change = min(max(contact.asked - contact.force_limit, -FORCE_RATE * h), FORCE_RATE * h)
-            # After a bounce, which looks like noise, a law is blind for a while.
-            if change < 0.0 or alpha <= EXCESS * contact.force_limit:
-                contact.force_limit += change
+    if contact.state not in PRESSED:
+        _lead_tip(contact, settings)
         return
-    wanted, change = contact.approach_speed, BRAKING
-    if contact.state != APPROACHING:
-        limit = RETRACT_SPEED if contact.state == RETRACTING else wanted
-        wanted = min(max(
-            POSITION_RATE * (contact.target - contact.displacement), -limit), limit)
-    elif abs(contact.speed) <= contact.approach_speed:
-        change = contact.approach_speed / settings.approach_ramp_time
-    contact.acceleration = min(max((wanted - contact.speed) / h, -change), change)
-    contact.speed += contact.acceleration * h
-    contact.displacement += contact.speed * h
+    contact.acceleration = 0.0
+    found_again = contact.losses > 0 and not np.isnan(contact.origin)
+    # It has what is asked for once it holds; after a loss at a bounded rate.
+    if contact.state == HOLDING and contact.losses == 0:
+        contact.force_limit = max(contact.force_limit, contact.asked)
+    elif contact.state == HOLDING or found_again:
+        change = min(max(contact.asked - contact.force_limit, -FORCE_RATE * h), FORCE_RATE * h)
+        # After a bounce, which looks like noise, a law is blind for a while.
+        if change < 0.0 or alpha <= EXCESS * contact.force_limit:
+            contact.force_limit += change
