@@ -20,7 +20,6 @@ from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.messages import ACCEPTED, ControllerStatus, REFUSED, STATE
 from multicontact_control.sampling import NANOSECONDS, SampleTiming
-from multicontact_control.supervision.checks import undeclared_friction
 from multicontact_control.supervision.contacts import GIVEN_UP, LOST, NAMES, RETRACTING
 from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
 from multicontact_control.supervision.report import SupervisorStatus
@@ -219,8 +218,7 @@ class ControllerReport:
         """Return what the supervisor does, and in how many ticks it did something else."""
         status, log = self._loop.status or QUIET, self._loop.events
         severe = SEVERITY.index(status.reaction) > SEVERITY.index(INFLATE)
-        friction = '; '.join(undeclared_friction(
-            self._loop.supervisor.controller.arm.joints, self._loop.config.robot.joint_names))
+        friction = self._loop.supervisor.explanations.friction()
         return Status('supervisor', {
             'reaction': status.reaction, 'causes': ' '.join(status.causes) or 'none',
             'task_time_s': status.task_time, 'events': len(log.events), **log.collisions,
@@ -266,7 +264,7 @@ class ControllerReport:
     def _sensor(self) -> Iterator[Status | None]:
         """Yield the health of the wrist sensor, and what is still to be proved of it."""
         gate, supervisor = self._loop.push_gate, self._loop.supervisor
-        felt = yield from self._node.helper.do(lambda: supervisor.stray_force)
+        felt = yield from self._node.helper.do(supervisor.explanations.stray_force)
         stray = '' if gate.running else felt.result()
         if stray:
             self._warn('stray', stray)
