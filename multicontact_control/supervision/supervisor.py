@@ -10,6 +10,7 @@ from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.control.arm import ArmState, RELEASE
 from multicontact_control.control.controller import Controller, ControlOutput, Design
 from multicontact_control.control.tasks import TaskSource
+from multicontact_control.diagnosis.explanations import Explanations
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, MulticontactError, SingularTaskError
 from multicontact_control.flags import (
@@ -32,17 +33,12 @@ from multicontact_control.supervision.gate import limit_names, TorqueGate
 from multicontact_control.supervision.inputs import ALL_WELL, Inputs, Seen, TickInputs
 from multicontact_control.supervision.reactions import FLOAT, HOLD, NONE, SAFE
 from multicontact_control.supervision.report import no_answer, SupervisorStatus
-from multicontact_control.supervision.velocities import explain_velocities
 from multicontact_control.tick import ACT, SEE, tick, WORKSPACE
 import numpy as np
 
 LOGGER = logging.getLogger(__name__)
-STRAY_TORQUE = 0.5  # N m at the operational point that is worth a report
 STANDING_TIME = 0.2  # s between two looks at what an arm that stands in a reaction weighs
-STANDING_SPEED = 0.01  # rad/s, of every joint, below which it stands
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
-DOUBTED = ('Held by estimates from the positions until ten readings of such joints in motion '
-           'agree, or an operator resumes control (~/retry)')
 CONTROLLED = (NONE, reactions.INFLATE)  # what the control law answers
 Answer = tuple[ControlOutput, SupervisorStatus | None]
 
@@ -78,6 +74,7 @@ class Supervisor:
         self.inputs = Inputs(config, controller, guarded=guarded)
         self.gate = TorqueGate(config, controller.arm, guarded=guarded)
         self.reactions = reactions.Reactions(config, controller)
+        self.explanations = Explanations(controller, self.inputs, self.task, guarded=guarded)
         self._recovery = reactions.Recovery(config.watchdog.recovery_time, config.period)
         self._steadiness = reactions.Steadiness(config.period)
         self._judgements: Any = np.zeros(1, dtype=checks.JUDGEMENT)
@@ -199,6 +196,8 @@ class Supervisor:
                 self._arm = arm
             if found & AMBIGUOUS:
                 self._know_wrench(False)  # it is older
+            if found & PASSED:
+                self._add_finding(self.explanations.lag())
         return found
 
     def _alarms(self, found: int) -> tuple[str, ...]:
@@ -233,8 +232,6 @@ class Supervisor:
             return self._refuse(checks.cause_to_refuse(found))
         if not self._in_control:
             self._take_over()
-        if self.controller.arm.flags & PASSED:
-            self._look_back()
         # A blend passes in a moment, and a limited rate is caught up with: they are left out.
         if self.guarded and found & LASTING_LIMITS:
             self.controller.account_for(self.gate.last)
@@ -257,11 +254,10 @@ class Supervisor:
         self._task_ticks = round(inputs.time / self._period)
         return ALL_WELL
 
-    def _look_back(self) -> None:
-        """Tell what is known of a collision once it has passed."""
-        lag = checks.explain_lag(self._joints)
-        if lag and lag not in self.findings:
-            self.findings = (*self.findings, lag)
+    def _add_finding(self, finding: str) -> None:
+        """Keep what explains the reaction in force, if anything new does."""
+        if finding and finding not in self.findings:
+            self.findings = (*self.findings, finding)
 
     def _decide(self, causes: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
         """Return what answers the tick, the law or a reaction, and why."""
@@ -342,7 +338,7 @@ class Supervisor:
             self._good_ticks = 0
             if causes != self._causes or not self.findings:
                 self._causes = causes
-                self.findings = tuple(filter(None, map(self._explain, causes))) or self.findings
+                self.findings = self._explain(causes) or self.findings
                 self._weighed = False
         if self.started and not self._paused:
             if self._recovery.stopped(causes, self._task_ticks):
@@ -351,9 +347,9 @@ class Supervisor:
             self.reactions.begin(self._output)
         self._reacting = self._reacting + 1 if self._paused else 0
         if self._reacting % round(STANDING_TIME / self._period) == 1 and not self._weighed:
-            gravity = self._gravity()
+            gravity = self.explanations.gravity(self._causes)
             self._weighed = bool(gravity)
-            self.findings = (*self.findings, *filter(None, [gravity]))
+            self._add_finding(gravity)
         self._paused = True
         self._begin()
         if reaction != SAFE:
@@ -371,78 +367,14 @@ class Supervisor:
             reaction = NONE
         return self._report(reaction, causes, found, controlled=False)
 
-    def _explain(self, cause: str) -> str:
-        """Return what is known about a cause that has just begun; empty if nothing."""
+    def _explain(self, causes: tuple[str, ...]) -> tuple[str, ...]:
+        """Return what is known about causes that have just begun."""
         failed, text = self._failure
-        if cause == failed:
-            return text
-        if cause in checks.WRONG_WRENCH.values():
-            return self._exchanged_axes() or self.stray_force
-        touched, names = cause.startswith(checks.COLLISION), self.config.robot.joint_names
-        if not touched and cause != checks.CONTRADICTED:
-            return ''
-        text = explain_velocities(*self.inputs.history, names, self._period)
-        if text:
-            if touched:  # by what the law made of such a velocity
-                self.inputs.refute()
-            return f'{text}. {DOUBTED}'
-        if touched:
-            residual = self._exchanged_axes() or checks.explain_collision(
-                self._joints, self._controls['momentum'][0], names)
-            text = '; '.join(filter(None, (residual, self.stray_force)))
-        return text
-
-    def _exchanged_axes(self) -> str:
-        """Return what says that the axes of the wrench sensor are others; empty if nothing."""
-        if not self._wrench_known or self.config.wrench_input == 'momentum':
-            return ''
-        control = self._controls[0]
-        return checks.explain_axes(
-            self._joints, control['momentum'], self._robot.terms.jacobian,
-            control['frame']['sensor_rotation'], control['tool']['weight'])
-
-    def _gravity(self) -> str:
-        """Return what says that gravity is another, where a collision has led to a pause."""
-        collides = any(cause.startswith(checks.COLLISION) for cause in self._causes)
-        known = self._wrench_known and self.config.wrench_input != 'momentum'
-        stands = np.abs(self.controller.arm.velocity).max() < STANDING_SPEED
-        if not (collides and known and stands) or self.task.sought_normals().size:
-            return ''
-        wrench, tool = np.zeros(6), self.controller.tool
-        operational_wrench(self._controls[0], wrench)
-        shares = self._robot.gravity_shares(self.controller.arm.q.copy(), tool)
-        return checks.explain_gravity(
-            self._joints, shares, wrench[:3], tool.mass, np.array(self.config.robot.gravity_world))
-
-    @property
-    def stray_force(self) -> str:
-        """Return what is felt while no contact is sought or held; empty if it is small."""
-        wrench = np.zeros(6)
-        known = self._wrench_known and self.guarded and self.config.wrench_input != 'momentum'
-        if known and not self.task.sought_normals().size:
-            operational_wrench(self._controls[0], wrench)
-        force, torque = np.linalg.norm(wrench.reshape(2, 3), axis=1).tolist()
-        stray = force > self.config.contact_state.smallest_force or torque > STRAY_TORQUE
-        return (f'{force:.1f} N and {torque:.2g} N m while no contact is commanded: if nothing '
-                'touches the tool, bias or tool weight (tare or calibrate)') if stray else ''
-
-    def _unwatched(self) -> str:
-        """Return whose measured torques are of no use, and what that leads to."""
-        config, faults = self.config, self.inputs.unheard_joints
-        if not config.robot.measures_torque:
-            return ''
-        names, count = config.robot.joint_names, sum(map(len, faults.values()))
-        texts = [f'of {", ".join(names[j] for j in joints) if len(joints) < len(names) else "all"}'
-                 f' {fault}' for fault, joints in faults.items()]
-        if config.wrench_input == 'momentum':
-            effect = 'there is no wrench of the contacts without them'
-        elif config.collision.command_delay >= 0:
-            effect = 'the commands stand in for them'
-        elif count == len(names):
-            effect = 'collisions are not watched'
-        else:
-            effect = 'what touches the arm is not seen in these joints, but in the others'
-        return f'effort in joint_states: {", ".join(texts)}; {effect}'
+        if failed in causes:
+            return (text,)
+        if self.explanations.comes_of_velocities(causes):
+            self.inputs.refute()
+        return self.explanations.of(causes)
 
     def _survive(self, part: str, error: Exception) -> Answer:
         """Answer after an exception, in the law or in what is around it, and tell what it says."""
@@ -488,9 +420,10 @@ class Supervisor:
             contacts['answer'] = 0
             output = output._replace(torque=torque, contacts=contacts)
         self._output = output
+        unwatched = self.explanations.unwatched() if self._seen.unheard else ''
         return output, SupervisorStatus(
             reaction, causes, self._seen.rejected, limit_names(found), self.task.state_names,
-            self._task_ticks * self._period, self._unwatched() if self._seen.unheard else '',
+            self._task_ticks * self._period, unwatched,
             self.task.read_before if self.task.reads_before else ()) if self.guarded else None
 
     def use(self, design: Design) -> None:
