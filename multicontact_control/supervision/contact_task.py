@@ -221,7 +221,7 @@ def _follow_task(limit: Any, frame: Any, task: Any) -> bool:
     slows down with the arm, does not run away, and does not pull the arm along the bound.
     """
     way, turn = task.position - limit.position, np.empty(3)
-    rotation_vector(task.rotation, limit.rotation, turn)
+    turn[:] = rotation_vector(task.rotation, limit.rotation)
     if not limit.behind:
         steps = _is_step(way, task.twist[:3], limit.twist[:3], limit.reach / limit.lead) or (
             _is_step(turn, task.twist[3:], limit.twist[3:], limit.turn / limit.lead))
@@ -417,7 +417,7 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
     share = _share_within(gap, way, limit.reach, twist[:3], acceleration[:3])
     if share < 1.0:
         position -= gap * (1.0 - share)
-    rotation_vector(task.rotation, frame.rotation, turn)
+    turn[:] = rotation_vector(task.rotation, frame.rotation)
     limit.ahead[:], limit.turned_ahead[:] = gap, turn
     turn_share = _share_within(
         turn, limit.lead * twist[3:], limit.turn, twist[3:], acceleration[3:])
