@@ -22,13 +22,14 @@ from multicontact_control.dynamics.operational_space import (
 )
 from multicontact_control.dynamics.rotations import rotation_vector
 from multicontact_control.flags import DEPENDENT, SINGULAR, TORQUE
-from multicontact_control.force.force_law import answer_forces
+from multicontact_control.force.force_law import answer_forces, FORCE_SPACE
 from multicontact_control.records import F, MAX_COLUMNS, MAX_JOINTS
 import numpy as np
 
 # What `control_law` works in; one. The first r rows of matrices with one per contact are used.
 LAW_SPACE = np.dtype([
     ('inertia', INERTIA_SPACE),
+    ('forces', FORCE_SPACE),
     ('rows', F, (MAX_COLUMNS, 6)), ('weighted_rows', F, (MAX_COLUMNS, 6)),  # N^T, D^T
     ('factor', F, (MAX_COLUMNS, MAX_COLUMNS)),  # of N^T N
     ('weighted_factor', F, (MAX_COLUMNS, MAX_COLUMNS)),  # of N^T D
@@ -50,11 +51,10 @@ def motion_law(law: Any, task: Any, frame: Any, f_t: Vector) -> None:
     k_v = 2 zeta omega_n (P04 sec. 3.1; sec. 5.2: critically damped, 30 rad/s); world axes, shape
     (6,) [m/s^2, rad/s^2].
     """
-    turn = f_t[3:]
-    rotation_vector(task.rotation, frame.rotation, turn)
+    turn = rotation_vector(task.rotation, frame.rotation)
     for i in range(3):
         f_t[i] = law.k_p * (task.position[i] - frame.position[i])
-        turn[i] *= law.k_p
+        f_t[3 + i] = law.k_p * turn[i]
     for i in range(6):
         f_t[i] += task.acceleration[i] + law.k_v * (task.twist[i] - frame.twist[i])
 
@@ -206,7 +206,7 @@ def control_law(
             contacts, False, rows, weighted_rows, weighted_factor)):
         return DEPENDENT
     motion_law(law, task, frame, space.f_t)
-    answer_forces(laws, contacts, control, inputs)
+    answer_forces(laws, contacts, control, inputs, space.forces)
     if not law.decoupled:
         drive_coordinates(rows, inputs)
     force_law(law, rows, factor, frame.twist, contacts, inputs, alpha_star, space.f_c)

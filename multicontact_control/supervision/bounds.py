@@ -61,7 +61,8 @@ BOUND_SPACE = np.dtype([
     ('cost', F, (MAX_JOINTS, MAX_JOINTS)), ('row', F, MAX_JOINTS),
     ('root', F, (MAX_JOINTS, MAX_JOINTS)), ('Z', F, (MAX_JOINTS, MAX_BOUNDS)),  # in
     ('G', F, (MAX_BOUNDS, MAX_BOUNDS)), ('basis', F, (MAX_BOUNDS, MAX_BOUNDS)),  # `least_change`
-    ('factor', F, (MAX_BOUNDS, MAX_BOUNDS)), ('slack', F, MAX_BOUNDS), ('counts', np.uint8, MAX_BOUNDS),
+    ('factor', F, (MAX_BOUNDS, MAX_BOUNDS)), ('slack', F, MAX_BOUNDS),
+    ('counts', np.uint8, MAX_BOUNDS),
 ], align=True)
 
 
