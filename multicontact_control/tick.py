@@ -78,7 +78,8 @@ def tick(
         control, joints, mass_matrix, jacobian, jacobian_rate, contacts, laws, space.law)
     if found & (SINGULAR | DEPENDENT):
         return found
-    found |= judge_answer(judgements[0], control, joints, contacts, states)
+    strict = limit.guarded and not limit.locked
+    found |= judge_answer(judgements[0], control, joints, contacts, states, strict)
     if found & REFUSED:
         return found
     law = law_number(contacts, gate.guarded)

@@ -393,21 +393,22 @@ def test_variances_are_bounded_alike_with_and_without_a_supervisor(supervised):
 
 
 @pytest.mark.parametrize(('part', 'cause', 'reaction'), [
-    ('answer', 'law_ZeroDivisionError', 'hold'),
-    ('output', 'internal_ZeroDivisionError', 'float')])
+    ('task.ask', 'law_ZeroDivisionError', 'hold'),
+    ('controller.output', 'internal_ZeroDivisionError', 'float')])
 def test_exception_is_told_in_words_and_logged_once_with_its_traceback(
         monkeypatch, caplog, part, cause, reaction):
     bench = Bench()
     bench.step(5)
-    controller, work = bench.loop.supervisor.controller, {'broken': True}
-    right = getattr(controller, part)
+    owner, _, name = part.partition('.')
+    owner, work = getattr(bench.loop.supervisor, owner), {'broken': True}
+    right = getattr(owner, name)
 
     def broken(*given):
-        if work.pop('broken', False) or part == 'answer':
+        if work.pop('broken', False) or name == 'ask':
             raise ZeroDivisionError('the mass of nothing')
         return right(*given)
 
-    monkeypatch.setattr(controller, part, broken)
+    monkeypatch.setattr(owner, name, broken)
     bench.step()
     assert bench.loop.status.causes == (cause,) and bench.reaction == reaction
     bench.step(20)

@@ -58,7 +58,6 @@ PLAUSIBILITY = np.dtype([
 # How answers have been judged; one.
 JUDGEMENT = np.dtype([
     ('plausibility', PLAUSIBILITY),
-    ('refuses', B),  # whether a wrench that contradicts the contacts is refused
     ('resumes', B),  # whether the law has not been in control, so that one sample is enough
     ('contradictions', I),  # in a row
     ('wrench', F, 6),  # at the operational point, less what the contacts explain [N, N m]
@@ -122,19 +121,21 @@ def check_plausibility(
 
 
 @compiled
-def judge_answer(judgement: Any, control: Any, joints: Any, contacts: Any, states: Any) -> int:
+def judge_answer(
+    judgement: Any, control: Any, joints: Any, contacts: Any, states: Any, strict: bool,
+) -> int:
     """
     Judge the answer of the control law that is in the joints; see `check_plausibility`.
 
     REFUSED is added to what that returns if the answer is not to be commanded: it is not finite,
-    or contradicts the contacts for the second time in a row. What leads out of the box are the
+    or, if `strict`, the wrench contradicts the contacts for the second time in a row. What leads out of the box are the
     contacts that are pressed: they are left.
     """
     doubts = check_plausibility(judgement.plausibility, control, joints, contacts, states,
                                 judgement.wrench)
     if doubts & NOT_FINITE:
         return doubts | REFUSED
-    contradicts = judgement.refuses and doubts & CONTRADICTING
+    contradicts = strict and doubts & CONTRADICTING != 0
     judgement.contradictions = judgement.contradictions + 1 if contradicts else 0
     if contradicts and (
             judgement.contradictions >= CONTRADICTIONS or judgement.resumes):

@@ -53,6 +53,7 @@ PARALLEL = 1e-6  # length that is left of a normal that the others span already
 # Bounds of a task, and the reference that follows it; one.
 TASK_LIMITS = np.dtype([
     ('guarded', B),  # whether these, and contact states, apply; if not, the task is as wanted
+    ('locked', B),  # whether the arm is to stay where it is, without contact
     ('contacts', CONTACT_SETTINGS),
     ('lead', F),  # k_v / k_p: an error of v k_v / k_p makes the motion law move at v [s]
     ('reach', F), ('turn', F),  # greatest way and angle of the reference from the arm [m], [rad]
@@ -116,7 +117,7 @@ class ContactTask:
         self.limits['lower'] = config.limits.workspace_lower or -np.inf
         self.limits['upper'] = config.limits.workspace_upper or np.inf
         self.retune(config)
-        self.locked = config.sensor.require_push_test  # at first
+        self._lock(config.sensor.require_push_test)  # at first
         first = self.states[0], self.limits['contacts'][0]  # no tick waits for numba
         contacts.let_go(first[0], 0.0, 0.0)
         contacts.go_on(first[0], 0.0, 0.0)
@@ -231,11 +232,15 @@ class ContactTask:
 
     def lock(self, wanted: bool) -> None:
         """Stay without contact where the arm is, or starts next; or go on if it is not held."""
-        self.locked = wanted
+        self._lock(wanted)
         if wanted:
             self._stand(pressing=False)
         elif not self.held:
             self.resume()
+
+    def _lock(self, wanted: bool) -> None:
+        self.locked = wanted
+        self.limits['locked'] = wanted
 
     def resume(self) -> Mask:
         """Go on from where the arm is; return which contacts are kept: pressed and felt, (r,)."""
