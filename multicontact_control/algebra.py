@@ -205,3 +205,14 @@ def rotate_by(vector: Vector, rotation: Matrix) -> None:
         for i in range(3):
             rotation[i, j] = rotation[i, j] + (
                 np.sin(angle) * once[i]) + (1.0 - np.cos(angle)) * twice[i]
+
+
+@compiled
+def quintic(elapsed: float, duration: float) -> Triple:
+    """Return b = 10 x^3 - 15 x^4 + 6 x^5, x = elapsed / duration, and its two derivatives."""
+    if elapsed >= duration:
+        return 1.0, 0.0, 0.0
+    x = max(0.0, elapsed / duration)
+    return (x ** 3.0 * (10.0 + x * (-15.0 + 6.0 * x)),
+            30.0 * x ** 2.0 * (1.0 - x) ** 2.0 / duration,
+            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration ** 2.0)

@@ -7,7 +7,6 @@ benchmark step a `ControlLoop`.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 import math
 from pathlib import Path
@@ -21,7 +20,7 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sensor.push_test import CANCELLED, PushGate, PushTestConfig
-from multicontact_control.sensor.tool import MAX_JOINT_SPEED, tare_bias
+from multicontact_control.sensor.tool import MAX_JOINT_SPEED, RecentReadings, tare_bias
 from multicontact_control.supervision.command_limits import check_motion, CommandLimits
 from multicontact_control.supervision.inputs import TickInputs
 from multicontact_control.supervision.report import EventLog, SupervisorStatus
@@ -108,7 +107,7 @@ class ControlLoop:
         self.status: SupervisorStatus | None = None
         self.events = EventLog()
         self._inputs, self.time, self._commanded_at = TickInputs(0.0), 0.0, -math.inf
-        self._readings: deque[tuple[float, Vector, Vector]] = deque(maxlen=TARE_READINGS)
+        self._readings = RecentReadings(TARE_READINGS, len(self.config.robot.joint_names))
 
     def step(self, inputs: TickInputs) -> Vector:
         """
@@ -123,8 +122,8 @@ class ControlLoop:
         if self.status is not None:
             self.events.note(inputs.time - inputs.ahead, self.status)
         if inputs.wrench is not None and inputs.wrench.stamp == inputs.time:
-            self._readings.append((self.time, self.supervisor.inputs.raw.copy(),
-                                   self.supervisor.controller.arm.velocity.copy()))
+            self._readings.add(self.time, self.supervisor.inputs.raw,
+                               self.supervisor.controller.arm.velocity)
         if self.push_gate.phase:
             self._push(inputs)
         return output.torque
@@ -295,9 +294,8 @@ class ControlLoop:
         if fault := self.supervisor.inputs.sensor_fault:
             raise CommandError('wrench', 'one without faults', fault)
         oldest = self.time - (TARE_READINGS - 0.5) * self.config.period
-        recent = [row for row in self._readings if row[0] >= oldest]
-        readings, velocities = (np.array([row[i] for row in recent]) for i in (1, 2))
-        fastest = np.abs(velocities.sum(axis=0)).max(initial=0.0) / max(len(recent), 1)
+        readings, velocities = self._readings.since(oldest)
+        fastest = np.abs(velocities.sum(axis=0)).max() / max(len(readings), 1)
         if fastest > MAX_JOINT_SPEED:
             raise CommandError('joint speeds', f'at most {MAX_JOINT_SPEED:g} rad/s',
                                f'{fastest:.3g} rad/s')

@@ -16,7 +16,6 @@ MAX_ORDER = 3  # of an observer's active state
 MAX_STATES = 2 + MAX_DELAY_PERIODS + MAX_ORDER  # force, its rate, delayed inputs, active states
 MAX_JOINTS = 12  # of an arm
 MAX_COLUMNS = 6  # of N: more are always dependent
-LIMITS = 8  # points of the curve of what stiffness a force loop is stable up to
 
 # What is set for the control law and for taking the measured wrench apart; one.
 LAW = np.dtype([
@@ -47,6 +46,15 @@ EVIDENCE = np.dtype([
     ('felt_before', F),  # J_i^T f when it was [N m]
 ], align=True)
 
+# Limits of one joint at the last gate, and what is left of the torques before.
+JOINT_GATE = np.dtype([
+    ('step', F),  # of the torque, per period [N m]
+    ('lower', F), ('upper', F),  # positions at which it comes to rest [rad]
+    ('speed', F),  # [rad/s]
+    ('last', F),  # what was commanded last and what was added [N m]
+    ('lacking', F), ('difference', F),  # see `supervision.gate.blend` [N m]
+], align=True)
+
 # One joint: where it is, its terms of the arm's model, what is set for it, and its torque.
 JOINT = np.dtype([
     ('q', F),  # position [rad]
@@ -74,6 +82,7 @@ JOINT = np.dtype([
     ('least_threshold', F),  # the same without friction [N m]
     ('allowance', F), ('learnt_limit', F),  # friction in it, at least and at most [N m]
     ('evidence', EVIDENCE),
+    ('gate', JOINT_GATE),
     ('slack', F),  # added to that, as the arm accelerates or the effort is in doubt [N m]
 ], align=True)
 
@@ -178,106 +187,6 @@ CONTACT = np.dtype([
     ('answer', FORCE_ANSWER),
 ], align=True)
 
-# The active observer of one contact. The first `states` rows and columns of matrices are used.
-OBSERVER = np.dtype([
-    ('states', I), ('order', I),  # n, and how many of them are active states
-    ('Phi_c', F, (MAX_STATES, MAX_STATES)),  # transition of the closed loop
-    ('Phi_n', F, (MAX_STATES, MAX_STATES)),  # transition of the open loop
-    ('Gamma', F, MAX_STATES),  # input vector
-    ('feedback', F, MAX_STATES),  # [L_r 1]
-    ('Q', F, MAX_STATES),  # diagonal of the process noise's covariance
-    ('P_0', F),  # initial variance of every state
-    ('running', B),  # whether there was a sample before
-    ('command', F),  # r = L_1 f_des of the sample before [m/s^2]
-    ('damping_time', F),  # c / k of the surface, which the force reads with its rate [s]
-    ('x_est', F, MAX_STATES),  # state estimate; the first is the force [N], then its rate [N/s]
-    ('P', F, (MAX_STATES, MAX_STATES)),  # its covariance
-    ('x_1', F, MAX_STATES),  # prediction of the state
-], align=True)
-
-# A linear force law, from alpha_meas, alpha_des and the contact's speed to u, alpha_est and p_est.
-LINEAR_LAW = np.dtype([
-    ('states', I),  # n
-    ('A', F, (MAX_STATES, MAX_STATES)), ('B', F, (MAX_STATES, 3)),  # x_(k+1) = A x_k + B y_k
-    ('C', F, (3, MAX_STATES)), ('D', F, (3, 3)),  # outputs = C x_k + D y_k
-    ('E', F, MAX_STATES),  # added to x_(k+1) for 1 m/s^2 that acts beyond the answer
-    ('start_force', F, MAX_STATES),  # state at touch, for 1 N that is felt
-    ('start_disturbance', F, MAX_STATES),  # and for a known disturbance of 1 m/s^2
-    ('extra', F),  # acceleration that acted beyond the answer of the sample before [m/s^2]
-    ('running', B),  # whether there was a sample before
-    ('x', F, MAX_STATES),  # state
-    ('alpha', F),  # estimated force [N]
-    ('p_est', F),  # disturbance that the law compensates [m/s^2]
-], align=True)
-
-# One frequency band of a stiffness estimator: filters of alpha, z, v and w, and sums over samples.
-STIFFNESS_FIT = np.dtype([
-    ('high', F), ('low', F),  # gains of the high-pass and of the three low-passes, per sample
-    ('keep', F),  # by which the sums shrink with each accepted sample
-    ('stages', F, (4, 4)),  # of z, v, w and alpha: the high-pass's memory, three low-passes
-    ('speed', F),  # filtered v of the sample before [m/s]
-    ('sums', F, (4, 4)),  # of the products of z, v, w and y; its upper triangle
-    ('weight', F),  # of the samples in these sums
-    ('k', F), ('c', F), ('mu', F),  # what fits them best [N/m], [N s/m], [-]
-    ('k_std', F),  # standard error of k [N/m]
-    ('share', F),  # r^2, of the variance of y that is explained
-], align=True)
-
-# The on-line stiffness of one contact.
-STIFFNESS = np.dtype([
-    ('adaptive', B),  # whether the observer follows it
-    ('share', F),  # of a couple: its stiffness over that of its contact's normal force
-    ('period', F),  # h [s]
-    ('lowest', F), ('highest', F),  # k stays within [N/m]
-    ('tool_mass', F),  # beyond the sensor [kg]
-    ('fastest_pole', F), ('pole_ratio', F),  # 1 / tau [1/s], and of the second pole to it
-    ('transition', F, 2),  # of the undelayed plant: of speed to force over k [s], and of speed
-    ('ratio_limit', F, LIMITS),  # k over a model's at which the loop is stable, `lowest` on
-    ('delay_gain', F, (MAX_STATES, 2)),  # E_j, what inputs under way add to the state, per k
-    ('input_gain', F, 2),  # B of the undelayed plant, per k
-    ('slow', STIFFNESS_FIT), ('fast', STIFFNESS_FIT),
-    ('k', F), ('c', F),  # of the model in use [N/m], [N s/m]
-    ('k_est', F), ('k_std', F),  # estimate and its standard error; 0 for none [N/m]
-    ('alpha_ref', F),  # desired force as it is followed [N]
-    ('alpha_des', F),  # of the sample before [N]
-    ('since', F),  # a touch or a step [s]
-    ('depth', F), ('speed', F),  # of the contact point since the touch [m], and now [m/s]
-    ('felt', B),  # whether a surface is
-], align=True)
-
-# The force law of one contact, of which one part is at work.
-FORCE_LAW = np.dtype([
-    ('kind', I),  # number of the law in the registry, see `force.laws`
-    ('is_linear', B),  # whether `linear` is at work, or `observer`
-    ('fed', I),  # what is fed forward, see `force.force_law`
-    ('observer', OBSERVER), ('linear', LINEAR_LAW), ('stiffness', STIFFNESS),
-], align=True)
-
-# What is set for an estimator over a window (P04 eqs 42-44); one.
-NOISE_WINDOW = np.dtype([
-    ('pole', F), ('zero', F), ('gain', F),  # a, c and b of the filter
-    ('scale', F),  # of the variances
-    ('count', I),  # samples so far
-], align=True)
-
-# What the filter of one contact remembers of the sample before.
-FILTER_STATE = np.dtype([('alpha', F), ('filtered', F)])  # [N]
-
-# What an answer of the law must be like; one.
-PLAUSIBILITY = np.dtype([
-    ('inertia', F),  # what a lost contact may read more: the tool's inertia [N]
-    ('friction_bound', F),  # force across the normals, per force along them
-    ('force_ceiling', F),  # along them, of contacts that are not commanded [N]
-    ('box', F, (2, 3)),  # where the operational point may be [m]
-])
-
-# Limits of one joint at the last gate.
-JOINT_LIMITS = np.dtype([
-    ('step', F),  # of the torque, per period [N m]
-    ('lower', F), ('upper', F),  # positions at which it comes to rest [rad]
-    ('speed', F),  # [rad/s]
-    ('last', F),  # what was commanded last and what was added [N m]
-])
 
 # What the input stage is set to; one. Three values are those of joints, wrench and R.
 INPUT_SETTINGS = np.dtype([

@@ -10,9 +10,9 @@ from multicontact_control.config import (
     RobotConfig,
     validate,
 )
-from multicontact_control.control.arm import AMBIGUOUS
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.flags import AMBIGUOUS
 from multicontact_control.paths import config_dir
 from multicontact_control.supervision.contact_task import ContactTask
 import numpy as np

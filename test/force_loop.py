@@ -29,12 +29,13 @@ class ActiveObserver:
     def __init__(self, loop, **options):
         self.design = aob.design_observer(loop, **options)
         self.records, self.contact = aob.make_observers([self.design]), np.zeros(1, CONTACT)
+        self.space = np.zeros(1, aob.OBSERVER_SPACE)
         n = len(self.design.Gamma)
         self.x_est, self.P = self.records['x_est'][0, :n], self.records['P'][0, :n, :n]
 
     def update(self, force, noise_variance, measured=True):
         self.contact['alpha_meas'], self.contact['noise_variance'] = force, noise_variance
-        aob.observe(self.records[0], self.contact[0], measured, 0.0)
+        aob.observe(self.records[0], self.contact[0], measured, 0.0, self.space[0])
 
     def command(self, force_des):
         return aob.command(self.records[0], force_des)

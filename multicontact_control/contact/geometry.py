@@ -32,7 +32,8 @@ def fill_normal_space(contacts: Any, rotation: Matrix) -> None:
     N_i = [n_i; n_i x l_i] (P04 eq. 5), with the lever l_i = -R p_i from the contact point to
     the operational point, so that n x l = R p x n. A couple of 1 N is that of two forces at a
     distance b on both sides of the centre that differ by 1 N: N_i = [0; b e x n] along a
-    direction e of the tool, and [0; b (e - n (n . e))] across it. R has the axes of the operational frame as columns.
+    direction e of the tool, and [0; b (e - n (n . e))] across it. R has the axes of the
+    operational frame as columns.
     """
     for i in range(contacts.shape[0]):
         contact, config = contacts[i], contacts[i].config

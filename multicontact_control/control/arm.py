@@ -24,12 +24,17 @@ from multicontact_control.contact.wrench import (
 from multicontact_control.dynamics.operational_space import INERTIA_SPACE, mobility_and_inertia
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
+from multicontact_control.flags import (
+    AMBIGUOUS,
+    JOINT_SPEED,
+    NO_NUMBERS,
+    OPERATIONAL_SPEED,
+    PASSED,
+    TOUCHED,
+)
 from multicontact_control.records import F, JOINT, MAX_JOINTS
 import numpy as np
 
-# What `see_arm` returns: that the model gave no numbers, or what is unusual, added up.
-NO_NUMBERS = -1
-OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS, TOUCHED, PASSED = 1, 2, 4, 8, 16
 RELEASE = 0.5  # share of its threshold that a residual must fall below to count no more
 # What a residual may follow: tanh(v / v_0), v [rad/s], dv/dt [rad/s^2], J_i^T f [N m].
 REGRESSORS = DIRECTION, SPEED, ACCELERATION, WRENCH = range(4)
@@ -205,8 +210,9 @@ def wrench_of_residual(
 
 @compiled
 def see_arm(
-    motion: Matrix, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix, placements: Any,
-    joints: Any, controls: Any, contacts: Any, space: Any,
+    motion: Matrix, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix, position: Vector,
+    rotation: Matrix, sensor_position: Vector, sensor_rotation: Matrix, joints: Any, control: Any,
+    contacts: Any, space: Any,
 ) -> int:
     """
     Take in all that is known of a sample before anything is asked for.
@@ -215,26 +221,26 @@ def see_arm(
     ----------
     motion
         q [rad] and v [rad/s], shape (2, n).
-    mass_matrix, bias_torque, jacobian, placements
-        What `RobotModel.compute` gives there: M, upper triangle, C v + g, J, and of `Terms`.
-    joints, controls, contacts
+    mass_matrix, bias_torque, jacobian
+        M, upper triangle, C v + g and J there.
+    position, rotation, sensor_position, sensor_rotation
+        Of the operational frame and the sensor's there, world axes.
+    joints, control, contacts
         Records of `JOINT`, shape (n,), one of `CONTROL` with the wrench in it, and records of
         `CONTACT`, shape (r,); all changed.
+    space
+        A record of `ARM_SPACE`.
 
     Returns
     -------
     int
-        NO_NUMBERS if the model gives none, and nothing has changed; otherwise the sum of
-        OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS (the contacts depend on each other, and what
-        they bear has not changed), TOUCHED (a residual is beyond its threshold) and PASSED (none
-        has been for a while, after one was).
+        The sum of NO_NUMBERS, OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS, TOUCHED and PASSED.
 
     """
-    control, frame, space = controls[0], controls[0].frame, space[0]
-    if not np.isfinite(bias_torque).all():
-        return NO_NUMBERS
-    position, rotation, sensor_position, sensor_rotation = placements
-    flags = 0
+    frame, flags = control.frame, 0
+    for j in range(joints.shape[0]):
+        if not np.isfinite(bias_torque[j]):
+            return NO_NUMBERS
     for j in range(joints.shape[0]):
         joint = joints[j]
         joint.last_velocity, joint.last_bias = joint.velocity, joint.bias_torque
@@ -242,22 +248,24 @@ def see_arm(
         joint.inertia, joint.bias_torque = mass_matrix[j, j], bias_torque[j]
         if abs(joint.velocity) > joint.speed_limit:
             flags = JOINT_SPEED
-    frame.position[:], frame.sensor_position[:] = position, sensor_position
-    frame.rotation[:], frame.sensor_rotation[:] = rotation, sensor_rotation
+    frame.position[:] = position
+    frame.rotation[:] = rotation
+    frame.sensor_position[:] = sensor_position
+    frame.sensor_rotation[:] = sensor_rotation
     multiply(jacobian, motion[1], frame.twist)
     velocity, turn = frame.twist[:3], frame.twist[3:]
     if dot(velocity, velocity) > frame.speed_limit ** 2 or (
             dot(turn, turn) > frame.turn_limit ** 2):
-        flags += OPERATIONAL_SPEED
+        flags |= OPERATIONAL_SPEED
     if control.momentum.bandwidth > 0.0:
         if observe_momentum(control, joints, mass_matrix, jacobian, space):
-            flags += TOUCHED
+            flags |= TOUCHED
         if follow_touch(control.momentum, joints):
-            flags += PASSED
+            flags |= PASSED
         if control.momentum.is_input:
             wrench_of_residual(control, joints, mass_matrix, jacobian, space)
     if not measure_contacts(control, contacts, space.contacts):
-        flags += AMBIGUOUS
+        flags |= AMBIGUOUS
     return flags
 
 
@@ -284,7 +292,7 @@ class ArmState:
     pose
         Of the operational frame, in `frames`.
     flags
-        What is unusual about it; see `see_arm`.
+        What was found of it; see `multicontact_control.flags`.
 
     """
 
@@ -299,19 +307,19 @@ class ArmState:
         self.frames['speed_limit'] = self.frames['turn_limit'] = np.inf
         self.inertia: Vector = self.joints['inertia']
         self.bias_torque: Vector = self.joints['bias_torque']
-        self._space: Any = np.zeros(1, dtype=ARM_SPACE)
+        self._space: Any = np.zeros(1, dtype=ARM_SPACE)[0]
         self.pose = Pose(self.frames['position'][0], self.frames['rotation'][0])
         self.refresh()
 
     @property
     def finite(self) -> bool:
         """Whether the model gave finite numbers; if not, the arm is where it was before."""
-        return self.flags != NO_NUMBERS
+        return not self.flags & NO_NUMBERS
 
     def refresh(self) -> bool:
         """Take in what has been written into `motion`; return whether the model is `finite`."""
         terms = self.robot.compute(self.q, self.velocity)
         self.flags = see_arm(
             self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
-            terms.placements, self.joints, self.controls, self.contacts, self._space)
-        return self.flags != NO_NUMBERS
+            *terms.placements, self.joints, self.controls[0], self.contacts, self._space)
+        return self.finite

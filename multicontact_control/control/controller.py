@@ -5,18 +5,19 @@ from __future__ import annotations
 import contextlib
 from typing import Any, NamedTuple, NoReturn
 
+from multicontact_control.algebra import quintic
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import ControllerConfig, ToolConfig
 from multicontact_control.contact.geometry import check_columns, place_columns
 from multicontact_control.contact.resolution import check_resolution
 from multicontact_control.contact.wrench import tool_between, tool_record
-from multicontact_control.control.arm import AMBIGUOUS, ArmState
-from multicontact_control.control.law import control_law, DEPENDENT, LAW_SPACE, LIMITED
-from multicontact_control.control.tasks import quintic
+from multicontact_control.control.arm import ArmState
+from multicontact_control.control.law import control_law, LAW_SPACE
 from multicontact_control.dynamics.operational_space import MAX_CONDITION, STOP_MARGIN
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError, ContactGeometryError, SingularTaskError
+from multicontact_control.flags import AMBIGUOUS, DEPENDENT, NO_NUMBERS, SINGULAR, TORQUE
 from multicontact_control.force.force_law import act_beyond, continue_laws, make_force_laws
 from multicontact_control.records import CONTACT, CONTROL, LAW, Records
 import numpy as np
@@ -108,16 +109,18 @@ class Controller:
     def __init__(self, config: ControllerConfig, robot: RobotModel) -> None:
         count = len(config.columns)
         self.robot = robot
-        self.controls: Any = np.zeros(1, dtype=CONTROL)
+        # In one piece, so that an answer is one copy.
+        self._memory = np.zeros(CONTROL.itemsize + count * CONTACT.itemsize, dtype=np.uint8)
+        self.controls: Any = self._memory[:CONTROL.itemsize].view(CONTROL)
+        self.contacts: Any = self._memory[CONTROL.itemsize:].view(CONTACT)
         self.controls['measured'] = True
         self.controls['task']['rotation'] = np.eye(3)
-        self.contacts: Any = np.zeros(count, dtype=CONTACT)
         self.arm = ArmState(robot, self.controls, self.contacts)
         self.active: Mask = self.contacts['answer']['active']
         self.measured = (self.arm.motion, self.controls['wrench'][0],
                          self.contacts['noise_variance'])
         self.torque: Vector = self.arm.joints['torque']
-        self._space: Any = np.zeros(1, dtype=LAW_SPACE)
+        self._space: Any = np.zeros(1, dtype=LAW_SPACE)[0]
         self._adopt(config)
         check_columns(config.column_names, self.contacts)
         self.resolutions = check_resolution(config, self.controls, self.contacts)
@@ -204,7 +207,7 @@ class Controller:
         self._adopt(design.config)
         if self.started:
             continue_laws(design.laws, self.laws)
-            self.laws = design.laws
+            self.laws[:] = design.laws
 
     def take(self, q: Vector, qd: Vector, wrench_sensor: Vector) -> None:
         """
@@ -219,7 +222,7 @@ class Controller:
 
     def start(self) -> Pose:
         """Let the force laws begin; return the pose from which a task starts."""
-        self.laws = make_force_laws(self.config)
+        self.laws[:] = make_force_laws(self.config)
         joints = self.arm.joints
         joints['posture'] = np.clip(  # what lies beyond a stop would be fought over
             self.config.posture.joints or self.arm.q, joints['lower'] + STOP_MARGIN,
@@ -245,21 +248,22 @@ class Controller:
             If the contacts' normals are not independent.
 
         """
-        if self.arm.flags & AMBIGUOUS:  # which is in NO_NUMBERS, too
+        if self.arm.flags & (AMBIGUOUS | NO_NUMBERS):
             self.refuse()
         terms = self.robot.terms
-        status = control_law(
-            self.controls, self.arm.joints, terms.mass_matrix, terms.jacobian,
+        found = control_law(
+            self.controls[0], self.arm.joints, terms.mass_matrix, terms.jacobian,
             terms.jacobian_rate, self.contacts, self.laws, self._space)
-        if status > LIMITED:
-            self.refuse(status)
-        return bool(status == LIMITED)
+        if found & (SINGULAR | DEPENDENT):
+            self.refuse(found)
+        return bool(found & TORQUE)
 
     def output(self, torque: Vector) -> ControlOutput:
         """Return an answer to the sample that has been seen."""
-        return ControlOutput(  # numpy copies a structured array field by field: slowly
-            torque, np.frombuffer(self.contacts.tobytes(), CONTACT),
-            np.frombuffer(self.controls.tobytes(), CONTROL))
+        copy = self._memory.tobytes()
+        return ControlOutput(
+            torque, np.frombuffer(copy, CONTACT, offset=CONTROL.itemsize),
+            np.frombuffer(copy, CONTROL, count=1))
 
     def own_weight(self) -> Vector:
         """Return the torque by which drives with `adds_gravity` carry the arm, (n,) [N m]."""
@@ -286,13 +290,13 @@ class Controller:
             M, torque - self.arm.joints['unlimited'] + terms.jacobian.T @ (N @ beyond))
         act_beyond(self.laws, active, N.T @ twist_rate)
 
-    def refuse(self, status: int = DEPENDENT) -> NoReturn:
-        """Raise what a status of `control_law`, or a model without finite numbers, means."""
+    def refuse(self, found: int = DEPENDENT) -> NoReturn:
+        """Raise what `control_law` has found, or that the model has no finite numbers."""
         if not self.arm.finite:
             raise SingularTaskError(
                 "the arm's dynamics: expected finite numbers, got others at joint positions "
                 f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}')
-        if status == DEPENDENT:
+        if found & DEPENDENT:
             raise ContactGeometryError(
                 'N: expected independent columns, got normals and contact points of '
                 f'{", ".join(self.config.column_names)} that depend on each other')

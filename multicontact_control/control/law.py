@@ -21,16 +21,15 @@ from multicontact_control.dynamics.operational_space import (
     mobility_and_inertia,
 )
 from multicontact_control.dynamics.rotations import rotation_vector
-from multicontact_control.force.force_law import answer_forces
+from multicontact_control.flags import DEPENDENT, SINGULAR, TORQUE
+from multicontact_control.force.force_law import answer_forces, FORCE_SPACE
 from multicontact_control.records import F, MAX_COLUMNS, MAX_JOINTS
 import numpy as np
-
-# What `control_law` returns; LIMITED: a torque limit was enforced.
-OK, LIMITED, SINGULAR, DEPENDENT = range(4)
 
 # What `control_law` works in; one. The first r rows of matrices with one per contact are used.
 LAW_SPACE = np.dtype([
     ('inertia', INERTIA_SPACE),
+    ('forces', FORCE_SPACE),
     ('rows', F, (MAX_COLUMNS, 6)), ('weighted_rows', F, (MAX_COLUMNS, 6)),  # N^T, D^T
     ('factor', F, (MAX_COLUMNS, MAX_COLUMNS)),  # of N^T N
     ('weighted_factor', F, (MAX_COLUMNS, MAX_COLUMNS)),  # of N^T D
@@ -52,11 +51,10 @@ def motion_law(law: Any, task: Any, frame: Any, f_t: Vector) -> None:
     k_v = 2 zeta omega_n (P04 sec. 3.1; sec. 5.2: critically damped, 30 rad/s); world axes, shape
     (6,) [m/s^2, rad/s^2].
     """
-    turn = f_t[3:]
-    rotation_vector(task.rotation, frame.rotation, turn)
+    turn = rotation_vector(task.rotation, frame.rotation)
     for i in range(3):
         f_t[i] = law.k_p * (task.position[i] - frame.position[i])
-        turn[i] *= law.k_p
+        f_t[3 + i] = law.k_p * turn[i]
     for i in range(6):
         f_t[i] += task.acceleration[i] + law.k_v * (task.twist[i] - frame.twist[i])
 
@@ -158,7 +156,7 @@ def finish_torque(law: Any, joints: Any) -> bool:
 
 @compiled
 def control_law(
-    controls: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix, jacobian_rate: Matrix,
+    control: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix, jacobian_rate: Matrix,
     contacts: Any, laws: Any, space: Any,
 ) -> int:
     """
@@ -170,22 +168,23 @@ def control_law(
 
     Parameters
     ----------
-    controls, joints
-        One record of `CONTROL`, and records of `JOINT`, shape (n,), whose torque is filled in.
+    control, joints
+        A record of `CONTROL`, and records of `JOINT`, shape (n,), whose torque is filled in.
     mass_matrix, jacobian, jacobian_rate
         M (upper triangle), J and dJ/dt.
     contacts, laws
         Records of `CONTACT` and `FORCE_LAW`, both changed, shape (r,).
     space
-        One record of `LAW_SPACE`.
+        A record of `LAW_SPACE`.
 
     Returns
     -------
     int
-        OK or LIMITED, or what is wrong; the force laws have not been touched then.
+        TORQUE if a limit was enforced; SINGULAR or DEPENDENT if there is no answer, and the force
+        laws have not been touched.
 
     """
-    law, frame, task, space = controls[0].law, controls[0].frame, controls[0].task, space[0]
+    law, frame, task = control.law, control.frame, control.task
     n, count, inertia = joints.shape[0], contacts.shape[0], space.inertia
     damping, frame.mobility = mobility_and_inertia(
         mass_matrix, jacobian, law.singular_mobility, inertia)
@@ -207,7 +206,7 @@ def control_law(
             contacts, False, rows, weighted_rows, weighted_factor)):
         return DEPENDENT
     motion_law(law, task, frame, space.f_t)
-    answer_forces(laws, contacts, controls[0], inputs)
+    answer_forces(laws, contacts, control, inputs, space.forces)
     if not law.decoupled:
         drive_coordinates(rows, inputs)
     force_law(law, rows, factor, frame.twist, contacts, inputs, alpha_star, space.f_c)
@@ -239,4 +238,4 @@ def control_law(
     if n > 6 or damping > 0.0:
         add_nullspace_torque(
             joints, mass_matrix, jacobian, inertia, law, reduced, space.pull[:n], space.along)
-    return LIMITED if finish_torque(law, joints) else OK
+    return TORQUE if finish_torque(law, joints) else 0

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import math
 from typing import NamedTuple, Protocol
 
+from multicontact_control.algebra import quintic
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import (
     Config,
@@ -37,9 +38,20 @@ class Task(NamedTuple):
 
 
 class TaskSource(Protocol):
-    """Where tasks come from; `contact_state` are fields of `ContactStateConfig` that they set."""
+    """
+    Where tasks come from.
+
+    Attributes
+    ----------
+    contact_state
+        Fields of `ContactStateConfig` that they set.
+    seeks
+        Whether a contact is still to be made, if the source makes them.
+
+    """
 
     contact_state: Mapping[str, float]
+    seeks: bool
 
     def start(self, pose: Pose, normals_world: Matrix) -> None:
         """Begin from a pose at rest, beside contact normals INTO the surfaces, shape (r, 3)."""
@@ -103,16 +115,6 @@ class ReferenceConfig(Config):
         times = [step.time for step in self.force_steps]
         if times != sorted(times):
             yield ConfigError('reference.force_steps', 'times in rising order', times)
-
-
-def quintic(elapsed: float, duration: float) -> tuple[float, float, float]:
-    """Return b = 10 x^3 - 15 x^4 + 6 x^5, x = elapsed / duration, and its two derivatives."""
-    if elapsed >= duration:
-        return 1.0, 0.0, 0.0
-    x = max(0.0, elapsed / duration)
-    return (x ** 3 * (10.0 + x * (-15.0 + 6.0 * x)),
-            30.0 * x ** 2 * (1.0 - x) ** 2 / duration,
-            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration ** 2)
 
 
 def shortest_duration(change: Vector, limits: LimitsConfig) -> float:
@@ -219,6 +221,7 @@ class ScenarioTask:
         """Begin from a pose at rest; see `TaskSource.start`."""
         self._pose, self._normals, self._position = pose, normals_world, pose.position_world
         self._touched: Mask = np.zeros(len(normals_world), dtype=bool)
+        self.seeks = True
         self._advance = np.zeros(len(normals_world))
 
     def task(self, time: float, alpha_meas: Vector | None = None) -> Task:
@@ -231,7 +234,7 @@ class ScenarioTask:
             active, alpha_des = self._wanted_after_step[steps_taken]
         twist = acceleration = STILL
         if alpha_meas is not None:
-            if not self._touched.all():
+            if self.seeks:
                 twist, acceleration = self._seek(since, alpha_meas)
                 alpha_des = np.where(self._touched, alpha_des, 0.0)
             active = self._touched
@@ -250,6 +253,7 @@ class ScenarioTask:
         if since >= 0.0:
             felt = alpha_meas > approach.contact_threshold
             self._touched = self._touched | felt[self._leader_of]
+            self.seeks = not self._touched.all()
         if since <= 0.0:
             return STILL, STILL
         speed, rate = approach.speed, 0.0
@@ -272,6 +276,7 @@ class CommandedTask:
     """
 
     contact_state: Mapping[str, float] = {}
+    seeks = False
 
     def __init__(self, names: Sequence[str], leader_of: Sequence[int] | None = None) -> None:
         self._names = tuple(names)

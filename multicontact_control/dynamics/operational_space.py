@@ -90,7 +90,8 @@ def mobility_and_inertia(
 
 @compiled
 def mobility_gradient(
-    jacobian: Matrix, L: Matrix, Y: Matrix, direction: Vector, gradient: Vector,
+    jacobian: Matrix, L: Matrix, Y: Matrix, direction: Vector, joint_rates: Vector,
+    gradient: Vector,
 ) -> None:
     """
     Fill in how an eigenvalue of Lambda^-1 changes with each joint, shape (n,) [1/kg per rad].
@@ -102,10 +103,9 @@ def mobility_gradient(
     d v_i / d q_k = w_k x v_i for k <= i, w_i x v_k for k > i, and d w_i / d q_k = w_k x w_i for
     k <= i, 0 for k > i.
 
-    J has shape (6, n), M = L L^T, Y = L^-1 J^T.
+    J has shape (6, n), M = L L^T, Y = L^-1 J^T; `joint_rates`, shape (n,), is overwritten.
     """
     n = jacobian.shape[1]
-    joint_rates = np.empty(n)
     multiply(Y, direction, joint_rates)
     solve_lower_transposed(L, joint_rates)  # M^-1 J^T u
     linear, angular = direction[:3], direction[3:]

@@ -4,68 +4,63 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from multicontact_control.algebra import dot
+from multicontact_control.algebra import length, rotated, Triple
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+Rows = tuple[Triple, Triple, Triple]
+
 
 @compiled
-def quaternion_of(rotation: Matrix, quaternion: Vector) -> None:
+def quaternion_of(rotation: Matrix | Rows) -> tuple[float, float, float, float]:
     """
-    Fill in the unit quaternion, scalar last, shape (4,), of a rotation, shape (3, 3).
+    Return the unit quaternion, scalar last, of a rotation, shape (3, 3).
 
     Shepperd's method: of the four ways to take the roots, the one without cancellation.
     """
-    trace = rotation[0, 0] + rotation[1, 1] + rotation[2, 2]
-    largest, greatest = 3, trace
-    for i in range(3):
-        if rotation[i, i] > greatest:
-            largest, greatest = i, rotation[i, i]
-    if largest == 3:
-        quaternion[0] = rotation[2, 1] - rotation[1, 2]
-        quaternion[1] = rotation[0, 2] - rotation[2, 0]
-        quaternion[2] = rotation[1, 0] - rotation[0, 1]
-        quaternion[3] = 1.0 + trace
+    xx, xy, xz = rotation[0]
+    yx, yy, yz = rotation[1]
+    zx, zy, zz = rotation[2]
+    trace = xx + yy + zz
+    greatest = max(trace, xx, yy, zz)
+    if greatest == trace:
+        x, y, z, w = zy - yz, xz - zx, yx - xy, 1.0 + trace
+    elif greatest == xx:
+        x, y, z, w = 1.0 - trace + 2.0 * xx, yx + xy, zx + xz, zy - yz
+    elif greatest == yy:
+        x, y, z, w = xy + yx, 1.0 - trace + 2.0 * yy, zy + yz, xz - zx
     else:
-        i = largest
-        j = (i + 1) % 3
-        k = (i + 2) % 3
-        quaternion[i] = 1.0 - trace + 2.0 * rotation[i, i]
-        quaternion[j] = rotation[j, i] + rotation[i, j]
-        quaternion[k] = rotation[k, i] + rotation[i, k]
-        quaternion[3] = rotation[k, j] - rotation[j, k]
-    quaternion /= np.sqrt(dot(quaternion, quaternion))
+        x, y, z, w = xz + zx, yz + zy, 1.0 - trace + 2.0 * zz, yx - xy
+    size = np.sqrt(x * x + y * y + z * z + w * w)
+    return x / size, y / size, z / size, w / size
 
 
 @compiled
-def rotation_vector(rotation_des: Matrix, rotation: Matrix, vector: Vector) -> None:
+def rotation_vector(rotation_des: Matrix, rotation: Matrix) -> Triple:
     """
-    Fill in log(R_des R^T), the rotation from an orientation to a desired one, in world axes.
+    Return log(R_des R^T), the rotation from an orientation to a desired one, in world axes.
 
-    The result is of shape (3,) [rad], the orientations are of shape (3, 3).
+    The result is in [rad], the orientations are of shape (3, 3).
     """
-    error = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            error[i, j] = (rotation_des[i, 0] * rotation[j, 0]
-                           + rotation_des[i, 1] * rotation[j, 1]
-                           + rotation_des[i, 2] * rotation[j, 2])
-    vector[0] = 0.5 * (error[2, 1] - error[1, 2])
-    vector[1] = 0.5 * (error[0, 2] - error[2, 0])
-    vector[2] = 0.5 * (error[1, 0] - error[0, 1])
-    cosine = 0.5 * (error[0, 0] + error[1, 1] + error[2, 2] - 1.0)
-    sine = np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+    error = (rotated(rotation, rotation_des[0]), rotated(rotation, rotation_des[1]),
+             rotated(rotation, rotation_des[2]))
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = error
+    vector = (0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy))  # its skew part
+    cosine = 0.5 * (xx + yy + zz - 1.0)
+    sine = length(vector)
     if cosine < -0.99:  # near half a turn the skew part vanishes and no longer names the axis
-        quaternion = np.empty(4)
-        quaternion_of(error, quaternion)
-        sine = np.sqrt(quaternion[0] ** 2 + quaternion[1] ** 2 + quaternion[2] ** 2)
-        angle = 2.0 * np.arctan2(sine, abs(quaternion[3]))
-        sign = 1.0 if quaternion[3] >= 0.0 else -1.0
-        vector[:] = sign * angle * quaternion[:3] / sine
-    elif sine >= 1e-9:
-        vector *= np.arctan2(sine, cosine) / sine
+        x, y, z, w = quaternion_of(error)
+        sine = length((x, y, z))
+        angle = 2.0 * np.arctan2(sine, abs(w))
+        if w < 0.0:
+            angle = -angle
+        return angle * x / sine, angle * y / sine, angle * z / sine
+    if sine >= 1e-9:
+        factor = np.arctan2(sine, cosine) / sine
+        return vector[0] * factor, vector[1] * factor, vector[2] * factor
+    return vector
 
 
 class Pose(NamedTuple):
@@ -77,10 +72,8 @@ class Pose(NamedTuple):
     @property
     def quaternion_xyzw(self) -> Vector:
         """Orientation as a unit quaternion, shape (4,), scalar last."""
-        quaternion = np.empty(4)
         # A copy: numba would compile anew for an array of another layout, or not writable.
-        quaternion_of(np.array(self.rotation_world, order='C'), quaternion)
-        return quaternion
+        return np.array(quaternion_of(np.array(self.rotation_world, order='C')))
 
     def way_to(self, goal: Pose) -> Vector:
         """Return displacement and rotation vector to another pose, world axes, (6,) [m, rad]."""

@@ -24,7 +24,6 @@ from multicontact_control.errors import ConfigError, counted, RunError
 from multicontact_control.experiment.recording import RunData
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.force import stiffness
-from multicontact_control.records import STIFFNESS
 import numpy as np
 from scipy import linalg
 from scipy.optimize import lsq_linear
@@ -35,6 +34,7 @@ LONGEST_DELAY = 0.02  # s
 DELAY_STEP = 1e-4  # s, in which the delay is looked for
 LEAST_SAMPLES = 50
 APART = 0.1  # s, between the samples of two steps
+SIGNALS = ('way', 'rate', 'friction', 'force')  # z, v, w and alpha of a `STIFFNESS_FIT`
 # Of the unknowns: the largest values, with 0 as the least.
 LARGEST = {'stiffness_n_m': math.inf, 'damping_n_s_m': math.inf, 'tool_mass_kg': math.inf,
            'friction': stiffness.LARGEST_FRICTION}
@@ -158,7 +158,8 @@ def _fit(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
 
 def _band_passed(signal: ContactSignals, h: float) -> tuple[Matrix, Mask]:
     """Return z, v, w, alpha and a behind the on-line estimate's band-pass, and what it takes."""
-    record: Any = np.zeros(1, dtype=STIFFNESS)[0]
+    record: Any = np.zeros(1, dtype=stiffness.STIFFNESS)[0]
+    space: Any = np.zeros(1, dtype=stiffness.FIT_SPACE)[0]
     record['period'] = h
     fit = record['slow']
     stiffness.adopt_band(fit, stiffness.SLOW_BAND, h, math.inf)
@@ -169,9 +170,9 @@ def _band_passed(signal: ContactSignals, h: float) -> tuple[Matrix, Mask]:
         if not math.isfinite(alpha):
             record['felt'] = False  # a gap: the filters begin anew
             continue
-        before, weight = float(fit['stages'][1, 3]), float(fit['weight'])
-        stiffness.find_stiffness(record, alpha, alpha_des, speed, friction)
-        filtered[k, :4] = fit['stages'][:, 3]
+        before, weight = float(fit['rate']['passed']), float(fit['weight'])
+        stiffness.find_stiffness(record, alpha, alpha_des, speed, friction, space)
+        filtered[k, :4] = [fit[name]['passed'] for name in SIGNALS]
         filtered[k, 4] = (filtered[k, 1] - before) / h
         accepted[k] = fit['weight'] > weight
     return filtered, accepted

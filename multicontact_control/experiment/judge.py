@@ -17,7 +17,7 @@ from multicontact_control.experiment.recording import (
 )
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision import contacts
-from multicontact_control.supervision.gate import NAMES as TORQUE_LIMITS
+from multicontact_control.supervision.gate import LIMIT_NAMES
 from multicontact_control.supervision.reactions import INFLATE, NONE
 from multicontact_control.supervision.report import CAPACITY
 import numpy as np
@@ -57,7 +57,7 @@ LOCKSTEP, REAL_TIME, EXTERNAL_RUN, RECORDED = (
 WHOLE = tuple(contacts.NAMES[i] for i in (contacts.IMPACT, contacts.HOLDING))
 GONE = tuple(
     contacts.NAMES[i] for i in (contacts.LOST, contacts.RETRACTING, contacts.GIVEN_UP))
-LIMITS = ('reference', *(name for name, _ in TORQUE_LIMITS))
+LIMITS = tuple(LIMIT_NAMES.values())
 
 
 class Event(NamedTuple):

@@ -15,7 +15,13 @@ from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig, FedForward, ForceConfig
 from multicontact_control.config.contact import FORCE
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.laws import LAWS, LinearLaw, LoopModel, steady_law
+from multicontact_control.force.laws import (
+    LAWS,
+    LINEAR_LAW,
+    LinearLaw,
+    LoopModel,
+    steady_law,
+)
 from multicontact_control.force.margins import (
     closed_loop,
     last_stable,
@@ -29,17 +35,22 @@ from multicontact_control.force.observer import (
     keep_at_rest,
     make_observers,
     observe,
+    OBSERVER,
+    OBSERVER_SPACE,
     ObserverDesign,
     steady_gain,
 )
 from multicontact_control.force.stiffness import (
     adopt_stiffness,
     APPROACH_LIMIT,
+    FIT_SPACE,
     INPUT_LIMIT,
     keep_stiffness,
     learn_stiffness,
+    LIMITS,
+    STIFFNESS,
 )
-from multicontact_control.records import FORCE_LAW, LIMITS, Records
+from multicontact_control.records import B, F, I, MAX_STATES, Records
 import numpy as np
 
 ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
@@ -49,6 +60,20 @@ SLOWEST_BOUND, FASTEST_BOUND, BOUND_SHARE = 60.0, 80.0, 0.125  # 1/s, 1/s, -
 BORNE_TIME = 0.05  # s, in which it is forgotten what a surface bears
 RATIOS = tuple(np.geomspace(1.0, 100.0, 9).tolist())  # where the loop's limit is looked for
 Gains = tuple[tuple[str, Any], ...]  # fields of `ForceConfig`, and their values
+
+# The force law of one contact, of which one part is at work.
+FORCE_LAW = np.dtype([
+    ('kind', I),  # number of the law in the registry, see `force.laws`
+    ('is_linear', B),  # whether `linear` is at work, or `observer`
+    ('fed', I),  # what is fed forward: ESTIMATE, DESIRED, MIXED or MEASURED
+    ('observer', OBSERVER), ('linear', LINEAR_LAW), ('stiffness', STIFFNESS),
+], align=True)
+
+# What `answer_forces` works in; one.
+FORCE_SPACE = np.dtype([
+    ('observer', OBSERVER_SPACE), ('fit', FIT_SPACE),
+    ('x_next', F, MAX_STATES),  # of a linear law
+], align=True)
 
 
 def loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
@@ -213,40 +238,41 @@ def act_beyond(laws: Records, which: Mask, acceleration: Vector) -> None:
 
 
 @compiled
-def step_linear(law: Any, contact: Any, speed: float) -> float:
+def step_linear(law: Any, contact: Any, speed: float, x_next: Vector) -> float:
     """
     Take one sample into a record of `LINEAR_LAW`; return u [m/s^2].
 
-    `speed` is that of the contact point INTO the surface [m/s]. A force that was not measured is
-    the one before.
+    `speed` is that of the contact point INTO the surface [m/s], `x_next` of at least n elements is
+    overwritten. A force that was not measured is the one before.
     """
-    n, A, B, C, D = law.states, law.A, law.B, law.C, law.D
-    x, x_next, E = law.x, np.empty(law.states), law.E
+    n, x = law.states, law.x
     if not law.running:
         for i in range(n):
             x[i] = law.start_force[i] * contact.alpha_meas
         law.extra, law.running = 0.0, True
-    alpha, desired, extra = contact.alpha_meas, contact.answer.alpha_des, law.extra
     for i in range(n):
-        x[i] += E[i] * extra
+        x[i] += law.E[i] * law.extra
+    law.extra = 0.0
+    u = work_out(law.of_u, law, contact, speed)
+    law.alpha = work_out(law.of_alpha, law, contact, speed)
+    law.p_est = work_out(law.of_p, law, contact, speed)
     for i in range(n):
-        x_next[i] = B[i, 0] * alpha + B[i, 1] * desired + B[i, 2] * speed
-        for j in range(n):
-            x_next[i] += A[i, j] * x[j]
-    u = D[0, 0] * alpha + D[0, 1] * desired + D[0, 2] * speed
-    estimate = D[1, 0] * alpha + D[1, 1] * desired + D[1, 2] * speed
-    disturbance = D[2, 0] * alpha + D[2, 1] * desired + D[2, 2] * speed
-    for j in range(n):
-        u += C[0, j] * x[j]
-        estimate += C[1, j] * x[j]
-        disturbance += C[2, j] * x[j]
+        x_next[i] = work_out(law.of_state[i], law, contact, speed)
     for i in range(n):
         x[i] = x_next[i]
-    law.extra = 0.0
-    law.p_est = disturbance
-    law.alpha = estimate
-    contact.answer.alpha_est = estimate
+    contact.answer.alpha_est = law.alpha
     return u
+
+
+@compiled
+def work_out(row: Any, law: Any, contact: Any, speed: float) -> float:
+    """Return what a record of `LINEAR_ROW` makes of a law's state and inputs."""
+    total = row.alpha_meas * contact.alpha_meas
+    total += row.alpha_des * contact.answer.alpha_des
+    total += row.speed * speed
+    for j in range(law.states):
+        total += row.x[j] * law.x[j]
+    return total
 
 
 @compiled
@@ -297,13 +323,15 @@ def bound_speed(contact: Any, law: Any, control: Any, u: float, speed: float) ->
 
 
 @compiled
-def answer_forces(laws: Any, contacts: Any, control: Any, inputs: Vector) -> None:
+def answer_forces(
+    laws: Any, contacts: Any, control: Any, inputs: Vector, space: Any,
+) -> None:
     """
     Let the force law of every active contact answer its sample.
 
     A contact that has just become active starts from its measured force. Records of `FORCE_LAW`
     and `CONTACT`, shape (r,), are changed, `inputs`, shape (r,), is filled with u, 0 where not
-    active [m/s^2].
+    active [m/s^2]. `space` is a record of `FORCE_SPACE`.
     """
     for i in range(contacts.shape[0]):
         contact, law, answer = contacts[i], laws[i], contacts[i].answer
@@ -314,19 +342,19 @@ def answer_forces(laws: Any, contacts: Any, control: Any, inputs: Vector) -> Non
         if contact.borne > 0.0:  # what does not answer the motion says nothing of a surface
             law.stiffness.felt = False
         elif law.stiffness.adaptive:
-            learn_stiffness(laws, contacts, i, control, speed)
+            learn_stiffness(laws, contacts, i, control, speed, space.fit)
         if not answer.active:
             law.observer.running = law.linear.running = False
             answer.alpha_est = answer.alpha_rate_est = answer.alpha_fed = inputs[i] = 0.0
             continue
         stiffness, observer = law.stiffness, law.observer
         if law.is_linear:
-            inputs[i] = step_linear(law.linear, contact, speed)
+            inputs[i] = step_linear(law.linear, contact, speed, space.x_next)
             answer.alpha_rate_est = stiffness.k * speed
         elif stiffness.adaptive:
             # The prediction is that of the open loop, under the input that was asked for.
             begins = not observer.running
-            observe(observer, contact, control.measured, stiffness.k * speed)
+            observe(observer, contact, control.measured, stiffness.k * speed, space.observer)
             if begins:
                 stiffness.alpha_ref = contact.alpha_meas
                 if stiffness.share == 0.0:
@@ -337,7 +365,7 @@ def answer_forces(laws: Any, contacts: Any, control: Any, inputs: Vector) -> Non
             u = command(observer, stiffness.alpha_ref)
             inputs[i] = observer.command = min(max(u, -INPUT_LIMIT), INPUT_LIMIT)
         else:
-            observe(observer, contact, control.measured, 0.0)
+            observe(observer, contact, control.measured, 0.0, space.observer)
             inputs[i] = command(observer, answer.alpha_des)
         answer.alpha_fed = force_to_feed(law, contact, control.law.K_2)
         if contact.speed_bound > 0.0:

@@ -12,9 +12,32 @@ from multicontact_control.config import ForceConfig
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.observer import design_observer, ObserverDesign, steady_gain
 from multicontact_control.force.plant import delayed_plant, DelayedPlant, ForceLoop, place_poles
-from multicontact_control.records import LINEAR_LAW, MAX_STATES, Records
+from multicontact_control.records import B, F, I, MAX_STATES, Records
 import numpy as np
 from scipy.linalg import solve, solve_discrete_are
+
+INPUTS = ('alpha_meas', 'alpha_des', 'speed')  # y of a linear law, see `LinearLaw`
+OUTPUTS = ('of_u', 'of_alpha', 'of_p')
+
+# What one state or output of a linear law has of its states, and of the inputs: A or C, B or D.
+LINEAR_ROW = np.dtype([
+    ('x', F, MAX_STATES), *((name, F) for name in INPUTS),
+], align=True)
+
+# A linear force law, from alpha_meas, alpha_des and the contact's speed to u, alpha_est and p_est.
+LINEAR_LAW = np.dtype([
+    ('states', I),  # n
+    ('of_state', LINEAR_ROW, MAX_STATES),  # x_(k+1) = A x_k + B y_k
+    *((name, LINEAR_ROW) for name in OUTPUTS),  # C x_k + D y_k
+    ('E', F, MAX_STATES),  # added to x_(k+1) for 1 m/s^2 that acts beyond the answer
+    ('start_force', F, MAX_STATES),  # state at touch, for 1 N that is felt
+    ('start_disturbance', F, MAX_STATES),  # and for a known disturbance of 1 m/s^2
+    ('extra', F),  # acceleration that acted beyond the answer of the sample before [m/s^2]
+    ('running', B),  # whether there was a sample before
+    ('x', F, MAX_STATES),  # state
+    ('alpha', F),  # estimated force [N]
+    ('p_est', F),  # disturbance that the law compensates [m/s^2]
+], align=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +92,16 @@ class LinearLaw:
     def record(self) -> Records:
         """Return it as one record of `LINEAR_LAW`, with no state."""
         law, n = np.zeros(1, dtype=LINEAR_LAW), self.states
-        law['states'], law['D'] = n, self.D
-        law['A'][0, :n, :n], law['B'][0, :n], law['C'][0, :, :n] = self.A, self.B, self.C
+        law['states'] = n
+        rows = law['of_state'][0, :n]
+        rows['x'][:, :n] = self.A
+        for name, column in zip(INPUTS, self.B.T):
+            rows[name] = column
+        for output, of_states, of_inputs in zip(OUTPUTS, self.C, self.D):
+            row = law[output][0]
+            row['x'][:n] = of_states
+            for name, value in zip(INPUTS, of_inputs):
+                row[name] = value
         for name in ('E', 'start_force', 'start_disturbance'):
             law[name][0, :n] = getattr(self, name)
         return law

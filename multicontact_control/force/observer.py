@@ -10,11 +10,34 @@ from typing import Any
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.force.plant import ForceLoop
-from multicontact_control.records import OBSERVER, Records
+from multicontact_control.records import B, F, I, MAX_STATES, Records
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
 INITIAL_VARIANCE = 1e-3  # of every state
+
+# The active observer of one contact. The first `states` rows and columns of matrices are used.
+OBSERVER = np.dtype([
+    ('states', I), ('order', I),  # n, and how many of them are active states
+    ('Phi_c', F, (MAX_STATES, MAX_STATES)),  # transition of the closed loop
+    ('Phi_n', F, (MAX_STATES, MAX_STATES)),  # transition of the open loop
+    ('Gamma', F, MAX_STATES),  # input vector
+    ('feedback', F, MAX_STATES),  # [L_r 1]
+    ('Q', F, MAX_STATES),  # diagonal of the process noise's covariance
+    ('P_0', F),  # initial variance of every state
+    ('running', B),  # whether there was a sample before
+    ('command', F),  # r = L_1 f_des of the sample before [m/s^2]
+    ('damping_time', F),  # c / k of the surface, which the force reads with its rate [s]
+    ('x_est', F, MAX_STATES),  # state estimate; the first is the force [N], then its rate [N/s]
+    ('P', F, (MAX_STATES, MAX_STATES)),  # its covariance
+    ('x_1', F, MAX_STATES),  # prediction of the state
+], align=True)
+
+# What `observe` works in; one.
+OBSERVER_SPACE = np.dtype([
+    ('half', F, (MAX_STATES, MAX_STATES)),  # Phi_n P
+    ('covariance', F, MAX_STATES),  # P_1 C^T, of the state with the force that is read
+], align=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,15 +161,16 @@ def keep_at_rest(observers: Records) -> None:
 
 
 @compiled
-def predict(observer: Any) -> None:
+def predict(observer: Any, space: Any) -> None:
     """
     Predict state and covariance of the next sample, in a record of `OBSERVER`.
 
     x_1 = Phi_c x + Gamma r with the closed loop (P04 eqs 37-38), P_1 = Phi_n P Phi_n^T + Q with
-    the open one (eqs 40-41); P becomes P_1, its upper triangle mirrored.
+    the open one (eqs 40-41); P becomes P_1, its upper triangle mirrored. `space` is a record of
+    `OBSERVER_SPACE`.
     """
-    n = observer.states
-    Phi_c, Phi_n, P, half = observer.Phi_c, observer.Phi_n, observer.P, np.empty((n, n))
+    n, half = observer.states, space.half
+    Phi_c, Phi_n, P = observer.Phi_c, observer.Phi_n, observer.P
     x_est, x_1, Gamma, Q = observer.x_est, observer.x_1, observer.Gamma, observer.Q
     for i in range(n):
         total = Gamma[i] * observer.command
@@ -171,7 +195,7 @@ def predict(observer: Any) -> None:
 
 
 @compiled
-def correct(observer: Any, innovation: float, noise_variance: float) -> None:
+def correct(observer: Any, innovation: float, noise_variance: float, space: Any) -> None:
     """
     Correct the prediction by the innovation.
 
@@ -180,30 +204,30 @@ def correct(observer: Any, innovation: float, noise_variance: float) -> None:
     difference of two nearly equal numbers: the variance of the measured state stays positive
     however far R drops. Where the model of the surface damps, C = (1, c / k, 0, ...).
 
-    `observer` is a record of `OBSERVER` after `predict`; innovation y - C x_1 [N], R_k [N^2].
+    `observer` is a record of `OBSERVER` after `predict`; innovation y - C x_1 [N], R_k [N^2];
+    `space` is a record of `OBSERVER_SPACE`.
     """
-    n, tau = observer.states, observer.damping_time
-    x_est, P, x_1 = observer.x_est, observer.P, observer.x_1
+    n, tau, P, covariance = observer.states, observer.damping_time, observer.P, space.covariance
+    for i in range(n):
+        covariance[i] = P[0, i] + tau * P[1, i]
+    total_variance = covariance[0] + tau * covariance[1] + noise_variance
+    for i in range(n):
+        observer.x_est[i] = observer.x_1[i] + covariance[i] / total_variance * innovation
     if tau != 0.0:
-        covariance = P[0, :n] + tau * P[1, :n]
-        total_variance = covariance[0] + tau * covariance[1] + noise_variance
         for i in range(n):
-            x_est[i] = x_1[i] + covariance[i] / total_variance * innovation
             for j in range(i, n):
                 P[i, j] -= covariance[i] * covariance[j] / total_variance
                 P[j, i] = P[i, j]
         return
-    covariance, total_variance = P[0, :n].copy(), P[0, 0] + noise_variance
     remainder = noise_variance / total_variance
     for i in range(n):
-        gain = covariance[i] / total_variance
-        x_est[i] = x_1[i] + gain * innovation
         P[0, i] = covariance[i] * remainder
         P[i, 0] = P[0, i]
-        if i:
-            for j in range(i, n):
-                P[i, j] -= gain * covariance[j]
-                P[j, i] = P[i, j]
+    for i in range(1, n):
+        gain = covariance[i] / total_variance
+        for j in range(i, n):
+            P[i, j] -= gain * covariance[j]
+            P[j, i] = P[i, j]
 
 
 @compiled
@@ -238,29 +262,34 @@ def continue_at(observers: Records, held: Mask, force: Vector) -> None:
 
 
 @compiled
-def observe(observer: Any, contact: Any, measured: bool, rate: float) -> None:
+def observe(observer: Any, contact: Any, measured: bool, rate: float, space: Any) -> None:
     """
     Take the measured force of an active contact into its observer.
 
     An observer that has not run starts from that force, and from a rate x_2 that is as uncertain
-    as it is large [N/s]. Without a measurement of this sample it only predicts (R = inf).
+    as it is large [N/s]. Without a measurement of this sample it only predicts (R = inf). `space`
+    is a record of `OBSERVER_SPACE`.
     """
     n, tau, P = observer.states, observer.damping_time, observer.P
     x_est, x_1, answer = observer.x_est, observer.x_1, contact.answer
     if not observer.running:
-        x_est[:] = 0.0
-        P[:n, :n] = observer.P_0 * np.eye(n)
+        for i in range(n):
+            x_est[i] = 0.0
+            for j in range(n):
+                P[i, j] = 0.0
+            P[i, i] = observer.P_0
         x_est[0], x_est[1] = contact.alpha_meas, rate
         P[1, 1] += rate * rate
         observer.running = True
     else:
-        predict(observer)
+        predict(observer, space)
         if measured:
             answer.prior_variance = P[0, 0] + tau * (2.0 * P[0, 1] + tau * P[1, 1])
             answer.innovation = contact.alpha_meas - (x_1[0] + tau * x_1[1])
             answer.variance_used = contact.noise_variance
-            correct(observer, answer.innovation, contact.noise_variance)
+            correct(observer, answer.innovation, contact.noise_variance, space)
         else:
-            x_est[:] = x_1
+            for i in range(n):
+                x_est[i] = x_1[i]
     answer.alpha_est = x_est[0] + tau * x_est[1]
     answer.alpha_rate_est = x_est[1]

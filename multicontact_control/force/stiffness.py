@@ -21,12 +21,13 @@ from collections.abc import Sequence
 import math
 from typing import Any
 
-from multicontact_control.algebra import cholesky, dot, multiply, solve_cholesky
+from multicontact_control.algebra import across, cholesky, dot, rotated, solve_cholesky
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ForceConfig
 from multicontact_control.config.contact import FORCE
 from multicontact_control.force.plant import DelayedPlant
+from multicontact_control.records import B, F, MAX_STATES
 import numpy as np
 
 SLOW_BAND, FAST_BAND = (3.0, 20.0), (6.0, 30.0)  # Hz: of the high-pass, and of three low-passes
@@ -51,6 +52,59 @@ LEAST_WEIGHT = 5.0  # samples, for a fit
 SMALLEST_PIVOT = 1e-6  # what must be left of a scaled column that the others do not explain
 LARGEST_FRICTION = 1.0
 SMALLEST_SIGNAL = 0.15  # N, filtered, from which on a sample is accepted
+LIMITS = 8  # points of the curve of what stiffness a force loop is stable up to
+WAY, RATE, FRICTION = range(3)  # what the force is explained by, and with which factor: k, c, mu
+
+# What the band-pass of one signal remembers: of its high-pass, and of three low-passes.
+SIGNAL_BAND = np.dtype([('drift', F), ('first', F), ('second', F), ('passed', F)])
+
+# One frequency band of a stiffness estimator: filters of four signals, and sums over samples of
+# what passes them, X of way, rate and friction and y of the force without the tool's inertia.
+STIFFNESS_FIT = np.dtype([
+    ('high', F), ('low', F),  # gains of the high-pass and of the three low-passes, per sample
+    ('keep', F),  # by which the sums shrink with each accepted sample
+    ('way', SIGNAL_BAND), ('rate', SIGNAL_BAND),  # z into the surface and v [m], [m/s]
+    ('friction', SIGNAL_BAND), ('force', SIGNAL_BAND),  # w of the others per mu, and alpha [N]
+    ('products', F, (3, 3)),  # X^T X, its upper triangle
+    ('moments', F, 3), ('power', F),  # X^T y and y^T y
+    ('weight', F),  # of the samples in these sums
+    ('k', F), ('c', F), ('mu', F),  # what fits them best [N/m], [N s/m], [-]
+    ('k_std', F),  # standard error of k [N/m]
+    ('share', F),  # r^2, of the variance of y that is explained
+], align=True)
+
+# What an input of 1 m/s^2 per k adds to the state.
+INPUT_GAIN = np.dtype([('way', F), ('speed', F)])  # [s^2], [s]
+
+# The on-line stiffness of one contact.
+STIFFNESS = np.dtype([
+    ('adaptive', B),  # whether the observer follows it
+    ('share', F),  # of a couple: its stiffness over that of its contact's normal force
+    ('period', F),  # h [s]
+    ('lowest', F), ('highest', F),  # k stays within [N/m]
+    ('tool_mass', F),  # beyond the sensor [kg]
+    ('fastest_pole', F), ('pole_ratio', F),  # 1 / tau [1/s], and of the second pole to it
+    # Of the undelayed plant: the way in a period for a speed [s], and the share of it that stays.
+    ('way_of_speed', F), ('speed_kept', F),
+    ('ratio_limit', F, LIMITS),  # k over a model's at which the loop is stable, `lowest` on
+    ('delay_gain', INPUT_GAIN, MAX_STATES),  # E_j, of inputs under way
+    ('input_gain', INPUT_GAIN),  # B of the undelayed plant
+    ('slow', STIFFNESS_FIT), ('fast', STIFFNESS_FIT),
+    ('k', F), ('c', F),  # of the model in use [N/m], [N s/m]
+    ('k_est', F), ('k_std', F),  # estimate and its standard error; 0 for none [N/m]
+    ('alpha_ref', F),  # desired force as it is followed [N]
+    ('alpha_des', F),  # of the sample before [N]
+    ('since', F),  # a touch or a step [s]
+    ('depth', F), ('speed', F),  # of the contact point since the touch [m], and now [m/s]
+    ('felt', B),  # whether a surface is
+], align=True)
+
+# What `solve_fit` works in; one.
+FIT_SPACE = np.dtype([
+    ('factors', F, 3), ('solution', F, 3),  # k, c and mu, and the same scaled
+    ('variance', F, 3),  # first column of the inverse of the scaled X^T X
+    ('scale', F, 3), ('normal', F, (3, 3)), ('L', F, (3, 3)),  # scaled X^T X = L L^T
+], align=True)
 
 
 def adopt_band(fit: Any, band: tuple[float, float], period: float, memory: float) -> None:
@@ -61,90 +115,121 @@ def adopt_band(fit: Any, band: tuple[float, float], period: float, memory: float
 
 
 @compiled
+def begin_band(band: Any, value: float) -> None:
+    """Let the band-pass of a signal, a record of `SIGNAL_BAND`, be at rest at a value."""
+    band.drift = value
+    band.first = band.second = band.passed = 0.0
+
+
+@compiled
+def pass_band(fit: Any, band: Any, value: float) -> float:
+    """Return what passes the band of a record of `STIFFNESS_FIT` of one of its signals."""
+    band.drift += fit.high * (value - band.drift)
+    band.first += fit.low * (value - band.drift - band.first)
+    band.second += fit.low * (band.first - band.second)
+    band.passed += fit.low * (band.second - band.passed)
+    return band.passed
+
+
+@compiled
 def take_sample(
-    fit: Any, sample: Vector, period: float, mass: float, accepted: bool,
+    stiffness: Any, fit: Any, friction: float, alpha: float, accepted: bool, space: Any,
 ) -> None:
     """
     Filter a sample, and if it is accepted and large enough, fit k, c and mu anew.
 
-    A sample: way into the surface [m], its rate [m/s], the friction of the other contacts per mu
-    [N] and the measured force [N], shape (4,). Period h [s], mass of the tool [kg].
+    Of the record of `STIFFNESS` that the fit is of, depth, speed, period and the tool's mass are
+    read; the friction of the other contacts per mu [N], the measured force [N]; `space` is a
+    record of `FIT_SPACE`.
     """
-    filtered = np.empty(4)
-    for i in range(4):
-        stages = fit.stages[i]
-        stages[0] += fit.high * (sample[i] - stages[0])
-        entering = sample[i] - stages[0]
-        for j in range(1, 4):
-            stages[j] += fit.low * (entering - stages[j])
-            entering = stages[j]
-        filtered[i] = entering
-    filtered[3] -= mass * (filtered[1] - fit.speed) / period
-    fit.speed = filtered[1]
-    if not accepted or abs(filtered[3]) < SMALLEST_SIGNAL:
+    speed_before = fit.rate.passed
+    z = pass_band(fit, fit.way, stiffness.depth)
+    v = pass_band(fit, fit.rate, stiffness.speed)
+    w = pass_band(fit, fit.friction, friction)
+    y = pass_band(fit, fit.force, alpha)
+    y -= stiffness.tool_mass * (v - speed_before) / stiffness.period
+    if not accepted or abs(y) < SMALLEST_SIGNAL:
         return
-    for i in range(4):
-        for j in range(i, 4):
-            fit.sums[i, j] = fit.keep * fit.sums[i, j] + filtered[i] * filtered[j]
+    signals = (z, v, w)
+    for i in range(3):
+        for j in range(i, 3):
+            fit.products[i, j] = fit.keep * fit.products[i, j] + signals[i] * signals[j]
+        fit.moments[i] = fit.keep * fit.moments[i] + signals[i] * y
+    fit.power = fit.keep * fit.power + y * y
     fit.weight = fit.keep * fit.weight + 1.0
     if fit.weight >= LEAST_WEIGHT:
-        solve_fit(fit)
+        solve_fit(fit, space)
 
 
 @compiled
-def solve_fit(fit: Any) -> None:
+def solve_fit(fit: Any, space: Any) -> None:
     """
     Fit y = k z + c v + mu w to the sums of a record of `STIFFNESS_FIT` by least squares.
 
     A mu beyond 0 to 1 is set there, and the rest is fitted again. The fit stays as it was where
-    the regressors do not tell the parameters apart.
+    the regressors do not tell the parameters apart. `space` is a record of `FIT_SPACE`.
     """
-    sums, fixed = fit.sums, False  # mu
-    value, variance, solution, scale = np.zeros(3), np.zeros(3), np.zeros(3), np.ones(3)
-    normal, L = np.zeros((3, 3)), np.zeros((3, 3))
-    if sums[0, 0] <= 0.0:
+    products, moments, factors = fit.products, fit.moments, space.factors
+    if products[WAY, WAY] <= 0.0:
         return
-    for _ in range(2):
-        for i in range(3):
-            variance[i], solution[i], scale[i] = 0.0, 0.0, 1.0
-            for j in range(3):
-                normal[i, j] = 0.0
-            if (fixed and i == 2) or sums[i, i] <= 0.0:  # known, or it never moved
-                normal[i, i] = 1.0
-                continue
-            scale[i] = 1.0 / np.sqrt(sums[i, i])
-            solution[i] = sums[i, 3]
-            for j in range(3):
-                product = sums[min(i, j), max(i, j)]
-                if fixed and j == 2:
-                    solution[i] -= product * value[j]
-                elif j >= i:
-                    normal[i, j] = product
-        for i in range(3):
-            solution[i] *= scale[i]
-            for j in range(i, 3):
-                normal[i, j] *= scale[i] * scale[j]
-        if not cholesky(normal, L, SMALLEST_PIVOT):
+    for friction_known in (False, True):
+        if not fit_factors(fit, friction_known, space):
             return
-        variance[0] = 1.0
-        solve_cholesky(L, solution)
-        solve_cholesky(L, variance)
-        for i in range(2 if fixed else 3):
-            value[i] = solution[i] * scale[i]
-        bounded = min(max(value[2], 0.0), LARGEST_FRICTION)
-        if bounded == value[2]:
+        bounded = min(max(factors[FRICTION], 0.0), LARGEST_FRICTION)
+        if bounded == factors[FRICTION]:
             break
-        value[2], fixed = bounded, True
-    left = sums[3, 3]
+        factors[FRICTION] = bounded
+    left = fit.power
     for i in range(3):
-        left -= 2.0 * value[i] * sums[i, 3]
+        left -= 2.0 * factors[i] * moments[i]
         for j in range(3):
-            left += value[i] * value[j] * sums[min(i, j), max(i, j)]
+            left += factors[i] * factors[j] * products[min(i, j), max(i, j)]
     left = max(left, 0.0)
-    fit.k, fit.c, fit.mu = value[0], value[1], value[2]
-    fit.share = 1.0 - left / sums[3, 3]
-    fit.k_std = np.sqrt(CORRELATION * (variance[0] * (scale[0] * scale[0])) * max(
+    fit.k, fit.c, fit.mu = factors[WAY], factors[RATE], factors[FRICTION]
+    fit.share = 1.0 - left / fit.power
+    variance = space.variance[WAY] * (space.scale[WAY] * space.scale[WAY])
+    fit.k_std = np.sqrt(CORRELATION * variance * max(
         left / fit.weight, SMALLEST_RESIDUAL * SMALLEST_RESIDUAL))
+
+
+@compiled
+def fit_factors(fit: Any, friction_known: bool, space: Any) -> bool:
+    """
+    Fill in the `factors` of least squares; return whether the regressors tell them apart.
+
+    That of friction is left as it is where it is known. A regressor that never moved has 0.
+    """
+    products, factors, normal = fit.products, space.factors, space.normal
+    solution, variance, scale = space.solution, space.variance, space.scale
+    for i in range(3):
+        variance[i], solution[i], scale[i] = 0.0, 0.0, 1.0
+        for j in range(3):
+            normal[i, j] = 0.0
+        known = friction_known and i == FRICTION
+        if known or products[i, i] <= 0.0:
+            normal[i, i] = 1.0
+            continue
+        scale[i] = 1.0 / np.sqrt(products[i, i])
+        solution[i] = fit.moments[i]
+        for j in range(3):
+            product = products[min(i, j), max(i, j)]
+            if friction_known and j == FRICTION:
+                solution[i] -= product * factors[j]
+            elif j >= i:
+                normal[i, j] = product
+    for i in range(3):
+        solution[i] *= scale[i]
+        for j in range(i, 3):
+            normal[i, j] *= scale[i] * scale[j]
+    if not cholesky(normal, space.L, SMALLEST_PIVOT):
+        return False
+    variance[WAY] = 1.0
+    solve_cholesky(space.L, solution)
+    solve_cholesky(space.L, variance)
+    for i in range(3):
+        if not (friction_known and i == FRICTION):
+            factors[i] = solution[i] * scale[i]
+    return True
 
 
 def adopt_stiffness(
@@ -164,9 +249,11 @@ def adopt_stiffness(
         'ratio_limit': ratio_limits, 'k': stiffness, 'c': 0.0}
     for name, value in values.items():
         record[name] = value
-    record['transition'] = plant.Phi[0, 1], plant.Phi[1, 1]
+    record['way_of_speed'], record['speed_kept'] = plant.Phi[:2, 1]
     gains, input_gain = predictor_gains(plant, stiffness)
-    record['delay_gain'][:len(gains)], record['input_gain'] = gains, input_gain
+    for name, of_delayed, gain in zip(('way', 'speed'), gains.T, input_gain):
+        record['delay_gain'][name][:len(gains)] = of_delayed
+        record['input_gain'][name] = gain
     adopt_band(record['slow'], SLOW_BAND, period, MEMORY)
     adopt_band(record['fast'], FAST_BAND, period, FAST_MEMORY)
 
@@ -211,12 +298,15 @@ def use_stiffness(observer: Any, stiffness: Any, k: float, c: float) -> None:
     factor = k / stiffness.k
     n, plain = observer.states, observer.states - observer.order
     if factor != 1.0:
-        observer.Phi_n[:2, 2:n] *= factor
-        observer.Phi_c[:2, 2:n] *= factor
-        observer.Gamma[:2] *= factor
+        for i in range(2):
+            observer.Gamma[i] *= factor
+            for j in range(2, n):
+                observer.Phi_n[i, j] *= factor
+                observer.Phi_c[i, j] *= factor
         observer.x_est[1] *= factor
-        observer.P[1, :n] *= factor
-        observer.P[:n, 1] *= factor
+        for j in range(n):
+            observer.P[1, j] *= factor
+            observer.P[j, 1] *= factor
     stiffness.k = k
     stiffness.c = c
     observer.damping_time = c / k
@@ -227,8 +317,8 @@ def use_stiffness(observer: Any, stiffness: Any, k: float, c: float) -> None:
     if c > 0.0:
         omega_2 = min(omega_2, max(k / c, SLOWEST_POLE))
     p_1, p_2 = np.exp(-stiffness.period * omega_1), np.exp(-stiffness.period * omega_2)
-    f, e = stiffness.transition[0], stiffness.transition[1]
-    b_1, b_2 = stiffness.input_gain[0], stiffness.input_gain[1]
+    f, e = stiffness.way_of_speed, stiffness.speed_kept
+    b_1, b_2 = stiffness.input_gain.way, stiffness.input_gain.speed
     total, product = p_1 + p_2, p_1 * p_2
     scale = 1.0 / (b_2 * (b_1 * (e - 1.0) - f * b_2))
     L_1 = -scale * b_2 * (1.0 - total + product)
@@ -237,7 +327,7 @@ def use_stiffness(observer: Any, stiffness: Any, k: float, c: float) -> None:
     observer.feedback[1] = L_2 / k
     for j in range(2, plain):
         gain = stiffness.delay_gain[j - 2]
-        observer.feedback[j] = L_1 * gain[0] + L_2 * gain[1]
+        observer.feedback[j] = L_1 * gain.way + L_2 * gain.speed
 
 
 @compiled
@@ -249,32 +339,33 @@ def friction_of_others(frame: Any, contacts: Any, which: int) -> float:
     """
     normal, twist = contacts[which].normal, frame.twist
     total = 0.0
-    lever, velocity = np.empty(3), np.empty(3)
     for j in range(contacts.shape[0]):
         other = contacts[j]
         if j == which or other.config.kind != FORCE or other.alpha_meas <= 0.0:
             continue
-        multiply(frame.rotation, other.config.point, lever)
-        velocity[0] = twist[0] + twist[4] * lever[2] - twist[5] * lever[1]
-        velocity[1] = twist[1] + twist[5] * lever[0] - twist[3] * lever[2]
-        velocity[2] = twist[2] + twist[3] * lever[1] - twist[4] * lever[0]
-        into = dot(velocity, other.normal)
-        velocity -= into * other.normal
-        total += other.alpha_meas * dot(velocity, normal) / np.sqrt(
-            dot(velocity, velocity) + SLIP_SPEED * SLIP_SPEED)
+        lever = rotated(frame.rotation, other.config.point)
+        velocity = (
+            twist[0] + twist[4] * lever[2] - twist[5] * lever[1],
+            twist[1] + twist[5] * lever[0] - twist[3] * lever[2],
+            twist[2] + twist[3] * lever[1] - twist[4] * lever[0])
+        sliding = across(velocity, other.normal)
+        total += other.alpha_meas * dot(sliding, normal) / np.sqrt(
+            dot(sliding, sliding) + SLIP_SPEED * SLIP_SPEED)
     return total
 
 
 @compiled
 def find_stiffness(
-    stiffness: Any, alpha: float, alpha_des: float, speed: float, friction: float,
+    stiffness: Any, alpha: float, alpha_des: float, speed: float, friction: float, space: Any,
 ) -> None:
     """
     Take a sample into the estimate of a stiffness, whatever law moves the contact.
 
     The filters begin anew when a force is felt: before, the surface is not there. Measured and
-    desired force [N], speed of the contact point INTO the surface [m/s], `friction_of_others` [N].
+    desired force [N], speed of the contact point INTO the surface [m/s], `friction_of_others` [N];
+    `space` is a record of `FIT_SPACE`.
     """
+    slow, fast = stiffness.slow, stiffness.fast
     h = stiffness.period
     stiffness.since += h
     if abs(alpha_des - stiffness.alpha_des) > STEP:
@@ -283,9 +374,11 @@ def find_stiffness(
     if not stiffness.felt:
         if alpha <= BEGIN:
             return
-        stiffness.slow.stages[:] = stiffness.fast.stages[:] = 0.0
-        stiffness.slow.stages[3, 0] = stiffness.fast.stages[3, 0] = alpha
-        stiffness.slow.speed = stiffness.fast.speed = 0.0
+        for fit in (slow, fast):
+            begin_band(fit.way, 0.0)
+            begin_band(fit.rate, 0.0)
+            begin_band(fit.friction, 0.0)
+            begin_band(fit.force, alpha)
         stiffness.since = 0.0
         stiffness.depth = 0.0
         stiffness.felt = True
@@ -293,23 +386,24 @@ def find_stiffness(
         stiffness.depth += 0.5 * h * (speed + stiffness.speed)
         stiffness.felt = alpha > END
     stiffness.speed = speed
-    sample = np.array([stiffness.depth, speed, friction, alpha])
-    mass = stiffness.tool_mass
-    take_sample(stiffness.slow, sample, h, mass, stiffness.felt and stiffness.since <= WINDOW)
-    take_sample(stiffness.fast, sample, h, mass, stiffness.felt)
-    if stiffness.slow.k > 0.0 and stiffness.slow.share > SLOW_SHARE:
-        stiffness.k_est = stiffness.slow.k
-        stiffness.k_std = stiffness.slow.k_std
+    lately = stiffness.felt and stiffness.since <= WINDOW
+    take_sample(stiffness, slow, friction, alpha, lately, space)
+    take_sample(stiffness, fast, friction, alpha, stiffness.felt, space)
+    if slow.k > 0.0 and slow.share > SLOW_SHARE:
+        stiffness.k_est = slow.k
+        stiffness.k_std = slow.k_std
 
 
 @compiled
-def learn_stiffness(laws: Any, contacts: Any, which: int, control: Any, speed: float) -> None:
+def learn_stiffness(
+    laws: Any, contacts: Any, which: int, control: Any, speed: float, space: Any,
+) -> None:
     """
     Take a sample into the model of a contact's surface, which follows at a bounded rate.
 
     That of a couple follows the normal force of its contact. Of records of `FORCE_LAW` and
     `CONTACT`, shape (r,), those of number `which` are changed; `control` is a record of `CONTROL`,
-    the speed of the contact point is that INTO the surface [m/s].
+    the speed of the contact point is that INTO the surface [m/s], `space` a record of `FIT_SPACE`.
     """
     contact, observer, stiffness = contacts[which], laws[which].observer, laws[which].stiffness
     if contact.config.kind != FORCE:
@@ -325,7 +419,7 @@ def learn_stiffness(laws: Any, contacts: Any, which: int, control: Any, speed: f
         return
     alpha = contact.alpha_meas if control.measured else contact.answer.alpha_est
     find_stiffness(stiffness, alpha, contact.answer.alpha_des, speed,
-                   friction_of_others(control.frame, contacts, which))
+                   friction_of_others(control.frame, contacts, which), space)
     slow, fast = stiffness.slow, stiffness.fast
     h, k, c = stiffness.period, stiffness.k, stiffness.c
     target = k
@@ -347,8 +441,19 @@ def learn_stiffness(laws: Any, contacts: Any, which: int, control: Any, speed: f
     contact.ratio_bound = contact.margin = 0.0  # as long as nothing is known
     if stiffness.k_est > 0.0:
         contact.ratio_bound = (stiffness.k_est + 2.0 * stiffness.k_std) / stiffness.k
-        limits = stiffness.ratio_limit
-        place = np.log(stiffness.k / stiffness.lowest) / np.log(
-            stiffness.highest / stiffness.lowest)
-        contact.margin = np.interp(
-            place, np.linspace(0.0, 1.0, limits.shape[0]), limits) / contact.ratio_bound
+        contact.margin = ratio_limit_of(stiffness) / contact.ratio_bound
+
+
+@compiled
+def ratio_limit_of(stiffness: Any) -> float:
+    """Return k over that of the model in use at which its loop is stable, from the curve of it."""
+    limits, last = stiffness.ratio_limit, LIMITS - 1
+    place = np.log(stiffness.k / stiffness.lowest) / np.log(stiffness.highest / stiffness.lowest)
+    step = 1.0 / last
+    before = 0
+    while before < last and (before + 1) * step <= place:
+        before += 1
+    if before == last or place <= 0.0:
+        return limits[before]
+    slope = (limits[before + 1] - limits[before]) / ((before + 1) * step - before * step)
+    return slope * (place - before * step) + limits[before]

@@ -20,10 +20,10 @@ from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
 from multicontact_control.nodes.messages import ACCEPTED, ControllerStatus, REFUSED, STATE
 from multicontact_control.sampling import NANOSECONDS, SampleTiming
-from multicontact_control.supervision.checks import undeclared_friction
 from multicontact_control.supervision.contacts import GIVEN_UP, LOST, NAMES, RETRACTING
 from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
 from multicontact_control.supervision.report import SupervisorStatus
+from rclpy.serialization import serialize_message
 
 REPEAT_TIME = 5 * NANOSECONDS  # in which a line is logged once
 STATE_INTERVAL = 20_000_000  # ns, between two messages on a state that changes
@@ -48,6 +48,7 @@ class ControllerReport:
         inputs: Sequence[topics.Topic], *, may_pause: bool,
     ) -> None:
         self._node, self._loop, self._timing = node, loop, timing
+        self._status_name = f'{node.get_name()}: status'
         bare = node.parameter_set.value('effort_output_topic')
         self._owned = [x.name for x in (*inputs, topics.EFFORT_COMMAND)] + [bare] * bool(bare)
         self.inputs = Inputs(node, loop.config.rate, *inputs, may_pause=may_pause)
@@ -145,7 +146,7 @@ class ControllerReport:
             forces=loop.commanded_forces, left_out=left_out, placing={
                 name: tuple(column.tolist())
                 for name, column in loop.supervisor.task.placing_columns().items()})
-        return partial(state.message, f'{self._node.get_name()}: status',
+        return partial(state.message, self._status_name,
                        DiagnosticStatus.WARN if trouble else DiagnosticStatus.OK)
 
     def statuses(self) -> Iterator[Status | None]:
@@ -154,14 +155,15 @@ class ControllerReport:
         told = self._told
         build_message = self._state(STATE)
         yield None
-        state = yield from self._node.helper.do(build_message)
+        message = yield from self._node.helper.do(lambda: serialize_message(build_message()))
         if told == self._told:  # else what is newer has been told meanwhile
-            self._publisher.publish(state.result())
+            self._publisher.publish(message.result())
         yield None
         self.watch.missed, timing.skipped = timing.skipped, 0
         warnings = [f'{self.watch.missed} samples without a command'] if self.watch.missed else []
         if active:
             warnings += self._odd_samples()
+        yield None
         seen = yield from self._node.helper.do(self.watch.report)
         yield Status('loop', {
             **seen.result(), 'steps': self.watch.latencies.count,
@@ -175,7 +177,7 @@ class ControllerReport:
         yield from self._sensor()
         yield message_status(self._node.refusals, unpaired=timing.unpaired)
         if loop.supervisor.guarded:
-            yield self._supervisor()
+            yield from self._supervisor()
 
     def _odd_samples(self) -> Iterator[str]:
         """Yield what is odd of readings: no pairs, the rate since the last call."""
@@ -215,20 +217,21 @@ class ControllerReport:
         return {name: Counter(x.node_name for x in self._node.get_publishers_info_by_topic(
             self._node.resolve_topic_name(name))) for name in self._owned}
 
-    def _supervisor(self) -> Status:
-        """Return what the supervisor does, and in how many ticks it did something else."""
+    def _supervisor(self) -> Iterator[Status | None]:
+        """Yield what the supervisor does, and in how many ticks it did something else."""
+        friction = yield from self._node.helper.do(self._loop.supervisor.explanations.friction)
         status, log = self._loop.status or QUIET, self._loop.events
         severe = SEVERITY.index(status.reaction) > SEVERITY.index(INFLATE)
-        friction = '; '.join(undeclared_friction(
-            self._loop.supervisor.controller.arm.joints, self._loop.config.robot.joint_names))
-        return Status('supervisor', {
+        trouble = self._reaction() or friction.result()
+        if status.unwatched:
+            trouble = f'{trouble}; {status.unwatched}' if trouble else status.unwatched
+        yield Status('supervisor', {
             'reaction': status.reaction, 'causes': ' '.join(status.causes) or 'none',
             'task_time_s': status.task_time, 'events': len(log.events), **log.collisions,
             **{f'{what} {name}': count for what, counts in (
                 ('ticks with', log.reactions), ('rejected', log.rejected),
                 ('limited', log.limited)) for name, count in counts.items() if name != NONE}},
-            **{'error' if severe else 'warning': '; '.join(filter(None, (
-                self._reaction() or friction, status.unwatched)))})
+            **{'error' if severe else 'warning': trouble})
 
     def _reaction(self) -> str:
         """Return what the supervisor does instead of control, and why; empty if nothing."""
@@ -266,7 +269,7 @@ class ControllerReport:
     def _sensor(self) -> Iterator[Status | None]:
         """Yield the health of the wrist sensor, and what is still to be proved of it."""
         gate, supervisor = self._loop.push_gate, self._loop.supervisor
-        felt = yield from self._node.helper.do(lambda: supervisor.stray_force)
+        felt = yield from self._node.helper.do(supervisor.explanations.stray_force)
         stray = '' if gate.running else felt.result()
         if stray:
             self._warn('stray', stray)

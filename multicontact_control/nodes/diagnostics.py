@@ -98,6 +98,7 @@ class Diagnostics:
             yield
             if status is not None:
                 statuses.append(status)
+        yield
         message = yield from self._helper.do(report_message, self._node, statuses)
         self._publisher.publish(message.result())
 

@@ -11,10 +11,11 @@ Pausing = Generator[None, None, T]  # yields where a sample may come between, an
 
 
 class Helper:
-    """Does one thing after the other; its thread starts with the first."""
+    """Does one thing after the other, in a thread that waits for them from the first on."""
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(1, 'helper')
+        self._thread.submit(lambda: None)  # it starts here, and no sample waits for that
 
     def do(self, work: Callable[..., T], *arguments: Any) -> Pausing[Future[T]]:
         """Yield until the thread has done some work; return its outcome."""

@@ -14,9 +14,11 @@ from __future__ import annotations
 from typing import Any
 
 from multicontact_control.algebra import (
+    add_scaled,
     cholesky,
     dot,
     gram,
+    length,
     multiply,
     solve_cholesky,
     solve_lower_columns,
@@ -25,10 +27,9 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.dynamics.operational_space import mobility_gradient
+from multicontact_control.flags import JOINT_STOP, REACH
+from multicontact_control.records import F, MAX_JOINTS
 import numpy as np
-
-# What `bound_motion` returns, added up.
-STOP, REACH = 1, 2
 
 SPEED_SHARE = 0.98  # of the speed limit of a joint, up to which it may go
 SPEED_GAIN = 50.0  # 1/s, how fast a speed is brought back to the one that is allowed
@@ -47,6 +48,22 @@ FORCE_COST, MOTION_COST, JOINT_COST = 1e4, 1.0, 1e-4  # s^4/m^2, s^4/m^2, 1/kg
 MOVING_LEVER, TURNING_LEVER = 0.3, 0.14  # m
 MOST_EXCHANGES = 60  # of a bound that counts for one that does not
 ROUNDING = 1e-12
+
+MAX_BOUNDS = 2 * MAX_JOINTS + 6
+# What `bound_motion` works in; one.
+BOUND_SPACE = np.dtype([
+    ('rows', F, (MAX_BOUNDS, MAX_JOINTS)), ('bounds', F, MAX_BOUNDS),  # see `add_joint_bounds`
+    ('excess', F, MAX_BOUNDS), ('multipliers', F, MAX_BOUNDS),  # of each bound [rad/s^2]
+    ('acceleration', F, MAX_JOINTS), ('change', F, MAX_JOINTS),  # [rad/s^2]
+    ('L', F, (MAX_JOINTS, MAX_JOINTS)), ('Y', F, (MAX_JOINTS, 6)),  # M = L L^T, L^-1 J^T
+    ('mobility', F, (6, 6)), ('direction', F, 6), ('rates', F, MAX_JOINTS),
+    ('wrench', F, 6),  # that the contacts bear [N, N m]
+    ('cost', F, (MAX_JOINTS, MAX_JOINTS)), ('row', F, MAX_JOINTS),
+    ('root', F, (MAX_JOINTS, MAX_JOINTS)), ('Z', F, (MAX_JOINTS, MAX_BOUNDS)),  # in
+    ('G', F, (MAX_BOUNDS, MAX_BOUNDS)), ('basis', F, (MAX_BOUNDS, MAX_BOUNDS)),  # `least_change`
+    ('factor', F, (MAX_BOUNDS, MAX_BOUNDS)), ('slack', F, MAX_BOUNDS),
+    ('counts', np.uint8, MAX_BOUNDS),
+], align=True)
 
 
 @compiled
@@ -75,7 +92,7 @@ def bound_of_acceleration(allowed: float, closing: float, slope: float) -> float
 
 
 @compiled
-def add_joint_bounds(joints: Any, limits: Any, rows: Matrix, bounds: Vector) -> int:
+def add_joint_bounds(joints: Any, rows: Matrix, bounds: Vector) -> int:
     """
     Fill in a row for each side on which a joint is near its stop or its speed limit.
 
@@ -84,7 +101,7 @@ def add_joint_bounds(joints: Any, limits: Any, rows: Matrix, bounds: Vector) -> 
     """
     count = 0
     for j in range(joints.shape[0]):
-        joint, limit = joints[j], limits[j]
+        joint, limit = joints[j], joints[j].gate
         fastest = SPEED_SHARE * limit.speed
         for side in (1.0, -1.0):
             distance = limit.upper - joint.q if side > 0.0 else joint.q - limit.lower
@@ -104,26 +121,29 @@ def add_joint_bounds(joints: Any, limits: Any, rows: Matrix, bounds: Vector) -> 
 
 @compiled
 def add_reach_bounds(
-    joints: Any, jacobian: Matrix, Y: Matrix, L: Matrix, rows: Matrix, bounds: Vector, count: int,
+    joints: Any, jacobian: Matrix, rows: Matrix, bounds: Vector, count: int, space: Any,
 ) -> int:
     """
     Fill in a row for each direction in which the arm is nearly singular, as stretched arms are.
 
     The distance is that of the square root of an eigenvalue of Lambda^-1 from `SINGULAR`. A
-    posture that is beyond it may be left, but not made worse. Y = L^-1 J^T, M = L L^T; for the
-    rest see `add_joint_bounds`.
+    posture that is beyond it may be left, but not made worse. L and Y in `space` are those of
+    `BOUND_SPACE`; for the rest see `add_joint_bounds`.
     """
-    mobility, velocity = np.empty((6, 6)), joints['velocity']
-    gram(Y, mobility)
-    eigenvalues, directions = np.linalg.eigh(mobility)
+    n = joints.shape[0]
+    gram(space.Y[:n], space.mobility)
+    eigenvalues, directions = np.linalg.eigh(space.mobility)
     for k in range(6):
         size = np.sqrt(max(eigenvalues[k], ROUNDING))
         if size > NEAR_SINGULAR:
             break
-        gradient = rows[count]
-        mobility_gradient(jacobian, L, Y, directions[:, k].copy(), gradient)
-        gradient *= -0.5 / size  # so that it closes in where this times the speeds is positive
-        closing = dot(gradient, velocity)
+        gradient, closing = rows[count], 0.0
+        space.direction[:] = directions[:, k]
+        mobility_gradient(
+            jacobian, space.L[:n, :n], space.Y[:n], space.direction, space.rates[:n], gradient)
+        for j in range(n):  # so that it closes in where this times the speeds is positive
+            gradient[j] *= -0.5 / size
+            closing += gradient[j] * joints[j].velocity
         allowed = REACH_RATE * max(size - SINGULAR, 0.0)
         bounds[count] = bound_of_acceleration(allowed, closing, REACH_RATE)
         count += 1
@@ -133,23 +153,22 @@ def add_reach_bounds(
 @compiled
 def cost_of_changes(
     mass_matrix: Matrix, jacobian: Matrix, contacts: Any, twist_des: Vector, by_task: bool,
-    cost: Matrix,
+    row: Vector, cost: Matrix,
 ) -> None:
     """
     Fill in H, shape (n, n): a change of the accelerations by x costs x^T H x.
 
     Without a task (`by_task`), of a reaction say, the metric is M alone: the joints that must stop
-    are stopped, and the torques of the others stay.
+    are stopped, and the torques of the others stay. `row`, shape (n,), is overwritten.
     """
     n = mass_matrix.shape[0]
-    row = np.empty(n)
     for i in range(n):
         for j in range(i, n):
             cost[i, j] = JOINT_COST * mass_matrix[i, j]
     if not by_task:
         return
-    speed = np.sqrt(dot(twist_des[:3], twist_des[:3]))
-    turn = MOVING_LEVER * np.sqrt(dot(twist_des[3:], twist_des[3:]))
+    speed = length(twist_des[:3])
+    turn = MOVING_LEVER * length(twist_des[3:])
     turning = turn / max(speed + turn, ROUNDING)
     turn_cost = MOTION_COST * (MOVING_LEVER + (TURNING_LEVER - MOVING_LEVER) * turning) ** 2
     for index in range(contacts.shape[0] + 6):
@@ -167,9 +186,7 @@ def cost_of_changes(
 
 
 @compiled
-def least_change(
-    cost: Matrix, rows: Matrix, excess: Vector, multipliers: Vector, change: Vector,
-) -> bool:
+def least_change(n: int, m: int, space: Any) -> bool:
     """
     Fill in the x of least x^T H x / 2 with R x <= -e; return whether it was found.
 
@@ -177,23 +194,31 @@ def least_change(
     linear complementarity problem of the matrix R H^-1 R^T, by exchanging the first bound that is
     wrong, which ends (Murty 1974).
 
-    `cost` is H, upper triangle, shape (n, n), `rows` R, shape (m, n), `excess` e, shape (m,);
-    `multipliers`, shape (m,), and `change`, shape (n,), are filled in.
+    In `space`, a record of `BOUND_SPACE`, `cost` is H, upper triangle, shape (n, n), `rows` R,
+    shape (m, n), `excess` e, shape (m,); `multipliers` y, shape (m,), and `change` x, shape (n,),
+    are filled in.
     """
-    n, m = cost.shape[0], rows.shape[0]
-    L, Z, G = np.empty((n, n)), rows.T.copy(), np.empty((m, m))
-    if not cholesky(cost, L, 0.0):
+    rows, excess, multipliers = space.rows[:m, :n], space.excess[:m], space.multipliers[:m]
+    root, Z, G = space.root[:n, :n], space.Z[:n, :m], space.G[:m, :m]
+    basis, factor, slack = space.basis[:m, :m], space.factor[:m, :m], space.slack[:m]
+    counts, change = space.counts, space.change[:n]
+    if not cholesky(space.cost[:n, :n], root, 0.0):
         return False
-    solve_lower_columns(L, Z)
+    Z[:] = rows.T
+    solve_lower_columns(root, Z)
     gram(Z, G)
-    counts, slack = np.zeros(m, dtype=np.bool_), np.empty(m)
-    basis, factor = np.empty((m, m)), np.empty((m, m))
+    counts[:] = 0
     for _ in range(MOST_EXCHANGES):
         for i in range(m):
-            multipliers[i] = excess[i] if counts[i] else 0.0
+            multipliers[i] = 0.0
             for j in range(m):
-                basis[i, j] = G[i, j] if counts[i] and counts[j] else 0.0
-            basis[i, i] = G[i, i] * (1.0 + ROUNDING) if counts[i] else 1.0
+                basis[i, j] = 0.0
+                if counts[i] and counts[j]:
+                    basis[i, j] = G[i, j]
+            basis[i, i] = 1.0
+            if counts[i]:
+                multipliers[i] = excess[i]
+                basis[i, i] = G[i, i] * (1.0 + ROUNDING)
         if not cholesky(basis, factor, 0.0):
             return False
         solve_cholesky(factor, multipliers)
@@ -206,44 +231,46 @@ def least_change(
                 wrong = i
                 break
         if wrong < 0:
-            multiply(rows.T, multipliers, change)
-            change *= -1.0
-            solve_cholesky(L, change)
+            for j in range(n):
+                change[j] = -dot(rows[:, j], multipliers)
+            solve_cholesky(root, change)
             return True
-        counts[wrong] = not counts[wrong]
+        counts[wrong] = 1 - counts[wrong]
     return False
 
 
 @compiled
 def predict_acceleration(
-    torque: Vector, control: Any, joints: Any, contacts: Any, jacobian: Matrix, L: Matrix,
-    acceleration: Vector,
+    torque: Vector, control: Any, joints: Any, contacts: Any, jacobian: Matrix, space: Any,
 ) -> None:
     """
     Fill in M^-1 (Gamma - C v - g - friction - J^T f), shape (n,) [rad/s^2].
 
     f is the measured wrench of the contacts, or what is fed forward to them where there is none.
+    `space` is a record of `BOUND_SPACE`, with L in it.
     """
-    wrench = np.zeros(6)
+    n, wrench = joints.shape[0], space.wrench
+    acceleration = space.acceleration[:n]
+    wrench[:] = 0.0
     if control.measured:
         operational_wrench(control, wrench)
     else:
         for i in range(contacts.shape[0]):
-            wrench += contacts[i].answer.alpha_fed * contacts[i].N
-    for j in range(joints.shape[0]):
+            add_scaled(wrench, contacts[i].answer.alpha_fed, contacts[i].N)
+    for j in range(n):
         joint = joints[j]
         friction = joint.viscous * joint.velocity + joint.coulomb * np.tanh(
             joint.velocity / control.law.friction_speed)
         acceleration[j] = torque[j] - joint.bias_torque - friction
         for i in range(6):
             acceleration[j] -= jacobian[i, j] * wrench[i]
-    solve_cholesky(L, acceleration)
+    solve_cholesky(space.L[:n, :n], acceleration)
 
 
 @compiled
 def bound_motion(
-    torque: Vector, joints: Any, limits: Any, controls: Any, contacts: Any, mass_matrix: Matrix,
-    jacobian: Matrix, by_task: bool,
+    torque: Vector, joints: Any, control: Any, contacts: Any, mass_matrix: Matrix,
+    jacobian: Matrix, by_task: bool, space: Any,
 ) -> int:
     """
     Change a torque so that no bound of the motion is passed; return which ones were.
@@ -252,49 +279,50 @@ def bound_motion(
     ----------
     torque
         Gamma, shape (n,) [N m], changed by M x, x the least change of accelerations that serves.
-    joints, limits, controls, contacts
-        Records of `JOINT` and `JOINT_LIMITS`, shape (n,), one of `CONTROL`, and records of
-        `CONTACT`, shape (r,).
+    joints, control, contacts
+        Records of `JOINT`, shape (n,), one of `CONTROL`, and records of `CONTACT`, shape (r,).
     mass_matrix, jacobian
         M (upper triangle), shape (n, n), and J, shape (6, n).
     by_task
         Whether the torque serves contacts and a task, which are kept as far as possible.
+    space
+        A record of `BOUND_SPACE`.
 
     Returns
     -------
     int
-        The sum of STOP (a stop or the speed limit of a joint) and REACH (a singular posture).
+        The sum of JOINT_STOP (also of its speed limit) and REACH.
 
     """
-    n, control = joints.shape[0], controls[0]
-    rows, bounds = np.empty((2 * n + 6, n)), np.empty(2 * n + 6)
-    stops = count = add_joint_bounds(joints, limits, rows, bounds)
+    n = joints.shape[0]
+    rows, bounds = space.rows[:, :n], space.bounds
+    stops = count = add_joint_bounds(joints, rows, bounds)
     nearly_singular = by_task and control.frame.mobility < NEAR_SINGULAR ** 2
     if count == 0 and not nearly_singular:
         return 0
-    L, acceleration, change = np.empty((n, n)), np.empty(n), np.empty(n)
+    L, Y = space.L[:n, :n], space.Y[:n]
     if not cholesky(mass_matrix, L, 0.0):
         return 0
     if nearly_singular:
-        Y = jacobian.T.copy()
+        Y[:] = jacobian.T
         solve_lower_columns(L, Y)
-        count = add_reach_bounds(joints, jacobian, Y, L, rows, bounds, count)
-    predict_acceleration(torque, control, joints, contacts, jacobian, L, acceleration)
-    excess, exceeded = np.empty(count), False
+        count = add_reach_bounds(joints, jacobian, rows, bounds, count, space)
+    predict_acceleration(torque, control, joints, contacts, jacobian, space)
+    exceeded = False
     for i in range(count):
-        excess[i] = dot(rows[i], acceleration) - bounds[i]
-        exceeded = exceeded or excess[i] > 0.0
+        space.excess[i] = dot(rows[i], space.acceleration[:n]) - bounds[i]
+        exceeded = exceeded or space.excess[i] > 0.0
     if not exceeded:
         return 0
-    cost, multipliers = np.empty((n, n)), np.empty(count)
-    cost_of_changes(mass_matrix, jacobian, contacts, control.task.twist, by_task, cost)
-    if not least_change(cost, rows[:count], excess, multipliers, change):
+    cost_of_changes(mass_matrix, jacobian, contacts, control.task.twist, by_task, space.row[:n],
+                    space.cost[:n, :n])
+    if not least_change(n, count, space):
         return 0
     for i in range(n):
         for j in range(n):
-            torque[i] += mass_matrix[min(i, j), max(i, j)] * change[j]
+            torque[i] += mass_matrix[min(i, j), max(i, j)] * space.change[j]
     enforced = 0
     for i in range(count):
-        if multipliers[i] > 0.0:
-            enforced |= STOP if i < stops else REACH
+        if space.multipliers[i] > 0.0:
+            enforced |= JOINT_STOP if i < stops else REACH
     return enforced

@@ -195,6 +195,11 @@ class ContactTask:
             self.limits[0], self._controls[0], self._columns, self.states))
 
     @property
+    def seeks(self) -> bool:
+        """Whether the source makes contacts of the forces of this sample: it is seen first."""
+        return not self._guarded and self._source.seeks
+
+    @property
     def reads_before(self) -> bool:
         """Return whether there is anything in `read_before`."""
         return bool(self.limits['reads_before'][0])
@@ -340,7 +345,7 @@ def _follow_task(limit: Any, frame: Any, task: Any) -> bool:
     """
     way, turn = limit.way, limit.turned_way
     way[:] = between(limit.position, task.position)
-    rotation_vector(task.rotation, limit.rotation, turn)
+    turn[:] = rotation_vector(task.rotation, limit.rotation)
     if not limit.behind:
         steps = _is_step(way, task.twist[:3], limit.twist[:3], limit.reach / limit.lead) or (
             _is_step(turn, task.twist[3:], limit.twist[3:], limit.turn / limit.lead))
@@ -525,7 +530,7 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
     if share < 1.0:
         add_scaled(position, share - 1.0, gap)
     turn, turned_way = limit.turned_way, twist[3:]
-    rotation_vector(task.rotation, frame.rotation, limit.turned_ahead)
+    limit.turned_ahead[:] = rotation_vector(task.rotation, frame.rotation)
     way = (limit.lead * turned_way[0], limit.lead * turned_way[1], limit.lead * turned_way[2])
     turn_share = _share_within(
         limit.turned_ahead, way, limit.turn, twist[3:], acceleration[3:])

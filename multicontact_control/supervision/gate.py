@@ -2,70 +2,185 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 import math
 from typing import Any
 
+from multicontact_control.algebra import quintic
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
+from multicontact_control.config.controller import TransitionConfig
 from multicontact_control.control.arm import ArmState
-from multicontact_control.control.tasks import quintic
-from multicontact_control.records import JOINT_LIMITS
-from multicontact_control.supervision import bounds
-from multicontact_control.supervision.bounds import bound_motion
+from multicontact_control.flags import JOINT_STOP, REACH, REFERENCE, REPLACED, TORQUE, TORQUE_RATE
+from multicontact_control.records import B, F, I, MAX_JOINTS, Records
+from multicontact_control.supervision.bounds import bound_motion, BOUND_SPACE
 import numpy as np
 
-# What `gate_torque` returns, added up.
-NOT_FINITE, JOINT_STOP, TORQUE, TORQUE_RATE, SINGULAR = 1, 2, 4, 8, 16
-NAMES = (('not_finite', NOT_FINITE), ('joint', JOINT_STOP), ('torque', TORQUE),
-         ('torque_rate', TORQUE_RATE), ('reach', SINGULAR))
-ENFORCED = tuple(tuple(name for name, bit in NAMES if flags & bit) for flags in range(32))
-BOUNDING_LIMITS = frozenset(('joint', 'reach'))  # of the motion of the arm
-LASTING_LIMITS = BOUNDING_LIMITS | {'torque'}  # that may last: the force laws are told of them
+LIMIT_NAMES = {
+    REFERENCE: 'reference', REPLACED: 'not_finite', JOINT_STOP: 'joint', TORQUE: 'torque',
+    TORQUE_RATE: 'torque_rate', REACH: 'reach'}
 JOINT_MARGIN = 0.02  # rad before its stop, where a joint comes to rest
 STEEPEST = 1.875  # largest slope of the quintic from 0 to 1
 BLEND_TIME = 0.003  # s, time constant by which a change of active contacts or laws is blended
 FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
 
+# What is set for the gate, and what it remembers; one.
+GATE = np.dtype([
+    ('guarded', B),  # whether motion and rates are limited
+    ('period', F), ('keep', F),  # h [s]; what is left of a difference that fades, per period
+    ('blend_time', F), ('blend_rate', F),  # of a commanded change: see `TransitionConfig`
+    ('begun', B), ('ranged', B),  # whether a torque acts; whether the joints' ranges are set
+    ('law', I),  # what has answered last; see `law_number`
+    ('pending', B),  # whether the next torque is to be the one that acts
+    ('blending', B), ('fading', B),  # whether `lacking` or `difference` of the joints count
+    ('elapsed', F), ('duration', F),  # of the blend [periods]
+    ('torque', F, MAX_JOINTS),  # on its way through [N m]
+    ('space', BOUND_SPACE),
+], align=True)
+
 
 @compiled
-def gate_torque(
-    torque: Vector, joints: Any, limits: Any, controls: Any, contacts: Any, mass_matrix: Matrix,
-    jacobian: Matrix, bounded: bool, by_task: bool, begun: bool,
+def law_number(contacts: Any, guarded: bool) -> int:
+    """Return the number of the control law with these active contacts; 0 without guards."""
+    if not guarded:
+        return 0
+    number = 1
+    for i in range(contacts.shape[0]):
+        if contacts[i].answer.active:
+            number += 2 << i
+    return number
+
+
+@compiled
+def blend(gate: Any, joints: Any, law: int, torque: Vector) -> None:
+    """
+    Add to a torque, shape (n,), what is left of the differences from the ones before.
+
+    What is commanded starts from the torque that acts, and lacks less and less of itself. What
+    changes by itself, to another `law`, starts from there as well, and fades fast.
+    """
+    n = joints.shape[0]
+    for j in range(n):
+        if not np.isfinite(torque[j]):
+            return  # for the limits; a blend waits for a torque that is finite
+    if gate.pending:
+        largest = 0.0
+        for j in range(n):
+            joint = joints[j].gate
+            joint.lacking = joint.last - torque[j]
+            largest = max(largest, abs(joint.lacking))
+            torque[j] = joint.last
+        duration = max(gate.blend_time, STEEPEST * largest / gate.blend_rate)
+        gate.pending, gate.blending = False, True
+        gate.elapsed, gate.duration = 0.0, np.ceil(duration / gate.period)
+    elif gate.blending:
+        gate.elapsed += 1.0
+        missing = 1.0 - quintic(gate.elapsed, gate.duration)[0]
+        for j in range(n):
+            torque[j] += missing * joints[j].gate.lacking
+        gate.blending = gate.elapsed < gate.duration
+    if law != gate.law and gate.begun:
+        gate.fading = True
+        for j in range(n):
+            joints[j].gate.difference = joints[j].gate.last - torque[j]
+    elif gate.fading:
+        largest = 0.0
+        for j in range(n):
+            joints[j].gate.difference *= gate.keep
+            largest = max(largest, abs(joints[j].gate.difference))
+        gate.fading = largest >= FADED
+    gate.law = law
+    if gate.fading:
+        for j in range(n):
+            torque[j] += joints[j].gate.difference
+
+
+@compiled
+def set_ranges(joints: Any) -> None:
+    """Keep joints a margin off their stops; one that starts beyond it may stay there."""
+    for j in range(joints.shape[0]):
+        joint = joints[j]
+        joint.gate.lower = min(joint.lower + JOINT_MARGIN, joint.q)
+        joint.gate.upper = max(joint.upper - JOINT_MARGIN, joint.q)
+
+
+@compiled
+def pass_gate(
+    gate: Any, joints: Any, control: Any, contacts: Any, mass_matrix: Matrix, jacobian: Matrix,
+    law: int, seen: bool, by_task: bool,
 ) -> int:
     """
-    Bring a torque, shape (n,), within its limits; return the sum of those that were enforced.
+    Let the torque of the joints through as far as continuity and the limits allow.
 
-    `bounded`: the joints are known now, and their motion is limited; `by_task` and the arguments
-    before are those of `bound_motion`; `begun`: there was a torque before, which is overwritten.
+    Parameters
+    ----------
+    gate, joints, control, contacts
+        A record of `GATE`, records of `JOINT`, shape (n,), whose `gate.last` becomes what is
+        commanded, a record of `CONTROL`, and records of `CONTACT`, shape (r,).
+    mass_matrix, jacobian
+        M (upper triangle), shape (n, n), and J, shape (6, n).
+    law
+        What has answered: `law_number`, or any other number for something else.
+    seen
+        Whether the joints are known now, so that their motion is limited.
+    by_task
+        Whether the torque serves the contacts and the task, which are kept as far as possible.
+
+    Returns
+    -------
+    int
+        The `LIMITS` that were enforced.
+
     """
-    enforced, n = 0, torque.shape[0]
-    if not np.isfinite(torque).all():
-        enforced = NOT_FINITE
-        for j in range(n):
-            carried = joints[j].bias_torque
-            torque[j] = carried if np.isfinite(carried) else 0.0
-    if bounded:
-        passed = bound_motion(
-            torque, joints, limits, controls, contacts, mass_matrix, jacobian, by_task)
-        if passed & bounds.STOP:
-            enforced |= JOINT_STOP
-        if passed & bounds.REACH:
-            enforced |= SINGULAR
+    enforced, n = 0, joints.shape[0]
+    torque = gate.torque[:n]
     for j in range(n):
-        joint, limit = joints[j], limits[j]
+        torque[j] = joints[j].torque
+    blend(gate, joints, law, torque)
+    if seen and not gate.ranged:
+        set_ranges(joints)
+        gate.ranged = True
+    finite = True
+    for j in range(n):
+        finite = finite and np.isfinite(torque[j])
+    if not finite:
+        enforced = REPLACED
+        for j in range(n):
+            torque[j] = 0.0
+            if np.isfinite(joints[j].bias_torque):
+                torque[j] = joints[j].bias_torque
+    if seen and gate.guarded:
+        enforced |= bound_motion(
+            torque, joints, control, contacts, mass_matrix, jacobian, by_task, gate.space)
+    for j in range(n):
+        joint, limit = joints[j], joints[j].gate
         clipped = min(max(torque[j], joint.added - joint.torque_limit),
                       joint.added + joint.torque_limit)
         if clipped != torque[j]:
             enforced |= TORQUE
-        if begun:
+        slowed = clipped
+        if gate.begun:
             slowed = min(max(clipped, limit.last - limit.step), limit.last + limit.step)
-            if slowed != clipped:
-                enforced |= TORQUE_RATE
-            clipped = slowed
-        torque[j] = clipped
-        limit.last = clipped
+        if slowed != clipped:
+            enforced |= TORQUE_RATE
+        limit.last = slowed
+    gate.begun = True
     return enforced
+
+
+@lru_cache(maxsize=256)  # a run meets few of them
+def limit_names(found: int) -> tuple[str, ...]:
+    """Return the names of the limits that a tick has enforced."""
+    return tuple(name for flag, name in LIMIT_NAMES.items() if found & flag)
+
+
+def gate_record(config: ControllerConfig, *, guarded: bool) -> Records:
+    """Return one record of `GATE` as configured, before the first torque."""
+    gate = np.zeros(1, dtype=GATE)
+    gate['guarded'], gate['period'] = guarded, config.period
+    gate['keep'] = math.exp(-config.period / BLEND_TIME)
+    return gate
 
 
 class TorqueGate:
@@ -73,114 +188,83 @@ class TorqueGate:
     Blends and bounds the torque of every tick.
 
     What is commanded (a start, other gains, a hold) acts with all its gain at once; what it lacks
-    of the torque before fades by the `quintic`, as `transition` says. What happens by itself (a
+    of the torque before fades by the quintic, as `transition` says. What happens by itself (a
     contact that comes or goes, a reaction) fades with a time constant of 3 ms.
 
     Then a torque that is not finite is replaced by the one that carries the arm; near a stop,
     above its speed, or near a singular posture the arm brakes (`bound_motion`); the torque is
     clipped to its limits and to their rate. If not `guarded`, motion and rates are not limited.
-    `last` is the torque that acts, shape (n,) [N m], `begun` whether there is one.
+
+    Attributes
+    ----------
+    records
+        One record of `GATE`.
+    last
+        The torque that acts, with what the drives add, shape (n,) [N m].
+
     """
 
     def __init__(self, config: ControllerConfig, arm: ArmState, *, guarded: bool = True) -> None:
         self._arm, self._joints = arm, arm.joints
-        self._guarded = guarded
-        limits: Any = np.zeros(len(self._joints), dtype=JOINT_LIMITS)
+        self.records: Any = gate_record(config, guarded=guarded)
+        self._gate = self.records[0]
+        limits: Any = self._joints['gate']
         rate = config.limits.torque_rate if guarded else ()
         limits['step'] = np.array(rate or np.inf) * config.period
         limits['speed'] = config.limits.joint_speed or np.inf
-        self._stops = (np.array(config.limits.joint_lower or -np.inf),
-                       np.array(config.limits.joint_upper or np.inf))
-        self._limits, self.last = limits, limits['last']
-        self._period = config.period
-        self._keep = math.exp(-config.period / BLEND_TIME)
-        self.pace = config.transition
+        self.last: Vector = limits['last']
+        self.retune(config.transition)
         self.reset()
-        self.apply(None, np.zeros(len(self._joints)))  # no tick is to wait for numba
+        self.apply(0, np.zeros(len(self._joints)))  # no tick is to wait for numba
         self.reset()
+
+    def retune(self, transition: TransitionConfig) -> None:
+        """Set how fast a commanded change is gone over to."""
+        self._gate['blend_time'] = transition.blend_time
+        self._gate['blend_rate'] = transition.torque_rate
 
     def reset(self) -> None:
         """Forget the torque that acts."""
-        self.begun = self._ranged = False
         self._joints['added'] = self.last[:] = 0.0
-        self._end_blend()
+        for name in ('begun', 'ranged', 'law', 'pending', 'blending', 'fading'):
+            self._gate[name] = 0
 
-    def _set_range(self) -> None:
-        """Keep joints a margin off their stops; one that starts beyond it may stay there."""
-        (lower, upper), q = self._stops, self._joints['q']
-        self._limits['lower'] = np.minimum(lower + JOINT_MARGIN, q)
-        self._limits['upper'] = np.maximum(upper - JOINT_MARGIN, q)
-        self._ranged = True
-
-    def _end_blend(self) -> None:
-        self._law: object = None
-        self._pending = False  # whether the next torque is to be the one that acts
-        self._slow: Vector | None = None  # what a commanded torque lacks, before it fades
-        self._fast: Vector | None = None  # what is left of any other difference
+    @property
+    def begun(self) -> bool:
+        """Whether there is a torque that acts."""
+        return bool(self._gate['begun'])
 
     def begin(self, torque: Vector) -> None:
         """Go over from a torque, shape (n,) [N m], that acts before the first tick."""
         limit, added = self._joints['torque_limit'], self._joints['added']
         self.last[:] = np.clip(torque, added - limit, added + limit)
-        self.begun = True
+        self._gate['begun'] = True
         self.go_over()
 
     def go_over(self) -> None:
         """Let the next torque be the one that acts: what is commanded is about to jump."""
-        self._pending, self._slow, self._fast = self.begun, None, None
+        self._gate['pending'] = self._gate['begun']
+        self._gate['blending'] = self._gate['fading'] = False
 
     def hurry(self) -> None:
         """Leave what has still to fade slowly to the fast way."""
-        if self._pending or self._slow is not None:
-            self._end_blend()
+        if self._gate['pending'] or self._gate['blending']:
+            self._gate['pending'] = self._gate['blending'] = self._gate['fading'] = False
+            self._gate['law'] = 0
 
     def allow_for(self, added: Vector) -> None:
         """Take in what the drives add to a command [N m], which changes the torque that acts."""
         self.last += added - self._joints['added']
         self._joints['added'] = added
 
-    def apply(
-        self, law: object, torque: Vector, *, limited: bool = False, seen: bool = True,
-        by_task: bool = False,
-    ) -> tuple[Vector, tuple[str, ...]]:
+    def apply(self, law: int, torque: Vector, *, seen: bool = True) -> int:
         """
-        Let a torque through as far as continuity and the limits allow; name those enforced.
+        Let a torque, shape (n,) [N m], through to `last`; return the `LIMITS` enforced.
 
-        The torque, shape (n,) [N m], is overwritten. A `law` is anything that differs from others;
-        `limited`: it was brought within torque limits already; `seen`: the joints are known now;
-        `by_task`: it serves the contacts and the task in the records.
+        A `law` has another number than others; `seen`: the joints are known now.
         """
-        if self._pending or self._slow is not None or self._fast is not None or law != self._law:
-            torque = self._blend(law, torque)
-        if seen and not self._ranged:
-            self._set_range()
-        arm, terms = self._arm, self._arm.robot.terms
-        enforced = gate_torque(
-            torque, self._joints, self._limits, arm.controls, arm.contacts, terms.mass_matrix,
-            terms.jacobian, seen and self._guarded, by_task, self.begun)
-        self.begun = True
-        return torque, ENFORCED[enforced | TORQUE if limited else enforced]
-
-    def _blend(self, law: object, torque: Vector) -> Vector:
-        """Return a torque with what is left of the differences from the ones before."""
-        if not np.isfinite(torque).all():
-            return torque  # for the limits; a blend waits for a torque that is finite
-        if self._pending:
-            self._pending, self._slow = False, self.last - torque
-            steepest = STEEPEST * float(np.abs(self._slow).max())
-            duration = max(self.pace.blend_time, steepest / self.pace.torque_rate)
-            self._tick, self._ticks = 0, np.ceil(duration / self._period)
-            torque = self.last.copy()
-        elif self._slow is not None:
-            self._tick += 1
-            torque = torque + (1.0 - quintic(self._tick, self._ticks)[0]) * self._slow
-            if self._tick >= self._ticks:
-                self._slow = None
-        if law != self._law and self.begun:
-            self._fast = self.last - torque
-        elif self._fast is not None:
-            self._fast = self._fast * self._keep
-            if np.abs(self._fast).max() < FADED:
-                self._fast = None
-        self._law = law
-        return torque if self._fast is None else torque + self._fast
+        self._joints['torque'] = torque
+        terms = self._arm.robot.terms
+        return pass_gate(
+            self._gate, self._joints, self._arm.controls[0], self._arm.contacts,
+            terms.mass_matrix, terms.jacobian, law, seen, False)

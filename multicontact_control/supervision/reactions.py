@@ -16,6 +16,7 @@ import numpy as np
 NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
 SEVERITY = (NONE, INFLATE, HOLD, FLOAT, DAMP)
 SAFE = 'safe'  # the safe behaviour after a deactivation, which is no reaction to a fault
+NUMBERS = {name: -number for number, name in enumerate((*SEVERITY, SAFE), start=1)}  # the gate's
 SAFE_BEHAVIOURS = {'hold_position': HOLD, 'gravity_compensation': DAMP, 'zero_torque': SAFE}
 COAST_TIME = 0.1  # s, in which an arm that cannot be seen any more is brought to rest
 DAMPING_RATE = 5.0  # 1/s, of `damp` and gravity compensation: joint damping over inertia

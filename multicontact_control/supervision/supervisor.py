@@ -3,35 +3,42 @@
 from __future__ import annotations
 
 import logging
+from typing import Any
 
-from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
-from multicontact_control.control.arm import AMBIGUOUS, ArmState, PASSED, RELEASE, TOUCHED
+from multicontact_control.control.arm import ArmState, RELEASE
 from multicontact_control.control.controller import Controller, ControlOutput, Design
 from multicontact_control.control.tasks import TaskSource
+from multicontact_control.diagnosis.explanations import Explanations
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, MulticontactError, SingularTaskError
+from multicontact_control.flags import (
+    ALARMS,
+    AMBIGUOUS,
+    DEPENDENT,
+    LASTING_LIMITS,
+    NO_NUMBERS,
+    PASSED,
+    REFUSED,
+    SINGULAR,
+    TOUCHED,
+)
 from multicontact_control.force.force_law import continue_laws_at
 from multicontact_control.supervision import checks, reactions
 from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.contact_task import ContactTask
 from multicontact_control.supervision.contacts import GIVEN_UP
-from multicontact_control.supervision.gate import BOUNDING_LIMITS, LASTING_LIMITS, TorqueGate
-from multicontact_control.supervision.inputs import Inputs, Seen, TickInputs
+from multicontact_control.supervision.gate import limit_names, TorqueGate
+from multicontact_control.supervision.inputs import ALL_WELL, Inputs, Seen, TickInputs
 from multicontact_control.supervision.reactions import FLOAT, HOLD, NONE, SAFE
 from multicontact_control.supervision.report import no_answer, SupervisorStatus
-from multicontact_control.supervision.velocities import explain_velocities
+from multicontact_control.tick import ACT, SEE, tick, WORKSPACE
 import numpy as np
 
 LOGGER = logging.getLogger(__name__)
-CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
-STRAY_TORQUE = 0.5  # N m at the operational point that is worth a report
 STANDING_TIME = 0.2  # s between two looks at what an arm that stands in a reaction weighs
-STANDING_SPEED = 0.01  # rad/s, of every joint, below which it stands
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
-DOUBTED = ('Held by estimates from the positions until ten readings of such joints in motion '
-           'agree, or an operator resumes control (~/retry)')
 CONTROLLED = (NONE, reactions.INFLATE)  # what the control law answers
 Answer = tuple[ControlOutput, SupervisorStatus | None]
 
@@ -67,10 +74,16 @@ class Supervisor:
         self.inputs = Inputs(config, controller, guarded=guarded)
         self.gate = TorqueGate(config, controller.arm, guarded=guarded)
         self.reactions = reactions.Reactions(config, controller)
+        self.explanations = Explanations(controller, self.inputs, self.task, guarded=guarded)
         self._recovery = reactions.Recovery(config.watchdog.recovery_time, config.period)
         self._steadiness = reactions.Steadiness(config.period)
+        self._judgements: Any = np.zeros(1, dtype=checks.JUDGEMENT)
+        self._judgement = self._judgements[0]
+        self._records = (
+            self._joints, self._controls, controller.contacts, controller.laws, self.task.states,
+            self.task.limits, self._judgements, self.gate.records,
+            np.zeros(1, dtype=WORKSPACE), controller.arm.motion)
         self._adopt(config)
-        checks.check_plausibility(*self._answered)  # compiled here: no sample waits for it
         operational_wrench(self._controls[0], np.zeros(6))
         self.reset()
 
@@ -87,14 +100,16 @@ class Supervisor:
         self._failure = '', ''  # cause and text of an exception that is being answered
         self._told: set[str] = set()  # causes of which an exception has been logged
         self._arm: ArmState | None = None  # once it was seen
-        self._seen, self._wrench_known = Seen(), False
+        self._seen = Seen()
+        self._know_wrench(False)
         self._reaction = NONE
         self._output = no_answer(self._robot.joint_count, len(self.config.columns))
 
     def _restart_law(self) -> None:
         self.controller.reset()
         self.task.reset()
-        self._task_ticks = self._good_ticks = self._contradictions = self._reacting = 0
+        self._task_ticks = self._good_ticks = self._reacting = 0
+        self._judgement['contradictions'] = 0
         self.started = self._paused = self._weighed = False
         self._recovery.reset()
         self._steadiness.reset()
@@ -114,59 +129,114 @@ class Supervisor:
 
         Without guards there is no status, and MulticontactError says what is missing or singular.
         """
-        part = 'internal'  # at work, for an error in it
+        self._part = 'internal'
         try:
-            seen = self.inputs.validate(inputs, self.gate.last if self.gate.begun else None)
-            reaction, causes = self._decide(self._see(inputs, seen))
-            if reaction not in CONTROLLED:
-                return self._react(reaction, causes)
-            part, resumes = 'law', self._paused or not self.started
-            if resumes:
-                self._resume()
-            self.task.ask(self._task_ticks * self._period)
-            task_limited = self.task.limit()
-            limited = self.controller.answer()
-            part = 'internal'
-            if refused := self._check():
-                return self._refuse(refused)
-            if resumes:
-                self._take_over()
-            torque, limits = self.gate.apply(
-                self.controller.active.tobytes() if self.guarded else None,
-                self.controller.torque.copy(), limited=limited, by_task=True)
-            # A blend passes in a moment, and a limited rate is caught up with: they are left out.
-            if self.guarded and not LASTING_LIMITS.isdisjoint(limits):
-                self.controller.account_for(torque)
-            if not BOUNDING_LIMITS.isdisjoint(limits):
-                self.task.limits['bounded_at'] = self._task_ticks * self._period
-            self._task_ticks += 1
-            return self._report(
-                torque, reaction, causes, ('reference', *limits) if task_limited else limits)
+            seen, found = self._take_in(inputs), 0
+            if seen is ALL_WELL and self._in_control and not self.task.seeks:
+                self._ask()
+                found = self.run_tick(SEE | ACT)
+                if not found & ALARMS:
+                    return self._answer(found, NONE, ())
+                self._part = 'internal'
+            elif seen.joints:
+                found = self.run_tick(SEE)
+            reaction, causes = self._decide(seen.causes + self._alarms(found))
+            if reaction in CONTROLLED:
+                return self._control(reaction, causes)
+            return self._react(reaction, causes)
         except Exception as error:
             if not self.guarded:
                 raise
-            return self._survive(part, error)
+            return self._survive(self._part, error)
 
-    def _see(self, inputs: TickInputs, seen: Seen) -> tuple[str, ...]:
-        """Compute where the arm is and what its contacts bear; return what is wrong."""
+    @property
+    def _in_control(self) -> bool:
+        """Whether the law has answered the sample before."""
+        return self.started and not self._paused and not self.safe
+
+    def _take_in(self, inputs: TickInputs) -> Seen:
+        """Take in what has come, and work out the model of the arm there."""
+        controller = self.controller
+        command = self.gate.last if self.gate.begun else None
+        self._seen = seen = self.inputs.validate(inputs, command)
         if not self.guarded:
-            seen = self._as_it_came(inputs)
-        elif self.started and not self._paused:
+            self._seen = seen = self._as_it_came(inputs)
+        elif self._in_control:
             self._task_ticks += seen.skipped
-        self._seen, arm = seen, self.controller.arm
-        alarms: tuple[str, ...] = ()
-        if self.controller.tool is not self.controller.next_tool:
-            self.controller.change_tool()
-        if seen.joints and arm.refresh():
-            self._arm = arm
-            alarms = checks.TOO_FAST[arm.flags] + self._touch(arm.flags)
-            if arm.flags & PASSED:
-                self._look_back()
+        if controller.tool is not controller.next_tool:
+            controller.change_tool()
+        if seen.joints:
+            self._robot.compute(controller.arm.q, controller.arm.velocity)
             if self.config.robot.adds_gravity:
-                self.gate.allow_for(self.controller.own_weight())
-        self._wrench_known = seen.measured and not arm.flags & AMBIGUOUS  # then it is older
-        self._controls['measured'] = self._wrench_known
-        return seen.causes + alarms
+                weight = controller.own_weight()
+                if np.isfinite(weight).all():
+                    self.gate.allow_for(weight)
+        if seen.measured != self._wrench_known:
+            self._know_wrench(seen.measured)
+        return seen
+
+    def _know_wrench(self, known: bool) -> None:
+        """Say whether the wrench is of this sample, and the contacts' forces with it."""
+        self._wrench_known = known
+        self._controls['measured'] = known
+
+    def _ask(self) -> None:
+        """Ask the source of the task what it wants now; what fails from here on is the law."""
+        self._part = 'law'
+        self.task.ask(self._task_ticks * self._period)
+
+    def run_tick(self, stages: int) -> int:
+        """Run stages of the compiled pass on all records; return what was found."""
+        arm, terms = self.controller.arm, self._robot.terms
+        found = tick(stages, *self._records, terms.mass_matrix, terms.bias_torque, terms.jacobian,
+                     terms.jacobian_rate, *terms.placements)
+        if stages & SEE:
+            arm.flags = found
+            if arm.finite:
+                self._arm = arm
+            if found & AMBIGUOUS:
+                self._know_wrench(False)  # it is older
+            if found & PASSED:
+                self._add_finding(self.explanations.lag())
+        return found
+
+    def _alarms(self, found: int) -> tuple[str, ...]:
+        """Name what is wrong with where the arm is and what touches it."""
+        causes = [cause for flag, cause in checks.TOO_FAST.items() if found & flag]
+        if found & TOUCHED and not self.task.locked:
+            joints = self._joints
+            beyond = np.abs(joints['residual']) > RELEASE * joints['threshold']
+            last = self.config.robot.joint_names[np.flatnonzero(beyond)[-1]]
+            causes.append(f'{checks.COLLISION}_{last}')
+        return tuple(causes)
+
+    def _control(self, reaction: str, causes: tuple[str, ...]) -> Answer:
+        """Let the law answer a sample that has been seen, also for the first time."""
+        arm = self.controller.arm
+        if not self._in_control:
+            self._part = 'law'
+            self._resume()
+            self._begin()
+        self._ask()
+        if arm.flags & (NO_NUMBERS | AMBIGUOUS):
+            self.controller.refuse()
+        self._judgement['resumes'] = self._paused
+        return self._answer(self.run_tick(ACT), reaction, causes)
+
+    def _answer(self, found: int, reaction: str, causes: tuple[str, ...]) -> Answer:
+        """Answer by the law, or refuse what it says."""
+        if found & (SINGULAR | DEPENDENT):
+            self.controller.refuse(found)
+        self._part = 'internal'
+        if found & REFUSED:
+            return self._refuse(checks.cause_to_refuse(found))
+        if not self._in_control:
+            self._take_over()
+        # A blend passes in a moment, and a limited rate is caught up with: they are left out.
+        if self.guarded and found & LASTING_LIMITS:
+            self.controller.account_for(self.gate.last)
+        self._task_ticks += 1
+        return self._report(reaction, causes, found)
 
     def _as_it_came(self, inputs: TickInputs) -> Seen:
         """Hand over the inputs of a tick, valid or not; raise if joints or wrench are missing."""
@@ -182,21 +252,12 @@ class Supervisor:
             self.config.initial_noise_variance if variance is None else variance.variance,
             bounds.smallest, bounds.largest)
         self._task_ticks = round(inputs.time / self._period)
-        return Seen()
+        return ALL_WELL
 
-    def _touch(self, flags: int) -> tuple[str, ...]:
-        """Name the last joint whose residual counts, if any does."""
-        if not flags & TOUCHED or self.task.locked:
-            return ()
-        joints = self._joints
-        last = np.flatnonzero(np.abs(joints['residual']) > RELEASE * joints['threshold'])[-1]
-        return (f'{checks.COLLISION}_{self.config.robot.joint_names[last]}',)
-
-    def _look_back(self) -> None:
-        """Tell what is known of a collision once it has passed."""
-        lag = checks.explain_lag(self._joints)
-        if lag and lag not in self.findings:
-            self.findings = (*self.findings, lag)
+    def _add_finding(self, finding: str) -> None:
+        """Keep what explains the reaction in force, if anything new does."""
+        if finding and finding not in self.findings:
+            self.findings = (*self.findings, finding)
 
     def _decide(self, causes: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
         """Return what answers the tick, the law or a reaction, and why."""
@@ -238,23 +299,9 @@ class Supervisor:
             controller.reset()  # the arm may have been moved since an attempt before
             self.task.start(controller.start())
 
-    def _check(self) -> str:
-        """Return the cause to refuse the answer of the law, nothing if it may be commanded."""
-        doubts = checks.check_plausibility(*self._answered)
-        if doubts & checks.NOT_FINITE:
-            return 'law_not_finite'
-        wrong = [cause for bit, cause in checks.WRONG_WRENCH.items() if doubts & bit] if (
-            doubts and self.guarded and not self.task.locked) else []
-        self._contradictions = self._contradictions + 1 if wrong else 0
-        if wrong and (self._contradictions >= CONTRADICTIONS or self._paused):
-            return wrong[0]
-        if doubts & checks.OUTSIDE:  # the contacts that are pressed have led there
-            self.task.states['left'] |= self.controller.active
-        return ''
-
     def _take_over(self) -> None:
         """Let the law act from now on."""
-        self._begin()
+        self._judgement['resumes'] = False
         if self._paused:
             self.reactions.end()
             self._causes = self.findings = ()
@@ -268,7 +315,7 @@ class Supervisor:
             return
         acting = np.zeros(self._robot.joint_count)
         if self._arm is not None:
-            acting = self._robot.update(self._arm.q, acting).gravity
+            acting = self._robot.terms.gravity.copy()
         measured = self.inputs.effort + self._joints['added']
         self.gate.begin(np.where(np.isnan(measured), acting, measured))
 
@@ -291,7 +338,7 @@ class Supervisor:
             self._good_ticks = 0
             if causes != self._causes or not self.findings:
                 self._causes = causes
-                self.findings = tuple(filter(None, map(self._explain, causes))) or self.findings
+                self.findings = self._explain(causes) or self.findings
                 self._weighed = False
         if self.started and not self._paused:
             if self._recovery.stopped(causes, self._task_ticks):
@@ -300,9 +347,9 @@ class Supervisor:
             self.reactions.begin(self._output)
         self._reacting = self._reacting + 1 if self._paused else 0
         if self._reacting % round(STANDING_TIME / self._period) == 1 and not self._weighed:
-            gravity = self._gravity()
+            gravity = self.explanations.gravity(self._causes)
             self._weighed = bool(gravity)
-            self.findings = (*self.findings, *filter(None, [gravity]))
+            self._add_finding(gravity)
         self._paused = True
         self._begin()
         if reaction != SAFE:
@@ -313,84 +360,21 @@ class Supervisor:
             # Bare, velocities and angles are used as they come.
             rate = self.inputs.rate if self.guarded else self.controller.arm.velocity
             timed = not any(cause.startswith('clock') for cause in causes)
-            torque = self.reactions.torque(reaction, arm, felt, rate, timed=timed).copy()
-            torque, limits = self.gate.apply(
-                reaction, torque, seen=arm is not None and not blind)
-        return self._report(
-            torque, NONE if reaction == SAFE else reaction, causes, limits, controlled=False)
+            torque = self.reactions.torque(reaction, arm, felt, rate, timed=timed)
+        found = self.gate.apply(
+            reactions.NUMBERS[reaction], torque, seen=arm is not None and not blind)
+        if reaction == SAFE:
+            reaction = NONE
+        return self._report(reaction, causes, found, controlled=False)
 
-    def _explain(self, cause: str) -> str:
-        """Return what is known about a cause that has just begun; empty if nothing."""
+    def _explain(self, causes: tuple[str, ...]) -> tuple[str, ...]:
+        """Return what is known about causes that have just begun."""
         failed, text = self._failure
-        if cause == failed:
-            return text
-        if cause in checks.WRONG_WRENCH.values():
-            return self._exchanged_axes() or self.stray_force
-        touched, names = cause.startswith(checks.COLLISION), self.config.robot.joint_names
-        if not touched and cause != checks.CONTRADICTED:
-            return ''
-        text = explain_velocities(*self.inputs.history, names, self._period)
-        if text:
-            if touched:  # by what the law made of such a velocity
-                self.inputs.refute()
-            return f'{text}. {DOUBTED}'
-        if touched:
-            residual = self._exchanged_axes() or checks.explain_collision(
-                self._joints, self._controls['momentum'][0], names)
-            text = '; '.join(filter(None, (residual, self.stray_force)))
-        return text
-
-    def _exchanged_axes(self) -> str:
-        """Return what says that the axes of the wrench sensor are others; empty if nothing."""
-        if not self._wrench_known or self.config.wrench_input == 'momentum':
-            return ''
-        control = self._controls[0]
-        return checks.explain_axes(
-            self._joints, control['momentum'], self._robot.terms.jacobian,
-            control['frame']['sensor_rotation'], control['tool']['weight'])
-
-    def _gravity(self) -> str:
-        """Return what says that gravity is another, where a collision has led to a pause."""
-        collides = any(cause.startswith(checks.COLLISION) for cause in self._causes)
-        known = self._wrench_known and self.config.wrench_input != 'momentum'
-        stands = np.abs(self.controller.arm.velocity).max() < STANDING_SPEED
-        if not (collides and known and stands) or self.task.sought_normals().size:
-            return ''
-        wrench, tool = np.zeros(6), self.controller.tool
-        operational_wrench(self._controls[0], wrench)
-        shares = self._robot.gravity_shares(self.controller.arm.q.copy(), tool)
-        return checks.explain_gravity(
-            self._joints, shares, wrench[:3], tool.mass, np.array(self.config.robot.gravity_world))
-
-    @property
-    def stray_force(self) -> str:
-        """Return what is felt while no contact is sought or held; empty if it is small."""
-        wrench = np.zeros(6)
-        known = self._wrench_known and self.guarded and self.config.wrench_input != 'momentum'
-        if known and not self.task.sought_normals().size:
-            operational_wrench(self._controls[0], wrench)
-        force, torque = np.linalg.norm(wrench.reshape(2, 3), axis=1).tolist()
-        stray = force > self.config.contact_state.smallest_force or torque > STRAY_TORQUE
-        return (f'{force:.1f} N and {torque:.2g} N m while no contact is commanded: if nothing '
-                'touches the tool, bias or tool weight (tare or calibrate)') if stray else ''
-
-    def _unwatched(self) -> str:
-        """Return whose measured torques are of no use, and what that leads to."""
-        config, faults = self.config, self.inputs.unheard_joints
-        if not config.robot.measures_torque:
-            return ''
-        names, count = config.robot.joint_names, sum(map(len, faults.values()))
-        texts = [f'of {", ".join(names[j] for j in joints) if len(joints) < len(names) else "all"}'
-                 f' {fault}' for fault, joints in faults.items()]
-        if config.wrench_input == 'momentum':
-            effect = 'there is no wrench of the contacts without them'
-        elif config.collision.command_delay >= 0:
-            effect = 'the commands stand in for them'
-        elif count == len(names):
-            effect = 'collisions are not watched'
-        else:
-            effect = 'what touches the arm is not seen in these joints, but in the others'
-        return f'effort in joint_states: {", ".join(texts)}; {effect}'
+        if failed in causes:
+            return (text,)
+        if self.explanations.comes_of_velocities(causes):
+            self.inputs.refute()
+        return self.explanations.of(causes)
 
     def _survive(self, part: str, error: Exception) -> Answer:
         """Answer after an exception, in the law or in what is around it, and tell what it says."""
@@ -402,14 +386,15 @@ class Supervisor:
             if part == 'law':
                 return self._refuse(cause)
             # What failed is not known: what is known of the arm is its past.
-            self._wrench_known, self._seen = False, Seen(blind=True)
+            self._know_wrench(False)
+            self._seen = Seen(blind=True)
             return self._react(FLOAT, (cause,))
         except Exception as second:  # the torque that acts goes on
             again = self._tell(f'reaction_{type(second).__name__}', second)
             self.findings = self._failure[1], again
             self._causes = (cause,)
             self._paused, self._good_ticks = True, 0
-            return self._report(self.gate.last.copy(), FLOAT, (cause,), (), controlled=False)
+            return self._report(FLOAT, (cause,), 0, controlled=False)
         finally:
             self._failure = '', ''
 
@@ -424,22 +409,21 @@ class Supervisor:
         return text
 
     def _report(
-        self, torque: Vector, reaction: str, causes: tuple[str, ...], limits: tuple[str, ...], *,
-        controlled: bool = True,
+        self, reaction: str, causes: tuple[str, ...], found: int, *, controlled: bool = True,
     ) -> Answer:
         """Return the answer of the tick; of contacts that no law controls nothing is known."""
         self._reaction = reaction
-        if self.config.robot.adds_gravity:
-            torque = torque - self._joints['added']
+        torque = self.gate.last - self._joints['added']
         output = self._output if self._arm is None else self.controller.output(torque)
         if not controlled:
             contacts = output.contacts.copy()
             contacts['answer'] = 0
             output = output._replace(torque=torque, contacts=contacts)
         self._output = output
+        unwatched = self.explanations.unwatched() if self._seen.unheard else ''
         return output, SupervisorStatus(
-            reaction, causes, self._seen.rejected, limits, self.task.state_names,
-            self._task_ticks * self._period, self._unwatched() if self._seen.unheard else '',
+            reaction, causes, self._seen.rejected, limit_names(found), self.task.state_names,
+            self._task_ticks * self._period, unwatched,
             self.task.read_before if self.task.reads_before else ()) if self.guarded else None
 
     def use(self, design: Design) -> None:
@@ -451,12 +435,10 @@ class Supervisor:
     def _adopt(self, config: ControllerConfig) -> None:
         """Set what follows from the values that may change while the arm is controlled."""
         self.config = config
-        self.gate.pace = config.transition
+        self.gate.retune(config.transition)
         self.reactions.retune(config)
         self.task.retune(config)
-        self._answered = (  # what an answer is checked by
-            checks.plausibility_limits(config), self._controls, self._joints,
-            self.controller.contacts, self.task.states)
+        self._judgement['plausibility'] = checks.plausibility_limits(config)
 
     def try_again(self) -> bool:
         """

@@ -1,5 +1,5 @@
 """
-Joint velocities held against joint positions, their estimate, and what is wrong with them.
+Joint velocities held against joint positions, and their estimate.
 
 Velocities are compared with positions from the first sample on: e_k = q_k - q_(k-1) - h (v_k +
 v_(k-1)) / 2 of each joint is summed up with a forgetting time of 50 ms. The sum stays below 2.5e-3
@@ -12,7 +12,6 @@ refuted stays in doubt until ten readings of its own motion agree, see `count_pr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from multicontact_control.arrays import Matrix
@@ -36,12 +35,6 @@ PROVING = 0.02  # rad/s of a joint, from which on its motion may prove its veloc
 AGREEMENT, NEAR = 0.3, 0.01
 POLE = 0.5  # of the tracking filter, per period
 EVEN = 1.5  # periods between two joint states, up to which they are evidence
-UNITS = {180.0 / np.pi: 'degrees per second', 30.0 / np.pi: 'revolutions per minute',
-         0.5 / np.pi: 'revolutions per second'}
-CORRELATED = 0.8  # square of the correlation from which on two velocities differ by a factor
-FEWEST, SLOWEST = 8, 0.01  # joint states, and rad/s, that say something
-SIMILAR = 0.25  # difference from a factor, relative to it
-RIGHT = 2.5  # factor by which a velocity may seem wrong
 
 
 @compiled
@@ -110,42 +103,3 @@ def count_proof(joints: Matrix, refuted: bool) -> bool:
                 joints[UNPROVEN, j] -= 1.0
         lacking = lacking or joints[UNPROVEN, j] > 0.0
     return lacking
-
-
-def explain_velocities(
-    states: Matrix, doubt: Any, names: Sequence[str], period: float,
-) -> str:
-    """
-    Return what positions say against the velocities of the joint whose `DOUBT` is largest.
-
-    Of the newest joint states, shape (k, 2 n) [rad, rad/s], oldest first; empty if nothing.
-    """
-    if len(states) < FEWEST:
-        return ''
-    j = int(np.argmax(doubt))
-    q, v, what = states[:, j], states[:, len(names) + j], f'{names[j]}: its velocity'
-    if not np.isfinite(v).all():
-        return f'{what} is not a finite number'
-    if np.abs(v).max() > OFFSET:
-        if np.abs(v - q).max() <= 1e-3 * np.abs(q).max():
-            return f'{what} is equal to its position: are the fields of the message in order?'
-        if np.ptp(v) == 0.0:
-            return f'{what} is {v[-1]:.3g} rad/s whatever its position does: frozen?'
-    rate, reading = np.diff(q) / period, 0.5 * (v[1:] + v[:-1])
-    if max(np.abs(rate).max(), np.abs(reading).max()) < SLOWEST:
-        return ''
-    power, common = (reading @ reading) * (rate @ rate), reading @ rate
-    if common ** 2 >= CORRELATED * power:
-        ratio = np.copysign(np.sqrt(reading @ reading / max(float(rate @ rate), 1e-12)), common)
-        unit = next((f': {name}?' for factor, name in UNITS.items()
-                     if abs(abs(ratio) / factor - 1.0) < SIMILAR), '')
-        sign = ', with the opposite sign' if ratio < 0.0 else ''
-        if not 1.0 / RIGHT < ratio < RIGHT:
-            return f'{what} is {abs(ratio):.3g} times the rate of its position{sign}{unit}'
-    if doubt[j] <= 1.0:
-        return ''
-    error = reading - rate
-    if np.std(error) < SIMILAR * abs(np.mean(error)):
-        return f'{what} is {np.mean(error):.3g} rad/s beyond the rate of its position: an offset?'
-    return (f'{what} is up to {np.abs(error).max():.3g} rad/s off the rate of its position: a '
-            'delay, a low-pass, or that of another joint?')

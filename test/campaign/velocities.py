@@ -72,7 +72,7 @@ def run(cell):
             places.append(robot.update(loop.plant.arm.q, loop.sample.qd).pose.position_world)
             causes.update(x.split('_joint')[0].split('_panda')[0] for x in (
                 *loop.status.causes, *loop.status.rejected))
-            stray = getattr(loop.control.supervisor, 'stray_force', '')
+            stray = loop.control.supervisor.explanations.stray_force()
             causes.update(['wrench: stray force'] * bool(stray))
     way = np.linalg.norm(np.array(places) - home.position_world, axis=1).max()
     return {'speed': np.max(speeds, axis=0), 'force': max(forces), 'way': way, 'causes': causes}

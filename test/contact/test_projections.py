@@ -54,7 +54,8 @@ def allocate_force(N, alpha_star, allocation):
     law, f_c = np.zeros(1, dtype=LAW), np.empty(6)
     law['decoupled'] = allocation == 'decoupled'
     contacts = np.zeros(len(rows), dtype=CONTACT)
-    force_law(law[0], rows, factor, np.zeros(6), contacts, np.array(alpha_star), f_c)
+    force_law(law[0], rows, factor, np.zeros(6), contacts, np.array(alpha_star),
+                  np.empty(len(rows)), f_c)
     return f_c
 
 

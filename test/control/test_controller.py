@@ -75,7 +75,7 @@ SERIES = ('alpha_est', 'alpha_rate_est', 'alpha_des', 'innovation', 'prior_varia
 class RandomTask:
     """Asks for something else at every tick, contacts coming and going."""
 
-    contact_state = {}
+    contact_state, seeks = {}, False
 
     def __init__(self, contacts):
         self._generator = np.random.default_rng(0)
@@ -194,7 +194,7 @@ def test_controller_refuses_impossible_samples(monkeypatch):
 class Follow:
     """Asks for the pose the arm is in, a little beside it, and for the speed it has."""
 
-    contact_state = {}
+    contact_state, seeks = {}, False
 
     def __init__(self, offset):
         self.offset = np.array(offset)

@@ -2,8 +2,9 @@
 
 from arms import controller_config, HOME, plant_config
 from multicontact_control.contact.wrench import tool_record
-from multicontact_control.control.arm import ArmState, TOUCHED
+from multicontact_control.control.arm import ArmState
 from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.flags import TOUCHED
 from multicontact_control.paths import config_dir
 from multicontact_control.records import CONTACT, CONTROL
 import numpy as np

@@ -11,13 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from multicontact_control.config import ToolConfig
 from multicontact_control.control.arm import ArmState
-from multicontact_control.control.law import control_law, LAW_SPACE, OK
+from multicontact_control.control.law import control_law, LAW_SPACE
 from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.dynamics.rotations import Pose, rotation_vector
 from multicontact_control.errors import ConfigError
+from multicontact_control.force.force_law import FORCE_LAW
 from multicontact_control.loop import ControlLoop
 from multicontact_control.paths import config_dir
-from multicontact_control.records import CONTACT, CONTROL, FORCE_LAW, LAW
+from multicontact_control.records import CONTACT, CONTROL, LAW
 from multicontact_control.supervision.command_limits import CommandLimits
 import numpy as np
 import pinocchio as pin
@@ -93,8 +94,7 @@ def test_model_carries_another_load_than_its_urdf_has():
 def test_rotation_error_is_scipys_rotation_vector(seed, size):
     a, b = size * np.random.default_rng(seed).uniform(-1.0, 1.0, (2, 3))
     R_des, R = Rotation.from_rotvec(a).as_matrix(), Rotation.from_rotvec(b).as_matrix()
-    error = np.empty(3)
-    rotation_vector(R_des, R, error)
+    error = rotation_vector(R_des, R)
     np.testing.assert_allclose(Rotation.from_rotvec(error).as_matrix() @ R, R_des, atol=1e-7)
     assert np.linalg.norm(error) <= np.pi + 1e-9
     pose = Pose(a, R)
@@ -194,8 +194,8 @@ def torque_for(model, q, v, acceleration, **nullspace):
     arm.motion[:] = q, v
     arm.refresh()
     assert control_law(
-        controls, arm.joints, terms.mass_matrix, terms.jacobian, terms.jacobian_rate,
-        contacts, np.zeros(0, dtype=FORCE_LAW), np.zeros(1, dtype=LAW_SPACE)) == OK
+        controls[0], arm.joints, terms.mass_matrix, terms.jacobian, terms.jacobian_rate,
+        contacts, np.zeros(0, dtype=FORCE_LAW), np.zeros(1, dtype=LAW_SPACE)[0]) == 0
     return arm.joints['torque'].copy()
 
 

@@ -95,11 +95,11 @@ def test_observer_is_equations_34_to_41_in_full_matrices(loop, order, every):
 
 
 @njit
-def update_covariance(observers, variances):
+def update_covariance(observers, variances, spaces):
     """Let the covariance of an observer, which no measurement changes, go on."""
     for variance in variances:
-        predict(observers[0])
-        correct(observers[0], 0.0, variance)
+        predict(observers[0], spaces[0])
+        correct(observers[0], 0.0, variance, spaces[0])
 
 
 @pytest.mark.parametrize('damping_rate', [0.0, 20.0])
@@ -113,12 +113,12 @@ def test_covariance_stays_symmetric_positive_and_right_over_hours(order, damping
     for each in (observer, fresh):
         each.update(0.0, 0.6)  # begins
     for variances in np.split(np.where(high, 1e6, 1e-3), 300):
-        update_covariance(observer.records, variances)
+        update_covariance(observer.records, variances, observer.space)
         np.testing.assert_array_equal(observer.P, observer.P.T)
         sizes = np.sqrt(np.diag(observer.P))
         assert np.linalg.eigvalsh(observer.P / np.outer(sizes, sizes))[0] > 1e-9
     for each in (observer, fresh):
-        update_covariance(each.records, np.full(20_000, 0.6))
+        update_covariance(each.records, np.full(20_000, 0.6), each.space)
     np.testing.assert_allclose(observer.P, fresh.P, rtol=1e-6, atol=1e-15)
 
 

@@ -31,6 +31,7 @@ from multicontact_control.force.force_law import (
     answer_forces,
     continue_laws,
     design_law,
+    FORCE_SPACE,
     largest_ratio,
     loop_model,
     make_force_laws,
@@ -41,11 +42,12 @@ from multicontact_control.force.margins import spectral_radius
 from multicontact_control.force.observer import steady_gain
 from multicontact_control.force.plant import delayed_plant
 from multicontact_control.paths import config_dir
-from multicontact_control.records import CONTACT, CONTROL
+from multicontact_control.records import CONTACT, CONTROL, MAX_STATES
 import numpy as np
 import pytest
 
 H, K, DELAY = 0.002, 6000.0, 0.006
+SPACE = np.zeros(1, dtype=FORCE_SPACE)[0]
 LINEAR = [name for name in LAWS if name != 'aob']
 OTHER_GAINS = {
     'time_constant': 0.031, 'second_pole_ratio': 1.7, 'active_state_order': 2,
@@ -78,7 +80,7 @@ def run_steps(law, alphas, desired, speeds, extra=None):
         contact['alpha_meas'], contact['answer']['alpha_des'] = values[:2]
         if k and extra is not None:
             record['extra'] = extra[k - 1]
-        u = step_linear(record, contact, values[2])
+        u = step_linear(record, contact, values[2], np.empty(MAX_STATES))
         answers.append((u, float(contact['answer']['alpha_est']), float(record['p_est'])))
     return np.array(answers)
 
@@ -139,7 +141,7 @@ def hold(laws, ticks, *, disturbance, desired=10.0, state=None):
     for _ in range(ticks):
         contacts['alpha_meas'] = x[0]
         control['frame']['twist'][0, 2] = x[1] / K
-        answer_forces(laws, contacts, control[0], inputs)
+        answer_forces(laws, contacts, control[0], inputs, SPACE)
         x = plant.Phi @ x + plant.Gamma * (inputs[0] + disturbance)
         forces.append(x[0])
     return np.array(forces), x
@@ -188,7 +190,7 @@ def test_law_knows_what_acts_beyond_its_answer(name):
     for aware in (True, False):
         laws, inputs, (contacts, control) = laws_of(name), np.empty(1), one_contact(20.0)
         for _ in range(100):  # everything is clipped: nothing moves
-            answer_forces(laws, contacts, control[0], inputs)
+            answer_forces(laws, contacts, control[0], inputs, SPACE)
             if aware:
                 act_beyond(laws, np.array([True]), -inputs)
         part = laws[0]['linear']['p_est'] if laws['is_linear'][0] else (

@@ -2,17 +2,22 @@
 
 from force_loop import design_force_loop, H
 from multicontact_control.config import ForceConfig
+from multicontact_control.force.force_law import FORCE_LAW
 from multicontact_control.force.observer import design_observer, make_observers
 from multicontact_control.force.stiffness import (
     adopt_stiffness,
     find_stiffness,
+    FIT_SPACE,
     learn_stiffness,
+    STIFFNESS,
     take_sample,
     use_stiffness,
 )
-from multicontact_control.records import CONTACT, CONTROL, FORCE_LAW, STIFFNESS
+from multicontact_control.records import CONTACT, CONTROL
 import numpy as np
 import pytest
+
+SPACE = np.zeros(1, dtype=FIT_SPACE)[0]
 
 
 def stiffness_of(k=6000.0, delay=0.006, mass=0.5, period=H, **values):
@@ -31,7 +36,7 @@ def follow(observer, record):
     laws, contacts, controls = (
         np.zeros(1, dtype=dtype) for dtype in (FORCE_LAW, CONTACT, CONTROL))
     laws['observer'], laws['stiffness'], controls['measured'] = observer, record, True
-    learn_stiffness(laws, contacts, 0, controls[0], 0.0)
+    learn_stiffness(laws, contacts, 0, controls[0], 0.0, SPACE)
     for part, changed in ((observer, laws['observer'][0]), (record, laws['stiffness'][0])):
         for name in part.dtype.names:
             part[name] = changed[name]
@@ -68,12 +73,19 @@ def signals(k, c, mu, mass, seed=1, count=150, noise=0.0):
     return np.column_stack([depth, speed, others, alpha + noise * random.standard_normal(count)])
 
 
+def fit_to(samples):
+    """Return the slow fit to samples that are all accepted."""
+    record, _ = stiffness_of()
+    fit = record['slow']
+    for record['depth'], record['speed'], friction, alpha in samples:
+        take_sample(record, fit, friction, alpha, True, SPACE)
+    return fit
+
+
 @pytest.mark.parametrize(('k', 'c', 'mu'), [
     (300.0, 30.0, 0.1), (6000.0, 0.0, 0.0), (60_000.0, 50.0, 0.3)])
 def test_fit_recovers_stiffness_damping_and_friction(k, c, mu):
-    fit = stiffness_of()[0]['slow']
-    for sample in signals(k, c, mu, 0.5):
-        take_sample(fit, sample, H, 0.5, True)
+    fit = fit_to(signals(k, c, mu, 0.5))
     assert fit['k'] == pytest.approx(k, rel=0.03)
     assert fit['mu'] == pytest.approx(mu, abs=0.03)
     assert fit['c'] == pytest.approx(c, abs=max(0.1 * c, 0.002 * k))
@@ -83,9 +95,7 @@ def test_fit_recovers_stiffness_damping_and_friction(k, c, mu):
 def test_fit_error_is_that_of_repeated_fits():
     values, errors = [], []
     for seed in range(60):
-        fit = stiffness_of()[0]['slow']
-        for sample in signals(6000.0, 30.0, 0.1, 0.5, seed=seed, noise=0.3):
-            take_sample(fit, sample, H, 0.5, True)
+        fit = fit_to(signals(6000.0, 30.0, 0.1, 0.5, seed=seed, noise=0.3))
         values.append(float(fit['k'])), errors.append(float(fit['k_std']))
     assert 0.5 < np.std(values) / np.median(errors) < 2.0
 
@@ -94,7 +104,8 @@ def test_fit_takes_samples_after_a_touch_or_a_step_alone():
     record, _ = stiffness_of()
     weights = []
     for k, sample in enumerate(signals(6000.0, 0.0, 0.0, 0.5, count=600)):
-        find_stiffness(record, 5.0 + sample[3], 15.0 if k > 400 else 10.0, sample[1], 0.0)
+        find_stiffness(record, 5.0 + sample[3], 15.0 if k > 400 else 10.0, sample[1], 0.0,
+                       SPACE)
         weights.append(float(record['slow']['weight']))
     assert weights[149] > 10.0
     assert weights[160] == weights[400]

@@ -32,7 +32,8 @@ def test_mobility_gradient_agrees_with_finite_differences(index):
     direction = np.linalg.eigh(
         state.jacobian @ np.linalg.solve(state.mass_matrix, state.jacobian.T))[1][:, index]
     gradient = np.empty(6)
-    mobility_gradient(state.jacobian, *factors(state), direction.copy(), gradient)
+    mobility_gradient(
+        state.jacobian, *factors(state), direction.copy(), np.empty(6), gradient)
     expected = [(eigenvalue(q + step) - eigenvalue(q - step)) / (2.0 * h)
                 for step in h * np.eye(6)]
     np.testing.assert_allclose(gradient, expected, rtol=1e-5, atol=1e-7)
@@ -47,8 +48,10 @@ def test_least_change_fulfils_the_conditions_of_an_optimum(seed, count):
     R, excess = rng.standard_normal((count, n)), rng.standard_normal(count)
     if count > n:
         R, excess = R[:n], excess[:n]
-    multipliers, change = np.empty(len(R)), np.empty(n)
-    assert bounds.least_change(H, R, excess, multipliers, change)
+    space, m = np.zeros(1, dtype=bounds.BOUND_SPACE)[0], len(R)
+    space['cost'][:n, :n], space['rows'][:m, :n], space['excess'][:m] = H, R, excess
+    assert bounds.least_change(n, m, space)
+    multipliers, change = space['multipliers'][:m], space['change'][:n]
     slack = -excess - R @ change
     scale = 1.0 + np.abs(excess).max()
     assert slack.min() > -1e-6 * scale

@@ -9,10 +9,20 @@ from typing import Any, Literal
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.force.noise.base import Innovation, MAX_MAGNITUDE, NoiseEstimator
-from multicontact_control.records import FILTER_STATE, NOISE_WINDOW
+from multicontact_control.records import F, I
 import numpy as np
 
 Normalisation = Literal['dc', 'hf']
+
+# What is set for an estimator over a window (P04 eqs 42-44); one.
+NOISE_WINDOW = np.dtype([
+    ('pole', F), ('zero', F), ('gain', F),  # a, c and b of the filter
+    ('scale', F),  # of the variances
+    ('count', I),  # samples so far
+], align=True)
+
+# What the filter of one contact remembers of the sample before.
+FILTER_STATE = np.dtype([('alpha', F), ('filtered', F)])  # [N]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +65,9 @@ def take_into_window(
     """
     window = windows[0]
     length, contacts = samples.shape
-    if not (np.abs(alpha) < MAX_MAGNITUDE).all():  # nor is NaN
-        return False
+    for i in range(contacts):
+        if not abs(alpha[i]) < MAX_MAGNITUDE:  # nor is NaN
+            return False
     if window.count == 0:
         for i in range(contacts):
             states[i].alpha = alpha[i]

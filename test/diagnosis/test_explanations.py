@@ -4,7 +4,6 @@ from collections import deque
 
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.supervision.report import CAPACITY, EventLog, SupervisorStatus
 import numpy as np
 import pytest
 from robots import robot_parameters
@@ -111,12 +110,14 @@ def test_touch_that_passes_is_no_late_wrench_and_no_other_axes(robot):
     assert not any(LATE in text or AXES in text for text in found)
 
 
-def test_log_keeps_what_came_last():
-    """The cause of the end, and not the beginning of a long run."""
-    log = EventLog()
-    for k in range(CAPACITY + 5):
-        log.note(0.002 * k, SupervisorStatus('none', (f'cause_{k}',), (), (), (), 0.0))
-    assert len(log.events) == CAPACITY
-    assert log.events[0] == (pytest.approx(0.01), 'none | cause_5 | ')
-    assert f'cause_{CAPACITY + 4}' in log.events[-1][1]
-    assert log.reactions['none'] == CAPACITY + 5
+def test_nothing_is_felt_before_the_first_sample_nor_after_a_reset():
+    loop = ClosedLoop(resolve('quick', plant='rigid'), commanded=True)
+    supervisor = loop.control.supervisor
+    assert supervisor.explanations.stray_force() == ''
+    for _ in range(50):
+        loop.advance()
+    supervisor.controller.controls['wrench'][0, 0] += 10.0
+    assert 'N m while no contact is commanded' in supervisor.explanations.stray_force()
+    supervisor.reset()
+    assert supervisor.explanations.stray_force() == ''
+    loop.close()

@@ -1,0 +1,1 @@
+"""What explains the readings of an arm, in sentences; no torque needs any of it."""

@@ -1,0 +1,89 @@
+"""The control loop of one sample, from the arm's model to the commanded torque, compiled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.compiled import compiled
+from multicontact_control.control.arm import ARM_SPACE, see_arm
+from multicontact_control.control.law import control_law, LAW_SPACE
+from multicontact_control.flags import (
+    ALARMS,
+    BOUNDING_LIMITS,
+    DEPENDENT,
+    REFERENCE,
+    REFUSED,
+    SINGULAR,
+)
+from multicontact_control.supervision.checks import judge_answer
+from multicontact_control.supervision.contact_task import limit_task
+from multicontact_control.supervision.gate import law_number, pass_gate
+import numpy as np
+
+SEE, ACT = 1, 2  # stages of a tick
+
+# What a tick works in, so that it allocates nothing; one.
+WORKSPACE = np.dtype([('arm', ARM_SPACE), ('law', LAW_SPACE)], align=True)
+
+
+@compiled
+def tick(
+    stages: int, joints: Any, controls: Any, contacts: Any, laws: Any, states: Any, limits: Any,
+    judgements: Any, gates: Any, workspaces: Any, motion: Matrix, mass_matrix: Matrix,
+    bias_torque: Vector, jacobian: Matrix, jacobian_rate: Matrix, position: Vector,
+    rotation: Matrix, sensor_position: Vector, sensor_rotation: Matrix,
+) -> int:
+    """
+    See the arm, then act: limit the task, ask the law, judge its answer, let the torque through.
+
+    An alarm of the first stage ends it before the second; an answer that is missing or refused
+    ends that before the gate, so that no torque is commanded.
+
+    Parameters
+    ----------
+    stages
+        SEE, ACT or both.
+    joints, controls, contacts, laws, states
+        Records of `JOINT`, shape (n,), whose `gate.last` is the torque that is commanded, one of
+        `CONTROL`, and records of `CONTACT`, `FORCE_LAW` and `CONTACT_STATE`, shape (r,).
+    limits, judgements, gates, workspaces
+        One record of `TASK_LIMITS`, of `JUDGEMENT`, of `GATE` and of `WORKSPACE`.
+    motion
+        q [rad] and v [rad/s], shape (2, n).
+    mass_matrix, bias_torque, jacobian, jacobian_rate
+        M (upper triangle), C v + g, J and dJ/dt there.
+    position, rotation, sensor_position, sensor_rotation
+        Of the operational frame and the sensor's, world axes.
+
+    Returns
+    -------
+    int
+        What was found; see `flags`.
+
+    """
+    control, space, found = controls[0], workspaces[0], 0
+    if stages & SEE:
+        found = see_arm(
+            motion, mass_matrix, bias_torque, jacobian, position, rotation, sensor_position,
+            sensor_rotation, joints, control, contacts, space.arm)
+        if found & ALARMS:
+            return found
+    if not stages & ACT:
+        return found
+    limit, gate = limits[0], gates[0]
+    if limit_task(limit, control, contacts, states):
+        found |= REFERENCE
+    found |= control_law(
+        control, joints, mass_matrix, jacobian, jacobian_rate, contacts, laws, space.law)
+    if found & (SINGULAR | DEPENDENT):
+        return found
+    found |= judge_answer(judgements[0], control, joints, contacts, states)
+    if found & REFUSED:
+        return found
+    law = law_number(contacts, gate.guarded)
+    found |= pass_gate(
+        gate, joints, control, contacts, mass_matrix, jacobian, law, True, True)
+    if found & BOUNDING_LIMITS:
+        limit.bounded_at = limit.time
+    return found
