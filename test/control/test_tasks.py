@@ -85,3 +85,32 @@ def test_twist_of_a_motion_expires_when_none_follows():
         np.testing.assert_array_equal(late.pose_des.position_world, POSE.position_world)
     source.set_motion(motion, FREE)
     assert source.task(2.0).twist_des.all() and source.task(1e6).twist_des.all()
+
+
+def test_commanded_task_is_the_same_object_until_something_else_is_commanded():
+    source = CommandedTask(('table', 'board'))
+    source.start(POSE, NORMALS)
+    first = source.task(0.0)
+    assert source.task(0.1) is first
+    source.set_forces({'table': 5.0})
+    pressing = source.task(0.2)
+    assert pressing.active.tolist() == [True, False]
+    assert pressing.pose_des is first.pose_des
+    source.set_motion(MotionReading(
+        POSE.position_world, np.array([0, 0, 0, 1.0]), np.ones(6), np.ones(6)), FREE, lasting=0.2)
+    moving = source.task(0.3)
+    assert moving is not pressing and moving.alpha_des is pressing.alpha_des
+    assert source.task(0.49) is moving
+    expired = source.task(0.51)
+    assert expired is not moving and source.task(1.0) is expired
+
+
+def test_parts_of_a_scenario_are_the_same_objects_while_they_do_not_change():
+    source = _scenario(motion=SineConfig(start_time=1.0),
+                       approach=ApproachConfig(start_time=0.0))
+    at_rest, later, moving = (source.task(time) for time in (0.2, 0.4, 1.5))
+    for part in ('twist_des', 'acceleration_des', 'active', 'alpha_des'):
+        assert getattr(at_rest, part) is getattr(later, part)
+    assert at_rest.pose_des.position_world is later.pose_des.position_world
+    assert moving.pose_des.rotation_world is later.pose_des.rotation_world
+    assert moving.pose_des.position_world is not later.pose_des.position_world

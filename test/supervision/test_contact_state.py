@@ -19,7 +19,9 @@ from multicontact_control.control.tasks import (
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.records import CONTACT, CONTROL
 from multicontact_control.supervision import contacts
-from multicontact_control.supervision.contact_task import ContactTask
+from multicontact_control.supervision.contact_task import ContactTask, limit_task
+from numba import njit
+from numba.core.runtime import _nrt_python, rtsys
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -273,3 +275,52 @@ def test_task_that_is_held_stands_still_and_then_goes_on_where_it_was():
     asked.task.hold(False)
     # From rest, with a bounded acceleration.
     np.testing.assert_allclose(asked.ask(1.6).pose.position_world, before, atol=1e-5)
+
+
+def test_what_is_wanted_stands_beside_what_is_controlled():
+    """A pose beyond the box, and a force of a contact that is not felt yet."""
+    asked = Asked()
+    asked.source.set_forces({'table': 5.0})
+    asked.source.set_motion(MotionReading(
+        np.array([0.0, 5.0, 0.6]), np.array([0.0, 0, 0, 1.0]), np.zeros(6), np.zeros(6)), ())
+    out = asked.ask(0.0)
+    assert asked.controls['wanted'][0]['position'][1] == 5.0
+    assert out.pose.position_world[1] < 0.9
+    np.testing.assert_array_equal(asked.contacts['alpha_wanted'], [5.0, 0.0])
+    np.testing.assert_array_equal(asked.contacts['wanted'], [True, False])
+    assert not out.active.any() and not out.alpha_des.any()
+
+
+def test_states_are_told_anew_only_when_one_has_changed():
+    asked = Asked()
+    asked.ask(0.0)
+    first = asked.task.state_names
+    asked.ask(H)
+    assert asked.task.state_names is first == (FREE, FREE)
+    asked.source.set_forces({'table': 5.0})
+    asked.ask(2.0 * H)
+    assert asked.task.state_names == (APPROACHING, FREE)
+    asked.task.lock(True)
+    assert asked.task.state_names == (FREE, FREE)
+
+
+@njit
+def limit_again(count, limits, controls, columns, states):
+    for k in range(count):
+        limits[0].behind = k % 2 == 0  # it is caught up with, or followed
+        columns[0].alpha_meas = 5.0 - columns[0].untared
+        limit_task(limits[0], controls[0], columns, states)
+
+
+def test_task_is_limited_without_allocating():
+    """As much for one tick as for many: what their arguments take."""
+    asked, allocations = Asked(), []
+    asked.source.set_forces({'table': 5.0, 'board': 5.0})
+    asked.ask(0.0)
+    _nrt_python.memsys_enable_stats()
+    for count in (1, 1, 100):  # the first compiles
+        before = rtsys.get_allocation_stats().alloc
+        limit_again(count, asked.task.limits, asked.controls, asked.contacts, asked.task.states)
+        allocations.append(rtsys.get_allocation_stats().alloc - before)
+    assert allocations[1] == allocations[2]
+    assert asked.task.state_names == (HOLDING, APPROACHING)
