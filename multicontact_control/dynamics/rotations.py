@@ -20,9 +20,9 @@ def quaternion_of(rotation: Matrix | Rows) -> tuple[float, float, float, float]:
 
     Shepperd's method: of the four ways to take the roots, the one without cancellation.
     """
-    xx, xy, xz = rotation[0]
-    yx, yy, yz = rotation[1]
-    zx, zy, zz = rotation[2]
+    xx, xy, xz = rotation[0][0], rotation[0][1], rotation[0][2]
+    yx, yy, yz = rotation[1][0], rotation[1][1], rotation[1][2]
+    zx, zy, zz = rotation[2][0], rotation[2][1], rotation[2][2]
     trace = xx + yy + zz
     greatest = max(trace, xx, yy, zz)
     if greatest == trace:
