@@ -149,7 +149,9 @@ class Supervisor:
     def _see(self, inputs: TickInputs, seen: Seen) -> tuple[str, ...]:
         """Compute where the arm is and what its contacts bear; return what is wrong."""
         if not self.guarded:
-            seen = self._as_it_came(inputs)
+            if inputs.joints is None or inputs.wrench is None:
+                raise not_supervised()
+            self._task_ticks = round(inputs.time / self._period)
         elif self.started and not self._paused:
             self._task_ticks += seen.skipped
         self._seen, arm = seen, self.controller.arm
@@ -166,22 +168,6 @@ class Supervisor:
         self._wrench_known = seen.measured and not arm.flags & AMBIGUOUS  # then it is older
         self._controls['measured'] = self._wrench_known
         return seen.causes + alarms
-
-    def _as_it_came(self, inputs: TickInputs) -> Seen:
-        """Hand over the inputs of a tick, valid or not; raise if joints or wrench are missing."""
-        joints, variance = inputs.joints, inputs.variance
-        if joints is None or inputs.wrench is None:
-            raise not_supervised()
-        (q, qd), wrench, own_variance = self.controller.measured
-        q[:], wrench[:] = joints.q, self.inputs.filtered
-        if joints.qd is not None:
-            qd[:] = joints.qd
-        bounds = self.config.noise_variance
-        own_variance[:] = np.clip(
-            self.config.initial_noise_variance if variance is None else variance.variance,
-            bounds.smallest, bounds.largest)
-        self._task_ticks = round(inputs.time / self._period)
-        return Seen()
 
     def _touch(self, flags: int) -> tuple[str, ...]:
         """Name the last joint whose residual counts, if any does."""
