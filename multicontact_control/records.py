@@ -71,9 +71,7 @@ JOINT = np.dtype([
     ('unlimited', F),  # the same before it is brought within its limits [N m]
     ('priority', F),  # of that, what goes before the rest at a limit: see `finish_torque` [N m]
     ('effort', F),  # torque that acted since the sample before [N m]
-    ('effort_fault', I),  # why that is not known; see `supervision.inputs`
-    ('said', F),  # the last measured torque that was not 0, inf before the first [N m]
-    ('zeros', I), ('unheard', I),  # samples in a row of exactly 0 N m, and without a usable one
+    ('effort_fault', I),  # why that is not measured; see `supervision.inputs`
     ('unwatched', B),  # whether it is not known, neither measured nor commanded
     ('last_velocity', F), ('last_bias', F),  # of that sample [rad/s], [N m]
     ('residual', F),  # of the torques: what neither model nor wrist sensor explains [N m]
@@ -188,47 +186,19 @@ CONTACT = np.dtype([
 ], align=True)
 
 
-# What the input stage is set to; one. Three values are those of joints, wrench and R.
-INPUT_SETTINGS = np.dtype([
-    ('period', F),  # [s]
-    ('shortest', F), ('longest', F),  # periods that are in order [s]
-    ('max_age', F, 3),  # [s]
-    ('smallest_variance', F), ('largest_variance', F),  # bounds of R [N^2]
-    ('frozen_joint_ticks', I), ('frozen_ticks', I),  # equal readings that are frozen, 0 for never
-    ('adds_gravity', B),  # see `robot`
-    ('full_scale', F, 6),  # from where on an axis is saturated [N, N m]
-    ('leaves_out', B),  # whether a single wrench far from the others is left out
-    ('order', I),  # of the low-pass, 0 for none
-    ('b', F, 3), ('a', F, 3),  # its coefficients, highest power of z first
+# What has come in at a tick, as Python writes it; one. What of it is valid, and where it goes, is
+# in `supervision.inputs`.
+INPUT = np.dtype([
+    ('time', F),  # of the tick, NaN if it is not a number [s]
+    # Whether what is asked for is there and has the right shape: FINE, ABSENT or INVALID, of
+    # `supervision.inputs`. Joint states may come without velocities and without efforts.
+    ('joints_came', I), ('velocity_came', I), ('effort_came', I),
+    ('wrench_came', I), ('variance_came', I),
+    ('command_came', B),  # whether there is one of the tick before
+    ('joints_stamp', F), ('wrench_stamp', F), ('variance_stamp', F),  # when it was sampled [s]
+    ('q', F, MAX_JOINTS), ('velocity', F, MAX_JOINTS),  # [rad], [rad/s]
+    ('effort', F, MAX_JOINTS),  # torques measured over the period before [N m]
+    ('command', F, MAX_JOINTS),  # torques commanded at the tick before [N m]
+    ('wrench', F, 6),  # what the wrist sensor reads, in its frame [N, N m]
+    ('variance', F, MAX_COLUMNS),  # R of each column of N [N^2]
 ], align=True)
-
-# What the input stage gets, remembers and finds; one.
-INPUT_STATE = np.dtype([
-    ('stamp', F, 5), ('content', I, 5),  # of joints, wrench, R, the tick and torques [s]
-    ('time', F),  # of the newest tick, NaN before the first [s]
-    ('seen', F, 3),  # newest stamp, NaN for none [s]
-    ('valid', F, 3),  # stamp of the newest valid reading, NaN for none [s]
-    ('skipped', I),  # samples missing before this tick
-    ('odd_periods', I),  # in a row that are too long or too short
-    ('known', B),  # whether any joints were valid
-    ('blind_ticks', I), ('unknown', I),  # in a row without valid joints; without their torques
-    ('states', I), ('contradicted', I),  # joint states in a row; of velocities that are wrong
-    ('unproven', B),  # whether velocities were refuted, and not proven in motion since
-    ('silent', B), ('estimated', B),  # whether no velocities come; whether positions give them
-    ('equal_joints', I), ('equal_wrenches', I),  # readings in a row, the newest counted
-    ('faults', I),  # frozen or saturated wrenches in a row
-    ('suspect', B),  # whether the wrench before was left out as an outlier
-    ('suspected', F, 6),  # the newest that was [N, N m]
-    ('trusted', F),  # for how long still wrenches are taken as they come, after a change [s]
-    ('outliers', F),  # count of those that were left out, which fades
-    ('learnt', I),  # wrenches that `mean_square` knows
-    ('mean_square', F, 6),  # of what changes from one to the next [N^2, N^2 m^2]
-    ('raw', F, 6), ('last', F, 6),  # the newest wrench and the one before [N, N m]
-    ('filtered', F, 6),  # behind the low-pass [N, N m]
-    ('memory', F, (2, 6)),  # of the low-pass, NaN before its first wrench [N, N m]
-    ('problem', I, 4),  # what is wrong with each reading, and with the time
-    ('stale', np.uint8, 4),  # whether the newest valid one is too old, or the time is wrong
-    ('blind', B),  # whether joints were valid neither in this tick nor in the one before
-], align=True)
-
-INPUT_STAGE = np.dtype([('settings', INPUT_SETTINGS), ('state', INPUT_STATE)], align=True)

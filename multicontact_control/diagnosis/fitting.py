@@ -27,9 +27,9 @@ def fit_over_joints(shares: Matrix, torques: Matrix, thresholds: Vector) -> Matr
         Shape (k,) or (k, m); 0 along what the joints hardly show.
 
     """
-    weights = 1.0 / thresholds
+    weights: Vector = 1.0 / thresholds
     weighted_shares = shares * weights[:, None]
     weighted_torques = (torques.T * weights).T
-    solution: Matrix = np.linalg.lstsq(
+    solution: Any = np.linalg.lstsq(
         weighted_shares, weighted_torques, rcond=SMALLEST_SHARE)[0]
     return solution

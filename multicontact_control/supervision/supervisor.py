@@ -160,7 +160,9 @@ class Supervisor:
         command = self.gate.last if self.gate.begun else None
         self._seen = seen = self.inputs.validate(inputs, command)
         if not self.guarded:
-            self._seen = seen = self._as_it_came(inputs)
+            if inputs.joints is None or inputs.wrench is None:
+                raise not_supervised()
+            self._task_ticks = round(inputs.time / self._period)
         elif self._in_control:
             self._task_ticks += seen.skipped
         if controller.tool is not controller.next_tool:
@@ -237,22 +239,6 @@ class Supervisor:
             self.controller.account_for(self.gate.last)
         self._task_ticks += 1
         return self._report(reaction, causes, found)
-
-    def _as_it_came(self, inputs: TickInputs) -> Seen:
-        """Hand over the inputs of a tick, valid or not; raise if joints or wrench are missing."""
-        joints, variance = inputs.joints, inputs.variance
-        if joints is None or inputs.wrench is None:
-            raise not_supervised()
-        (q, qd), wrench, own_variance = self.controller.measured
-        q[:], wrench[:] = joints.q, self.inputs.filtered
-        if joints.qd is not None:
-            qd[:] = joints.qd
-        bounds = self.config.noise_variance
-        own_variance[:] = np.clip(
-            self.config.initial_noise_variance if variance is None else variance.variance,
-            bounds.smallest, bounds.largest)
-        self._task_ticks = round(inputs.time / self._period)
-        return ALL_WELL
 
     def _add_finding(self, finding: str) -> None:
         """Keep what explains the reaction in force, if anything new does."""

@@ -14,15 +14,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from multicontact_control.arrays import Matrix
+from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.records import B, F, I
 import numpy as np
 
-# Rows of readings, one column per joint: q, v, those of the reading before, the largest v, 2 pi
-# if the angle may wrap, and the following.
-Q_TRACKED, V_TRACKED, MISSED, WAY, UNREST, DOUBT = range(6, 12)  # DOUBT: contradicted above 1
-UNPROVEN = 12  # readings in motion that a joint still lacks until its velocity is believed again
-ROWS = 13
 HISTORY = 50  # joint states that are kept for an explanation
 MEMORY = 0.05  # s, in which evidence is forgotten
 OFFSET = 0.05  # rad/s by which a velocity may be wrong...
@@ -37,69 +33,113 @@ POLE = 0.5  # of the tracking filter, per period
 EVEN = 1.5  # periods between two joint states, up to which they are evidence
 
 
+# The positions and velocities of one joint.
+JOINT_TRACK = np.dtype([
+    # The newest reading: an angle that wraps goes on, and the estimate stands in for a velocity
+    # that is no possible number; NaN before the first [rad], [rad/s].
+    ('q', F), ('velocity', F),
+    ('last_q', F), ('last_velocity', F),  # the same of the reading before
+    ('q_tracked', F), ('v_tracked', F),  # estimated from the positions [rad], [rad/s]
+    # Sums that fade: of what the velocities miss of the way, and of the way [rad], and of how far
+    # they go up and down beside the estimate [rad/s].
+    ('missed', F), ('way', F), ('unrest', F),
+    ('doubt', F),  # of the velocity: contradicted above 1, inf if it is not a possible number
+    ('unproven', I),  # readings in motion that it lacks until it is believed again
+    ('past_q', F, HISTORY), ('past_velocity', F, HISTORY),  # rings of what came [rad], [rad/s]
+], align=True)
+
+# The velocities of all joints; one.
+VELOCITY_STATE = np.dtype([
+    ('states', I),  # joint states since the first one, or since a jump
+    ('contradicted', I),  # in a row whose velocities positions contradict
+    ('unproven', B),  # whether velocities were refuted, and not proven in motion since
+    ('silent', B),  # whether none come, or only zeros
+    ('estimated', B),  # whether positions give the velocities in use
+], align=True)
+
+
 @compiled
 def check_velocities(
-    joints: Matrix, history: Matrix, span: float, follows: bool, state: Any, period: float,
+    tracks: Any, state: Any, fastest: Vector, span: float, follows: bool, period: float,
 ) -> bool:
     """
-    Track positions; return whether they contradict the velocities of `joints`, rows as above.
+    Track positions; return whether they contradict the velocities of the newest joint state.
 
-    `span` [s] after the state before, which this one `follows` unless it is the first or jumped.
+    Parameters
+    ----------
+    tracks, state
+        Records of `JOINT_TRACK`, shape (n,), with the newest joint state in them, and one of
+        `VELOCITY_STATE`; changed.
+    fastest
+        Speed of each joint beyond which its velocity is no possible number, shape (n,) [rad/s].
+    span, period
+        Time since the joint state before, and h [s].
+    follows
+        Whether this one follows it; if not, it is the first, or has jumped.
+
     """
-    n, evident = joints.shape[1], follows and span < EVEN * period
+    evident = follows and span < EVEN * period
     if not follows:
         state.states = 0
-    row = history[state.states % history.shape[0]]
+    place = state.states % HISTORY
     state.states += 1
     keep, contradicted, silent = np.exp(-span / MEMORY), False, True
-    for j in range(n):
-        q, v = joints[0, j], joints[1, j]
-        row[j], row[n + j] = q, v
-        silent = silent and v == 0.0
-        joints[DOUBT, j] = 0.0 if abs(v) <= joints[4, j] else np.inf
-        if joints[DOUBT, j] > 0.0:  # no number: it says nothing, and refutes nothing
-            joints[1, j] = v = joints[V_TRACKED, j]
-        way = q - joints[2, j]
+    for j in range(tracks.shape[0]):
+        track = tracks[j]
+        track.past_q[place], track.past_velocity[place] = track.q, track.velocity
+        silent = silent and track.velocity == 0.0
+        doubt = 0.0
+        if not abs(track.velocity) <= fastest[j]:  # it says nothing, and refutes nothing
+            doubt = np.inf
+            track.velocity = track.v_tracked
+        way = track.q - track.last_q
         if evident:
-            predicted = joints[Q_TRACKED, j] + span * joints[V_TRACKED, j]
-            joints[Q_TRACKED, j] = predicted + (1.0 - POLE ** 2) * (q - predicted)
-            change = (1.0 - POLE) ** 2 / span * (q - predicted)
-            joints[V_TRACKED, j] += change
-            joints[MISSED, j] = keep * joints[MISSED, j] + way - 0.5 * span * (v + joints[3, j])
-            joints[WAY, j] = keep * joints[WAY, j] + abs(way)
-            joints[UNREST, j] = keep * joints[UNREST, j] + abs(v - joints[3, j] - change)
+            predicted = track.q_tracked + span * track.v_tracked
+            track.q_tracked = predicted + (1.0 - POLE ** 2) * (track.q - predicted)
+            change = (1.0 - POLE) ** 2 / span * (track.q - predicted)
+            track.v_tracked += change
+            track.missed = keep * track.missed + way - (
+                0.5 * span * (track.velocity + track.last_velocity))
+            track.way = keep * track.way + abs(way)
+            track.unrest = keep * track.unrest + (
+                abs(track.velocity - track.last_velocity - change))
         else:
-            joints[Q_TRACKED, j] = q
+            track.q_tracked = track.q
             if follows:
-                joints[V_TRACKED, j] = way / span
-            joints[MISSED, j] = joints[WAY, j] = joints[UNREST, j] = 0.0
-        joints[DOUBT, j] = max(joints[DOUBT, j], joints[UNREST, j] / LARGEST_UNREST, abs(
-            joints[MISSED, j]) / (OFFSET * MEMORY + SHARE * joints[WAY, j]))
-        contradicted = contradicted or joints[DOUBT, j] > 1.0
+                track.v_tracked = way / span
+            track.missed = track.way = track.unrest = 0.0
+        track.doubt = max(
+            doubt, track.unrest / LARGEST_UNREST,
+            abs(track.missed) / (OFFSET * MEMORY + SHARE * track.way))
+        contradicted = contradicted or track.doubt > 1.0
     state.silent = silent and (state.silent or contradicted)
     if state.silent:
-        joints[MISSED], joints[UNREST], joints[DOUBT], contradicted = 0.0, 0.0, 0.0, False
+        contradicted = False
+        for j in range(tracks.shape[0]):
+            track = tracks[j]
+            track.missed = track.unrest = track.doubt = 0.0
     return contradicted
 
 
 @compiled
-def count_proof(joints: Matrix, refuted: bool) -> bool:
+def count_proof(tracks: Any, refuted: bool) -> bool:
     """
     Count the readings in motion that prove velocities which were `refuted`, now or before.
 
     Return whether a joint still lacks some. A reading counts for a joint that moves, if its
-    velocity agrees with the estimate.
+    velocity agrees with the estimate. `tracks`, records of `JOINT_TRACK`, are changed.
     """
     lacking = False
-    for j in range(joints.shape[1]):
-        rate, doubt = joints[V_TRACKED, j], joints[DOUBT, j]
-        if refuted and 1.0 < doubt < np.inf:
-            joints[UNPROVEN, j] = PROOF
-        elif joints[UNPROVEN, j] > 0.0 and abs(rate) > PROVING and doubt <= 1.0:
-            missing = abs(joints[1, j] - rate) / (NEAR + AGREEMENT * abs(rate))
+    for j in range(tracks.shape[0]):
+        track = tracks[j]
+        rate = track.v_tracked
+        if refuted and 1.0 < track.doubt < np.inf:
+            track.unproven = PROOF
+        elif track.unproven > 0 and abs(rate) > PROVING and track.doubt <= 1.0:
+            missing = abs(track.velocity - rate) / (NEAR + AGREEMENT * abs(rate))
             if missing > 2.0:
-                joints[UNPROVEN, j] = PROOF
+                track.unproven = PROOF
             elif missing <= 1.0:
-                joints[UNPROVEN, j] -= 1.0
-        lacking = lacking or joints[UNPROVEN, j] > 0.0
+                track.unproven -= 1
+        lacking = lacking or track.unproven > 0
     return lacking

@@ -8,6 +8,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.force.force_law import make_force_laws
 from multicontact_control.records import CONTACT, CONTROL, JOINT
 from multicontact_control.supervision.inputs import (
+    ALL_WELL,
     Inputs,
     JointInput,
     TickInputs,
@@ -25,12 +26,13 @@ RATE = CONFIG.rate
 SOURCES = ('joints', 'wrench', 'variance')
 
 
-def make(config=CONFIG, turning=False):
+def make(config=CONFIG, turning=False, guarded=True):
     """Return a stage whose places are its attributes."""
     arm = SimpleNamespace(motion=np.zeros((2, 6)), joints=np.zeros(6, JOINT))
     controls, contacts = np.zeros(1, CONTROL), np.zeros(CONTACTS, CONTACT)
     stage = Inputs(config, SimpleNamespace(
-        arm=arm, controls=controls, contacts=contacts, robot=SimpleNamespace(turning=turning)))
+        arm=arm, controls=controls, contacts=contacts, robot=SimpleNamespace(turning=turning)),
+        guarded=guarded)
     (stage.q, stage.qd), stage.wrench = arm.motion, controls['wrench'][0]
     stage.variance = contacts['noise_variance']
     return stage
@@ -229,10 +231,7 @@ def test_single_wrench_far_from_the_others_is_left_out_and_two_in_a_row_are_take
 
 def test_outlier_of_a_wrench_is_not_looked_for_without_guards_and_after_a_gap():
     signal = 0.05 * np.random.default_rng(0).standard_normal((200, 6))
-    stage, bare = make(), Inputs(CONFIG, SimpleNamespace(
-        arm=SimpleNamespace(motion=np.zeros((2, 6)), joints=np.zeros(6, JOINT)),
-        controls=np.zeros(1, CONTROL), contacts=np.zeros(CONTACTS, CONTACT),
-        robot=SimpleNamespace(turning=False)), guarded=False)
+    stage, bare = make(), make(guarded=False)
     for k, wrench in enumerate(signal):
         if k == 150:
             wrench = wrench + 20.0
@@ -240,6 +239,38 @@ def test_outlier_of_a_wrench_is_not_looked_for_without_guards_and_after_a_gap():
         for each, gap in ((stage, time), (bare, k * H)):
             seen = each.validate(TickInputs(gap, wrench=WrenchInput(gap, wrench)))
             assert 'wrench_outlier' not in seen.rejected or (each is stage and k == 151)
+
+
+def test_stage_without_guards_hands_over_what_came():
+    """Angles that wrap, jumps and saturated wrenches too; R within its bounds."""
+    stage, random = make(turning=True, guarded=False), np.random.default_rng(0)
+    bounds = CONFIG.noise_variance
+    for k in range(40):
+        inputs = good(k, random)
+        inputs = changed(inputs, 'joints', q=inputs.joints.q + (0.0, 2.0 * np.pi, -0.3)[k % 3])
+        inputs = changed(inputs, 'wrench', wrench=inputs.wrench.wrench * 40.0 ** (k % 4))
+        inputs = changed(inputs, 'variance', variance=np.full(CONTACTS, 10.0 ** (k % 9 - 4)))
+        assert stage.validate(inputs) is ALL_WELL
+        np.testing.assert_array_equal(stage.q, inputs.joints.q)
+        np.testing.assert_array_equal(stage.qd, inputs.joints.qd)
+        np.testing.assert_array_equal(stage.wrench, inputs.wrench.wrench)
+        np.testing.assert_array_equal(
+            stage.variance, np.clip(inputs.variance.variance, bounds.smallest, bounds.largest))
+    stage.validate(good(40, random)._replace(variance=None))
+    np.testing.assert_array_equal(stage.variance, CONFIG.initial_noise_variance)
+
+
+@pytest.mark.parametrize('numbers', [None, 'text', np.zeros(5), [[0.0] * 6], ['a'] * 6])
+def test_stage_without_guards_hands_over_no_numbers_for_what_has_none(numbers):
+    """So the law says that there is no torque for them."""
+    stage, random = make(guarded=False), np.random.default_rng(0)
+    stage.validate(good(0, random))
+    inputs = changed(good(1, random), 'joints', q=numbers)
+    assert stage.validate(changed(inputs, 'variance', variance=numbers)) is ALL_WELL
+    assert np.isnan(stage.q).all()
+    assert np.isnan(stage.variance).all()
+    assert stage.validate(good(2, random)) is ALL_WELL
+    assert np.isfinite(stage.q).all()
 
 
 @pytest.mark.parametrize('order', [1, 2])

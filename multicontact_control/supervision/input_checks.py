@@ -1,0 +1,560 @@
+"""
+What is wrong with the readings of a tick, found by compiled code, and what of them is handed over.
+
+`check_inputs` works on one record of `INPUT_STAGE`: what came in, what is set, what is remembered
+of the ticks before, and what is found. `supervision.inputs` says what the faults mean.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from multicontact_control.arrays import Vector
+from multicontact_control.compiled import compiled
+from multicontact_control.config import ControllerConfig
+from multicontact_control.records import B, F, I, INPUT, MAX_JOINTS, Records
+from multicontact_control.supervision.velocities import (
+    check_velocities,
+    count_proof,
+    JOINT_TRACK,
+    OFFSET,
+    PROOF,
+    VELOCITY_STATE,
+)
+import numpy as np
+
+READINGS = ('joints', 'wrench', 'variance')
+# What is wrong; FINE: nothing, ABSENT: no reading has come.
+FINE, INVALID, JUMP, FROZEN, SATURATED, STAMP, BACKWARDS, RATE, VELOCITY, OUTLIER = range(10)
+ABSENT = -1
+
+SATURATED_SHARE = 0.99  # of full scale, from which on a reading is saturated
+FAULTS = 2  # wrong velocities, or frozen or saturated wrenches, in a row that are not bridged
+WRENCH_AGE = 1.501  # periods, up to which a wrench is that of its tick
+HARDEST = 1e6  # N or N m; no wrench is beyond it
+# The innovation of a wrench that is an outlier: against the wrench before, in each axis. Sliding
+# over roughness at 0.12 m/s changes a force by 6 N and a torque by 0.8 N m in a period.
+FORCE_OUTLIER, TORQUE_OUTLIER = 6.5, 1.0  # N, N m, at least
+OUTLIER_FACTOR = 6.0  # and times the root mean square of what usually changes
+USUAL_TIME = 0.5  # s, over which that is averaged
+LEARNT_WRENCHES, UNLEARNT = 50, 20.0  # from which on it is known; N, N m, at least until then
+CHANGE_TIME = 0.02  # s after a change, in which wrenches are taken as they come
+OUTLIER_TIME, MOST_OUTLIERS = 2.0, 16.0  # s, and how many in that are a fault of the sensor
+FARTHEST = 1e3  # rad; no joint is beyond it
+SPEED_EXCESS = 3.0  # times the speed limit of a joint; no joint is faster
+STILL = 1e-4  # rad/s; below it a joint state may repeat itself
+POSITION_JUMP = 0.01  # rad between a joint position and the one its speed leads to
+VARIANCE_GROWTH = 1.1  # per period, of an R that is not renewed
+LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
+FORGOTTEN = 1.0  # s without known torques, after which a collision is forgotten
+UNEVEN = 0.5  # periods that a sample may be early or late and still be the next one
+AGE_TOLERANCE = 1e-3  # periods
+# Why the measured torque of a joint is of no use.
+HEARD, UNHEARD, NOT_A_NUMBER, SILENT = range(4)
+NEAR_ZERO = 1.0  # N m; a torque that was larger does not become 0 exactly
+SILENCE = 0.1  # s of exactly 0 N m, from which on a joint seems to measure no torque
+REPORTED = 5  # samples in a row without a usable torque, from which on that is said
+MOST_COMMANDS = 12  # that are kept: two more than the longest `collision.command_delay`
+
+# What the input stage is set to; one.
+INPUT_SETTINGS = np.dtype([
+    ('guarded', B),  # whether only what is valid is handed over, or all as it came
+    ('period', F),  # [s]
+    ('shortest', F), ('longest', F),  # periods that are in order [s]
+    ('joints_max_age', F), ('wrench_max_age', F), ('variance_max_age', F),  # [s]
+    ('fastest', F, MAX_JOINTS),  # speed beyond which a velocity is no possible number [rad/s]
+    ('turn', F, MAX_JOINTS),  # after which an angle may begin again, 0 if it does not [rad]
+    ('frozen_joint_ticks', I), ('frozen_ticks', I),  # equal readings that are frozen, 0 for never
+    ('smallest_variance', F), ('largest_variance', F),  # bounds of R [N^2]
+    ('initial_variance', F),  # R before one comes, without guards [N^2]
+    ('adds_gravity', B),  # see `robot`
+    ('commands', I),  # that are kept: 2 more than periods from a sample to the torque it leads to
+    ('full_scale', F, 6),  # from where on an axis is saturated [N, N m]
+    ('leaves_out', B),  # whether a single wrench far from the others is left out
+    ('order', I),  # of the low-pass, 0 for none
+    ('b', F, 3), ('a', F, 3),  # its coefficients, highest power of z first
+], align=True)
+
+# What is known of the stamps of one reading, NaN for none.
+STAMPS = np.dtype([
+    ('seen', F),  # the newest [s]
+    ('valid', F),  # of the newest valid reading [s]
+])
+
+# What the wrenches before have been like; one.
+WRENCH_STATE = np.dtype([
+    ('newest', F, 6),  # that was no outlier [N, N m]
+    ('last', F, 6),  # that was taken, NaN before the first [N, N m]
+    ('equal', I),  # to that in a row, itself counted
+    ('faults', I),  # frozen or saturated wrenches in a row
+    ('suspect', B),  # whether the wrench before was left out as an outlier
+    ('suspected', F, 6),  # the newest that was [N, N m]
+    ('trusted', F),  # for how long still wrenches are taken as they come, after a change [s]
+    ('outliers', F),  # count of those that were left out, which fades
+    ('learnt', I),  # wrenches that `mean_square` knows
+    ('mean_square', F, 6),  # of what changes from one to the next [N^2, N^2 m^2]
+    ('filtered', F, 6),  # behind the low-pass [N, N m]
+    # Its memory: what of this wrench is still to come out one and two periods later; NaN before
+    # the first [N, N m].
+    ('next_output', F, 6), ('output_after', F, 6),
+], align=True)
+
+# The measured and commanded torques of one joint.
+TORQUE_STATE = np.dtype([
+    ('last', F),  # measured one that was not 0, inf before the first [N m]
+    ('zeros', I), ('unheard', I),  # samples in a row of exactly 0 N m, and without a usable one
+    ('commanded', F, MOST_COMMANDS),  # ring of what was commanded, NaN before [N m]
+], align=True)
+
+# What the input stage remembers; one.
+INPUT_STATE = np.dtype([
+    ('time', F),  # of the newest tick, NaN before the first [s]
+    ('odd_periods', I),  # in a row that are too long or too short
+    ('joints', STAMPS), ('wrench', STAMPS), ('variance', STAMPS),
+    ('known', B),  # whether any joints were valid
+    ('blind_ticks', I), ('unknown', I),  # in a row without valid joints; without their torques
+    ('equal_joints', I),  # joint states in a row, the newest counted
+    ('tracks', JOINT_TRACK, MAX_JOINTS), ('velocities', VELOCITY_STATE),
+    ('torques', TORQUE_STATE, MAX_JOINTS),
+    ('commands', I),  # that have been given
+    ('wrenches', WRENCH_STATE),
+], align=True)
+
+# What was found of one reading, or of the time.
+FINDING = np.dtype([
+    ('problem', I),  # what is wrong with it, see `PROBLEMS`
+    ('stale', B),  # whether the newest valid one is too old, or the time is wrong
+], align=True)
+
+# What the input stage finds at a tick; one.
+INPUT_FINDINGS = np.dtype([
+    ('joints', FINDING), ('wrench', FINDING), ('variance', FINDING), ('clock', FINDING),
+    ('skipped', I),  # samples missing before this tick
+    ('blind', B),  # whether joints were valid neither in this tick nor in the one before
+], align=True)
+
+INPUT_STAGE = np.dtype([
+    ('input', INPUT), ('settings', INPUT_SETTINGS), ('state', INPUT_STATE),
+    ('found', INPUT_FINDINGS)], align=True)
+
+
+@compiled
+def _check_clock(stage: Any) -> None:
+    """Check and keep the time of a tick."""
+    settings, state, found = stage.settings, stage.state, stage.found
+    elapsed, h = stage.input.time - state.time, settings.period
+    state.time, found.skipped = stage.input.time, 0
+    odd = False
+    found.clock.problem = FINE
+    if elapsed < 0.0:
+        for stamps in (state.joints, state.wrench, state.variance):
+            stamps.seen = stamps.valid = np.nan
+        found.clock.problem = BACKWARDS
+    else:
+        if 1.5 * h < elapsed <= LONGEST_SKIP + h:
+            found.skipped = round(elapsed / h) - 1
+        odd = elapsed < settings.shortest or elapsed > settings.longest
+    state.odd_periods = state.odd_periods + 1 if odd else 0
+    if state.odd_periods >= 2:
+        found.clock.problem = RATE
+    found.clock.stale = found.clock.problem != FINE
+
+
+@compiled
+def _check_stamp(came: int, stamp: float, stamps: Any, latest: float) -> int:
+    """Check the stamp of a reading, at most `latest` [s]; return its content if it is new."""
+    if came != FINE:
+        return came
+    if stamp == stamps.seen:
+        return ABSENT
+    if not stamp <= latest or stamp < stamps.seen:
+        return STAMP
+    stamps.seen = stamp
+    return FINE
+
+
+@compiled
+def _check_joints(stage: Any, tracks: Any, span: float) -> int:
+    """Check a joint state, `span` after the one before [s], and track it."""
+    inputs, settings, state = stage.input, stage.settings, stage.state
+    velocities = state.velocities
+    for j in range(tracks.shape[0]):
+        if not abs(inputs.q[j]) <= FARTHEST:
+            return INVALID
+    limit = POSITION_JUMP * max(1.0, span / settings.period / 5.0)
+    still, same, early, jumped = True, True, False, False
+    for j in range(tracks.shape[0]):
+        track, turn = tracks[j], settings.turn[j]
+        track.last_q, track.last_velocity = track.q, track.velocity
+        track.q, track.velocity = inputs.q[j], 0.0
+        if inputs.velocity_came == FINE:
+            track.velocity = inputs.velocity[j]
+        if turn > 0.0 and state.known:  # an angle that wraps goes on
+            track.q += turn * np.round((track.last_q - track.q) / turn)
+        way, speed = track.q - track.last_q, abs(track.velocity)
+        still, same = still and speed <= STILL, same and way == 0.0
+        early = early or (speed > OFFSET and velocities.states < PROOF)
+        jumped = jumped or (state.known and abs(way - track.v_tracked * span) > limit)
+    contradicted = check_velocities(
+        tracks, velocities, settings.fastest, span, state.known and not jumped, settings.period)
+    if jumped:
+        return JUMP
+    stopped = same and not still and not velocities.unproven  # as far as velocities can tell
+    state.equal_joints = state.equal_joints + 1 if stopped else 1
+    if 0 < settings.frozen_joint_ticks <= state.equal_joints:
+        return FROZEN
+    velocities.contradicted = velocities.contradicted + 1 if contradicted else 0
+    velocities.unproven = count_proof(tracks, velocities.contradicted >= FAULTS)
+    velocities.estimated = velocities.silent or contradicted or early or velocities.unproven
+    return VELOCITY if contradicted else FINE
+
+
+@compiled
+def _take_joints(stage: Any, tracks: Any, q: Vector, velocity: Vector) -> None:
+    """Check a joint state and hand it over, if it is valid."""
+    inputs, state, finding = stage.input, stage.state, stage.found.joints
+    stamps, velocities, h = state.joints, state.velocities, stage.settings.period
+    seen_before = stamps.seen
+    problem = _check_stamp(
+        inputs.joints_came, inputs.joints_stamp, stamps, state.time + 0.5 * h)
+    if inputs.joints_came != ABSENT and inputs.velocity_came == ABSENT:
+        velocities.silent = True
+    state.blind_ticks += 1
+    if problem == FINE:
+        span = inputs.joints_stamp - seen_before
+        if np.isnan(span):  # after a fault of the clock
+            span = h * state.blind_ticks
+        problem = _check_joints(stage, tracks, span)
+        if problem == FINE or problem == VELOCITY:
+            stamps.valid, state.known = inputs.joints_stamp, True
+            state.blind_ticks = 0
+            for j in range(tracks.shape[0]):
+                q[j], velocity[j] = tracks[j].q, tracks[j].velocity
+                if velocities.estimated:
+                    velocity[j] = tracks[j].v_tracked
+        elif problem != JUMP:  # it says nothing of where the joints are now
+            stamps.seen = seen_before
+    contradicted = problem == VELOCITY and velocities.contradicted >= FAULTS
+    age = state.time - stamps.valid
+    finding.problem = problem
+    finding.stale = not age <= stage.settings.joints_max_age or (
+        contradicted or problem == JUMP or problem == FROZEN)
+    stage.found.blind = state.blind_ticks > 1
+
+
+@compiled
+def _is_outlier(raw: Vector, before: Any, settings: Any, span: float) -> bool:
+    """
+    Return whether a wrench, `span` after the valid one before [s], is to be left out.
+
+    It is far from the one before in any axis, and the first such one. What usually changes from
+    one wrench to the next is learnt from those that are taken.
+    """
+    h = settings.period
+    before.outliers *= np.exp(-h / OUTLIER_TIME)
+    before.trusted = max(0.0, before.trusted - h)
+    apart = span > (2.5 if before.suspect else 1.5) * h
+    if not settings.leaves_out or apart or np.isnan(span) or np.isnan(before.last[0]):
+        return False
+    known, far = before.learnt >= LEARNT_WRENCHES, False
+    for i in range(6):
+        least = UNLEARNT
+        if known:
+            least = FORCE_OUTLIER if i < 3 else TORQUE_OUTLIER
+        usual = OUTLIER_FACTOR * np.sqrt(before.mean_square[i])
+        if not abs(raw[i]) < min(settings.full_scale[i], HARDEST):
+            return False  # that is a fault of its own
+        far = far or abs(raw[i] - before.last[i]) > max(least, usual)
+    if far and before.trusted == 0.0:
+        if not before.suspect:
+            return True
+        before.trusted = CHANGE_TIME
+        before.outliers -= 1.0  # the one before was none, and counts for what follows
+        before.last[:], before.equal = before.suspected, 1
+    if before.trusted == 0.0:
+        before.learnt += 1
+        share = max(h / USUAL_TIME, 1.0 / before.learnt)
+        for i in range(6):
+            change = raw[i] - before.last[i]
+            before.mean_square[i] += share * (change * change - before.mean_square[i])
+    return False
+
+
+@compiled
+def _filter_wrench(raw: Vector, before: Any, settings: Any) -> int:
+    """Check a wrench, and low-pass it: transposed direct form II, settled on its first wrench."""
+    equal, saturated = True, False
+    for i in range(6):
+        if not abs(raw[i]) <= HARDEST:
+            before.filtered[:] = raw  # without guards the law finds it
+            return INVALID
+        equal = equal and raw[i] == before.last[i]
+        saturated = saturated or abs(raw[i]) >= settings.full_scale[i]
+    a, b = settings.a, settings.b
+    begins = np.isnan(before.next_output[0])
+    for i in range(6):
+        filtered = raw[i]
+        before.last[i] = raw[i]
+        if settings.order > 0:
+            if begins:
+                before.next_output[i] = raw[i] * ((b[1] + b[2]) - (a[1] + a[2]))
+                before.output_after[i] = raw[i] * (b[2] - a[2])
+            filtered = b[0] * raw[i] + before.next_output[i]
+            before.next_output[i] = b[1] * raw[i] - a[1] * filtered + before.output_after[i]
+            before.output_after[i] = b[2] * raw[i] - a[2] * filtered
+        before.filtered[i] = filtered
+    before.equal = before.equal + 1 if equal else 1
+    before.suspect = False
+    frozen = 0 < settings.frozen_ticks <= before.equal
+    before.faults = before.faults + 1 if saturated or frozen else 0
+    return SATURATED if saturated else FROZEN if frozen else FINE
+
+
+@compiled
+def _take_wrench(stage: Any, wrench: Vector) -> None:
+    """Check a wrench and hand it over behind the low-pass, if it is valid."""
+    inputs, settings, state = stage.input, stage.settings, stage.state
+    stamps, before, finding, h = state.wrench, state.wrenches, stage.found.wrench, settings.period
+    problem = _check_stamp(
+        inputs.wrench_came, inputs.wrench_stamp, stamps, state.time + 0.5 * h)
+    if problem == FINE and state.time - inputs.wrench_stamp > WRENCH_AGE * h:
+        problem = STAMP
+    if inputs.wrench_came == FINE:
+        before.newest[:] = inputs.wrench
+    if problem == FINE:
+        if _is_outlier(inputs.wrench, before, settings, inputs.wrench_stamp - stamps.valid):
+            problem = OUTLIER
+            before.suspect = True
+            before.outliers += 1.0
+            before.suspected[:] = inputs.wrench
+            before.newest[:] = before.last
+        else:
+            problem = _filter_wrench(inputs.wrench, before, settings)
+    if problem == FINE:
+        wrench[:] = before.filtered
+        stamps.valid = inputs.wrench_stamp
+    flooded = problem == OUTLIER and before.outliers > MOST_OUTLIERS
+    age = state.time - stamps.valid
+    finding.problem = problem
+    finding.stale = not age <= settings.wrench_max_age or before.faults >= FAULTS or flooded
+
+
+@compiled
+def _take_variance(stage: Any, contacts: Any) -> None:
+    """Check an R and hand it over within its bounds, if it is valid; let an old one grow."""
+    inputs, settings, state = stage.input, stage.settings, stage.state
+    stamps, finding = state.variance, stage.found.variance
+    problem = _check_stamp(
+        inputs.variance_came, inputs.variance_stamp, stamps, state.time + 0.5 * settings.period)
+    if problem == FINE:
+        for i in range(contacts.shape[0]):
+            if not 0.0 < inputs.variance[i] < np.inf:
+                problem = INVALID
+    if problem == FINE:
+        stamps.valid = inputs.variance_stamp
+    finding.problem = problem
+    finding.stale = state.time - stamps.valid > settings.variance_max_age
+    for i in range(contacts.shape[0]):
+        variance = contacts[i].noise_variance
+        if finding.stale:
+            variance *= VARIANCE_GROWTH
+        if problem == FINE:
+            variance = inputs.variance[i]
+        contacts[i].noise_variance = min(
+            max(variance, settings.smallest_variance), settings.largest_variance)
+
+
+@compiled
+def _hear_torques(inputs: Any, torques: Any, joints: Any, period: float) -> int:
+    """
+    Find which measured torques are of use, and why the others are not; return how many are.
+
+    A driver that measures no torque may say 0, or NaN, in one joint or in all: from the start on,
+    or from a moment when there was a torque. A 0 that may be one counts for a while. The joint is
+    heard again from the first other number on.
+    """
+    moved, heard = False, 0
+    for j in range(joints.shape[0]):
+        moved = moved or inputs.effort[j] != 0.0
+    for j in range(joints.shape[0]):
+        torque, effort, fault = torques[j], inputs.effort[j], HEARD
+        if inputs.effort_came != FINE:
+            fault = UNHEARD
+        elif not np.isfinite(effort):
+            fault = NOT_A_NUMBER
+        elif effort != 0.0:
+            torque.last, torque.zeros = effort, 0
+        else:
+            torque.zeros += 1
+            if not moved or abs(torque.last) > NEAR_ZERO or torque.zeros * period > SILENCE:
+                fault = SILENT
+        joints[j].effort_fault = fault
+        if fault == HEARD:
+            torque.unheard = 0
+            heard += 1
+        elif inputs.joints_came != ABSENT:  # a joint state that is missing says nothing of it
+            torque.unheard += 1
+    return heard
+
+
+@compiled
+def _supply_torques(stage: Any, joints: Any, momentum: Any, elapsed: float) -> None:
+    """
+    Give the momentum observer the torques, measured or commanded, that acted in a period.
+
+    The period is that of two valid joint states, `elapsed` apart [s].
+    """
+    inputs, settings, state = stage.input, stage.settings, stage.state
+    torques, velocities, h = state.torques[:joints.shape[0]], state.velocities, settings.period
+    if inputs.command_came:
+        for j in range(joints.shape[0]):
+            torques[j].commanded[state.commands % settings.commands] = inputs.command[j]
+        state.commands += 1
+    oldest = state.commands % settings.commands
+    next_oldest = (oldest + 1) % settings.commands
+    third_oldest = (oldest + min(2, settings.commands - 1)) % settings.commands
+    by_command = np.isfinite(torques[0].commanded[oldest])
+    heard = _hear_torques(inputs, torques, joints, h)
+    for j in range(joints.shape[0]):
+        joint, torque = joints[j], torques[j]
+        joint.doubt, joint.unwatched = 0.0, joint.effort_fault != HEARD and not by_command
+        if joint.unwatched and torque.unheard * h > FORGOTTEN:
+            joint.residual = joint.slack = 0.0  # it would block the arm for good
+        if joint.effort_fault == HEARD:
+            joint.effort = inputs.effort[j]
+            if settings.adds_gravity:
+                joint.effort += joint.added
+        elif by_command:
+            before, last = torque.commanded[oldest], torque.commanded[next_oldest]
+            after = torque.commanded[third_oldest]
+            joint.doubt = max(abs(last - before), abs(after - last))  # a period early or late
+            joint.effort = last
+    late = velocities.estimated and not (velocities.silent and momentum.is_input)
+    needed = joints.shape[0] if momentum.is_input else 1  # of a wrench each joint is a part
+    measured = momentum.is_input or stage.found.wrench.problem == FINE
+    known = (heard >= needed or by_command) and measured and not late and (
+        abs(elapsed - h) < UNEVEN * h)
+    momentum.elapsed = elapsed if known else 0.0
+    state.unknown = 0 if known else state.unknown + 1
+    if state.unknown * h > FORGOTTEN:
+        momentum.collided = False  # it would block the arm for good
+
+
+@compiled
+def _hand_over_as_it_came(
+    stage: Any, q: Vector, velocity: Vector, wrench: Vector, contacts: Any,
+) -> None:
+    """Hand over joints, wrench and R, valid or not; the wrench behind the low-pass."""
+    inputs, settings = stage.input, stage.settings
+    if inputs.joints_came != ABSENT:
+        for j in range(q.shape[0]):
+            q[j] = inputs.q[j]
+            if inputs.velocity_came == FINE:
+                velocity[j] = inputs.velocity[j]
+    if inputs.wrench_came != ABSENT:
+        wrench[:] = stage.state.wrenches.filtered
+    for i in range(contacts.shape[0]):
+        variance = settings.initial_variance
+        if inputs.variance_came != ABSENT:
+            variance = inputs.variance[i]
+        contacts[i].noise_variance = min(
+            max(variance, settings.smallest_variance), settings.largest_variance)
+
+
+@compiled
+def check_inputs(
+    stages: Any, q: Vector, velocity: Vector, joints: Any, controls: Any, contacts: Any,
+) -> bool:
+    """
+    Check what has come in at a tick, and hand over what is valid.
+
+    Parameters
+    ----------
+    stages
+        One record of `INPUT_STAGE`, its `input` filled in; `state` and `found` are changed.
+    q, velocity
+        Where joint positions [rad] and velocities [rad/s] go, shape (n,).
+    joints, controls, contacts
+        Records of `JOINT`, shape (n,), one of `CONTROL`, and records of `CONTACT`, shape (r,), to
+        which torques, wrench and R go.
+
+    Returns
+    -------
+    bool
+        Whether all is well; without guards it always is.
+
+    """
+    stage, control = stages[0], controls[0]
+    state, found = stage.state, stage.found
+    _check_clock(stage)
+    valid_before = state.joints.valid
+    _take_joints(stage, state.tracks[:joints.shape[0]], q, velocity)
+    _take_wrench(stage, control.wrench)
+    _take_variance(stage, contacts)
+    _supply_torques(stage, joints, control.momentum, state.joints.valid - valid_before)
+    if not stage.settings.guarded:
+        _hand_over_as_it_came(stage, q, velocity, control.wrench, contacts)
+        return True
+    if found.blind or found.skipped > 0 or state.velocities.unproven:
+        return False
+    if found.wrench.problem != FINE:  # the other readings may be of an earlier tick
+        return False
+    for finding in (found.joints, found.wrench, found.variance, found.clock):
+        if finding.stale or finding.problem > FINE:
+            return False
+    for j in range(joints.shape[0]):
+        if state.torques[j].unheard >= REPORTED:
+            return False
+    return True
+
+
+def stage_record(config: ControllerConfig, turning: Any, *, guarded: bool) -> Records:
+    """
+    Return one record of `INPUT_STAGE` as configured, before the first tick.
+
+    `turning` says which joints turn without end, shape (n,) or for all.
+    """
+    sensor, watch, h = config.sensor, config.watchdog, config.period
+    record = np.zeros(1, dtype=INPUT_STAGE)
+    n = len(config.robot.joint_names)
+    settings: Any = record['settings'][0]
+    settings['guarded'], settings['period'] = guarded, h
+    settings['shortest'], settings['longest'] = h / watch.rate_band, h * watch.rate_band
+    settings['joints_max_age'] = h * (AGE_TOLERANCE + watch.joint_max_age)
+    settings['wrench_max_age'] = h * (AGE_TOLERANCE + watch.wrench_max_age)
+    settings['variance_max_age'] = h * (AGE_TOLERANCE + watch.variance_max_age)
+    settings['fastest'][:n] = np.minimum(
+        SPEED_EXCESS * np.array(config.limits.joint_speed or np.inf), np.finfo(float).max)
+    settings['turn'][:n] = np.where(turning, 2.0 * math.pi, 0.0)
+    settings['smallest_variance'] = config.noise_variance.smallest
+    settings['largest_variance'] = config.noise_variance.largest
+    settings['initial_variance'] = config.initial_noise_variance
+    settings['frozen_joint_ticks'] = watch.frozen_joint_ticks
+    settings['adds_gravity'] = config.robot.adds_gravity
+    settings['commands'] = max(config.collision.command_delay, 0) + 2
+    settings['full_scale'] = np.inf
+    if config.wrench_input != 'momentum':
+        settings['leaves_out'] = guarded
+        settings['frozen_ticks'] = sensor.frozen_ticks
+        if sensor.full_scale:
+            settings['full_scale'] = SATURATED_SHARE * np.array(sensor.full_scale)
+        order = settings['order'] = sensor.filter_order
+        if order:
+            from scipy.signal import butter  # 0.5 s, only where there is a filter
+            settings['b'][:order + 1], settings['a'][:order + 1] = butter(
+                order, sensor.filter_cutoff, fs=config.rate)
+    _forget(record['state'][0])
+    return record
+
+
+def _forget(state: Any) -> None:
+    """Set what nothing is known of before the first tick."""
+    state['time'] = math.nan
+    for reading in READINGS:
+        state[reading]['seen'] = state[reading]['valid'] = math.nan
+    for name in ('last', 'next_output', 'output_after'):
+        state['wrenches'][name] = math.nan
+    for name in ('q', 'velocity'):
+        state['tracks'][name] = math.nan
+    state['torques']['commanded'], state['torques']['last'] = math.nan, math.inf
