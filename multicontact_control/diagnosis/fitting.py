@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from multicontact_control.arrays import Matrix, Vector
 import numpy as np
 

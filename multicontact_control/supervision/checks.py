@@ -128,8 +128,8 @@ def judge_answer(
     Judge the answer of the control law that is in the joints; see `check_plausibility`.
 
     REFUSED is added to what that returns if the answer is not to be commanded: it is not finite,
-    or, if `strict`, the wrench contradicts the contacts for the second time in a row. What leads out of the box are the
-    contacts that are pressed: they are left.
+    or, if `strict`, the wrench contradicts the contacts for the second time in a row. What leads
+    out of the box are the contacts that are pressed: they are left.
     """
     doubts = check_plausibility(judgement.plausibility, control, joints, contacts, states,
                                 judgement.wrench)
