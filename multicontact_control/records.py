@@ -46,30 +46,21 @@ EVIDENCE = np.dtype([
     ('felt_before', F),  # J_i^T f when it was [N m]
 ], align=True)
 
-# Limits of one joint at the last gate, and what is left of the torques before.
-JOINT_GATE = np.dtype([
-    ('step', F),  # of the torque, per period [N m]
-    ('lower', F), ('upper', F),  # positions at which it comes to rest [rad]
-    ('speed', F),  # [rad/s]
-    ('last', F),  # what was commanded last and what was added [N m]
-    ('lacking', F), ('difference', F),  # see `supervision.gate.blend` [N m]
-], align=True)
-
-# One joint: where it is, its terms of the arm's model, what is set for it, and its torque.
-JOINT = np.dtype([
-    ('q', F),  # position [rad]
-    ('velocity', F),  # [rad/s]
-    ('inertia', F),  # diagonal element of M [kg m^2]
-    ('bias_torque', F),  # element of C v + g [N m]
+# What is set for one joint.
+JOINT_CONFIG = np.dtype([
     ('coulomb', F), ('viscous', F),  # friction to compensate [N m], [N m s/rad]
     ('lower', F), ('upper', F),  # stops [rad]
     ('posture', F),  # q_0, where the null space takes it [rad]
     ('torque_limit', F),  # of the command [N m]
-    ('added', F),  # to the command by the drives themselves, 0 if they add nothing [N m]
+    ('torque_step', F),  # of what is commanded, per period [N m]
+    ('gate_speed', F),  # to which the gate brakes it [rad/s]
     ('speed_limit', F),  # beyond which it is too fast [rad/s]
-    ('torque', F),  # Gamma, what the law answers [N m]
-    ('unlimited', F),  # the same before it is brought within its limits [N m]
-    ('priority', F),  # of that, what goes before the rest at a limit: see `finish_torque` [N m]
+    ('least_threshold', F),  # of the residual, without friction [N m]
+    ('allowance', F), ('learnt_limit', F),  # friction in it, at least and at most [N m]
+], align=True)
+
+# What the collision watch knows of one joint.
+JOINT_WATCH = np.dtype([
     ('effort', F),  # torque that acted since the sample before [N m]
     ('effort_fault', I),  # why that is not measured; see `supervision.inputs`
     ('unwatched', B),  # whether it is not known, neither measured nor commanded
@@ -77,21 +68,51 @@ JOINT = np.dtype([
     ('residual', F),  # of the torques: what neither model nor wrist sensor explains [N m]
     ('doubt', F),  # by how much the effort may be another [N m]
     ('threshold', F),  # of the residual, from which on it counts, at rest [N m]
-    ('least_threshold', F),  # the same without friction [N m]
-    ('allowance', F), ('learnt_limit', F),  # friction in it, at least and at most [N m]
-    ('evidence', EVIDENCE),
-    ('gate', JOINT_GATE),
     ('slack', F),  # added to that, as the arm accelerates or the effort is in doubt [N m]
+    ('evidence', EVIDENCE),
+], align=True)
+
+# What the control law answers for one joint.
+JOINT_ANSWER = np.dtype([
+    ('torque', F),  # Gamma [N m]
+    ('unlimited', F),  # the same before it is brought within its limits [N m]
+    ('priority', F),  # of that, what goes before the rest at a limit: see `finish_torque` [N m]
+], align=True)
+
+# What the last gate remembers of one joint, and what is left of the torques before.
+JOINT_GATE = np.dtype([
+    ('lower', F), ('upper', F),  # positions at which it comes to rest [rad]
+    ('last', F),  # what was commanded last and what was added [N m]
+    ('lacking', F), ('difference', F),  # see `supervision.gate.blend` [N m]
+], align=True)
+
+# One joint: what is set for it, where it is and its terms of the arm's model, and what is made of
+# that on the way to its torque.
+JOINT = np.dtype([
+    ('config', JOINT_CONFIG),
+    ('q', F),  # position [rad]
+    ('velocity', F),  # [rad/s]
+    ('inertia', F),  # diagonal element of M [kg m^2]
+    ('bias_torque', F),  # element of C v + g [N m]
+    ('added', F),  # to the command by the drives themselves, 0 if they add nothing [N m]
+    ('watch', JOINT_WATCH),
+    ('answer', JOINT_ANSWER),
+    ('gate', JOINT_GATE),
+], align=True)
+
+# What is set for the operational frame.
+FRAME_CONFIG = np.dtype([
+    ('speed_limit', F), ('turn_limit', F),  # beyond which it is too fast [m/s], [rad/s]
 ], align=True)
 
 # The operational frame and the wrist sensor's, world axes; one.
 FRAME = np.dtype([
+    ('config', FRAME_CONFIG),
     ('position', F, 3),  # operational point [m]
     ('rotation', F, (3, 3)),  # axes of the operational frame as columns
     ('twist', F, 6),  # theta = J v [m/s, rad/s]
     ('sensor_position', F, 3),  # [m]
     ('sensor_rotation', F, (3, 3)),  # axes of the sensor as columns
-    ('speed_limit', F), ('turn_limit', F),  # beyond which it is too fast [m/s], [rad/s]
     ('mobility', F),  # smallest eigenvalue of Lambda^-1 where the law was asked last [1/kg]
 ], align=True)
 
@@ -103,16 +124,21 @@ TOOL = np.dtype([
     ('mass', F),  # m [kg]
 ], align=True)
 
-# The generalised-momentum observer; one.
-MOMENTUM = np.dtype([
+# What is set for the generalised-momentum observer.
+MOMENTUM_CONFIG = np.dtype([
     ('bandwidth', F),  # K [1/s], 0 for none
     ('dynamic_share', F),  # of what accelerates the arm, added to the thresholds
+    ('is_input', B),  # whether the residual is the wrench of the contacts: there is no sensor
+], align=True)
+
+# The generalised-momentum observer; one.
+MOMENTUM = np.dtype([
+    ('config', MOMENTUM_CONFIG),
     ('elapsed', F),  # since the sample before; 0 if it is not known what acted since then [s]
     ('com_velocity', F, 3),  # of what hangs on the sensor, at the sample before [m/s]
     ('collided', B),  # whether a residual is beyond its threshold
     ('calm', F),  # for how long all of them have been small [s]
     ('touched', B),  # whether one has been beyond it since they were
-    ('is_input', B),  # whether the residual is the wrench of the contacts: there is no sensor
 ], align=True)
 
 # Where the operational frame is to be, world axes.

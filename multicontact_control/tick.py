@@ -82,7 +82,7 @@ def tick(
     found |= judge_answer(judgements[0], control, joints, contacts, states, strict)
     if found & REFUSED:
         return found
-    law = law_number(contacts, gate.guarded)
+    law = law_number(contacts, gate.config.guarded)
     found |= pass_gate(
         gate, joints, control, contacts, mass_matrix, jacobian, law, True, True)
     if found & BOUNDING_LIMITS:

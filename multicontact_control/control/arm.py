@@ -76,7 +76,7 @@ def observe_momentum(
     velocity = velocity_at(frame.twist, lever)  # of the tool's centre of mass
     if elapsed > 0.0:
         wrench[:] = 0.0
-        if not momentum.is_input:
+        if not momentum.config.is_input:
             operational_wrench(control, wrench)
             # Of what the sensor feels, the arm's model has the tool's inertia already.
             change = between(momentum.com_velocity, velocity)
@@ -89,28 +89,29 @@ def observe_momentum(
             space.inertial[i] = 0.0
             for j in range(n):
                 space.inertial[i] += mass_matrix[min(i, j), max(i, j)] * (
-                    joints[j].velocity - joints[j].last_velocity)
+                    joints[j].velocity - joints[j].watch.last_velocity)
             space.inertial[i] /= elapsed
-        share, touched = 1.0 - np.exp(-momentum.bandwidth * elapsed), False
+        share, touched = 1.0 - np.exp(-momentum.config.bandwidth * elapsed), False
         factor = 1.0
         if momentum.collided:
             factor = RELEASE
         for i in range(n):
-            joint = joints[i]
+            joint, watch = joints[i], joints[i].watch
             direction = np.tanh(joint.velocity / control.law.friction_speed)
-            unexplained = joint.effort - space.inertial[i] - (
-                0.5 * (joint.bias_torque + joint.last_bias))
-            unexplained -= joint.coulomb * direction
-            unexplained -= joint.viscous * joint.velocity
+            unexplained = watch.effort - space.inertial[i] - (
+                0.5 * (joint.bias_torque + watch.last_bias))
+            unexplained -= joint.config.coulomb * direction
+            unexplained -= joint.config.viscous * joint.velocity
             unexplained -= space.felt[i]
-            if np.isfinite(unexplained) and not joint.unwatched:  # the other joints go on
-                joint.residual += share * (unexplained - joint.residual)
-                joint.slack += share * (
-                    momentum.dynamic_share * abs(space.inertial[i]) + joint.doubt - joint.slack)
-                acceleration = (joint.velocity - joint.last_velocity) / elapsed
+            if np.isfinite(unexplained) and not watch.unwatched:  # the other joints go on
+                watch.residual += share * (unexplained - watch.residual)
+                dynamic_share = momentum.config.dynamic_share
+                watch.slack += share * (
+                    dynamic_share * abs(space.inertial[i]) + watch.doubt - watch.slack)
+                acceleration = (joint.velocity - watch.last_velocity) / elapsed
                 learn_friction(momentum, joint, share, direction, acceleration, space.felt[i])
-            limit = joint.threshold + joint.slack
-            touched = touched or abs(joint.residual) > factor * limit
+            limit = watch.threshold + watch.slack
+            touched = touched or abs(watch.residual) > factor * limit
         momentum.collided = touched
     momentum.com_velocity[:] = velocity
     return bool(momentum.collided)
@@ -126,13 +127,14 @@ def learn_friction(
     The mean of the residual along the first motion of a joint, beyond that at rest, is friction
     that is not compensated, and raises the threshold, less a standard deviation.
     """
-    elapsed, evidence = momentum.elapsed, joint.evidence
+    elapsed, config, watch = momentum.elapsed, joint.config, joint.watch
+    evidence = watch.evidence
     moving = direction ** 2 * elapsed
     if evidence.rested < REST_TIME:
         evidence.rested += elapsed
         evidence.at_rest += (elapsed - moving) / evidence.rested * (
-            joint.residual - evidence.at_rest)
-    beyond = joint.residual - evidence.at_rest
+            watch.residual - evidence.at_rest)
+    beyond = watch.residual - evidence.at_rest
     fading = np.exp(-elapsed / FADING_TIME)
     evidence.power = fading * evidence.power + elapsed * beyond ** 2
     for k, value in enumerate((direction, joint.velocity, acceleration, felt)):
@@ -145,17 +147,17 @@ def learn_friction(
         weight = moving / (evidence.moved + PRIOR_TIME)
         evidence.friction += weight * (beyond * np.sign(direction) - evidence.friction)
         evidence.mean_square += weight * (beyond ** 2 - evidence.mean_square)
-    if joint.learnt_limit > 0.0:
-        least = joint.least_threshold
+    if config.learnt_limit > 0.0:
+        least = config.least_threshold
         if evidence.moved < LEARNING_TIME:
-            least = max(least, min(UNPROVEN_THRESHOLD, joint.learnt_limit))
+            least = max(least, min(UNPROVEN_THRESHOLD, config.learnt_limit))
         # Of what touches the arm, which grows, the deviation is near the mean.
         learnt = evidence.friction - np.sqrt(
             max(evidence.mean_square - evidence.friction ** 2, 0.0))
-        if learnt > joint.learnt_limit:
-            learnt = joint.learnt_limit
+        if learnt > config.learnt_limit:
+            learnt = config.learnt_limit
         # No number, as after an impossible effort, is no friction.
-        joint.threshold = least + (learnt if learnt > joint.allowance else joint.allowance)
+        watch.threshold = least + (learnt if learnt > config.allowance else config.allowance)
 
 
 @compiled
@@ -167,10 +169,10 @@ def follow_touch(momentum: Any, joints: Any) -> bool:
     """
     calm = True
     for i in range(joints.shape[0]):
-        joint, evidence = joints[i], joints[i].evidence
-        beyond = joint.residual - evidence.at_rest
+        watch, evidence = joints[i].watch, joints[i].watch.evidence
+        beyond = watch.residual - evidence.at_rest
         evidence.area += momentum.elapsed * beyond
-        calm = calm and abs(beyond) < CALM_SHARE * joint.threshold
+        calm = calm and abs(beyond) < CALM_SHARE * watch.threshold
     momentum.touched = momentum.touched or momentum.collided
     momentum.calm = momentum.calm + momentum.elapsed if calm else 0.0
     if momentum.calm < CALM_TIME:
@@ -179,7 +181,7 @@ def follow_touch(momentum: Any, joints: Any) -> bool:
         momentum.touched = False
         return True
     for i in range(joints.shape[0]):
-        evidence = joints[i].evidence
+        evidence = joints[i].watch.evidence
         evidence.area, evidence.felt_before = 0.0, evidence.regressor[WRENCH]
     return False
 
@@ -200,7 +202,7 @@ def wrench_of_residual(
         return
     reduced = space.reduced[:n]
     for i in range(n):
-        reduced[i] = joints[i].residual
+        reduced[i] = joints[i].watch.residual
     solve_lower(inertia.L[:n, :n], reduced)
     multiply(inertia.Y[:n].T, reduced, space.acceleration)
     multiply(inertia.Lambda, space.acceleration, space.wrench)
@@ -243,10 +245,11 @@ def see_arm(
             return NO_NUMBERS
     for j in range(joints.shape[0]):
         joint = joints[j]
-        joint.last_velocity, joint.last_bias = joint.velocity, joint.bias_torque
+        joint.watch.last_velocity = joint.velocity
+        joint.watch.last_bias = joint.bias_torque
         joint.q, joint.velocity = motion[0, j], motion[1, j]
         joint.inertia, joint.bias_torque = mass_matrix[j, j], bias_torque[j]
-        if abs(joint.velocity) > joint.speed_limit:
+        if abs(joint.velocity) > joint.config.speed_limit:
             flags = JOINT_SPEED
     frame.position[:] = position
     frame.rotation[:] = rotation
@@ -254,15 +257,15 @@ def see_arm(
     frame.sensor_rotation[:] = sensor_rotation
     multiply(jacobian, motion[1], frame.twist)
     velocity, turn = frame.twist[:3], frame.twist[3:]
-    if dot(velocity, velocity) > frame.speed_limit ** 2 or (
-            dot(turn, turn) > frame.turn_limit ** 2):
+    if dot(velocity, velocity) > frame.config.speed_limit ** 2 or (
+            dot(turn, turn) > frame.config.turn_limit ** 2):
         flags |= OPERATIONAL_SPEED
-    if control.momentum.bandwidth > 0.0:
+    if control.momentum.config.bandwidth > 0.0:
         if observe_momentum(control, joints, mass_matrix, jacobian, space):
             flags |= TOUCHED
         if follow_touch(control.momentum, joints):
             flags |= PASSED
-        if control.momentum.is_input:
+        if control.momentum.config.is_input:
             wrench_of_residual(control, joints, mass_matrix, jacobian, space)
     if not measure_contacts(control, contacts, space.contacts):
         flags |= AMBIGUOUS
@@ -303,8 +306,9 @@ class ArmState:
         self.joints: Any = np.zeros(robot.joint_count, dtype=JOINT)
         self.controls, self.contacts = controls, contacts
         self.frames: Any = controls['frame']
-        self.joints['speed_limit'] = np.inf
-        self.frames['speed_limit'] = self.frames['turn_limit'] = np.inf
+        self.joints['config']['speed_limit'] = np.inf
+        for name in ('speed_limit', 'turn_limit'):
+            self.frames['config'][name] = np.inf
         self.inertia: Vector = self.joints['inertia']
         self.bias_torque: Vector = self.joints['bias_torque']
         self._space: Any = np.zeros(1, dtype=ARM_SPACE)[0]

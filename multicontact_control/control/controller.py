@@ -119,7 +119,7 @@ class Controller:
         self.active: Mask = self.contacts['answer']['active']
         self.measured = (self.arm.motion, self.controls['wrench'][0],
                          self.contacts['noise_variance'])
-        self.torque: Vector = self.arm.joints['torque']
+        self.torque: Vector = self.arm.joints['answer']['torque']
         self._space: Any = np.zeros(1, dtype=LAW_SPACE)[0]
         self._adopt(config)
         check_columns(config.column_names, self.contacts)
@@ -137,7 +137,7 @@ class Controller:
         before = getattr(self, 'config', None)
         self.config = config
         self.controls['law'] = law_record(config)
-        self.controls['momentum']['is_input'] = config.wrench_input == 'momentum'
+        self.controls['momentum']['config']['is_input'] = config.wrench_input == 'momentum'
         if before is None:
             self._in_urdf = self.next_tool = config.tool
             self._carry(config.tool)
@@ -146,7 +146,7 @@ class Controller:
         # What has been learnt of the surfaces is kept.
         if before is None or before.contacts != config.contacts:
             place_columns(config, self.contacts)
-        joints = self.arm.joints
+        joints = self.arm.joints['config']
         for name in ('coulomb', 'viscous'):
             joints[name] = getattr(config.friction, name) or 0.0
         joints['torque_limit'] = config.torque_limit or np.inf
@@ -223,7 +223,7 @@ class Controller:
     def start(self) -> Pose:
         """Let the force laws begin; return the pose from which a task starts."""
         self.laws[:] = make_force_laws(self.config)
-        joints = self.arm.joints
+        joints = self.arm.joints['config']
         joints['posture'] = np.clip(  # what lies beyond a stop would be fought over
             self.config.posture.joints or self.arm.q, joints['lower'] + STOP_MARGIN,
             joints['upper'] - STOP_MARGIN)
@@ -284,10 +284,10 @@ class Controller:
         M = np.triu(terms.mass_matrix)
         M += np.triu(M, 1).T
         N = self.contacts['N'][active].T
-        answer = self.contacts['answer'][active]
+        answer, answered = self.contacts['answer'][active], self.arm.joints['answer']
         beyond = answer['alpha_fed'] - answer['alpha_est']
         twist_rate = terms.jacobian @ np.linalg.solve(
-            M, torque - self.arm.joints['unlimited'] + terms.jacobian.T @ (N @ beyond))
+            M, torque - answered['unlimited'] + terms.jacobian.T @ (N @ beyond))
         act_beyond(self.laws, active, N.T @ twist_rate)
 
     def refuse(self, found: int = DEPENDENT) -> NoReturn:

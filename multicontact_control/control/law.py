@@ -122,35 +122,37 @@ def finish_torque(law: Any, joints: Any) -> bool:
     """
     n, share, exceeded = joints.shape[0], 1.0, False
     for j in range(n):
-        joint = joints[j]
-        if joint.coulomb != 0.0:
-            friction = joint.coulomb * np.tanh(joint.velocity / law.friction_speed)
-            joint.torque += friction
-            joint.priority += friction
-        joint.torque += joint.viscous * joint.velocity
-        joint.priority += joint.viscous * joint.velocity
-        joint.unlimited = joint.torque
-        upper, lower = joint.added + joint.torque_limit, joint.added - joint.torque_limit
-        first = joint.priority
-        if joint.torque > upper:
+        joint, config, answer = joints[j], joints[j].config, joints[j].answer
+        if config.coulomb != 0.0:
+            friction = config.coulomb * np.tanh(joint.velocity / law.friction_speed)
+            answer.torque += friction
+            answer.priority += friction
+        answer.torque += config.viscous * joint.velocity
+        answer.priority += config.viscous * joint.velocity
+        answer.unlimited = answer.torque
+        upper = joint.added + config.torque_limit
+        lower = joint.added - config.torque_limit
+        first = answer.priority
+        if answer.torque > upper:
             exceeded = True
             if first < upper:
-                share = min(share, (upper - first) / (joint.torque - first))
-        elif joint.torque < lower:
+                share = min(share, (upper - first) / (answer.torque - first))
+        elif answer.torque < lower:
             exceeded = True
             if first > lower:
-                share = min(share, (first - lower) / (first - joint.torque))
+                share = min(share, (first - lower) / (first - answer.torque))
     if not exceeded:
         return False
     share = max(share, law.least_share)
     for j in range(n):
-        joint = joints[j]
-        upper, lower = joint.added + joint.torque_limit, joint.added - joint.torque_limit
-        joint.torque = joint.priority + share * (joint.torque - joint.priority)
-        if joint.torque > upper:
-            joint.torque = upper
-        elif joint.torque < lower:
-            joint.torque = lower
+        joint, config, answer = joints[j], joints[j].config, joints[j].answer
+        upper = joint.added + config.torque_limit
+        lower = joint.added - config.torque_limit
+        answer.torque = answer.priority + share * (answer.torque - answer.priority)
+        if answer.torque > upper:
+            answer.torque = upper
+        elif answer.torque < lower:
+            answer.torque = lower
     return True
 
 
@@ -230,11 +232,12 @@ def control_law(
         add_scaled(force, contacts[i].answer.alpha_fed, rows[i])
         add_scaled(held, contacts[i].answer.alpha_fed, rows[i])
     for j in range(n):
-        joints[j].torque, joints[j].priority = 0.0, joints[j].bias_torque
+        joints[j].answer.torque = 0.0
+        joints[j].answer.priority = joints[j].bias_torque
     for i in range(6):
         for j in range(n):
-            joints[j].torque += jacobian[i, j] * force[i]
-            joints[j].priority += jacobian[i, j] * held[i]
+            joints[j].answer.torque += jacobian[i, j] * force[i]
+            joints[j].answer.priority += jacobian[i, j] * held[i]
     if n > 6 or damping > 0.0:
         add_nullspace_torque(
             joints, mass_matrix, jacobian, inertia, law, reduced, space.pull[:n], space.along)

@@ -49,17 +49,18 @@ def explain_collision(joints: Any, momentum: Any, names: Sequence[str]) -> str:
         Of the joints, in this order.
 
     """
-    residual = joints['residual']
-    shares = np.abs(residual) / (joints['threshold'] + joints['slack'])
+    watch = joints['watch']
+    residual = watch['residual']
+    shares = np.abs(residual) / (watch['threshold'] + watch['slack'])
     worst = int(np.argmax(shares))
     name = names[worst]
-    evidence = joints['evidence'][worst]
+    evidence = watch['evidence'][worst]
     loaded = [joint for joint, share in zip(names, shares) if share > RELEASE]
     if not loaded:
         loaded = [name]
     hardly_rested = evidence['rested'] < RESTED_SHARE * REST_TIME
     if hardly_rested or evidence['at_rest'] / residual[worst] > AT_REST_SHARE:
-        settled = 1.0 - np.exp(-momentum['bandwidth'] * evidence['rested'])
+        settled = 1.0 - np.exp(-momentum['config']['bandwidth'] * evidence['rested'])
         cause = _explain_rest(residual / settled, joints['bias_torque'], len(loaded))
         return f'{name}: the residual is there from the first sample on{cause}'
     followed = _explain_motion(residual[worst], evidence)

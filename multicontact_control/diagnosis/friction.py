@@ -15,9 +15,9 @@ MOVED_SHARE = 0.5  # of the time in motion after which all is learnt, from which
 def undeclared_friction(joints: Any, names: Sequence[str]) -> Iterator[str]:
     """Yield a sentence for each joint that has shown friction which is not declared."""
     for joint, name in zip(joints, names):
-        evidence = joint['evidence']
+        evidence = joint['watch']['evidence']
         friction = evidence['friction']
         has_moved = evidence['moved'] > MOVED_SHARE * LEARNING_TIME
-        counts = friction > RELEASE * joint['least_threshold']
+        counts = friction > RELEASE * joint['config']['least_threshold']
         if has_moved and counts:
             yield f'{name}: the residual {UNDECLARED.format(f"{friction:.2g}")}'

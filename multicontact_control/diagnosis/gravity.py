@@ -44,7 +44,8 @@ def explain_gravity(
     strength = np.linalg.norm(gravity_world)
     down = gravity_world / strength
     change_read = -force_world / mass
-    change_fitted = fit_over_joints(shares, joints['residual'], joints['threshold'])
+    watch = joints['watch']
+    change_fitted = fit_over_joints(shares, watch['residual'], watch['threshold'])
     lean_read = change_read - (change_read @ down) * down
     lean_fitted = change_fitted - (change_fitted @ down) * down
     size_read = float(np.linalg.norm(lean_read))

@@ -20,7 +20,8 @@ def explain_lag(joints: Any) -> str:
     it is tau times the change of J^T f, with the same tau in every joint. `joints` are records of
     `JOINT`, shape (n,).
     """
-    evidence, weights = joints['evidence'], 1.0 / joints['threshold']
+    watch = joints['watch']
+    evidence, weights = watch['evidence'], 1.0 / watch['threshold']
     areas = evidence['area'] * weights
     changes = (evidence['regressor'][:, WRENCH] - evidence['felt_before']) * weights
     if not np.abs(changes).max() > LEAST_CHANGE:

@@ -76,9 +76,11 @@ def _forces_at_the_sensor(
     joints: Any, momentum: Any, jacobian: Matrix, rotation_world: Matrix, weight: Vector,
 ) -> tuple[Vector, Vector]:
     """Return the force that is read and the one that the torques show, sensor axes [N]."""
-    felt = joints['evidence']['regressor'][:, WRENCH]
-    settled = 1.0 - np.exp(-momentum['bandwidth'] * joints['evidence']['rested'].max())
-    torques = np.column_stack([felt, felt + joints['residual']]) / settled
-    wrenches = fit_over_joints(jacobian.T, torques, joints['threshold'])
+    watch = joints['watch']
+    felt = watch['evidence']['regressor'][:, WRENCH]
+    rested = watch['evidence']['rested'].max()
+    settled = 1.0 - np.exp(-momentum['config']['bandwidth'] * rested)
+    torques = np.column_stack([felt, felt + watch['residual']]) / settled
+    wrenches = fit_over_joints(jacobian.T, torques, watch['threshold'])
     read_world, shown_world = wrenches[:3].T
     return rotation_world.T @ (read_world - weight), rotation_world.T @ (shown_world - weight)

@@ -139,11 +139,11 @@ def add_nullspace_torque(
     n = joints.shape[0]
     for j in range(n):
         joint = joints[j]
-        below = max(STOP_MARGIN - (joint.q - joint.lower), 0.0)
-        above = max(STOP_MARGIN - (joint.upper - joint.q), 0.0)
+        below = max(STOP_MARGIN - (joint.q - joint.config.lower), 0.0)
+        above = max(STOP_MARGIN - (joint.config.upper - joint.q), 0.0)
         push = law.stop_stiffness * below * below / STOP_MARGIN - (
             law.stop_stiffness * above * above / STOP_MARGIN)
-        pull[j] = law.posture_stiffness * (joint.posture - joint.q) + push
+        pull[j] = law.posture_stiffness * (joint.config.posture - joint.q) + push
     for i in range(n):
         momentum = 0.0
         for j in range(n):
@@ -152,9 +152,9 @@ def add_nullspace_torque(
         if law.posture_stiffness > 0.0:
             for j in range(n):
                 free[i] += mass_matrix[min(i, j), max(i, j)] * pull[j]
-        joints[i].torque += free[i]
+        joints[i].answer.torque += free[i]
     solve_lower(inertia.L[:n, :n], free)
     multiply(inertia.Y[:n].T, free, acceleration)
     for j in range(n):
         for i in range(6):
-            joints[j].torque -= jacobian[i, j] * dot(inertia.Lambda[i], acceleration)
+            joints[j].answer.torque -= jacobian[i, j] * dot(inertia.Lambda[i], acceleration)

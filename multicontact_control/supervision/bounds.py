@@ -102,7 +102,7 @@ def add_joint_bounds(joints: Any, rows: Matrix, bounds: Vector) -> int:
     count = 0
     for j in range(joints.shape[0]):
         joint, limit = joints[j], joints[j].gate
-        fastest = SPEED_SHARE * limit.speed
+        fastest = SPEED_SHARE * joint.config.gate_speed
         for side in (1.0, -1.0):
             distance = limit.upper - joint.q if side > 0.0 else joint.q - limit.lower
             closing = side * joint.velocity
@@ -259,7 +259,7 @@ def predict_acceleration(
             add_scaled(wrench, contacts[i].answer.alpha_fed, contacts[i].N)
     for j in range(n):
         joint = joints[j]
-        friction = joint.viscous * joint.velocity + joint.coulomb * np.tanh(
+        friction = joint.config.viscous * joint.velocity + joint.config.coulomb * np.tanh(
             joint.velocity / control.law.friction_speed)
         acceleration[j] = torque[j] - joint.bias_torque - friction
         for i in range(6):

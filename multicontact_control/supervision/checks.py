@@ -88,7 +88,7 @@ def check_plausibility(
     """
     flags, pressed, sideways = 0, 0.0, wrench[:3]
     for j in range(joints.shape[0]):
-        if not np.isfinite(joints[j].torque):
+        if not np.isfinite(joints[j].answer.torque):
             flags = NOT_FINITE
     operational_wrench(control, wrench)
     for i in range(contacts.shape[0]):
@@ -169,16 +169,17 @@ def watch_arm(config: ControllerConfig, controller: Controller) -> None:
     """Set the speeds beyond which an arm is too fast, and the residuals that are a collision."""
     limits, collision, joints = config.limits, config.collision, controller.arm.joints
     momentum, frame = controller.controls['momentum'], controller.controls['frame']
-    joints['speed_limit'] = SPEED_EXCESS * np.array(limits.joint_speed or np.inf)
-    frame['speed_limit'] = SPEED_EXCESS * limits.operational_speed
-    frame['turn_limit'] = SPEED_EXCESS * limits.operational_turn
-    joints['evidence'] = joints['allowance'] = joints['learnt_limit'] = 0
+    joint, watch = joints['config'], joints['watch']
+    joint['speed_limit'] = SPEED_EXCESS * np.array(limits.joint_speed or np.inf)
+    frame['config']['speed_limit'] = SPEED_EXCESS * limits.operational_speed
+    frame['config']['turn_limit'] = SPEED_EXCESS * limits.operational_turn
+    watch['evidence'] = joint['allowance'] = joint['learnt_limit'] = 0
     least = np.inf if config.wrench_input == 'momentum' else np.array(collision.threshold)
     if not np.size(least):
         limit = np.array(config.torque_limit or controller.robot.torque_limit)
         least = np.maximum(collision.limit_share * limit, LEAST_THRESHOLD)
-        joints['allowance'] = collision.friction_share * np.array(config.friction.coulomb or 0.0)
-        joints['learnt_limit'] = LEARNT_SHARE * limit
-    joints['least_threshold'], joints['threshold'] = least, least + joints['allowance']
-    momentum['bandwidth'] = config.momentum_bandwidth
-    momentum['dynamic_share'] = collision.dynamic_share
+        joint['allowance'] = collision.friction_share * np.array(config.friction.coulomb or 0.0)
+        joint['learnt_limit'] = LEARNT_SHARE * limit
+    joint['least_threshold'], watch['threshold'] = least, least + joint['allowance']
+    momentum['config']['bandwidth'] = config.momentum_bandwidth
+    momentum['config']['dynamic_share'] = collision.dynamic_share

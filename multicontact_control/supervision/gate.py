@@ -25,11 +25,16 @@ STEEPEST = 1.875  # largest slope of the quintic from 0 to 1
 BLEND_TIME = 0.003  # s, time constant by which a change of active contacts or laws is blended
 FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
 
-# What is set for the gate, and what it remembers; one.
-GATE = np.dtype([
+# What is set for the gate.
+GATE_CONFIG = np.dtype([
     ('guarded', B),  # whether motion and rates are limited
     ('period', F), ('keep', F),  # h [s]; what is left of a difference that fades, per period
     ('blend_time', F), ('blend_rate', F),  # of a commanded change: see `TransitionConfig`
+], align=True)
+
+# The gate: what is set for it, and what it remembers; one.
+GATE = np.dtype([
+    ('config', GATE_CONFIG),
     ('begun', B), ('ranged', B),  # whether a torque acts; whether the joints' ranges are set
     ('law', I),  # what has answered last; see `law_number`
     ('pending', B),  # whether the next torque is to be the one that acts
@@ -71,9 +76,9 @@ def blend(gate: Any, joints: Any, law: int, torque: Vector) -> None:
             joint.lacking = joint.last - torque[j]
             largest = max(largest, abs(joint.lacking))
             torque[j] = joint.last
-        duration = max(gate.blend_time, STEEPEST * largest / gate.blend_rate)
+        duration = max(gate.config.blend_time, STEEPEST * largest / gate.config.blend_rate)
         gate.pending, gate.blending = False, True
-        gate.elapsed, gate.duration = 0.0, np.ceil(duration / gate.period)
+        gate.elapsed, gate.duration = 0.0, np.ceil(duration / gate.config.period)
     elif gate.blending:
         gate.elapsed += 1.0
         missing = 1.0 - quintic(gate.elapsed, gate.duration)[0]
@@ -87,7 +92,7 @@ def blend(gate: Any, joints: Any, law: int, torque: Vector) -> None:
     elif gate.fading:
         largest = 0.0
         for j in range(n):
-            joints[j].gate.difference *= gate.keep
+            joints[j].gate.difference *= gate.config.keep
             largest = max(largest, abs(joints[j].gate.difference))
         gate.fading = largest >= FADED
     gate.law = law
@@ -101,8 +106,8 @@ def set_ranges(joints: Any) -> None:
     """Keep joints a margin off their stops; one that starts beyond it may stay there."""
     for j in range(joints.shape[0]):
         joint = joints[j]
-        joint.gate.lower = min(joint.lower + JOINT_MARGIN, joint.q)
-        joint.gate.upper = max(joint.upper - JOINT_MARGIN, joint.q)
+        joint.gate.lower = min(joint.config.lower + JOINT_MARGIN, joint.q)
+        joint.gate.upper = max(joint.config.upper - JOINT_MARGIN, joint.q)
 
 
 @compiled
@@ -136,7 +141,7 @@ def pass_gate(
     enforced, n = 0, joints.shape[0]
     torque = gate.torque[:n]
     for j in range(n):
-        torque[j] = joints[j].torque
+        torque[j] = joints[j].answer.torque
     blend(gate, joints, law, torque)
     if seen and not gate.ranged:
         set_ranges(joints)
@@ -150,21 +155,21 @@ def pass_gate(
             torque[j] = 0.0
             if np.isfinite(joints[j].bias_torque):
                 torque[j] = joints[j].bias_torque
-    if seen and gate.guarded:
+    if seen and gate.config.guarded:
         enforced |= bound_motion(
             torque, joints, control, contacts, mass_matrix, jacobian, by_task, gate.space)
     for j in range(n):
-        joint, limit = joints[j], joints[j].gate
-        clipped = min(max(torque[j], joint.added - joint.torque_limit),
-                      joint.added + joint.torque_limit)
+        joint, last = joints[j], joints[j].gate.last
+        limit, step = joint.config.torque_limit, joint.config.torque_step
+        clipped = min(max(torque[j], joint.added - limit), joint.added + limit)
         if clipped != torque[j]:
             enforced |= TORQUE
         slowed = clipped
         if gate.begun:
-            slowed = min(max(clipped, limit.last - limit.step), limit.last + limit.step)
+            slowed = min(max(clipped, last - step), last + step)
         if slowed != clipped:
             enforced |= TORQUE_RATE
-        limit.last = slowed
+        joint.gate.last = slowed
     gate.begun = True
     return enforced
 
@@ -178,8 +183,9 @@ def limit_names(found: int) -> tuple[str, ...]:
 def gate_record(config: ControllerConfig, *, guarded: bool) -> Records:
     """Return one record of `GATE` as configured, before the first torque."""
     gate = np.zeros(1, dtype=GATE)
-    gate['guarded'], gate['period'] = guarded, config.period
-    gate['keep'] = math.exp(-config.period / BLEND_TIME)
+    settings = gate['config']
+    settings['guarded'], settings['period'] = guarded, config.period
+    settings['keep'] = math.exp(-config.period / BLEND_TIME)
     return gate
 
 
@@ -208,11 +214,11 @@ class TorqueGate:
         self._arm, self._joints = arm, arm.joints
         self.records: Any = gate_record(config, guarded=guarded)
         self._gate = self.records[0]
-        limits: Any = self._joints['gate']
+        joints: Any = self._joints['config']
         rate = config.limits.torque_rate if guarded else ()
-        limits['step'] = np.array(rate or np.inf) * config.period
-        limits['speed'] = config.limits.joint_speed or np.inf
-        self.last: Vector = limits['last']
+        joints['torque_step'] = np.array(rate or np.inf) * config.period
+        joints['gate_speed'] = config.limits.joint_speed or np.inf
+        self.last: Vector = self._joints['gate']['last']
         self.retune(config.transition)
         self.reset()
         self.apply(0, np.zeros(len(self._joints)))  # no tick is to wait for numba
@@ -220,8 +226,8 @@ class TorqueGate:
 
     def retune(self, transition: TransitionConfig) -> None:
         """Set how fast a commanded change is gone over to."""
-        self._gate['blend_time'] = transition.blend_time
-        self._gate['blend_rate'] = transition.torque_rate
+        self._gate['config']['blend_time'] = transition.blend_time
+        self._gate['config']['blend_rate'] = transition.torque_rate
 
     def reset(self) -> None:
         """Forget the torque that acts."""
@@ -236,7 +242,7 @@ class TorqueGate:
 
     def begin(self, torque: Vector) -> None:
         """Go over from a torque, shape (n,) [N m], that acts before the first tick."""
-        limit, added = self._joints['torque_limit'], self._joints['added']
+        limit, added = self._joints['config']['torque_limit'], self._joints['added']
         self.last[:] = np.clip(torque, added - limit, added + limit)
         self._gate['begun'] = True
         self.go_over()
@@ -263,7 +269,7 @@ class TorqueGate:
 
         A `law` has another number than others; `seen`: the joints are known now.
         """
-        self._joints['torque'] = torque
+        self._joints['answer']['torque'] = torque
         terms = self._arm.robot.terms
         return pass_gate(
             self._gate, self._joints, self._arm.controls[0], self._arm.contacts,

@@ -389,7 +389,7 @@ def _hear_torques(inputs: Any, torques: Any, joints: Any, period: float) -> int:
             torque.zeros += 1
             if not moved or abs(torque.last) > NEAR_ZERO or torque.zeros * period > SILENCE:
                 fault = SILENT
-        joints[j].effort_fault = fault
+        joints[j].watch.effort_fault = fault
         if fault == HEARD:
             torque.unheard = 0
             heard += 1
@@ -417,22 +417,23 @@ def _supply_torques(stage: Any, joints: Any, momentum: Any, elapsed: float) -> N
     by_command = np.isfinite(torques[0].commanded[oldest])
     heard = _hear_torques(inputs, torques, joints, h)
     for j in range(joints.shape[0]):
-        joint, torque = joints[j], torques[j]
-        joint.doubt, joint.unwatched = 0.0, joint.effort_fault != HEARD and not by_command
-        if joint.unwatched and torque.unheard * h > FORGOTTEN:
-            joint.residual = joint.slack = 0.0  # it would block the arm for good
-        if joint.effort_fault == HEARD:
-            joint.effort = inputs.effort[j]
+        watch, torque = joints[j].watch, torques[j]
+        watch.doubt, watch.unwatched = 0.0, watch.effort_fault != HEARD and not by_command
+        if watch.unwatched and torque.unheard * h > FORGOTTEN:
+            watch.residual = watch.slack = 0.0  # it would block the arm for good
+        if watch.effort_fault == HEARD:
+            watch.effort = inputs.effort[j]
             if settings.adds_gravity:
-                joint.effort += joint.added
+                watch.effort += joints[j].added
         elif by_command:
             before, last = torque.commanded[oldest], torque.commanded[next_oldest]
             after = torque.commanded[third_oldest]
-            joint.doubt = max(abs(last - before), abs(after - last))  # a period early or late
-            joint.effort = last
-    late = velocities.estimated and not (velocities.silent and momentum.is_input)
-    needed = joints.shape[0] if momentum.is_input else 1  # of a wrench each joint is a part
-    measured = momentum.is_input or stage.found.wrench.problem == FINE
+            watch.doubt = max(abs(last - before), abs(after - last))  # a period early or late
+            watch.effort = last
+    is_input = momentum.config.is_input
+    late = velocities.estimated and not (velocities.silent and is_input)
+    needed = joints.shape[0] if is_input else 1  # of a wrench each joint is a part
+    measured = is_input or stage.found.wrench.problem == FINE
     known = (heard >= needed or by_command) and measured and not late and (
         abs(elapsed - h) < UNEVEN * h)
     momentum.elapsed = elapsed if known else 0.0

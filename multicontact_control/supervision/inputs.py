@@ -269,14 +269,14 @@ class Inputs:
         """Forget everything; the next tick is the first."""
         self._stage[:], self._variance[:] = self._initial, self._initial_variance
         for name in ('residual', 'slack', 'doubt'):
-            self._joints[name] = 0
+            self._joints['watch'][name] = 0
         self._momentum['elapsed'], self._momentum['collided'] = 0.0, False
 
     @property
     def effort(self) -> Vector:
         """Return the torques of the newest joint state, NaN where they say nothing [N m]."""
         measured = self._intake.effort
-        heard = (self._joints['effort_fault'] == HEARD) & (measured != 0.0)
+        heard = (self._joints['watch']['effort_fault'] == HEARD) & (measured != 0.0)
         effort: Vector = np.where(heard, measured, math.nan)
         return effort
 
@@ -284,7 +284,7 @@ class Inputs:
     def unheard_joints(self) -> dict[str, tuple[int, ...]]:
         """Return the joints whose torques are of no use, by what is wrong with them."""
         unheard = self._torques['unheard'] >= REPORTED
-        faults = np.where(unheard, self._joints['effort_fault'], HEARD)
+        faults = np.where(unheard, self._joints['watch']['effort_fault'], HEARD)
         return {EFFORT_FAULTS[fault]: tuple(np.flatnonzero(faults == fault).tolist())
                 for fault in (UNHEARD, NOT_A_NUMBER, SILENT) if (faults == fault).any()}
 

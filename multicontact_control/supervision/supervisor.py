@@ -206,8 +206,8 @@ class Supervisor:
         """Name what is wrong with where the arm is and what touches it."""
         causes = [cause for flag, cause in checks.TOO_FAST.items() if found & flag]
         if found & TOUCHED and not self.task.locked:
-            joints = self._joints
-            beyond = np.abs(joints['residual']) > RELEASE * joints['threshold']
+            watch = self._joints['watch']
+            beyond = np.abs(watch['residual']) > RELEASE * watch['threshold']
             last = self.config.robot.joint_names[np.flatnonzero(beyond)[-1]]
             causes.append(f'{checks.COLLISION}_{last}')
         return tuple(causes)

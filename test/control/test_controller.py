@@ -229,12 +229,13 @@ def test_torques_have_no_spike_on_the_way_through_a_singularity(joint, start, en
 
 def limited(torque, priority, limit, least_share=0.0, added=0.0):
     joints = np.zeros(len(torque), dtype=JOINT)
-    joints['torque'], joints['priority'], joints['torque_limit'] = torque, priority, limit
+    joints['answer']['torque'], joints['answer']['priority'] = torque, priority
+    joints['config']['torque_limit'] = limit
     joints['added'] = added
     law = np.zeros(1, dtype=LAW)
     law['least_share'] = least_share
     was_limited = finish_torque(law[0], joints)
-    return joints['torque'], was_limited
+    return joints['answer']['torque'], was_limited
 
 
 @given(seed=st.integers(0, 2 ** 32 - 1), size=st.floats(0.1, 30.0))

@@ -41,9 +41,9 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
     robot = RobotModel(config.robot, config_dir())
     controls = np.zeros(1, dtype=CONTROL)
     controls['tool'] = tool_record(config.tool, np.array(config.robot.gravity_world))
-    controls['law']['friction_speed'], controls['momentum']['bandwidth'] = 1.0, K
+    controls['law']['friction_speed'], controls['momentum']['config']['bandwidth'] = 1.0, K
     arm = ArmState(robot, controls, np.zeros(0, dtype=CONTACT))
-    arm.joints['threshold'] = 1.0
+    arm.joints['watch']['threshold'] = 1.0
     plant = Plant(plant_config(
         'rigid', surfaces=FAR, substep=2.5e-4, push_start=[0.5], push_duration=[9.0],
         push_force_world=PUSH.tolist(), sensor={'noise': False, 'quantise': False}),
@@ -53,7 +53,7 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
         sample = plant.reset()
         plant.push(TOOL_PUSH, 9.0, tool=True)
         for k in range(500):
-            controls['wrench'], arm.joints['effort'] = sample.wrench, sample.effort
+            controls['wrench'], arm.joints['watch']['effort'] = sample.wrench, sample.effort
             controls['momentum']['elapsed'] = H if k else 0.0
             arm.motion[:] = sample.q, sample.qd
             arm.refresh()
@@ -61,7 +61,7 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
             felt = pin.computeFrameJacobian(
                 plant.model, plant.model.createData(), sample.q, tip,
                 pin.LOCAL_WORLD_ALIGNED)[:3].T @ TOOL_PUSH
-            rows.append((arm.joints['residual'].copy(), bool(arm.flags & TOUCHED) * np.ones(6),
+            rows.append((arm.joints['watch']['residual'].copy(), bool(arm.flags & TOUCHED) * np.ones(6),
                          -state.jacobian[:3].T @ PUSH * (k * H > 0.55), sample.q, sample.qd,
                          sample.effort + felt))
             wanted = HOME + 0.15 * np.sin(6.0 * k * H)

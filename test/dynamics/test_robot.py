@@ -187,16 +187,16 @@ def torque_for(model, q, v, acceleration, **nullspace):
     controls = np.zeros(1, dtype=CONTROL)
     law, terms, contacts = controls['law'], model.terms, np.zeros(0, dtype=CONTACT)
     arm = ArmState(model, controls, contacts)
-    arm.joints['torque_limit'] = np.inf
+    arm.joints['config']['torque_limit'] = np.inf
     controls['task']['acceleration'] = acceleration
     for name, value in nullspace.items():
-        (law if name in LAW.names else arm.joints)[name] = value
+        (law if name in LAW.names else arm.joints['config'])[name] = value
     arm.motion[:] = q, v
     arm.refresh()
     assert control_law(
         controls[0], arm.joints, terms.mass_matrix, terms.jacobian, terms.jacobian_rate,
         contacts, np.zeros(0, dtype=FORCE_LAW), np.zeros(1, dtype=LAW_SPACE)[0]) == 0
-    return arm.joints['torque'].copy()
+    return arm.joints['answer']['torque'].copy()
 
 
 def test_operational_force_gives_the_commanded_acceleration():

@@ -274,9 +274,9 @@ def test_torque_that_is_zero_in_a_sample_is_one():
     with standing('rigid') as loop:
         joints = loop.control.supervisor.controller.arm.joints
         elbow_forces(loop, 1, broken(0, 0.0))
-        assert joints['effort_fault'].tolist() == [0] * 6
+        assert joints['watch']['effort_fault'].tolist() == [0] * 6
         elbow_forces(loop, 1, broken(1, 0.0))
-        assert joints['effort_fault'].tolist() == [0, 3, 0, 0, 0, 0]
+        assert joints['watch']['effort_fault'].tolist() == [0, 3, 0, 0, 0, 0]
 
 
 def test_command_stands_in_for_the_torque_of_a_joint():

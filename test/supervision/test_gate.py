@@ -39,8 +39,9 @@ def make(q=HOME, velocity=REST, config=CONFIG, limit=LIMIT, guarded=True):
     arm = ArmState(ROBOT, np.zeros(1, dtype=CONTROL), np.zeros(0, dtype=CONTACT))
     arm.motion[:] = q, velocity
     assert arm.refresh()
-    arm.joints['torque_limit'] = limit
-    arm.joints['lower'], arm.joints['upper'] = config.limits.joint_lower, config.limits.joint_upper
+    joints = arm.joints['config']
+    joints['torque_limit'] = limit
+    joints['lower'], joints['upper'] = config.limits.joint_lower, config.limits.joint_upper
     return TorqueGate(config, arm, guarded=guarded), arm
 
 
@@ -156,8 +157,8 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
     contacts, controls = SUPERVISOR.controller.contacts, SUPERVISOR.controller.controls
     contacts['alpha_meas'], controls['wrench'] = alpha, wrench
     contacts['answer']['innovation'] = 0.0
-    arm.joints['torque'] = random.normal(size=6)
-    arm.joints['torque'][3] = np.nan if scale == 3.0 else 0.0
+    arm.joints['answer']['torque'] = random.normal(size=6)
+    arm.joints['answer']['torque'][3] = np.nan if scale == 3.0 else 0.0
     states = random.integers(len(NAMES), size=CONTACTS)
     SUPERVISOR.task.states['state'] = states
 
@@ -178,5 +179,5 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
     assert check() == (
         NOT_FINITE * (scale == 3.0) + PULL * bool((alpha < -pull).any())
         + SIDEWAYS * bool(np.linalg.norm(sideways) > bound) + OUTSIDE * bool(outside))
-    arm.joints['torque'], contacts['answer']['innovation'][0] = 0.0, np.inf
+    arm.joints['answer']['torque'], contacts['answer']['innovation'][0] = 0.0, np.inf
     assert check() & NOT_FINITE
