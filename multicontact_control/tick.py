@@ -78,7 +78,7 @@ def tick(
         control, joints, mass_matrix, jacobian, jacobian_rate, contacts, laws, space.law)
     if found & (SINGULAR | DEPENDENT):
         return found
-    strict = limit.guarded and not limit.locked
+    strict = limit.config.guarded and not limit.locked
     found |= judge_answer(judgements[0], control, joints, contacts, states, strict)
     if found & REFUSED:
         return found

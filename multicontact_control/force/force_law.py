@@ -17,7 +17,7 @@ from multicontact_control.config.contact import FORCE
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.laws import (
     LAWS,
-    LINEAR_LAW,
+    LINEAR,
     LinearLaw,
     LoopModel,
     steady_law,
@@ -66,7 +66,7 @@ FORCE_LAW = np.dtype([
     ('kind', I),  # number of the law in the registry, see `force.laws`
     ('is_linear', B),  # whether `linear` is at work, or `observer`
     ('fed', I),  # what is fed forward: ESTIMATE, DESIRED, MIXED or MEASURED
-    ('observer', OBSERVER), ('linear', LINEAR_LAW), ('stiffness', STIFFNESS),
+    ('observer', OBSERVER), ('linear', LINEAR), ('stiffness', STIFFNESS),
 ], align=True)
 
 # What `answer_forces` works in; one.
@@ -149,12 +149,13 @@ def make_force_laws(config: ControllerConfig) -> Records:
             continue
         law['observer'] = make_observers([design])[0]
         if adaptive:
-            law['observer']['Phi_c'] = law['observer']['Phi_n']  # see `answer_forces`
+            of_observer = law['observer']['design']
+            of_observer['Phi_c'] = of_observer['Phi_n']  # see `answer_forces`
             adopt_stiffness(
                 law['stiffness'], design.loop.plant, stiffness, force, period=config.period,
                 tool_mass=config.tool.mass, ratio_limits=limits)
             if column.kind != FORCE:
-                law['stiffness']['share'] = (
+                law['stiffness']['config']['share'] = (
                     column.stiffness / config.columns[column.leader].stiffness)
     return laws
 
@@ -191,7 +192,7 @@ def continue_laws(laws: Records, others: Records) -> None:
         law, other = laws[i:i + 1], others[i:i + 1]
         taken, part = known(other[0]), 'linear' if law['is_linear'][0] else 'observer'
         same = law['kind'][0] == other['kind'][0] and (
-            law[part]['states'][0] == other[part]['states'][0])
+            law[part]['design']['states'][0] == other[part]['design']['states'][0])
         if law['is_linear'][0]:
             new, old = law['linear'], other['linear']
             if same:
@@ -199,17 +200,21 @@ def continue_laws(laws: Records, others: Records) -> None:
                     new[name] = old[name]
             elif taken is not None:
                 new['alpha'], new['p_est'], new['running'] = *taken, True
-                new['x'] = new['start_force'] * taken[0] + new['start_disturbance'] * taken[1]
-        elif same and law['observer']['order'][0] == other['observer']['order'][0]:
-            if law['stiffness']['adaptive'][0]:
+                start = new['design']
+                new['x'] = (
+                    start['start_force'] * taken[0] + start['start_disturbance'] * taken[1])
+        elif same and law['observer']['design']['order'][0] == (
+                other['observer']['design']['order'][0]):
+            if law['stiffness']['config']['adaptive'][0]:
                 keep_stiffness(law[0], other[0])  # before the state, which is of that model
             continue_from(law['observer'], other['observer'])
         elif taken is not None:
             observer = law['observer'][0]
             observer['x_est'][0], p = taken
-            n, order = int(observer['states']), int(observer['order'])
+            design = observer['design']
+            n, order = int(design['states']), int(design['order'])
             observer['x_est'][n - order:n] = p
-            observer['P'][:n, :n] = observer['P_0'] * np.eye(n)
+            observer['P'][:n, :n] = design['P_0'] * np.eye(n)
             observer['running'] = True
             keep_at_rest(law['observer'])
 
@@ -221,8 +226,8 @@ def known(law: Any) -> tuple[float, float] | None:
         return None
     if law['is_linear']:
         return float(part['alpha']), float(part['p_est'])
-    x, order = part['x_est'], int(part['order'])
-    return float(x[0]), float(x[int(part['states']) - order]) if order else 0.0
+    x, states, order = part['x_est'], part['design']['states'], part['design']['order']
+    return float(x[0]), float(x[states - order]) if order else 0.0
 
 
 def continue_laws_at(laws: Records, held: Mask, force: Vector) -> None:
@@ -240,24 +245,25 @@ def act_beyond(laws: Records, which: Mask, acceleration: Vector) -> None:
 @compiled
 def step_linear(law: Any, contact: Any, speed: float, x_next: Vector) -> float:
     """
-    Take one sample into a record of `LINEAR_LAW`; return u [m/s^2].
+    Take one sample into a record of `LINEAR`; return u [m/s^2].
 
     `speed` is that of the contact point INTO the surface [m/s], `x_next` of at least n elements is
     overwritten. A force that was not measured is the one before.
     """
-    n, x = law.states, law.x
+    design, x = law.design, law.x
+    n = design.states
     if not law.running:
         for i in range(n):
-            x[i] = law.start_force[i] * contact.alpha_meas
+            x[i] = design.start_force[i] * contact.alpha_meas
         law.extra, law.running = 0.0, True
     for i in range(n):
-        x[i] += law.E[i] * law.extra
+        x[i] += design.E[i] * law.extra
     law.extra = 0.0
-    u = work_out(law.of_u, law, contact, speed)
-    law.alpha = work_out(law.of_alpha, law, contact, speed)
-    law.p_est = work_out(law.of_p, law, contact, speed)
+    u = work_out(design.of_u, law, contact, speed)
+    law.alpha = work_out(design.of_alpha, law, contact, speed)
+    law.p_est = work_out(design.of_p, law, contact, speed)
     for i in range(n):
-        x_next[i] = work_out(law.of_state[i], law, contact, speed)
+        x_next[i] = work_out(design.of_state[i], law, contact, speed)
     for i in range(n):
         x[i] = x_next[i]
     contact.answer.alpha_est = law.alpha
@@ -270,7 +276,7 @@ def work_out(row: Any, law: Any, contact: Any, speed: float) -> float:
     total = row.alpha_meas * contact.alpha_meas
     total += row.alpha_des * contact.answer.alpha_des
     total += row.speed * speed
-    for j in range(law.states):
+    for j in range(law.design.states):
         total += row.x[j] * law.x[j]
     return total
 
@@ -289,7 +295,9 @@ def force_to_feed(law: Any, contact: Any, K_2: float) -> float:
         return contact.alpha_meas if contact.config.kind != FORCE else max(contact.alpha_meas, 0.0)
     if law.fed == ESTIMATE:
         return contact.answer.alpha_est
-    desired = law.stiffness.alpha_ref if law.stiffness.adaptive else contact.answer.alpha_des
+    desired = contact.answer.alpha_des
+    if law.stiffness.config.adaptive:
+        desired = law.stiffness.alpha_ref
     if law.fed == DESIRED:
         return desired
     share = min(K_2 * K_2 / (2.0 * law.stiffness.k * contact.mobility), 1.0)
@@ -341,7 +349,7 @@ def answer_forces(
             contact.config.surface_speed + contact.surface_speed_est)
         if contact.borne > 0.0:  # what does not answer the motion says nothing of a surface
             law.stiffness.felt = False
-        elif law.stiffness.adaptive:
+        elif law.stiffness.config.adaptive:
             learn_stiffness(laws, contacts, i, control, speed, space.fit)
         if not answer.active:
             law.observer.running = law.linear.running = False
@@ -351,16 +359,16 @@ def answer_forces(
         if law.is_linear:
             inputs[i] = step_linear(law.linear, contact, speed, space.x_next)
             answer.alpha_rate_est = stiffness.k * speed
-        elif stiffness.adaptive:
+        elif stiffness.config.adaptive:
             # The prediction is that of the open loop, under the input that was asked for.
             begins = not observer.running
             observe(observer, contact, control.measured, stiffness.k * speed, space.observer)
             if begins:
                 stiffness.alpha_ref = contact.alpha_meas
-                if stiffness.share == 0.0:
+                if stiffness.config.share == 0.0:
                     stiffness.alpha_ref = max(contact.alpha_meas, 0.0)
             # No faster than the contact point may move into the surface.
-            step = stiffness.k * APPROACH_LIMIT * stiffness.period
+            step = stiffness.k * APPROACH_LIMIT * stiffness.config.period
             stiffness.alpha_ref += min(max(answer.alpha_des - stiffness.alpha_ref, -step), step)
             u = command(observer, stiffness.alpha_ref)
             inputs[i] = observer.command = min(max(u, -INPUT_LIMIT), INPUT_LIMIT)

@@ -24,14 +24,19 @@ LINEAR_ROW = np.dtype([
     ('x', F, MAX_STATES), *((name, F) for name in INPUTS),
 ], align=True)
 
-# A linear force law, from alpha_meas, alpha_des and the contact's speed to u, alpha_est and p_est.
-LINEAR_LAW = np.dtype([
+# What a linear law works by.
+LINEAR_DESIGN = np.dtype([
     ('states', I),  # n
     ('of_state', LINEAR_ROW, MAX_STATES),  # x_(k+1) = A x_k + B y_k
     *((name, LINEAR_ROW) for name in OUTPUTS),  # C x_k + D y_k
     ('E', F, MAX_STATES),  # added to x_(k+1) for 1 m/s^2 that acts beyond the answer
     ('start_force', F, MAX_STATES),  # state at touch, for 1 N that is felt
     ('start_disturbance', F, MAX_STATES),  # and for a known disturbance of 1 m/s^2
+], align=True)
+
+# A linear force law, from alpha_meas, alpha_des and the contact's speed to u, alpha_est and p_est.
+LINEAR = np.dtype([
+    ('design', LINEAR_DESIGN),
     ('extra', F),  # acceleration that acted beyond the answer of the sample before [m/s^2]
     ('running', B),  # whether there was a sample before
     ('x', F, MAX_STATES),  # state
@@ -90,20 +95,21 @@ class LinearLaw:
         return int(self.A.shape[0])
 
     def record(self) -> Records:
-        """Return it as one record of `LINEAR_LAW`, with no state."""
-        law, n = np.zeros(1, dtype=LINEAR_LAW), self.states
-        law['states'] = n
-        rows = law['of_state'][0, :n]
+        """Return it as one record of `LINEAR`, with no state."""
+        law, n = np.zeros(1, dtype=LINEAR), self.states
+        design = law['design'][0]
+        design['states'] = n
+        rows = design['of_state'][:n]
         rows['x'][:, :n] = self.A
         for name, column in zip(INPUTS, self.B.T):
             rows[name] = column
         for output, of_states, of_inputs in zip(OUTPUTS, self.C, self.D):
-            row = law[output][0]
+            row = design[output]
             row['x'][:n] = of_states
             for name, value in zip(INPUTS, of_inputs):
                 row[name] = value
         for name in ('E', 'start_force', 'start_disturbance'):
-            law[name][0, :n] = getattr(self, name)
+            design[name][:n] = getattr(self, name)
         return law
 
 

@@ -16,8 +16,8 @@ from scipy.linalg import solve_discrete_are
 
 INITIAL_VARIANCE = 1e-3  # of every state
 
-# The active observer of one contact. The first `states` rows and columns of matrices are used.
-OBSERVER = np.dtype([
+# What an active observer works by. The first `states` rows and columns of matrices are used.
+OBSERVER_GAINS = np.dtype([
     ('states', I), ('order', I),  # n, and how many of them are active states
     ('Phi_c', F, (MAX_STATES, MAX_STATES)),  # transition of the closed loop
     ('Phi_n', F, (MAX_STATES, MAX_STATES)),  # transition of the open loop
@@ -25,9 +25,14 @@ OBSERVER = np.dtype([
     ('feedback', F, MAX_STATES),  # [L_r 1]
     ('Q', F, MAX_STATES),  # diagonal of the process noise's covariance
     ('P_0', F),  # initial variance of every state
+    ('damping_time', F),  # c / k of the surface, which the force reads with its rate [s]
+], align=True)
+
+# The active observer of one contact.
+OBSERVER = np.dtype([
+    ('design', OBSERVER_GAINS),
     ('running', B),  # whether there was a sample before
     ('command', F),  # r = L_1 f_des of the sample before [m/s^2]
-    ('damping_time', F),  # c / k of the surface, which the force reads with its rate [s]
     ('x_est', F, MAX_STATES),  # state estimate; the first is the force [N], then its rate [N/s]
     ('P', F, (MAX_STATES, MAX_STATES)),  # its covariance
     ('x_1', F, MAX_STATES),  # prediction of the state
@@ -120,13 +125,13 @@ def active_state_matrix(order: int) -> Matrix:
 def make_observers(designs: Sequence[ObserverDesign]) -> Records:
     """Return one observer per contact that knows nothing yet, shape (r,)."""
     observers = np.zeros(len(designs), dtype=OBSERVER)
-    for observer, design in zip(observers, designs):
+    for record, design in zip(observers['design'], designs):
         n = design.Gamma.shape[0]
-        observer['states'], observer['order'], observer['P_0'] = n, design.order, INITIAL_VARIANCE
+        record['states'], record['order'], record['P_0'] = n, design.order, INITIAL_VARIANCE
         for name in ('Phi_c', 'Phi_n'):
-            observer[name][:n, :n] = getattr(design, name)
+            record[name][:n, :n] = getattr(design, name)
         for name in ('Gamma', 'feedback', 'Q'):
-            observer[name][:n] = getattr(design, name)
+            record[name][:n] = getattr(design, name)
     return observers
 
 
@@ -145,16 +150,17 @@ def continue_from(observers: Records, others: Records) -> None:
 
 def _predicted_feedback(observers: Records) -> Matrix:
     """Return the feedback that is in the predictions, and so not in the commands; shape (r, n)."""
-    closed = (observers['Phi_c'] != observers['Phi_n']).any(axis=(1, 2))
-    feedback: Matrix = np.where(closed[:, None], observers['feedback'], 0.0)
+    design = observers['design']
+    closed = (design['Phi_c'] != design['Phi_n']).any(axis=(1, 2))
+    feedback: Matrix = np.where(closed[:, None], design['feedback'], 0.0)
     return feedback
 
 
 def keep_at_rest(observers: Records) -> None:
     """Let what has been commanded be what keeps the force as it is estimated, and at rest."""
     for i, feedback in enumerate(_predicted_feedback(observers)):
-        x_est, states = observers['x_est'][i], observers['states'][i]
-        order = observers['order'][i]
+        x_est, design = observers['x_est'][i], observers['design'][i]
+        states, order = design['states'], design['order']
         p = x_est[states - order] if order else 0.0
         # Of the closed loop the feedback takes p off already.
         observers['command'][i] = feedback[0] * x_est[0] if feedback.any() else -p
@@ -169,9 +175,9 @@ def predict(observer: Any, space: Any) -> None:
     the open one (eqs 40-41); P becomes P_1, its upper triangle mirrored. `space` is a record of
     `OBSERVER_SPACE`.
     """
-    n, half = observer.states, space.half
-    Phi_c, Phi_n, P = observer.Phi_c, observer.Phi_n, observer.P
-    x_est, x_1, Gamma, Q = observer.x_est, observer.x_1, observer.Gamma, observer.Q
+    design, half = observer.design, space.half
+    n, Phi_c, Phi_n, Gamma, Q = design.states, design.Phi_c, design.Phi_n, design.Gamma, design.Q
+    P, x_est, x_1 = observer.P, observer.x_est, observer.x_1
     for i in range(n):
         total = Gamma[i] * observer.command
         for j in range(n):
@@ -207,7 +213,8 @@ def correct(observer: Any, innovation: float, noise_variance: float, space: Any)
     `observer` is a record of `OBSERVER` after `predict`; innovation y - C x_1 [N], R_k [N^2];
     `space` is a record of `OBSERVER_SPACE`.
     """
-    n, tau, P, covariance = observer.states, observer.damping_time, observer.P, space.covariance
+    n, tau = observer.design.states, observer.design.damping_time
+    P, covariance = observer.P, space.covariance
     for i in range(n):
         covariance[i] = P[0, i] + tau * P[1, i]
     total_variance = covariance[0] + tau * covariance[1] + noise_variance
@@ -237,10 +244,10 @@ def command(observer: Any, alpha_des: float) -> float:
 
     u is the acceleration along the contact normal, without the damping K_2 [m/s^2].
     """
-    feedback, x_est = observer.feedback, observer.x_est
+    feedback, x_est = observer.design.feedback, observer.x_est
     observer.command = feedback[0] * alpha_des
     total = observer.command
-    for j in range(observer.states):
+    for j in range(observer.design.states):
         total -= feedback[j] * x_est[j]
     return total
 
@@ -255,8 +262,8 @@ def continue_at(observers: Records, held: Mask, force: Vector) -> None:
     observers['running'] &= held
     for observer, is_held, alpha in zip(observers, held, force):
         if is_held:
-            x_est = observer['x_est']
-            x_est[:observer['states'] - observer['order']] = 0.0
+            x_est, design = observer['x_est'], observer['design']
+            x_est[:design['states'] - design['order']] = 0.0
             x_est[0] = alpha
     keep_at_rest(observers)
 
@@ -270,14 +277,14 @@ def observe(observer: Any, contact: Any, measured: bool, rate: float, space: Any
     as it is large [N/s]. Without a measurement of this sample it only predicts (R = inf). `space`
     is a record of `OBSERVER_SPACE`.
     """
-    n, tau, P = observer.states, observer.damping_time, observer.P
+    n, tau, P = observer.design.states, observer.design.damping_time, observer.P
     x_est, x_1, answer = observer.x_est, observer.x_1, contact.answer
     if not observer.running:
         for i in range(n):
             x_est[i] = 0.0
             for j in range(n):
                 P[i, j] = 0.0
-            P[i, i] = observer.P_0
+            P[i, i] = observer.design.P_0
         x_est[0], x_est[1] = contact.alpha_meas, rate
         P[1, 1] += rate * rate
         observer.running = True

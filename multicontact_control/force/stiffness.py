@@ -76,8 +76,8 @@ STIFFNESS_FIT = np.dtype([
 # What an input of 1 m/s^2 per k adds to the state.
 INPUT_GAIN = np.dtype([('way', F), ('speed', F)])  # [s^2], [s]
 
-# The on-line stiffness of one contact.
-STIFFNESS = np.dtype([
+# What is set for the on-line stiffness of one contact.
+STIFFNESS_CONFIG = np.dtype([
     ('adaptive', B),  # whether the observer follows it
     ('share', F),  # of a couple: its stiffness over that of its contact's normal force
     ('period', F),  # h [s]
@@ -89,6 +89,11 @@ STIFFNESS = np.dtype([
     ('ratio_limit', F, LIMITS),  # k over a model's at which the loop is stable, `lowest` on
     ('delay_gain', INPUT_GAIN, MAX_STATES),  # E_j, of inputs under way
     ('input_gain', INPUT_GAIN),  # B of the undelayed plant
+], align=True)
+
+# The on-line stiffness of one contact.
+STIFFNESS = np.dtype([
+    ('config', STIFFNESS_CONFIG),
     ('slow', STIFFNESS_FIT), ('fast', STIFFNESS_FIT),
     ('k', F), ('c', F),  # of the model in use [N/m], [N s/m]
     ('k_est', F), ('k_std', F),  # estimate and its standard error; 0 for none [N/m]
@@ -147,7 +152,8 @@ def take_sample(
     v = pass_band(fit, fit.rate, stiffness.speed)
     w = pass_band(fit, fit.friction, friction)
     y = pass_band(fit, fit.force, alpha)
-    y -= stiffness.tool_mass * (v - speed_before) / stiffness.period
+    config = stiffness.config
+    y -= config.tool_mass * (v - speed_before) / config.period
     if not accepted or abs(y) < SMALLEST_SIGNAL:
         return
     signals = (z, v, w)
@@ -246,14 +252,16 @@ def adopt_stiffness(
         'adaptive': True, 'period': period, 'tool_mass': tool_mass,
         'lowest': config.adaptive.lowest, 'highest': config.adaptive.highest,
         'fastest_pole': 1.0 / config.time_constant, 'pole_ratio': config.second_pole_ratio,
-        'ratio_limit': ratio_limits, 'k': stiffness, 'c': 0.0}
+        'ratio_limit': ratio_limits}
+    settings = record['config']
     for name, value in values.items():
-        record[name] = value
-    record['way_of_speed'], record['speed_kept'] = plant.Phi[:2, 1]
+        settings[name] = value
+    settings['way_of_speed'], settings['speed_kept'] = plant.Phi[:2, 1]
     gains, input_gain = predictor_gains(plant, stiffness)
     for name, of_delayed, gain in zip(('way', 'speed'), gains.T, input_gain):
-        record['delay_gain'][name][:len(gains)] = of_delayed
-        record['input_gain'][name] = gain
+        settings['delay_gain'][name][:len(gains)] = of_delayed
+        settings['input_gain'][name] = gain
+    record['k'], record['c'] = stiffness, 0.0
     adopt_band(record['slow'], SLOW_BAND, period, MEMORY)
     adopt_band(record['fast'], FAST_BAND, period, FAST_MEMORY)
 
@@ -295,39 +303,39 @@ def use_stiffness(observer: Any, stiffness: Any, k: float, c: float) -> None:
     that of the configuration; see `predictor_gains`. What is known of the rate, x_2 = k dz/dt,
     goes with k [N/m]; c [N s/m].
     """
-    factor = k / stiffness.k
-    n, plain = observer.states, observer.states - observer.order
+    config, design, factor = stiffness.config, observer.design, k / stiffness.k
+    n, plain = design.states, design.states - design.order
     if factor != 1.0:
         for i in range(2):
-            observer.Gamma[i] *= factor
+            design.Gamma[i] *= factor
             for j in range(2, n):
-                observer.Phi_n[i, j] *= factor
-                observer.Phi_c[i, j] *= factor
+                design.Phi_n[i, j] *= factor
+                design.Phi_c[i, j] *= factor
         observer.x_est[1] *= factor
         for j in range(n):
             observer.P[1, j] *= factor
             observer.P[j, 1] *= factor
     stiffness.k = k
     stiffness.c = c
-    observer.damping_time = c / k
-    omega_1 = stiffness.fastest_pole
-    if stiffness.tool_mass > 0.0:
-        omega_1 = min(omega_1, np.sqrt(INERTIA_SHARE * k / stiffness.tool_mass))
-    omega_2 = omega_1 * stiffness.pole_ratio
+    design.damping_time = c / k
+    omega_1 = config.fastest_pole
+    if config.tool_mass > 0.0:
+        omega_1 = min(omega_1, np.sqrt(INERTIA_SHARE * k / config.tool_mass))
+    omega_2 = omega_1 * config.pole_ratio
     if c > 0.0:
         omega_2 = min(omega_2, max(k / c, SLOWEST_POLE))
-    p_1, p_2 = np.exp(-stiffness.period * omega_1), np.exp(-stiffness.period * omega_2)
-    f, e = stiffness.way_of_speed, stiffness.speed_kept
-    b_1, b_2 = stiffness.input_gain.way, stiffness.input_gain.speed
+    p_1, p_2 = np.exp(-config.period * omega_1), np.exp(-config.period * omega_2)
+    f, e = config.way_of_speed, config.speed_kept
+    b_1, b_2 = config.input_gain.way, config.input_gain.speed
     total, product = p_1 + p_2, p_1 * p_2
     scale = 1.0 / (b_2 * (b_1 * (e - 1.0) - f * b_2))
     L_1 = -scale * b_2 * (1.0 - total + product)
     L_2 = scale * (b_1 * (e * e - total * e + product) - b_2 * f * (1.0 + e - total))
-    observer.feedback[0] = L_1 / k
-    observer.feedback[1] = L_2 / k
+    design.feedback[0] = L_1 / k
+    design.feedback[1] = L_2 / k
     for j in range(2, plain):
-        gain = stiffness.delay_gain[j - 2]
-        observer.feedback[j] = L_1 * gain.way + L_2 * gain.speed
+        gain = config.delay_gain[j - 2]
+        design.feedback[j] = L_1 * gain.way + L_2 * gain.speed
 
 
 @compiled
@@ -366,7 +374,7 @@ def find_stiffness(
     `space` is a record of `FIT_SPACE`.
     """
     slow, fast = stiffness.slow, stiffness.fast
-    h = stiffness.period
+    h = stiffness.config.period
     stiffness.since += h
     if abs(alpha_des - stiffness.alpha_des) > STEP:
         stiffness.since = 0.0
@@ -406,10 +414,11 @@ def learn_stiffness(
     the speed of the contact point is that INTO the surface [m/s], `space` a record of `FIT_SPACE`.
     """
     contact, observer, stiffness = contacts[which], laws[which].observer, laws[which].stiffness
+    config = stiffness.config
     if contact.config.kind != FORCE:
         leader, whole = contacts[contact.config.leader], laws[contact.config.leader].stiffness
-        share = stiffness.share
-        k = min(max(share * whole.k, stiffness.lowest), stiffness.highest)
+        share = config.share
+        k = min(max(share * whole.k, config.lowest), config.highest)
         if k != stiffness.k:
             use_stiffness(observer, stiffness, k, share * whole.c)
         contact.stiffness = k
@@ -421,7 +430,7 @@ def learn_stiffness(
     find_stiffness(stiffness, alpha, contact.answer.alpha_des, speed,
                    friction_of_others(control.frame, contacts, which), space)
     slow, fast = stiffness.slow, stiffness.fast
-    h, k, c = stiffness.period, stiffness.k, stiffness.c
+    h, k, c = config.period, stiffness.k, stiffness.c
     target = k
     if slow.k > 0.0 and slow.share > SLOW_SHARE:
         target = slow.k + 2.0 * slow.k_std
@@ -430,7 +439,7 @@ def learn_stiffness(
     # Against what the slow fit says, and not against k in use, which it would drive up and down.
     if fast.share > FAST_SHARE and fast.k - fast.k_std > FAST_EXCESS * target:
         target = fast.k
-    target = min(max(target, stiffness.lowest), stiffness.highest)
+    target = min(max(target, config.lowest), config.highest)
     # A model changes once a period: e times its value in less would be a jump.
     change = min(max(np.log(target / k), -min(h / FALL_TIME, 1.0)), min(h / RISE_TIME, 1.0))
     if change != 0.0 or c != stiffness.c:
@@ -447,8 +456,9 @@ def learn_stiffness(
 @compiled
 def ratio_limit_of(stiffness: Any) -> float:
     """Return k over that of the model in use at which its loop is stable, from the curve of it."""
-    limits, last = stiffness.ratio_limit, LIMITS - 1
-    place = np.log(stiffness.k / stiffness.lowest) / np.log(stiffness.highest / stiffness.lowest)
+    config, last = stiffness.config, LIMITS - 1
+    limits = config.ratio_limit
+    place = np.log(stiffness.k / config.lowest) / np.log(config.highest / config.lowest)
     step = 1.0 / last
     before = 0
     while before < last and (before + 1) * step <= place:

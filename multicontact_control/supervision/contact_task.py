@@ -50,15 +50,20 @@ STEP_TIME, STEP_SHARE = 0.01, 0.15
 PARALLEL = 1e-6  # length that is left of a normal that the others span already
 
 
-# Bounds of a task, and the reference that follows it; one.
-TASK_LIMITS = np.dtype([
+# Bounds of a task.
+TASK_LIMITS_CONFIG = np.dtype([
     ('guarded', B),  # whether these, and contact states, apply; if not, the task is as wanted
-    ('locked', B),  # whether the arm is to stay where it is, without contact
     ('contacts', CONTACT_SETTINGS),
     ('lead', F),  # k_v / k_p: an error of v k_v / k_p makes the motion law move at v [s]
     ('reach', F), ('turn', F),  # greatest way and angle of the reference from the arm [m], [rad]
     ('ramp', F), ('turn_ramp', F),  # largest accelerations of the reference [m/s^2], [rad/s^2]
     ('lower', F, 3), ('upper', F, 3),  # corners of the workspace [m]
+], align=True)
+
+# Bounds of a task, and the reference that follows it; one.
+TASK_LIMITS = np.dtype([
+    ('config', TASK_LIMITS_CONFIG),
+    ('locked', B),  # whether the arm is to stay where it is, without contact
     ('time', F),  # of the task, since the start [s]
     ('bounded_at', F),  # that time when stops, speeds or reach bounded the arm's motion last [s]
     ('bounded', B),  # whether they have just done so
@@ -110,15 +115,16 @@ class ContactTask:
         self._names, self._leaders = config.column_names, np.array(config.leaders)
         self._codes = self.states['state']
         self.limits: Any = np.zeros(1, dtype=TASK_LIMITS)
-        self.limits['guarded'] = guarded
-        self.limits['contacts'] = contacts.contact_settings(validate(
+        limits = self.limits['config']
+        limits['guarded'] = guarded
+        limits['contacts'] = contacts.contact_settings(validate(
             ContactStateConfig, {**config.contact_state.model_dump(), **source.contact_state},
             'reference.approach'), config.period, config.measuring_delay)
-        self.limits['lower'] = config.limits.workspace_lower or -np.inf
-        self.limits['upper'] = config.limits.workspace_upper or np.inf
+        limits['lower'] = config.limits.workspace_lower or -np.inf
+        limits['upper'] = config.limits.workspace_upper or np.inf
         self.retune(config)
         self._lock(config.sensor.require_push_test)  # at first
-        first = self.states[0], self.limits['contacts'][0]  # no tick waits for numba
+        first = self.states[0], limits['contacts'][0]  # no tick waits for numba
         contacts.let_go(first[0], 0.0, 0.0)
         contacts.go_on(first[0], 0.0, 0.0)
         contacts.read_anew(*first, 0.0)
@@ -129,13 +135,14 @@ class ContactTask:
     def retune(self, config: ControllerConfig) -> None:
         """Let the task be so far ahead of the arm that the motion law asks for its limits."""
         felt = config.wrench_input != 'momentum'  # whose observer knows of the tool
-        self.limits['contacts']['tool_mass'] = config.tool.mass if felt else 0.0
+        limits = self.limits['config']
+        limits['contacts']['tool_mass'] = config.tool.mass if felt else 0.0
         lead = 2.0 * config.motion.damping_ratio / config.motion.natural_frequency  # k_v / k_p
-        self.limits['lead'] = lead
-        self.limits['reach'] = lead * config.limits.operational_speed
-        self.limits['turn'] = lead * config.limits.operational_turn
-        self.limits['ramp'] = config.limits.operational_acceleration
-        self.limits['turn_ramp'] = config.limits.operational_turn_acceleration
+        limits['lead'] = lead
+        limits['reach'] = lead * config.limits.operational_speed
+        limits['turn'] = lead * config.limits.operational_turn
+        limits['ramp'] = config.limits.operational_acceleration
+        limits['turn_ramp'] = config.limits.operational_turn_acceleration
 
     def reset(self) -> None:
         """Let all contacts start anew, free; a hold ends."""
@@ -244,7 +251,8 @@ class ContactTask:
 
     def resume(self) -> Mask:
         """Go on from where the arm is; return which contacts are kept: pressed and felt, (r,)."""
-        felt = self._columns['alpha_meas'] > self.limits['contacts']['contact_threshold']
+        threshold = self.limits['config']['contacts']['contact_threshold']
+        felt = self._columns['alpha_meas'] > threshold
         self._kept = (self._active & felt)[self._columns['config']['leader']]
         return self._kept
 
@@ -253,13 +261,14 @@ class ContactTask:
         self._kept, normals, pose = None, self._columns['normal'], self._task.pose_des
         gap = self._frame['position'] - pose.position_world
         along = np.linalg.lstsq(normals.T, gap, rcond=None)[0]
+        settings = self.limits['config']['contacts'][0]
         for state, column, place, is_kept in zip(
                 self.states, self._columns, along.tolist(), kept):
             if is_kept:
                 contacts.go_on(state, column['alpha_meas'], place)
             else:
                 contacts.let_go(state, place, 0.0)
-                contacts.read_anew(state, self.limits['contacts'][0], column['alpha_meas'])
+                contacts.read_anew(state, settings, column['alpha_meas'])
                 take_off(column, state)
         limits = self.limits
         limits['position'] = self._frame['position'] - along @ normals
@@ -299,7 +308,7 @@ def limit_task(limit: Any, control: Any, columns: Any, states: Any) -> bool:
     frame, wanted, task = control.frame, control.wanted, control.task
     task.position[:], task.rotation[:] = wanted.position, wanted.rotation
     task.twist[:], task.acceleration[:] = wanted.twist, wanted.acceleration
-    if not limit.guarded:
+    if not limit.config.guarded:
         for i in range(columns.shape[0]):
             answer = columns[i].answer
             answer.active, answer.alpha_des = columns[i].wanted, columns[i].alpha_wanted
@@ -322,10 +331,10 @@ def limit_task(limit: Any, control: Any, columns: Any, states: Any) -> bool:
                     others += dot(column.normal, columns[j].normal) * states[j].moved
             # Turning about the tool moves the operational point, and a surface that is not where
             # the task has it moves the contact point: what escapes does both.
-            _follow_force(limit.contacts, frame, column, state,
+            _follow_force(limit.config.contacts, frame, column, state,
                           dot(column.normal, away) - others, dot(column.normal, rate))
         else:  # its normal force comes before
-            _follow_couple(limit.contacts, column, state, columns[first], states[first])
+            _follow_couple(limit.config.contacts, column, state, columns[first], states[first])
         take_off(column, state)
         limit.changed = limit.changed or state.state != before
         if state.untared != 0.0 or state.resting != 0.0:
@@ -348,24 +357,24 @@ def _follow_task(limit: Any, frame: Any, task: Any) -> bool:
     reference goes straight to the task, but no farther ahead of the arm than `LEAST_LEAD`: so it
     slows down with the arm, does not run away, and does not pull the arm along the bound.
     """
-    way, turn = limit.way, limit.turned_way
+    config, way, turn = limit.config, limit.way, limit.turned_way
     way[:] = between(limit.position, task.position)
     turn[:] = rotation_vector(task.rotation, limit.rotation)
     if not limit.behind:
-        steps = _is_step(way, task.twist[:3], limit.twist[:3], limit.reach / limit.lead) or (
-            _is_step(turn, task.twist[3:], limit.twist[3:], limit.turn / limit.lead))
+        steps = _is_step(way, task.twist[:3], limit.twist[:3], config.reach / config.lead) or (
+            _is_step(turn, task.twist[3:], limit.twist[3:], config.turn / config.lead))
         if not (limit.bounded or steps):
             limit.position[:], limit.rotation[:] = task.position, task.rotation
             limit.twist[:] = task.twist
             return False
         limit.behind = True
     there = _catch_up(way, task.twist[:3], task.acceleration[:3], limit, limit.twist[:3],
-                      frame.twist[:3], limit.ahead, LEAST_LEAD, limit.reach, limit.ramp)
+                      frame.twist[:3], limit.ahead, LEAST_LEAD, config.reach, config.ramp)
     add(limit.position, way)
     task.position[:] = limit.position
     there_turned = _catch_up(turn, task.twist[3:], task.acceleration[3:], limit, limit.twist[3:],
-                             frame.twist[3:], limit.turned_ahead, LEAST_TURN, limit.turn,
-                             limit.turn_ramp)
+                             frame.twist[3:], limit.turned_ahead, LEAST_TURN, config.turn,
+                             config.turn_ramp)
     rotate_by(turn, limit.rotation)
     task.rotation[:] = limit.rotation
     behind = not (there and there_turned)
@@ -395,13 +404,14 @@ def _catch_up(
     motion of the arm is bounded, v_r is at most v + (l - e) k_p / k_v, at a distance e ahead of an
     arm of speed v: the motion law then pulls the arm by k_p l at most.
     """
-    h, distance, fastest = limit.contacts.period, length(way), reach / limit.lead
+    h, lead, distance = limit.config.contacts.period, limit.config.lead, length(way)
+    fastest = reach / lead
     wanted, slower = (speed_des[0], speed_des[1], speed_des[2]), False
     if distance > 0.0:
         direction = divided(way, distance)
         closing = min(RETURN_RATE * distance, RETURN_SHARE * fastest)
         along = max(0.0, dot(wanted, direction) + closing)
-        allowed = dot(speed_of_arm, direction) + (least_lead - dot(ahead, direction)) / limit.lead
+        allowed = dot(speed_of_arm, direction) + (least_lead - dot(ahead, direction)) / lead
         slower = limit.bounded and along > allowed
         if slower:
             along = max(allowed, 0.0)
@@ -509,13 +519,13 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
     """Bring a task within the box and, off active normals, within reach; return if it changed."""
     # The arm goes at v_des + (k_p / k_v) (x_des - x): the limit's speed at an error of one reach.
     position, twist, acceleration = task.position, task.twist, task.acceleration
-    limited = False
+    config, limited = limit.config, False
     for k in range(3):
-        inside = min(max(position[k], limit.lower[k]), limit.upper[k])
+        inside = min(max(position[k], config.lower[k]), config.upper[k])
         if inside != position[k]:
             position[k], twist[k], acceleration[k], limited = inside, 0.0, 0.0, True
     gap = between(frame.position, position)
-    way = (limit.lead * twist[0], limit.lead * twist[1], limit.lead * twist[2])
+    way = (config.lead * twist[0], config.lead * twist[1], config.lead * twist[2])
     axes, count = limit.axes, 0
     for i in range(columns.shape[0]):
         if not columns[i].answer.active or columns[i].config.leader != i:
@@ -531,14 +541,14 @@ def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
             count += 1
             gap, way = across(gap, axis), across(way, axis)
     limit.ahead[:] = gap
-    share = _share_within(limit.ahead, way, limit.reach, twist[:3], acceleration[:3])
+    share = _share_within(limit.ahead, way, config.reach, twist[:3], acceleration[:3])
     if share < 1.0:
         add_scaled(position, share - 1.0, gap)
     turn, turned_way = limit.turned_way, twist[3:]
     limit.turned_ahead[:] = rotation_vector(task.rotation, frame.rotation)
-    way = (limit.lead * turned_way[0], limit.lead * turned_way[1], limit.lead * turned_way[2])
+    way = (config.lead * turned_way[0], config.lead * turned_way[1], config.lead * turned_way[2])
     turn_share = _share_within(
-        limit.turned_ahead, way, limit.turn, twist[3:], acceleration[3:])
+        limit.turned_ahead, way, config.turn, twist[3:], acceleration[3:])
     if turn_share < 1.0:
         for k in range(3):
             turn[k] = turn_share * limit.turned_ahead[k]

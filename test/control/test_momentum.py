@@ -61,7 +61,8 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
             felt = pin.computeFrameJacobian(
                 plant.model, plant.model.createData(), sample.q, tip,
                 pin.LOCAL_WORLD_ALIGNED)[:3].T @ TOOL_PUSH
-            rows.append((arm.joints['watch']['residual'].copy(), bool(arm.flags & TOUCHED) * np.ones(6),
+            residual = arm.joints['watch']['residual'].copy()
+            rows.append((residual, bool(arm.flags & TOUCHED) * np.ones(6),
                          -state.jacobian[:3].T @ PUSH * (k * H > 0.55), sample.q, sample.qd,
                          sample.effort + felt))
             wanted = HOME + 0.15 * np.sin(6.0 * k * H)

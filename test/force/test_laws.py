@@ -194,7 +194,7 @@ def test_law_knows_what_acts_beyond_its_answer(name):
             if aware:
                 act_beyond(laws, np.array([True]), -inputs)
         part = laws[0]['linear']['p_est'] if laws['is_linear'][0] else (
-            laws[0]['observer']['x_est'][int(laws[0]['observer']['states']) - 1])
+            laws[0]['observer']['x_est'][laws[0]['observer']['design']['states'] - 1])
         estimates.append(abs(float(part)))
     assert estimates[0] < 0.02 < 0.1 < estimates[1]
 
@@ -271,5 +271,5 @@ def test_live_change_of_what_adaptive_limits_do_not_read_computes_none_anew():
         make_force_laws(config.model_copy(update={'force': force}))
     assert largest_ratio.cache_info().misses == known
     force = config.force.model_copy(update={'time_constant': OTHER_GAINS['time_constant']})
-    limits = make_force_laws(config.model_copy(update={'force': force}))['stiffness']
-    assert (limits['ratio_limit'] != laws['stiffness']['ratio_limit']).all()
+    limits = make_force_laws(config.model_copy(update={'force': force}))['stiffness']['config']
+    assert (limits['ratio_limit'] != laws['stiffness']['config']['ratio_limit']).all()

@@ -48,16 +48,18 @@ def test_feedback_of_another_stiffness_is_that_of_ackermann(delay):
     record, observer = stiffness_of(delay=delay, mass=0.0)
     for k in (300.0, 20_000.0, 6000.0):
         use_stiffness(observer, record, k, 0.0)
-        wanted = make_observers([design_observer(design_force_loop(k, 100.0, delay))])[0]
+        wanted = make_observers([design_observer(design_force_loop(k, 100.0, delay))])['design'][0]
         for name in ('Phi_n', 'Gamma', 'feedback'):
             np.testing.assert_allclose(
-                observer[name], wanted[name], rtol=1e-6, atol=1e-9 * np.abs(wanted[name]).max())
+                observer['design'][name], wanted[name], rtol=1e-6,
+                atol=1e-9 * np.abs(wanted[name]).max())
 
 
 def test_poles_are_limited_by_tool_and_surface():
     record, observer = stiffness_of()
     use_stiffness(observer, record, 300.0, 20.0)
-    loop = observer['Phi_n'][:5, :5] - np.outer(observer['Gamma'][:5], observer['feedback'][:5])
+    design = observer['design']
+    loop = design['Phi_n'][:5, :5] - np.outer(design['Gamma'][:5], design['feedback'][:5])
     poles = np.sort(-np.log(np.sort(np.abs(np.linalg.eigvals(loop)))[-2:]) / H)
     np.testing.assert_allclose(poles, [300.0 / 20.0, np.sqrt(0.8 * 300.0 / 0.5)], rtol=1e-4)
 
@@ -132,4 +134,4 @@ def test_force_does_not_jump_when_the_model_changes():
     use_stiffness(observer, record, 12_000.0, 24.0)
     assert observer['x_est'][:2].tolist() == [10.0, 80.0]
     assert (observer['P'][0, 1], observer['P'][1, 1]) == (4.0, 12.0)
-    assert observer['damping_time'] == pytest.approx(24.0 / 12_000.0)
+    assert observer['design']['damping_time'] == pytest.approx(24.0 / 12_000.0)

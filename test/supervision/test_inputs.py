@@ -303,7 +303,7 @@ def test_delay_of_the_low_pass_is_in_the_controllers_model():
     sensor = {'filter_order': 1, 'filter_cutoff': RATE / np.pi * np.arctan(1 / 6)}
     assert controller_config(sensor=sensor).loop_delay == pytest.approx(0.006 + 3 / RATE)
     filtered, delayed = (
-        make_force_laws(controller_config(**changes))['observer']
+        make_force_laws(controller_config(**changes))['observer']['design']
         for changes in ({'sensor': sensor}, {'force': {'input_delay': 0.012}}))
     assert filtered['states'].tolist() == [2 + 6 + 1] * 2
     np.testing.assert_allclose(filtered['feedback'], delayed['feedback'], rtol=1e-6)
