@@ -4,11 +4,62 @@ The records that compiled code works on: every field with its shape and unit.
 They are handed over as arrays, also of one element: numba takes a lone record ten times slower.
 """
 
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, overload, Protocol, TypeVar
+
+from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import MAX_DELAY_PERIODS
 import numpy as np
-from numpy.typing import NDArray
 
-Records = NDArray[np.void]
+RecordT_co = TypeVar('RecordT_co', covariant=True)
+
+
+class Record(Protocol):
+    """
+    One record: beside every dtype stands what is derived of this, for editors and type checkers.
+
+    Compiled code reads and writes the fields as attributes, Python by their names.
+    """
+
+    def __getitem__(self, field: str) -> Any:
+        """Return a field."""
+
+    def __setitem__(self, field: str, value: Any) -> None:
+        """Set a field."""
+
+
+class Records(Protocol[RecordT_co]):
+    """An array of records."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Return how many there are."""
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+
+    def __iter__(self) -> Iterator[RecordT_co]:
+        """Go through them."""
+
+    @overload
+    def __getitem__(self, place: Mask) -> Records[RecordT_co]: ...
+
+    @overload
+    def __getitem__(self, place: int) -> RecordT_co: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> Records[RecordT_co]: ...
+
+    @overload
+    def __getitem__(self, place: str) -> Any: ...
+
+    def __setitem__(self, place: Any, value: Any) -> None:
+        """Set some of them, or a field of all."""
+
+    def copy(self) -> Records[RecordT_co]:
+        """Return a copy."""
 
 F, I, B = np.float64, np.int64, np.bool_
 
@@ -34,6 +85,27 @@ LAW = np.dtype([
     ('period', F),  # h [s]
 ], align=True)
 
+
+class Law(Record, Protocol):
+    """A record of `LAW`."""
+
+    k_p: float
+    k_v: float
+    K_2: float
+    friction_speed: float
+    nullspace_damping: float
+    posture_stiffness: float
+    stop_stiffness: float
+    least_share: float
+    singular_mobility: float
+    inertia_metric: bool
+    decoupled: bool
+    separated: bool
+    force_noise: float
+    torque_noise: float
+    period: float
+
+
 # What the residual of a joint has followed: `REGRESSORS` of `control.arm`; sums fade within 1 s.
 EVIDENCE = np.dtype([
     ('regressor', F, 4), ('square', F, 4),  # the newest, and the sum of their squares
@@ -45,6 +117,23 @@ EVIDENCE = np.dtype([
     ('area', F),  # integral of the same since the arm was calm last [N m s]
     ('felt_before', F),  # J_i^T f when it was [N m]
 ], align=True)
+
+
+class Evidence(Record, Protocol):
+    """A record of `EVIDENCE`."""
+
+    regressor: Vector
+    square: Vector
+    product: Vector
+    power: float
+    at_rest: float
+    rested: float
+    friction: float
+    moved: float
+    mean_square: float
+    area: float
+    felt_before: float
+
 
 # What is set for one joint.
 JOINT_CONFIG = np.dtype([
@@ -59,6 +148,24 @@ JOINT_CONFIG = np.dtype([
     ('allowance', F), ('learnt_limit', F),  # friction in it, at least and at most [N m]
 ], align=True)
 
+
+class JointConfig(Record, Protocol):
+    """A record of `JOINT_CONFIG`."""
+
+    coulomb: float
+    viscous: float
+    lower: float
+    upper: float
+    posture: float
+    torque_limit: float
+    torque_step: float
+    gate_speed: float
+    speed_limit: float
+    least_threshold: float
+    allowance: float
+    learnt_limit: float
+
+
 # What the collision watch knows of one joint.
 JOINT_WATCH = np.dtype([
     ('effort', F),  # torque that acted since the sample before [N m]
@@ -72,6 +179,22 @@ JOINT_WATCH = np.dtype([
     ('evidence', EVIDENCE),
 ], align=True)
 
+
+class JointWatch(Record, Protocol):
+    """A record of `JOINT_WATCH`."""
+
+    effort: float
+    effort_fault: int
+    unwatched: bool
+    last_velocity: float
+    last_bias: float
+    residual: float
+    doubt: float
+    threshold: float
+    slack: float
+    evidence: Evidence
+
+
 # What the control law answers for one joint.
 JOINT_ANSWER = np.dtype([
     ('torque', F),  # Gamma [N m]
@@ -79,12 +202,32 @@ JOINT_ANSWER = np.dtype([
     ('priority', F),  # of that, what goes before the rest at a limit: see `finish_torque` [N m]
 ], align=True)
 
+
+class JointAnswer(Record, Protocol):
+    """A record of `JOINT_ANSWER`."""
+
+    torque: float
+    unlimited: float
+    priority: float
+
+
 # What the last gate remembers of one joint, and what is left of the torques before.
 JOINT_GATE = np.dtype([
     ('lower', F), ('upper', F),  # positions at which it comes to rest [rad]
     ('last', F),  # what was commanded last and what was added [N m]
     ('lacking', F), ('difference', F),  # see `supervision.gate.blend` [N m]
 ], align=True)
+
+
+class JointGate(Record, Protocol):
+    """A record of `JOINT_GATE`."""
+
+    lower: float
+    upper: float
+    last: float
+    lacking: float
+    difference: float
+
 
 # One joint: what is set for it, where it is and its terms of the arm's model, and what is made of
 # that on the way to its torque.
@@ -100,10 +243,33 @@ JOINT = np.dtype([
     ('gate', JOINT_GATE),
 ], align=True)
 
+
+class Joint(Record, Protocol):
+    """A record of `JOINT`."""
+
+    config: JointConfig
+    q: float
+    velocity: float
+    inertia: float
+    bias_torque: float
+    added: float
+    watch: JointWatch
+    answer: JointAnswer
+    gate: JointGate
+
+
 # What is set for the operational frame.
 FRAME_CONFIG = np.dtype([
     ('speed_limit', F), ('turn_limit', F),  # beyond which it is too fast [m/s], [rad/s]
 ], align=True)
+
+
+class FrameConfig(Record, Protocol):
+    """A record of `FRAME_CONFIG`."""
+
+    speed_limit: float
+    turn_limit: float
+
 
 # The operational frame and the wrist sensor's, world axes; one.
 FRAME = np.dtype([
@@ -116,6 +282,19 @@ FRAME = np.dtype([
     ('mobility', F),  # smallest eigenvalue of Lambda^-1 where the law was asked last [1/kg]
 ], align=True)
 
+
+class Frame(Record, Protocol):
+    """A record of `FRAME`."""
+
+    config: FrameConfig
+    position: Vector
+    rotation: Matrix
+    twist: Vector
+    sensor_position: Vector
+    sensor_rotation: Matrix
+    mobility: float
+
+
 # What hangs on the wrist sensor; one.
 TOOL = np.dtype([
     ('com_sensor', F, 3),  # centre of mass in the sensor frame [m]
@@ -124,12 +303,31 @@ TOOL = np.dtype([
     ('mass', F),  # m [kg]
 ], align=True)
 
+
+class Tool(Record, Protocol):
+    """A record of `TOOL`."""
+
+    com_sensor: Vector
+    weight: Vector
+    bias: Vector
+    mass: float
+
+
 # What is set for the generalised-momentum observer.
 MOMENTUM_CONFIG = np.dtype([
     ('bandwidth', F),  # K [1/s], 0 for none
     ('dynamic_share', F),  # of what accelerates the arm, added to the thresholds
     ('is_input', B),  # whether the residual is the wrench of the contacts: there is no sensor
 ], align=True)
+
+
+class MomentumConfig(Record, Protocol):
+    """A record of `MOMENTUM_CONFIG`."""
+
+    bandwidth: float
+    dynamic_share: float
+    is_input: bool
+
 
 # The generalised-momentum observer; one.
 MOMENTUM = np.dtype([
@@ -141,6 +339,18 @@ MOMENTUM = np.dtype([
     ('touched', B),  # whether one has been beyond it since they were
 ], align=True)
 
+
+class Momentum(Record, Protocol):
+    """A record of `MOMENTUM`."""
+
+    config: MomentumConfig
+    elapsed: float
+    com_velocity: Vector
+    collided: bool
+    calm: float
+    touched: bool
+
+
 # Where the operational frame is to be, world axes.
 TASK = np.dtype([
     ('position', F, 3),  # x_des [m]
@@ -148,6 +358,16 @@ TASK = np.dtype([
     ('twist', F, 6),  # theta_des [m/s, rad/s]
     ('acceleration', F, 6),  # a_des [m/s^2, rad/s^2]
 ], align=True)
+
+
+class Task(Record, Protocol):
+    """A record of `TASK`."""
+
+    position: Vector
+    rotation: Matrix
+    twist: Vector
+    acceleration: Vector
+
 
 # All that the control law works on besides joints, contacts and observers; one.
 CONTROL = np.dtype([
@@ -157,6 +377,20 @@ CONTROL = np.dtype([
     ('wrench', F, 6),  # what the wrist sensor reads, in its frame [N, N m]
     ('measured', B),  # whether that is of this sample; if not, observers only predict
 ], align=True)
+
+
+class Control(Record, Protocol):
+    """A record of `CONTROL`."""
+
+    law: Law
+    frame: Frame
+    tool: Tool
+    momentum: Momentum
+    wanted: Task
+    task: Task
+    wrench: Vector
+    measured: bool
+
 
 # What the force law answers for one contact, all 0 where no law controls it.
 FORCE_ANSWER = np.dtype([
@@ -168,6 +402,20 @@ FORCE_ANSWER = np.dtype([
     ('prior_variance', F),  # C P_1 C^T, 0 there as well [N^2]
     ('variance_used', F),  # R the observer worked with, 0 there as well [N^2]
 ], align=True)
+
+
+class ForceAnswer(Record, Protocol):
+    """A record of `FORCE_ANSWER`."""
+
+    active: bool
+    alpha_des: float
+    alpha_fed: float
+    alpha_est: float
+    alpha_rate_est: float
+    innovation: float
+    prior_variance: float
+    variance_used: float
+
 
 # What is configured of one column of N: the normal force of a contact, or one of its couples.
 CONTACT_CONFIG = np.dtype([
@@ -187,6 +435,27 @@ CONTACT_CONFIG = np.dtype([
     ('surface_gain', F),  # share of the way that its estimate goes per period
     ('surface_speed_limit', F),  # bound of that, 0 where it is not estimated [m/s]
 ], align=True)
+
+
+class ContactConfig(Record, Protocol):
+    """A record of `CONTACT_CONFIG`."""
+
+    kind: int
+    leader: int
+    normal: Vector
+    point: Vector
+    direction: Vector
+    half_length: float
+    friction_std: float
+    torsion_std: float
+    friction_coefficient: float
+    normal_gain: float
+    turn_limit: float
+    smallest_cosine: float
+    surface_speed: float
+    surface_gain: float
+    surface_speed_limit: float
+
 
 # One column of N, couples in newtons: what is configured, measured and learnt, and answered.
 CONTACT = np.dtype([
@@ -212,6 +481,31 @@ CONTACT = np.dtype([
 ], align=True)
 
 
+class Contact(Record, Protocol):
+    """A record of `CONTACT`."""
+
+    config: ContactConfig
+    N: Vector
+    alpha_meas: float
+    untared: float
+    speed_bound: float
+    borne: float
+    noise_variance: float
+    guarded: bool
+    normal: Vector
+    surface_speed_est: float
+    friction: Vector
+    stiffness: float
+    mobility: float
+    stiffness_est: float
+    stiffness_std: float
+    ratio_bound: float
+    margin: float
+    wanted: bool
+    alpha_wanted: float
+    answer: ForceAnswer
+
+
 # What has come in at a tick, as Python writes it; one. What of it is valid, and where it goes, is
 # in `supervision.inputs`.
 INPUT = np.dtype([
@@ -228,3 +522,25 @@ INPUT = np.dtype([
     ('wrench', F, 6),  # what the wrist sensor reads, in its frame [N, N m]
     ('variance', F, MAX_COLUMNS),  # R of each column of N [N^2]
 ], align=True)
+
+
+class Input(Record, Protocol):
+    """A record of `INPUT`."""
+
+    time: float
+    joints_came: int
+    velocity_came: int
+    effort_came: int
+    wrench_came: int
+    variance_came: int
+    command_came: bool
+    joints_stamp: float
+    wrench_stamp: float
+    variance_stamp: float
+    q: Vector
+    velocity: Vector
+    effort: Vector
+    command: Vector
+    wrench: Vector
+    variance: Vector
+

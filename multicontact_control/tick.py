@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.control.arm import ARM_SPACE, see_arm
-from multicontact_control.control.law import control_law, LAW_SPACE
+from multicontact_control.control.arm import ARM_SPACE, ArmSpace, see_arm
+from multicontact_control.control.law import control_law, LAW_SPACE, LawSpace
 from multicontact_control.flags import (
     ALARMS,
     BOUNDING_LIMITS,
@@ -16,9 +16,12 @@ from multicontact_control.flags import (
     REFUSED,
     SINGULAR,
 )
-from multicontact_control.supervision.checks import judge_answer
-from multicontact_control.supervision.contact_task import limit_task
-from multicontact_control.supervision.gate import law_number, pass_gate
+from multicontact_control.force.force_law import ForceLaw
+from multicontact_control.records import Contact, Control, Joint, Record, Records
+from multicontact_control.supervision.checks import judge_answer, Judgement
+from multicontact_control.supervision.contact_task import limit_task, TaskLimits
+from multicontact_control.supervision.contacts import ContactState
+from multicontact_control.supervision.gate import Gate, law_number, pass_gate
 import numpy as np
 
 SEE, ACT = 1, 2  # stages of a tick
@@ -27,12 +30,21 @@ SEE, ACT = 1, 2  # stages of a tick
 WORKSPACE = np.dtype([('arm', ARM_SPACE), ('law', LAW_SPACE)], align=True)
 
 
+class Workspace(Record, Protocol):
+    """A record of `WORKSPACE`."""
+
+    arm: ArmSpace
+    law: LawSpace
+
+
 @compiled
 def tick(
-    stages: int, joints: Any, controls: Any, contacts: Any, laws: Any, states: Any, limits: Any,
-    judgements: Any, gates: Any, workspaces: Any, motion: Matrix, mass_matrix: Matrix,
-    bias_torque: Vector, jacobian: Matrix, jacobian_rate: Matrix, position: Vector,
-    rotation: Matrix, sensor_position: Vector, sensor_rotation: Matrix,
+    stages: int, joints: Records[Joint], controls: Records[Control], contacts: Records[Contact],
+    laws: Records[ForceLaw], states: Records[ContactState], limits: Records[TaskLimits],
+    judgements: Records[Judgement], gates: Records[Gate], workspaces: Records[Workspace],
+    motion: Matrix, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix,
+    jacobian_rate: Matrix, position: Vector, rotation: Matrix, sensor_position: Vector,
+    sensor_rotation: Matrix,
 ) -> int:
     """
     See the arm, then act: limit the task, ask the law, judge its answer, let the torque through.

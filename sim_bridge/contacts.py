@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.errors import ConfigError
+from multicontact_control.records import Record, Records
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, TOOL_LINK
 from sim_bridge.config import PlantConfig
-from sim_bridge.drives import advance_drives
-from sim_bridge.kinematics import add_joint_torque, forward_kinematics, place_point, point_velocity
-from sim_bridge.surface import build_surfaces, move, press
+from sim_bridge.drives import advance_drives, Drive
+from sim_bridge.kinematics import (
+    add_joint_torque,
+    forward_kinematics,
+    Link,
+    place_point,
+    point_velocity,
+)
+from sim_bridge.surface import build_surfaces, move, press, Surface
 
 # What pushes the last link or the tool at one point; world axes.
 HAND = np.dtype([
@@ -24,10 +31,18 @@ HAND = np.dtype([
 ])
 
 
+class Hand(Record, Protocol):
+    """A record of `HAND`."""
+
+    force: Vector
+    local: Vector
+    point: Vector
+
+
 class Pushes:
     """Forces on one point of the arm over some control periods, summed in a record of `HAND`."""
 
-    def __init__(self, hand: Any) -> None:
+    def __init__(self, hand: Hand) -> None:
         self.force_world: Vector = hand['force']
         self._pushes: list[tuple[int, int, Vector]] = []
 
@@ -67,7 +82,7 @@ class Contacts:
         generators: list[np.random.Generator],
     ) -> None:
         met = [config.surfaces[name] for name in config.met]
-        self.surfaces: Any
+        self.surfaces: Records[Surface]
         self.surfaces, self.profiles = build_surfaces(met, generators)
         for record, surface in zip(self.surfaces, met):
             frame = model.frames[model.getFrameId(surface.tip_link)]
@@ -99,7 +114,7 @@ class Contacts:
         """Return the normal forces on what is in the way and no contact, shape (k,) [N]."""
         return self.pressed[self._touched:].copy()
 
-    def _changing(self, surface: int) -> Any:
+    def _changing(self, surface: int) -> Surface:
         """Return a surface to change; ConfigError if it is the engine's own."""
         if self._native:
             raise ConfigError('contact', 'compliant, for surfaces that change', 'native')
@@ -141,8 +156,9 @@ def take_push(push: Vector, force: Vector, sign: float, point: Vector, body: int
 
 @compiled
 def act_on_arm(
-    motion: Matrix, torques: Matrix, limit: Vector, links: Any, drives: Any, surfaces: Any,
-    profiles: Any, hands: Any, pushes: Matrix, step: float,
+    motion: Matrix, torques: Matrix, limit: Vector, links: Records[Link], drives: Records[Drive],
+    surfaces: Records[Surface], profiles: Matrix, hands: Records[Hand], pushes: Matrix,
+    step: float,
 ) -> int:
     """
     Work out all that acts on the arm in one integration step [s], but for the engine's own work.

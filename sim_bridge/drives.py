@@ -6,11 +6,11 @@ Without commands they hold their position.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.records import Records
+from multicontact_control.records import Record, Records
 import numpy as np
 from numpy.typing import ArrayLike
 import pinocchio as pin
@@ -24,6 +24,17 @@ FRICTION = np.dtype([
     ('coulomb_negative', np.float64),  # for negative speed, >= 0 [N m]
     ('speed', np.float64),  # scale of the smoothed Coulomb friction [rad/s]
 ])
+
+
+class Friction(Record, Protocol):
+    """A record of `FRICTION`."""
+
+    viscous: float
+    coulomb_positive: float
+    coulomb_negative: float
+    speed: float
+
+
 HOLD_FREQUENCY = 20.0  # w [rad/s]
 NEWTON_STEPS = 50
 LARGEST_SWEEPS = 1000
@@ -39,7 +50,18 @@ DRIVE = np.dtype([
 ])
 
 
-def joint_friction(arm: Arm, scale: float, speed: float) -> Records:
+class Drive(Record, Protocol):
+    """A record of `DRIVE`."""
+
+    q: float
+    qd: float
+    inertia: float
+    stiffness: float
+    damping: float
+    friction: Friction
+
+
+def joint_friction(arm: Arm, scale: float, speed: float) -> Records[Friction]:
     """Return the friction of an arm times a scale, as records of `FRICTION`, shape (n,)."""
     joints = np.zeros(len(arm.links), dtype=FRICTION)
     for joint, link in zip(joints, arm.links):
@@ -50,8 +72,8 @@ def joint_friction(arm: Arm, scale: float, speed: float) -> Records:
 
 
 def flexible_drives(
-    inertia: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, friction: Records,
-) -> Records:
+    inertia: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, friction: Records[Friction],
+) -> Records[Drive]:
     """Return rotors joined to the links by springs, records of `DRIVE`, shape (n,)."""
     drives = np.zeros(len(friction), dtype=DRIVE)
     drives['inertia'], drives['friction'] = inertia, friction
@@ -61,7 +83,8 @@ def flexible_drives(
 
 @compiled
 def advance_drives(
-    torque: Vector, q: Vector, qd: Vector, drives: Any, step: float, link_torque: Vector,
+    torque: Vector, q: Vector, qd: Vector, drives: Records[Drive], step: float,
+    link_torque: Vector,
 ) -> None:
     """
     Advance the rotors by one step and give what their springs do to the links.
@@ -90,7 +113,7 @@ class RigidDrives:
     and the integration step [s].
     """
 
-    def __init__(self, model: pin.Model, friction: Records, step: float) -> None:
+    def __init__(self, model: pin.Model, friction: Records[Friction], step: float) -> None:
         self._model, self._data = model, model.createData()
         self._armature = np.array(model.armature)
         self._friction, self._step = friction, step
@@ -138,7 +161,7 @@ class PositionHold:
 
 
 @compiled
-def friction_at(speed: float, joint: Any) -> tuple[float, float]:
+def friction_at(speed: float, joint: Friction) -> tuple[float, float]:
     """Return f(v) = b v + F tanh(v / v_0) of a joint [N m] and df/dv [N m s/rad] at a speed."""
     coulomb = joint.coulomb_positive if speed >= 0.0 else joint.coulomb_negative
     tangent = np.tanh(speed / joint.speed)
@@ -147,7 +170,7 @@ def friction_at(speed: float, joint: Any) -> tuple[float, float]:
 
 
 @compiled
-def implicit_speed(free_speed: float, step: float, inertia: float, joint: Any) -> float:
+def implicit_speed(free_speed: float, step: float, inertia: float, joint: Friction) -> float:
     """
     Solve v = free_speed - step / inertia * f(v) for the speed at the end of a step.
 
@@ -178,7 +201,8 @@ def implicit_speed(free_speed: float, step: float, inertia: float, joint: Any) -
 
 @compiled
 def implicit_joint_speed(
-    free_speed: Vector, step: float, mass_matrix: Matrix, friction: Any, speed: Vector,
+    free_speed: Vector, step: float, mass_matrix: Matrix, friction: Records[Friction],
+    speed: Vector,
 ) -> None:
     """
     Solve M (v - free_speed) + step f(v) = 0 for the speeds of joints that move each other.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.records import Records
+from multicontact_control.records import Record, Records
 import numpy as np
 import pinocchio as pin
 
@@ -20,7 +20,17 @@ LINK = np.dtype([
 ])
 
 
-def chain_of(model: pin.Model) -> Records:
+class Link(Record, Protocol):
+    """A record of `LINK`."""
+
+    rotation: Matrix
+    offset: Vector
+    axis: Vector
+    axes: Matrix
+    origin: Vector
+
+
+def chain_of(model: pin.Model) -> Records[Link]:
     """Return the links of an arm as records of `LINK`, shape (n,)."""
     links = np.zeros(model.nv, dtype=LINK)
     placements = list(model.jointPlacements)[1:]
@@ -36,7 +46,7 @@ def mass_matrix(model: pin.Model, data: pin.Data, q: Vector) -> Matrix:
 
 
 @compiled
-def forward_kinematics(q: Vector, links: Any) -> None:
+def forward_kinematics(q: Vector, links: Records[Link]) -> None:
     """
     Place a chain of revolute joints, each about the z axis of its own frame, at angles [rad].
 
@@ -65,7 +75,7 @@ def forward_kinematics(q: Vector, links: Any) -> None:
 
 
 @compiled
-def place_point(local: Vector, link: Any, point: Vector) -> None:
+def place_point(local: Vector, link: Link, point: Vector) -> None:
     """Fill `point` with a point of a link given in its frame, world axes, shape (3,) [m]."""
     for row in range(3):
         point[row] = link.origin[row]
@@ -74,7 +84,9 @@ def place_point(local: Vector, link: Any, point: Vector) -> None:
 
 
 @compiled
-def point_velocity(point: Vector, qd: Vector, links: Any, last: int, velocity: Vector) -> None:
+def point_velocity(
+    point: Vector, qd: Vector, links: Records[Link], last: int, velocity: Vector,
+) -> None:
     """
     Fill `velocity` with that of a point of link `last`, world axes, shape (3,) [m/s].
 
@@ -93,7 +105,7 @@ def point_velocity(point: Vector, qd: Vector, links: Any, last: int, velocity: V
 
 @compiled
 def add_joint_torque(
-    point: Vector, force: Vector, sign: float, links: Any, last: int, torque: Vector,
+    point: Vector, force: Vector, sign: float, links: Records[Link], last: int, torque: Vector,
 ) -> None:
     """
     Add J^T (sign * force) of a force at a point of link `last`, world axes, to `torque`.

@@ -7,11 +7,11 @@ positive normal component.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.records import Records
+from multicontact_control.records import Record, Records
 import numpy as np
 from sim_bridge.config import SurfaceConfig
 
@@ -46,9 +46,37 @@ SURFACE = np.dtype([
 ])
 
 
+class Surface(Record, Protocol):
+    """A record of `SURFACE`."""
+
+    place: Vector
+    normal: Vector
+    track: Vector
+    axis: Vector
+    stiffness: float
+    damping: float
+    friction: float
+    slip_speed: float
+    spacing: float
+    joint: int
+    body: int
+    tip: Vector
+    radius: float
+    ball: int
+    velocity: float
+    motion_start: float
+    motion_period: float
+    time: float
+    speed: float
+    facing: Vector
+    point: Vector
+    alpha: float
+    force: Vector
+
+
 def build_surfaces(
     configs: list[SurfaceConfig], generators: list[np.random.Generator],
-) -> tuple[Records, Matrix]:
+) -> tuple[Records[Surface], Matrix]:
     """
     Return records of `SURFACE`, shape (no,), each with a roughness from its own generator.
 
@@ -103,7 +131,7 @@ def track_direction(normal_world: Vector) -> Vector:
 
 
 @compiled
-def move(surface: Any, step: float) -> None:
+def move(surface: Surface, step: float) -> None:
     """Let a surface move for a step [s]."""
     surface.time += step
     time = surface.time - surface.motion_start
@@ -116,7 +144,7 @@ def move(surface: Any, step: float) -> None:
 
 
 @compiled
-def mean_depth(surface: Any) -> float:
+def mean_depth(surface: Surface) -> float:
     """
     Return how deep the tip is in the mean surface [m], and fill in which way that faces.
 
@@ -148,7 +176,7 @@ def mean_depth(surface: Any) -> float:
 
 
 @compiled
-def press(surface: Any, velocity: Vector, profile: Matrix) -> None:
+def press(surface: Surface, velocity: Vector, profile: Matrix) -> None:
     """
     Work out what a moving tip does to a surface.
 

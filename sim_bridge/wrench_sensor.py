@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.errors import ConfigError
+from multicontact_control.records import Record, Records
 import numpy as np
 from sim_bridge.config import SensorConfig
 
@@ -25,6 +26,17 @@ AXIS = np.dtype([
     ('reading', np.float64),
     ('filtered', np.float64),  # the reading behind the low-passes
 ])
+
+
+class Axis(Record, Protocol):
+    """A record of `AXIS`."""
+
+    bias: float
+    noise_std: float
+    limit: float
+    quantum: float
+    reading: float
+    filtered: float
 
 
 class WrenchSensor:
@@ -47,7 +59,7 @@ class WrenchSensor:
     ) -> None:
         self._generator, self._noise = generator, np.zeros((0, AXES))
         self._mounting = np.array(config.mounting).reshape(3, 3) if config.mounting else None
-        self._axes: Any = np.zeros(AXES, dtype=AXIS)
+        self._axes: Records[Axis] = np.zeros(AXES, dtype=AXIS)
         self._axes['bias'] = config.bias
         self._axes['limit'] = config.full_scale if config.saturate else np.inf
         if config.noise:
@@ -123,7 +135,8 @@ def butterworth(cutoff: float, rate: float) -> tuple[Vector, Vector]:
 
 @compiled
 def take_readings(
-    wrenches: Matrix, noise: Matrix, axes: Any, stages: Matrix, memory: Matrix, first: bool,
+    wrenches: Matrix, noise: Matrix, axes: Records[Axis], stages: Matrix, memory: Matrix,
+    first: bool,
 ) -> None:
     """
     Take one reading after the other, the last one into `axes`, records of `AXIS`, shape (6,).

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 import math
-from typing import Any
 
 from multicontact_control.algebra import across, cross, rotated
 from multicontact_control.arrays import Matrix, Vector
@@ -12,7 +11,7 @@ from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.contact import ACROSS, FORCE
 from multicontact_control.errors import CommandError, ConfigError
-from multicontact_control.records import Records
+from multicontact_control.records import Contact, Records
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -25,7 +24,7 @@ ORIENTATIONS = Rotation.from_rotvec(
 
 
 @compiled
-def fill_normal_space(contacts: Any, rotation: Matrix) -> None:
+def fill_normal_space(contacts: Records[Contact], rotation: Matrix) -> None:
     """
     Fill in N_i, the wrench that a unit force at contact i makes.
 
@@ -50,14 +49,14 @@ def fill_normal_space(contacts: Any, rotation: Matrix) -> None:
         contact.N[3:] *= config.half_length
 
 
-def normal_space(contacts: Records, rotation_world: Matrix) -> Matrix:
+def normal_space(contacts: Records[Contact], rotation_world: Matrix) -> Matrix:
     """Fill in and return N of records of `CONTACT`, world axes, shape (6, r) (P04 eq. 5)."""
     fill_normal_space(contacts, np.array(rotation_world))  # what is read-only is another type
     N: Matrix = contacts['N'].T.copy()
     return N
 
 
-def check_columns(names: Sequence[str], contacts: Records) -> None:
+def check_columns(names: Sequence[str], contacts: Records[Contact]) -> None:
     """
     Refuse columns, with these names, that one wrist sensor cannot tell apart.
 
@@ -81,7 +80,7 @@ def check_columns(names: Sequence[str], contacts: Records) -> None:
             'N, P04 eq. 5)', f'{", ".join(names)}, which depend on each other')
 
 
-def friction_coupling(contacts: Records, rotation_world: Matrix) -> Matrix:
+def friction_coupling(contacts: Records[Contact], rotation_world: Matrix) -> Matrix:
     """
     Return what 1 N of friction is read as where nothing is allowed for it.
 
@@ -122,7 +121,7 @@ def placed_way(way: Vector, columns: Matrix) -> Vector:
     return placed
 
 
-def place_columns(config: ControllerConfig, columns: Records) -> None:
+def place_columns(config: ControllerConfig, columns: Records[Contact]) -> None:
     """Fill records of `CONTACT`, shape (r,), with the configuration of the columns of N."""
     for record, column in zip(columns, config.columns):
         known, contact = record['config'], config.contacts[column.contact]
@@ -151,7 +150,7 @@ def place_columns(config: ControllerConfig, columns: Records) -> None:
 
 
 def misread_friction(
-    config: ControllerConfig, columns: Records, rotation_world: Matrix,
+    config: ControllerConfig, columns: Records[Contact], rotation_world: Matrix,
 ) -> list[tuple[str, str, float]]:
     """
     Return where a lever turns friction into more than itself.

@@ -7,11 +7,10 @@ neither Omega_f nor Omega_m is formed, only what they make of vectors.
 
 from __future__ import annotations
 
-from typing import Any
-
 from multicontact_control.algebra import add_scaled, cholesky, multiply, solve_cholesky
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
+from multicontact_control.records import Contact, Records
 
 # A normal counts as dependent when the others leave less than this share of its square: what is
 # left of it multiplies the sensor's noise by more than 1000.
@@ -20,7 +19,8 @@ SMALLEST_PIVOT = 1e-6
 
 @compiled
 def factorise_contacts(
-    contacts: Any, everyone: bool, rows: Matrix, weighted_rows: Matrix, factor: Matrix,
+    contacts: Records[Contact], everyone: bool, rows: Matrix, weighted_rows: Matrix,
+    factor: Matrix,
 ) -> bool:
     """
     Factorise N^T D; return whether the active columns of N are independent.

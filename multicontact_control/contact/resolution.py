@@ -9,7 +9,7 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import CONTACT_SPACE, measure_contacts
 from multicontact_control.errors import ConfigError
-from multicontact_control.records import Records
+from multicontact_control.records import Contact, Control, Frame, Records
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -38,7 +38,9 @@ class Resolution(NamedTuple):
         return f'{self.name} {self.noise:.3g} N'
 
 
-def force_noise(controls: Records, contacts: Records, readings: Vector) -> Vector:
+def force_noise(
+    controls: Records[Control], contacts: Records[Contact], readings: Vector,
+) -> Vector:
     """
     Return the standard deviation of every force and couple by the sensor's noise, (r,) [N].
 
@@ -66,7 +68,7 @@ def force_noise(controls: Records, contacts: Records, readings: Vector) -> Vecto
 
 
 def resolutions(
-    config: ControllerConfig, controls: Records, contacts: Records,
+    config: ControllerConfig, controls: Records[Control], contacts: Records[Contact],
 ) -> tuple[Resolution, ...]:
     """
     Return how well the contacts are told apart where the arm is; see `force_noise`.
@@ -85,7 +87,7 @@ def resolutions(
 
 
 def check_resolution(
-    config: ControllerConfig, controls: Records, contacts: Records,
+    config: ControllerConfig, controls: Records[Control], contacts: Records[Contact],
 ) -> tuple[Resolution, ...]:
     """
     Refuse contacts whose forces are lost in the sensor's noise however the tool is turned.
@@ -115,7 +117,7 @@ def check_resolution(
     raise ConfigError.of(_too_noisy(best))
 
 
-def _turn_tool(frame: Records, turn: Matrix, lever: Vector) -> None:
+def _turn_tool(frame: Records[Frame], turn: Matrix, lever: Vector) -> None:
     """Turn a record of `FRAME`; the lever from its origin to the sensor is in its axes [m]."""
     frame['rotation'] = turn
     frame['sensor_rotation'] = turn  # as good as any: the axes are equally noisy

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from multicontact_control.algebra import (
     between,
     combined,
@@ -15,6 +13,7 @@ from multicontact_control.algebra import (
 )
 from multicontact_control.compiled import compiled
 from multicontact_control.config.contact import FORCE
+from multicontact_control.records import Contact, Frame, Records
 import numpy as np
 
 SLIDING_SPEED = 0.03  # m/s, from which on sliding has a direction; above that of approaches
@@ -23,7 +22,7 @@ STEEP = 0.32  # squared sine of 34 degrees to the surface as told, up to which i
 
 
 @compiled
-def follow_surfaces(frame: Any, contacts: Any) -> None:
+def follow_surfaces(frame: Frame, contacts: Records[Contact]) -> None:
     """
     Take a sample into the estimated speeds and normals of the surfaces.
 
@@ -47,7 +46,7 @@ def follow_surfaces(frame: Any, contacts: Any) -> None:
 
 
 @compiled
-def follow_normal(frame: Any, contact: Any) -> None:
+def follow_normal(frame: Frame, contact: Contact) -> None:
     """
     Turn a normal to where the contact force says that it is.
 

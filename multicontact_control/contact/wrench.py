@@ -8,7 +8,7 @@ wrench that the arm exerts on the tool, which has the same sign.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.algebra import (
     across,
@@ -29,7 +29,19 @@ from multicontact_control.compiled import compiled
 from multicontact_control.config import ToolConfig
 from multicontact_control.contact.geometry import fill_normal_space
 from multicontact_control.contact.projections import factorise_contacts
-from multicontact_control.records import CONTROL, F, MAX_COLUMNS, Records, TOOL
+from multicontact_control.records import (
+    Contact,
+    CONTROL,
+    Control,
+    F,
+    Frame,
+    Law,
+    MAX_COLUMNS,
+    Record,
+    Records,
+    TOOL,
+    Tool,
+)
 import numpy as np
 
 # What `measure_contacts` works in; one.
@@ -40,11 +52,25 @@ CONTACT_SPACE = np.dtype([
     ('W', F, (6, 6)), ('root', F, (6, 6)), ('column', F, 6),  # W and W^(1/2); of friction
 ], align=True)
 
+
+class ContactSpace(Record, Protocol):
+    """A record of `CONTACT_SPACE`."""
+
+    wrench: Vector
+    alpha: Vector
+    rows: Matrix
+    factor: Matrix
+    friction: Matrix
+    W: Matrix
+    root: Matrix
+    column: Vector
+
+
 SLIP_SPEED = 0.01  # m/s, v_s: the sliding speed at which 71 % of the friction is expected
 
 
 @compiled
-def operational_wrench(control: Any, wrench: Vector) -> None:
+def operational_wrench(control: Control, wrench: Vector) -> None:
     """
     Fill in the wrench the robot exerts on the environment, at the operational point.
 
@@ -67,7 +93,7 @@ def operational_wrench(control: Any, wrench: Vector) -> None:
 
 
 @compiled
-def measure_contacts(control: Any, contacts: Any, space: Any) -> bool:
+def measure_contacts(control: Control, contacts: Records[Contact], space: ContactSpace) -> bool:
     """
     Work out the contact forces; return whether the columns of N are independent.
 
@@ -109,7 +135,9 @@ def measure_contacts(control: Any, contacts: Any, space: Any) -> bool:
 
 
 @compiled
-def expect_friction(frame: Any, contacts: Any, friction: Matrix, rows: Matrix) -> None:
+def expect_friction(
+    frame: Frame, contacts: Records[Contact], friction: Matrix, rows: Matrix,
+) -> None:
     """
     Add the friction that 1 N along the normal is expected to come with.
 
@@ -131,7 +159,7 @@ def expect_friction(frame: Any, contacts: Any, friction: Matrix, rows: Matrix) -
 
 
 @compiled
-def allow_for_friction(control: Any, contacts: Any, space: Any) -> None:
+def allow_for_friction(control: Control, contacts: Records[Contact], space: ContactSpace) -> None:
     """
     Weigh a wrench and the columns of N by what besides the normal forces may be in it.
 
@@ -167,7 +195,7 @@ def allow_for_friction(control: Any, contacts: Any, space: Any) -> None:
 
 
 @compiled
-def fill_friction(law: Any, frame: Any, contact: Any, axis: int, column: Vector) -> None:
+def fill_friction(law: Law, frame: Frame, contact: Contact, axis: int, column: Vector) -> None:
     """
     Fill in the wrench at the sensor, over its noise, of 1 N of friction along a world axis.
 
@@ -185,7 +213,7 @@ def fill_friction(law: Any, frame: Any, contact: Any, axis: int, column: Vector)
 
 
 @compiled
-def weigh_at_sensor(law: Any, frame: Any, wrench: Vector) -> None:
+def weigh_at_sensor(law: Law, frame: Frame, wrench: Vector) -> None:
     """Move a wrench from the operational point to the sensor, in units of its noise."""
     moment = cross(between(frame.position, frame.sensor_position), wrench)
     for i in range(3):
@@ -193,7 +221,7 @@ def weigh_at_sensor(law: Any, frame: Any, wrench: Vector) -> None:
         wrench[3 + i] = (wrench[3 + i] - moment[i]) / law.torque_noise
 
 
-def tool_record(tool: ToolConfig, gravity_world: Vector) -> Records:
+def tool_record(tool: ToolConfig, gravity_world: Vector) -> Records[Tool]:
     """Return what hangs on the sensor as one record of `TOOL`; g in [m/s^2], shape (3,)."""
     record = np.zeros(1, dtype=TOOL)
     record['com_sensor'], record['bias'] = tool.com_sensor, tool.bias_sensor

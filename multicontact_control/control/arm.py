@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.algebra import (
     add,
@@ -18,10 +18,15 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.wrench import (
     CONTACT_SPACE,
+    ContactSpace,
     measure_contacts,
     operational_wrench,
 )
-from multicontact_control.dynamics.operational_space import INERTIA_SPACE, mobility_and_inertia
+from multicontact_control.dynamics.operational_space import (
+    INERTIA_SPACE,
+    InertiaSpace,
+    mobility_and_inertia,
+)
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.flags import (
@@ -32,7 +37,18 @@ from multicontact_control.flags import (
     PASSED,
     TOUCHED,
 )
-from multicontact_control.records import F, JOINT, MAX_JOINTS
+from multicontact_control.records import (
+    Contact,
+    Control,
+    F,
+    Frame,
+    JOINT,
+    Joint,
+    MAX_JOINTS,
+    Momentum,
+    Record,
+    Records,
+)
 import numpy as np
 
 RELEASE = 0.5  # share of its threshold that a residual must fall below to count no more
@@ -54,9 +70,22 @@ ARM_SPACE = np.dtype([
 ], align=True)
 
 
+class ArmSpace(Record, Protocol):
+    """A record of `ARM_SPACE`."""
+
+    wrench: Vector
+    felt: Vector
+    inertial: Vector
+    reduced: Vector
+    acceleration: Vector
+    inertia: InertiaSpace
+    contacts: ContactSpace
+
+
 @compiled
 def observe_momentum(
-    control: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix, space: Any,
+    control: Control, joints: Records[Joint], mass_matrix: Matrix, jacobian: Matrix,
+    space: ArmSpace,
 ) -> bool:
     """
     Update the residual of every joint; return whether one is beyond its threshold.
@@ -119,7 +148,8 @@ def observe_momentum(
 
 @compiled
 def learn_friction(
-    momentum: Any, joint: Any, share: float, direction: float, acceleration: float, felt: float,
+    momentum: Momentum, joint: Joint, share: float, direction: float, acceleration: float,
+    felt: float,
 ) -> None:
     """
     Sum up what the residual of a joint follows (`REGRESSORS`), and set its threshold.
@@ -161,7 +191,7 @@ def learn_friction(
 
 
 @compiled
-def follow_touch(momentum: Any, joints: Any) -> bool:
+def follow_touch(momentum: Momentum, joints: Records[Joint]) -> bool:
     """
     Sum up the residuals until the arm is calm; return whether one that was a touch has passed.
 
@@ -188,7 +218,8 @@ def follow_touch(momentum: Any, joints: Any) -> bool:
 
 @compiled
 def wrench_of_residual(
-    control: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix, space: Any,
+    control: Control, joints: Records[Joint], mass_matrix: Matrix, jacobian: Matrix,
+    space: ArmSpace,
 ) -> None:
     """
     Fill in the wrench that explains the residual, as a sensor at the operational point reads it.
@@ -213,8 +244,8 @@ def wrench_of_residual(
 @compiled
 def see_arm(
     motion: Matrix, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix, position: Vector,
-    rotation: Matrix, sensor_position: Vector, sensor_rotation: Matrix, joints: Any, control: Any,
-    contacts: Any, space: Any,
+    rotation: Matrix, sensor_position: Vector, sensor_rotation: Matrix, joints: Records[Joint],
+    control: Control, contacts: Records[Contact], space: ArmSpace,
 ) -> int:
     """
     Take in all that is known of a sample before anything is asked for.
@@ -299,19 +330,21 @@ class ArmState:
 
     """
 
-    def __init__(self, robot: RobotModel, controls: Any, contacts: Any) -> None:
+    def __init__(
+        self, robot: RobotModel, controls: Records[Control], contacts: Records[Contact],
+    ) -> None:
         self.robot = robot
         self.motion: Matrix = np.zeros((2, robot.joint_count))
         self.q, self.velocity = self.motion
-        self.joints: Any = np.zeros(robot.joint_count, dtype=JOINT)
+        self.joints: Records[Joint] = np.zeros(robot.joint_count, dtype=JOINT)
         self.controls, self.contacts = controls, contacts
-        self.frames: Any = controls['frame']
+        self.frames: Records[Frame] = controls['frame']
         self.joints['config']['speed_limit'] = np.inf
         for name in ('speed_limit', 'turn_limit'):
             self.frames['config'][name] = np.inf
         self.inertia: Vector = self.joints['inertia']
         self.bias_torque: Vector = self.joints['bias_torque']
-        self._space: Any = np.zeros(1, dtype=ARM_SPACE)[0]
+        self._space: ArmSpace = np.zeros(1, dtype=ARM_SPACE)[0]
         self.pose = Pose(self.frames['position'][0], self.frames['rotation'][0])
         self.refresh()
 

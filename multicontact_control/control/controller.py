@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Any, NamedTuple, NoReturn
+from typing import NamedTuple, NoReturn
 
 from multicontact_control.algebra import quintic
 from multicontact_control.arrays import Mask, Vector
@@ -12,14 +12,30 @@ from multicontact_control.contact.geometry import check_columns, place_columns
 from multicontact_control.contact.resolution import check_resolution
 from multicontact_control.contact.wrench import tool_between, tool_record
 from multicontact_control.control.arm import ArmState
-from multicontact_control.control.law import control_law, LAW_SPACE
+from multicontact_control.control.law import control_law, LAW_SPACE, LawSpace
 from multicontact_control.dynamics.operational_space import MAX_CONDITION, STOP_MARGIN
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError, ContactGeometryError, SingularTaskError
 from multicontact_control.flags import AMBIGUOUS, DEPENDENT, NO_NUMBERS, SINGULAR, TORQUE
-from multicontact_control.force.force_law import act_beyond, continue_laws, make_force_laws
-from multicontact_control.records import CONTACT, CONTROL, LAW, Records
+from multicontact_control.force.force_law import (
+    act_beyond,
+    continue_laws,
+    ForceLaw,
+    make_force_laws,
+)
+from multicontact_control.records import (
+    CONTACT,
+    Contact,
+    CONTROL,
+    Control,
+    ForceAnswer,
+    Frame,
+    LAW,
+    Law,
+    Records,
+    Task,
+)
 import numpy as np
 
 STOP_RATIO = 4.0  # frequency by which joints are kept off their stops, over the posture's
@@ -31,37 +47,38 @@ class ControlOutput(NamedTuple):
     """The answer to one sample; its records cannot be written to."""
 
     torque: Vector  # Gamma, shape (n,) [N m]
-    contacts: Records  # of `CONTACT`: all that there is to say of every contact, shape (r,)
-    controls: Records  # one of `CONTROL`: the arm, and what it is asked for
+    contacts: Records[Contact]  # all that there is to say of every contact, shape (r,)
+    controls: Records[Control]  # one: the arm, and what it is asked for
 
     @property
     def pose(self) -> Pose:
         """Return the pose of the operational frame."""
-        frame: Any = self.controls['frame'][0]
+        frame: Frame = self.controls['frame'][0]
         return Pose(frame['position'], frame['rotation'])
 
     @property
     def pose_des(self) -> Pose:
         """Return the desired pose of the operational frame."""
-        task: Any = self.controls['task'][0]
+        task: Task = self.controls['task'][0]
         return Pose(task['position'], task['rotation'])
 
     @property
-    def answer(self) -> Any:
+    def answer(self) -> Records[ForceAnswer]:
         """
         Return what the law makes of every contact, records of `FORCE_ANSWER`, shape (r,).
 
         Estimates and desired forces are 0 where no force is controlled; `innovation`,
         `prior_variance` and `variance_used` also for the sample with which control starts.
         """
-        return self.contacts['answer']
+        answer: Records[ForceAnswer] = self.contacts['answer']
+        return answer
 
 
 class Design(NamedTuple):
     """What a configuration of a controller leads to."""
 
     config: ControllerConfig
-    laws: Records  # of `FORCE_LAW`, shape (r,), which know nothing yet; for one use
+    laws: Records[ForceLaw]  # shape (r,), which know nothing yet; for one use
 
 
 class Controller:
@@ -111,8 +128,8 @@ class Controller:
         self.robot = robot
         # In one piece, so that an answer is one copy.
         self._memory = np.zeros(CONTROL.itemsize + count * CONTACT.itemsize, dtype=np.uint8)
-        self.controls: Any = self._memory[:CONTROL.itemsize].view(CONTROL)
-        self.contacts: Any = self._memory[CONTROL.itemsize:].view(CONTACT)
+        self.controls: Records[Control] = self._memory[:CONTROL.itemsize].view(CONTROL)
+        self.contacts: Records[Contact] = self._memory[CONTROL.itemsize:].view(CONTACT)
         self.controls['measured'] = True
         self.controls['task']['rotation'] = np.eye(3)
         self.arm = ArmState(robot, self.controls, self.contacts)
@@ -120,13 +137,13 @@ class Controller:
         self.measured = (self.arm.motion, self.controls['wrench'][0],
                          self.contacts['noise_variance'])
         self.torque: Vector = self.arm.joints['answer']['torque']
-        self._space: Any = np.zeros(1, dtype=LAW_SPACE)[0]
+        self._space: LawSpace = np.zeros(1, dtype=LAW_SPACE)[0]
         self._adopt(config)
         check_columns(config.column_names, self.contacts)
         self.resolutions = check_resolution(config, self.controls, self.contacts)
         self.reset()
         self.arm.pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
-        self.laws: Any = make_force_laws(config)
+        self.laws: Records[ForceLaw] = make_force_laws(config)
         with contextlib.suppress(SingularTaskError, ContactGeometryError):
             self.answer()  # all joints at 0 need not be a good posture
         continue_laws(make_force_laws(config), self.laws)  # as a live change does
@@ -308,7 +325,7 @@ class Controller:
             f'from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}')
 
 
-def law_record(config: ControllerConfig) -> Records:
+def law_record(config: ControllerConfig) -> Records[Law]:
     """Return gains and options of the control law as one record of `LAW`."""
     motion, force = config.motion, config.force
     frequency = motion.natural_frequency

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.algebra import (
     add_scaled,
@@ -18,12 +18,25 @@ from multicontact_control.contact.surfaces import follow_surfaces
 from multicontact_control.dynamics.operational_space import (
     add_nullspace_torque,
     INERTIA_SPACE,
+    InertiaSpace,
     mobility_and_inertia,
 )
 from multicontact_control.dynamics.rotations import rotation_vector
 from multicontact_control.flags import DEPENDENT, SINGULAR, TORQUE
-from multicontact_control.force.force_law import answer_forces, FORCE_SPACE
-from multicontact_control.records import F, MAX_COLUMNS, MAX_JOINTS
+from multicontact_control.force.force_law import answer_forces, FORCE_SPACE, ForceLaw, ForceSpace
+from multicontact_control.records import (
+    Contact,
+    Control,
+    F,
+    Frame,
+    Joint,
+    Law,
+    MAX_COLUMNS,
+    MAX_JOINTS,
+    Record,
+    Records,
+    Task,
+)
 import numpy as np
 
 # What `control_law` works in; one. The first r rows of matrices with one per contact are used.
@@ -42,8 +55,31 @@ LAW_SPACE = np.dtype([
 ], align=True)
 
 
+class LawSpace(Record, Protocol):
+    """A record of `LAW_SPACE`."""
+
+    inertia: InertiaSpace
+    forces: ForceSpace
+    rows: Matrix
+    weighted_rows: Matrix
+    factor: Matrix
+    weighted_factor: Matrix
+    along: Vector
+    beta: Vector
+    inputs: Vector
+    alpha_star: Vector
+    f_t: Vector
+    f_c: Vector
+    acceleration: Vector
+    bias: Vector
+    force: Vector
+    held: Vector
+    reduced: Vector
+    pull: Vector
+
+
 @compiled
-def motion_law(law: Any, task: Any, frame: Any, f_t: Vector) -> None:
+def motion_law(law: Law, task: Task, frame: Frame, f_t: Vector) -> None:
     """
     Fill in f_t*, the acceleration that leads the operational point to its reference.
 
@@ -76,8 +112,8 @@ def drive_coordinates(rows: Matrix, inputs: Vector) -> None:
 
 @compiled
 def force_law(
-    law: Any, rows: Matrix, factor: Matrix, twist: Vector, contacts: Any, inputs: Vector,
-    alpha_star: Vector, f_c: Vector,
+    law: Law, rows: Matrix, factor: Matrix, twist: Vector, contacts: Records[Contact],
+    inputs: Vector, alpha_star: Vector, f_c: Vector,
 ) -> None:
     """
     Fill in f_c*, the acceleration that serves the force loops with damping K_2 (P04 eq. 30).
@@ -106,7 +142,7 @@ def force_law(
 
 
 @compiled
-def finish_torque(law: Any, joints: Any) -> bool:
+def finish_torque(law: Law, joints: Records[Joint]) -> bool:
     """
     Add the expected friction, then keep to the limits without turning what the task asks for.
 
@@ -158,8 +194,8 @@ def finish_torque(law: Any, joints: Any) -> bool:
 
 @compiled
 def control_law(
-    control: Any, joints: Any, mass_matrix: Matrix, jacobian: Matrix, jacobian_rate: Matrix,
-    contacts: Any, laws: Any, space: Any,
+    control: Control, joints: Records[Joint], mass_matrix: Matrix, jacobian: Matrix,
+    jacobian_rate: Matrix, contacts: Records[Contact], laws: Records[ForceLaw], space: LawSpace,
 ) -> int:
     """
     Work out the joint torque of one tick.

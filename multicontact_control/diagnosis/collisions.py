@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.control.arm import (
@@ -15,6 +14,7 @@ from multicontact_control.control.arm import (
     WRENCH,
 )
 from multicontact_control.diagnosis.friction import UNDECLARED
+from multicontact_control.records import Evidence, Joint, Momentum, Records
 import numpy as np
 
 EXPLAINED = 0.7  # share of the residual's power, from which on what it follows is its cause
@@ -37,7 +37,7 @@ FOLLOWED = {
 
 
 @np.errstate(all='ignore')  # of impossible efforts
-def explain_collision(joints: Any, momentum: Any, names: Sequence[str]) -> str:
+def explain_collision(joints: Records[Joint], momentum: Momentum, names: Sequence[str]) -> str:
     """
     Return what speaks for which cause of a collision, from the records of the observer.
 
@@ -71,7 +71,7 @@ def explain_collision(joints: Any, momentum: Any, names: Sequence[str]) -> str:
             f'{name}, the frame of the wrench, and that no other node commands the arm')
 
 
-def _explain_motion(residual: float, evidence: Any) -> str:
+def _explain_motion(residual: float, evidence: Evidence) -> str:
     """Return which regressor the residual of a joint [N m] has followed; empty if none."""
     squares = np.maximum(evidence['square'], np.finfo(float).tiny)
     explained = evidence['product'] ** 2 / squares

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from multicontact_control.control.arm import LEARNING_TIME, RELEASE
+from multicontact_control.records import Joint, Records
 
 UNDECLARED = (
     'follows the sign of the speed: {} N m of friction that friction.coulomb does not declare')
 MOVED_SHARE = 0.5  # of the time in motion after which all is learnt, from which on it is told
 
 
-def undeclared_friction(joints: Any, names: Sequence[str]) -> Iterator[str]:
+def undeclared_friction(joints: Records[Joint], names: Sequence[str]) -> Iterator[str]:
     """Yield a sentence for each joint that has shown friction which is not declared."""
     for joint, name in zip(joints, names):
         evidence = joint['watch']['evidence']

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.diagnosis.fitting import fit_over_joints
+from multicontact_control.records import Joint, Records
 import numpy as np
 
 SMALLEST_MASS = 0.2  # kg; a lighter tool does not tell it
@@ -16,7 +15,8 @@ SAME_STRENGTH = 0.05  # share of its strength that may be missing or too much
 
 @np.errstate(all='ignore')  # of impossible efforts
 def explain_gravity(
-    joints: Any, shares: Matrix, force_world: Vector, mass: float, gravity_world: Vector,
+    joints: Records[Joint], shares: Matrix, force_world: Vector, mass: float,
+    gravity_world: Vector,
 ) -> str:
     """
     Return what says that gravity is another than configured on an arm that stands; else empty.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from multicontact_control.control.arm import WRENCH
+from multicontact_control.records import Joint, Records
 import numpy as np
 
 LIKENESS = 0.95  # how much of what passed is alike over the joints, at least
@@ -12,7 +11,7 @@ LEAST_CHANGE = 0.2  # of J^T f over a threshold
 LEAST_LAG = 0.01  # s
 
 
-def explain_lag(joints: Any) -> str:
+def explain_lag(joints: Records[Joint]) -> str:
     """
     Return what says that the wrench comes late, once a collision has passed; else empty.
 

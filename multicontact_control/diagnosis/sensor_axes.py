@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from itertools import permutations, product
-from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.control.arm import WRENCH
 from multicontact_control.diagnosis.fitting import fit_over_joints
+from multicontact_control.records import Joint, Momentum, Records
 import numpy as np
 
 LEAST_FORCE = 3.0  # N, that tells it
@@ -32,7 +32,8 @@ EXCHANGED = (EXCHANGES != np.eye(3)).any(axis=2).sum(axis=1)  # how many axes ar
 
 @np.errstate(all='ignore')  # of impossible efforts
 def explain_axes(
-    joints: Any, momentum: Any, jacobian: Matrix, rotation_world: Matrix, weight: Vector,
+    joints: Records[Joint], momentum: Momentum, jacobian: Matrix, rotation_world: Matrix,
+    weight: Vector,
 ) -> str:
     """
     Return what says that axes of the sensor are exchanged or turned round; else empty.
@@ -73,7 +74,8 @@ def explain_axes(
 
 
 def _forces_at_the_sensor(
-    joints: Any, momentum: Any, jacobian: Matrix, rotation_world: Matrix, weight: Vector,
+    joints: Records[Joint], momentum: Momentum, jacobian: Matrix, rotation_world: Matrix,
+    weight: Vector,
 ) -> tuple[Vector, Vector]:
     """Return the force that is read and the one that the torques show, sensor axes [N]."""
     watch = joints['watch']

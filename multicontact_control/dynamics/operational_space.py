@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.algebra import (
     cholesky,
@@ -18,7 +18,7 @@ from multicontact_control.algebra import (
 )
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.records import F, MAX_JOINTS
+from multicontact_control.records import F, Joint, Law, MAX_JOINTS, Record, Records
 import numpy as np
 
 MAX_CONDITION = 1e8  # of Lambda^-1, from which on a posture is singular
@@ -33,9 +33,20 @@ INERTIA_SPACE = np.dtype([
 ], align=True)
 
 
+class InertiaSpace(Record, Protocol):
+    """A record of `INERTIA_SPACE`."""
+
+    L: Matrix
+    Y: Matrix
+    mobility: Matrix
+    Lambda: Matrix
+    factor: Matrix
+    root: Matrix
+
+
 @compiled
 def mobility_and_inertia(
-    mass_matrix: Matrix, jacobian: Matrix, singular_mobility: float, space: Any,
+    mass_matrix: Matrix, jacobian: Matrix, singular_mobility: float, space: InertiaSpace,
 ) -> tuple[float, float]:
     """
     Work out Lambda = (J M^-1 J^T)^-1 (P04 eq. 23) and what leads to it.
@@ -122,8 +133,8 @@ def mobility_gradient(
 
 @compiled
 def add_nullspace_torque(
-    joints: Any, mass_matrix: Matrix, jacobian: Matrix, inertia: Any, law: Any, free: Vector,
-    pull: Vector, acceleration: Vector,
+    joints: Records[Joint], mass_matrix: Matrix, jacobian: Matrix, inertia: InertiaSpace, law: Law,
+    free: Vector, pull: Vector, acceleration: Vector,
 ) -> None:
     """
     Give the motion that the operational point does not see a posture, off the stops, and damp it.

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import fields
 from functools import lru_cache
 from types import SimpleNamespace
-from typing import Any, cast, get_args
+from typing import Any, cast, get_args, Protocol
 
 from multicontact_control.algebra import dot
 from multicontact_control.arrays import Mask, Vector
@@ -18,7 +18,9 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.force.laws import (
     LAWS,
     LINEAR,
+    Linear,
     LinearLaw,
+    LinearRow,
     LoopModel,
     steady_law,
 )
@@ -36,21 +38,25 @@ from multicontact_control.force.observer import (
     make_observers,
     observe,
     OBSERVER,
+    Observer,
     OBSERVER_SPACE,
     ObserverDesign,
+    ObserverSpace,
     steady_gain,
 )
 from multicontact_control.force.stiffness import (
     adopt_stiffness,
     APPROACH_LIMIT,
     FIT_SPACE,
+    FitSpace,
     INPUT_LIMIT,
     keep_stiffness,
     learn_stiffness,
     LIMITS,
     STIFFNESS,
+    Stiffness,
 )
-from multicontact_control.records import B, F, I, MAX_STATES, Records
+from multicontact_control.records import B, Contact, Control, F, I, MAX_STATES, Record, Records
 import numpy as np
 
 ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
@@ -69,11 +75,31 @@ FORCE_LAW = np.dtype([
     ('observer', OBSERVER), ('linear', LINEAR), ('stiffness', STIFFNESS),
 ], align=True)
 
+
+class ForceLaw(Record, Protocol):
+    """A record of `FORCE_LAW`."""
+
+    kind: int
+    is_linear: bool
+    fed: int
+    observer: Observer
+    linear: Linear
+    stiffness: Stiffness
+
+
 # What `answer_forces` works in; one.
 FORCE_SPACE = np.dtype([
     ('observer', OBSERVER_SPACE), ('fit', FIT_SPACE),
     ('x_next', F, MAX_STATES),  # of a linear law
 ], align=True)
+
+
+class ForceSpace(Record, Protocol):
+    """A record of `FORCE_SPACE`."""
+
+    observer: ObserverSpace
+    fit: FitSpace
+    x_next: Vector
 
 
 def loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
@@ -122,13 +148,13 @@ def _designing(name: str) -> Iterator[None]:
             f'force.{name}', 'values that a law can be designed for', error) from None
 
 
-def make_force_laws(config: ControllerConfig) -> Records:
+def make_force_laws(config: ControllerConfig) -> Records[ForceLaw]:
     """
     Return the force law of every contact, which knows nothing yet, shape (r,).
 
     Each is for the configured stiffness; adaptive laws start from the largest of their range.
     """
-    laws: Any = np.zeros(len(config.columns), dtype=FORCE_LAW)
+    laws: Records[ForceLaw] = np.zeros(len(config.columns), dtype=FORCE_LAW)
     names, force = list(LAWS), config.force
     adaptive = force.stiffness == 'adaptive'
     limits = []
@@ -181,7 +207,7 @@ def largest_ratio(gains: Gains, model: LoopModel, noise_variance: float) -> floa
         return min(last_stable(stable, RATIOS, 1e-2)[0], RATIOS[-1])
 
 
-def continue_laws(laws: Records, others: Records) -> None:
+def continue_laws(laws: Records[ForceLaw], others: Records[ForceLaw]) -> None:
     """
     Take over the states of others, records of `FORCE_LAW`, shape (r,).
 
@@ -219,7 +245,7 @@ def continue_laws(laws: Records, others: Records) -> None:
             keep_at_rest(law['observer'])
 
 
-def known(law: Any) -> tuple[float, float] | None:
+def known(law: ForceLaw) -> tuple[float, float] | None:
     """Return the estimated force [N] and the compensated disturbance [m/s^2], None at rest."""
     part = law['linear'] if law['is_linear'] else law['observer']
     if not part['running']:
@@ -230,20 +256,20 @@ def known(law: Any) -> tuple[float, float] | None:
     return float(x[0]), float(x[states - order]) if order else 0.0
 
 
-def continue_laws_at(laws: Records, held: Mask, force: Vector) -> None:
+def continue_laws_at(laws: Records[ForceLaw], held: Mask, force: Vector) -> None:
     """Go on after a pause; see `continue_at`. Linear laws of contacts that are held stay."""
     continue_at(laws['observer'], held, force)
     laws['linear']['running'] &= held
 
 
-def act_beyond(laws: Records, which: Mask, acceleration: Vector) -> None:
+def act_beyond(laws: Records[ForceLaw], which: Mask, acceleration: Vector) -> None:
     """Add an acceleration along the normals [m/s^2] to what these laws, (r,), predict with."""
     laws['observer']['command'][which] += acceleration
     laws['linear']['extra'][which] += acceleration
 
 
 @compiled
-def step_linear(law: Any, contact: Any, speed: float, x_next: Vector) -> float:
+def step_linear(law: Linear, contact: Contact, speed: float, x_next: Vector) -> float:
     """
     Take one sample into a record of `LINEAR`; return u [m/s^2].
 
@@ -271,7 +297,7 @@ def step_linear(law: Any, contact: Any, speed: float, x_next: Vector) -> float:
 
 
 @compiled
-def work_out(row: Any, law: Any, contact: Any, speed: float) -> float:
+def work_out(row: LinearRow, law: Linear, contact: Contact, speed: float) -> float:
     """Return what a record of `LINEAR_ROW` makes of a law's state and inputs."""
     total = row.alpha_meas * contact.alpha_meas
     total += row.alpha_des * contact.answer.alpha_des
@@ -282,7 +308,7 @@ def work_out(row: Any, law: Any, contact: Any, speed: float) -> float:
 
 
 @compiled
-def force_to_feed(law: Any, contact: Any, K_2: float) -> float:
+def force_to_feed(law: ForceLaw, contact: Contact, K_2: float) -> float:
     """
     Return the contact force that is fed forward in P04 eq. 24 [N].
 
@@ -305,7 +331,9 @@ def force_to_feed(law: Any, contact: Any, K_2: float) -> float:
 
 
 @compiled
-def bound_speed(contact: Any, law: Any, control: Any, u: float, speed: float) -> float:
+def bound_speed(
+    contact: Contact, law: ForceLaw, control: Control, u: float, speed: float,
+) -> float:
     """
     Return u within what keeps the tip at `speed_bound` if nothing bears it [m/s^2].
 
@@ -332,7 +360,8 @@ def bound_speed(contact: Any, law: Any, control: Any, u: float, speed: float) ->
 
 @compiled
 def answer_forces(
-    laws: Any, contacts: Any, control: Any, inputs: Vector, space: Any,
+    laws: Records[ForceLaw], contacts: Records[Contact], control: Control, inputs: Vector,
+    space: ForceSpace,
 ) -> None:
     """
     Let the force law of every active contact answer its sample.

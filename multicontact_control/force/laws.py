@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import ForceConfig
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.observer import design_observer, ObserverDesign, steady_gain
 from multicontact_control.force.plant import delayed_plant, DelayedPlant, ForceLoop, place_poles
-from multicontact_control.records import B, F, I, MAX_STATES, Records
+from multicontact_control.records import B, F, I, MAX_STATES, Record, Records
 import numpy as np
 from scipy.linalg import solve, solve_discrete_are
 
@@ -24,6 +24,16 @@ LINEAR_ROW = np.dtype([
     ('x', F, MAX_STATES), *((name, F) for name in INPUTS),
 ], align=True)
 
+
+class LinearRow(Record, Protocol):
+    """A record of `LINEAR_ROW`."""
+
+    x: Vector
+    alpha_meas: float
+    alpha_des: float
+    speed: float
+
+
 # What a linear law works by.
 LINEAR_DESIGN = np.dtype([
     ('states', I),  # n
@@ -34,6 +44,20 @@ LINEAR_DESIGN = np.dtype([
     ('start_disturbance', F, MAX_STATES),  # and for a known disturbance of 1 m/s^2
 ], align=True)
 
+
+class LinearDesign(Record, Protocol):
+    """A record of `LINEAR_DESIGN`."""
+
+    states: int
+    of_state: Records[LinearRow]
+    of_u: LinearRow
+    of_alpha: LinearRow
+    of_p: LinearRow
+    E: Vector
+    start_force: Vector
+    start_disturbance: Vector
+
+
 # A linear force law, from alpha_meas, alpha_des and the contact's speed to u, alpha_est and p_est.
 LINEAR = np.dtype([
     ('design', LINEAR_DESIGN),
@@ -43,6 +67,17 @@ LINEAR = np.dtype([
     ('alpha', F),  # estimated force [N]
     ('p_est', F),  # disturbance that the law compensates [m/s^2]
 ], align=True)
+
+
+class Linear(Record, Protocol):
+    """A record of `LINEAR`."""
+
+    design: LinearDesign
+    extra: float
+    running: bool
+    x: Vector
+    alpha: float
+    p_est: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +129,7 @@ class LinearLaw:
         """Return n."""
         return int(self.A.shape[0])
 
-    def record(self) -> Records:
+    def record(self) -> Records[Linear]:
         """Return it as one record of `LINEAR`, with no state."""
         law, n = np.zeros(1, dtype=LINEAR), self.states
         design = law['design'][0]

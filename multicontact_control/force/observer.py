@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.force.plant import ForceLoop
-from multicontact_control.records import B, F, I, MAX_STATES, Records
+from multicontact_control.records import B, Contact, F, I, MAX_STATES, Record, Records
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
@@ -28,6 +28,21 @@ OBSERVER_GAINS = np.dtype([
     ('damping_time', F),  # c / k of the surface, which the force reads with its rate [s]
 ], align=True)
 
+
+class ObserverGains(Record, Protocol):
+    """A record of `OBSERVER_GAINS`."""
+
+    states: int
+    order: int
+    Phi_c: Matrix
+    Phi_n: Matrix
+    Gamma: Vector
+    feedback: Vector
+    Q: Vector
+    P_0: float
+    damping_time: float
+
+
 # The active observer of one contact.
 OBSERVER = np.dtype([
     ('design', OBSERVER_GAINS),
@@ -38,11 +53,30 @@ OBSERVER = np.dtype([
     ('x_1', F, MAX_STATES),  # prediction of the state
 ], align=True)
 
+
+class Observer(Record, Protocol):
+    """A record of `OBSERVER`."""
+
+    design: ObserverGains
+    running: bool
+    command: float
+    x_est: Vector
+    P: Matrix
+    x_1: Vector
+
+
 # What `observe` works in; one.
 OBSERVER_SPACE = np.dtype([
     ('half', F, (MAX_STATES, MAX_STATES)),  # Phi_n P
     ('covariance', F, MAX_STATES),  # P_1 C^T, of the state with the force that is read
 ], align=True)
+
+
+class ObserverSpace(Record, Protocol):
+    """A record of `OBSERVER_SPACE`."""
+
+    half: Matrix
+    covariance: Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +156,7 @@ def active_state_matrix(order: int) -> Matrix:
     return matrix
 
 
-def make_observers(designs: Sequence[ObserverDesign]) -> Records:
+def make_observers(designs: Sequence[ObserverDesign]) -> Records[Observer]:
     """Return one observer per contact that knows nothing yet, shape (r,)."""
     observers = np.zeros(len(designs), dtype=OBSERVER)
     for record, design in zip(observers['design'], designs):
@@ -135,7 +169,7 @@ def make_observers(designs: Sequence[ObserverDesign]) -> Records:
     return observers
 
 
-def continue_from(observers: Records, others: Records) -> None:
+def continue_from(observers: Records[Observer], others: Records[Observer]) -> None:
     """
     Take over the states of others, of as many states, records of `OBSERVER`, shape (r,).
 
@@ -148,7 +182,7 @@ def continue_from(observers: Records, others: Records) -> None:
         'ij,ij->i', difference, others['x_est'])
 
 
-def _predicted_feedback(observers: Records) -> Matrix:
+def _predicted_feedback(observers: Records[Observer]) -> Matrix:
     """Return the feedback that is in the predictions, and so not in the commands; shape (r, n)."""
     design = observers['design']
     closed = (design['Phi_c'] != design['Phi_n']).any(axis=(1, 2))
@@ -156,7 +190,7 @@ def _predicted_feedback(observers: Records) -> Matrix:
     return feedback
 
 
-def keep_at_rest(observers: Records) -> None:
+def keep_at_rest(observers: Records[Observer]) -> None:
     """Let what has been commanded be what keeps the force as it is estimated, and at rest."""
     for i, feedback in enumerate(_predicted_feedback(observers)):
         x_est, design = observers['x_est'][i], observers['design'][i]
@@ -167,7 +201,7 @@ def keep_at_rest(observers: Records) -> None:
 
 
 @compiled
-def predict(observer: Any, space: Any) -> None:
+def predict(observer: Observer, space: ObserverSpace) -> None:
     """
     Predict state and covariance of the next sample, in a record of `OBSERVER`.
 
@@ -201,7 +235,9 @@ def predict(observer: Any, space: Any) -> None:
 
 
 @compiled
-def correct(observer: Any, innovation: float, noise_variance: float, space: Any) -> None:
+def correct(
+    observer: Observer, innovation: float, noise_variance: float, space: ObserverSpace,
+) -> None:
     """
     Correct the prediction by the innovation.
 
@@ -238,7 +274,7 @@ def correct(observer: Any, innovation: float, noise_variance: float, space: Any)
 
 
 @compiled
-def command(observer: Any, alpha_des: float) -> float:
+def command(observer: Observer, alpha_des: float) -> float:
     """
     Return u_k = L_1 f_des - [L_r 1] [x_est; p_est] (P04 eq. 36), and keep r = L_1 f_des.
 
@@ -252,7 +288,7 @@ def command(observer: Any, alpha_des: float) -> float:
     return total
 
 
-def continue_at(observers: Records, held: Mask, force: Vector) -> None:
+def continue_at(observers: Records[Observer], held: Mask, force: Vector) -> None:
     """
     Go on after a pause; records of `OBSERVER`, changed, and measured forces [N], shape (r,).
 
@@ -269,7 +305,9 @@ def continue_at(observers: Records, held: Mask, force: Vector) -> None:
 
 
 @compiled
-def observe(observer: Any, contact: Any, measured: bool, rate: float, space: Any) -> None:
+def observe(
+    observer: Observer, contact: Contact, measured: bool, rate: float, space: ObserverSpace,
+) -> None:
     """
     Take the measured force of an active contact into its observer.
 

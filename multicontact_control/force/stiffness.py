@@ -19,15 +19,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import math
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.algebra import across, cholesky, dot, rotated, solve_cholesky
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ForceConfig
 from multicontact_control.config.contact import FORCE
+from multicontact_control.force.observer import Observer
 from multicontact_control.force.plant import DelayedPlant
-from multicontact_control.records import B, F, MAX_STATES
+from multicontact_control.records import B, Contact, Control, F, Frame, MAX_STATES, Record, Records
 import numpy as np
 
 SLOW_BAND, FAST_BAND = (3.0, 20.0), (6.0, 30.0)  # Hz: of the high-pass, and of three low-passes
@@ -58,6 +59,16 @@ WAY, RATE, FRICTION = range(3)  # what the force is explained by, and with which
 # What the band-pass of one signal remembers: of its high-pass, and of three low-passes.
 SIGNAL_BAND = np.dtype([('drift', F), ('first', F), ('second', F), ('passed', F)])
 
+
+class SignalBand(Record, Protocol):
+    """A record of `SIGNAL_BAND`."""
+
+    drift: float
+    first: float
+    second: float
+    passed: float
+
+
 # One frequency band of a stiffness estimator: filters of four signals, and sums over samples of
 # what passes them, X of way, rate and friction and y of the force without the tool's inertia.
 STIFFNESS_FIT = np.dtype([
@@ -73,8 +84,38 @@ STIFFNESS_FIT = np.dtype([
     ('share', F),  # r^2, of the variance of y that is explained
 ], align=True)
 
+
+class StiffnessFit(Record, Protocol):
+    """A record of `STIFFNESS_FIT`."""
+
+    high: float
+    low: float
+    keep: float
+    way: SignalBand
+    rate: SignalBand
+    friction: SignalBand
+    force: SignalBand
+    products: Matrix
+    moments: Vector
+    power: float
+    weight: float
+    k: float
+    c: float
+    mu: float
+    k_std: float
+    share: float
+
+
 # What an input of 1 m/s^2 per k adds to the state.
 INPUT_GAIN = np.dtype([('way', F), ('speed', F)])  # [s^2], [s]
+
+
+class InputGain(Record, Protocol):
+    """A record of `INPUT_GAIN`."""
+
+    way: float
+    speed: float
+
 
 # What is set for the on-line stiffness of one contact.
 STIFFNESS_CONFIG = np.dtype([
@@ -91,6 +132,25 @@ STIFFNESS_CONFIG = np.dtype([
     ('input_gain', INPUT_GAIN),  # B of the undelayed plant
 ], align=True)
 
+
+class StiffnessConfig(Record, Protocol):
+    """A record of `STIFFNESS_CONFIG`."""
+
+    adaptive: bool
+    share: float
+    period: float
+    lowest: float
+    highest: float
+    tool_mass: float
+    fastest_pole: float
+    pole_ratio: float
+    way_of_speed: float
+    speed_kept: float
+    ratio_limit: Vector
+    delay_gain: Records[InputGain]
+    input_gain: InputGain
+
+
 # The on-line stiffness of one contact.
 STIFFNESS = np.dtype([
     ('config', STIFFNESS_CONFIG),
@@ -104,6 +164,32 @@ STIFFNESS = np.dtype([
     ('felt', B),  # whether a surface is
 ], align=True)
 
+
+class Stiffness(Record, Protocol):
+    """A record of `STIFFNESS`."""
+
+    config: StiffnessConfig
+    slow: StiffnessFit
+    fast: StiffnessFit
+    k: float
+    c: float
+    k_est: float
+    k_std: float
+    alpha_ref: float
+    alpha_des: float
+    since: float
+    depth: float
+    speed: float
+    felt: bool
+
+
+class AdaptiveLaw(Record, Protocol):
+    """What is read here of a record of `FORCE_LAW`."""
+
+    observer: Observer
+    stiffness: Stiffness
+
+
 # What `solve_fit` works in; one.
 FIT_SPACE = np.dtype([
     ('factors', F, 3), ('solution', F, 3),  # k, c and mu, and the same scaled
@@ -112,7 +198,18 @@ FIT_SPACE = np.dtype([
 ], align=True)
 
 
-def adopt_band(fit: Any, band: tuple[float, float], period: float, memory: float) -> None:
+class FitSpace(Record, Protocol):
+    """A record of `FIT_SPACE`."""
+
+    factors: Vector
+    solution: Vector
+    variance: Vector
+    scale: Vector
+    normal: Matrix
+    L: Matrix
+
+
+def adopt_band(fit: StiffnessFit, band: tuple[float, float], period: float, memory: float) -> None:
     """Set the band [Hz] and the memory [s] of a record of `STIFFNESS_FIT`; h in [s]."""
     fit['high'], fit['low'] = (
         -math.expm1(-2.0 * math.pi * frequency * period) for frequency in band)
@@ -120,14 +217,14 @@ def adopt_band(fit: Any, band: tuple[float, float], period: float, memory: float
 
 
 @compiled
-def begin_band(band: Any, value: float) -> None:
+def begin_band(band: SignalBand, value: float) -> None:
     """Let the band-pass of a signal, a record of `SIGNAL_BAND`, be at rest at a value."""
     band.drift = value
     band.first = band.second = band.passed = 0.0
 
 
 @compiled
-def pass_band(fit: Any, band: Any, value: float) -> float:
+def pass_band(fit: StiffnessFit, band: SignalBand, value: float) -> float:
     """Return what passes the band of a record of `STIFFNESS_FIT` of one of its signals."""
     band.drift += fit.high * (value - band.drift)
     band.first += fit.low * (value - band.drift - band.first)
@@ -138,7 +235,8 @@ def pass_band(fit: Any, band: Any, value: float) -> float:
 
 @compiled
 def take_sample(
-    stiffness: Any, fit: Any, friction: float, alpha: float, accepted: bool, space: Any,
+    stiffness: Stiffness, fit: StiffnessFit, friction: float, alpha: float, accepted: bool,
+    space: FitSpace,
 ) -> None:
     """
     Filter a sample, and if it is accepted and large enough, fit k, c and mu anew.
@@ -168,7 +266,7 @@ def take_sample(
 
 
 @compiled
-def solve_fit(fit: Any, space: Any) -> None:
+def solve_fit(fit: StiffnessFit, space: FitSpace) -> None:
     """
     Fit y = k z + c v + mu w to the sums of a record of `STIFFNESS_FIT` by least squares.
 
@@ -199,7 +297,7 @@ def solve_fit(fit: Any, space: Any) -> None:
 
 
 @compiled
-def fit_factors(fit: Any, friction_known: bool, space: Any) -> bool:
+def fit_factors(fit: StiffnessFit, friction_known: bool, space: FitSpace) -> bool:
     """
     Fill in the `factors` of least squares; return whether the regressors tell them apart.
 
@@ -239,8 +337,8 @@ def fit_factors(fit: Any, friction_known: bool, space: Any) -> bool:
 
 
 def adopt_stiffness(
-    record: Any, plant: DelayedPlant, stiffness: float, config: ForceConfig, *, period: float,
-    tool_mass: float, ratio_limits: Sequence[float],
+    record: Stiffness, plant: DelayedPlant, stiffness: float, config: ForceConfig, *,
+    period: float, tool_mass: float, ratio_limits: Sequence[float],
 ) -> None:
     """
     Fill in a record of `STIFFNESS` whose model starts from a stiffness [N/m] and its plant.
@@ -285,7 +383,7 @@ def predictor_gains(plant: DelayedPlant, stiffness: float) -> tuple[Matrix, Vect
     return gains, plant.Gamma[:2] / stiffness + under_way
 
 
-def keep_stiffness(law: Any, other: Any) -> None:
+def keep_stiffness(law: AdaptiveLaw, other: AdaptiveLaw) -> None:
     """Take over what another design has found out; records of `FORCE_LAW`, the first changed."""
     record, known = law['stiffness'], other['stiffness']
     for name in ('slow', 'fast', 'k_est', 'k_std', 'alpha_ref', 'alpha_des', 'since', 'depth',
@@ -295,7 +393,7 @@ def keep_stiffness(law: Any, other: Any) -> None:
 
 
 @compiled
-def use_stiffness(observer: Any, stiffness: Any, k: float, c: float) -> None:
+def use_stiffness(observer: Observer, stiffness: Stiffness, k: float, c: float) -> None:
     """
     Give an observer another model, and the feedback that belongs to it.
 
@@ -339,7 +437,7 @@ def use_stiffness(observer: Any, stiffness: Any, k: float, c: float) -> None:
 
 
 @compiled
-def friction_of_others(frame: Any, contacts: Any, which: int) -> float:
+def friction_of_others(frame: Frame, contacts: Records[Contact], which: int) -> float:
     """
     Return what the friction of the other contacts adds to the force of contact i, per mu [N].
 
@@ -364,7 +462,8 @@ def friction_of_others(frame: Any, contacts: Any, which: int) -> float:
 
 @compiled
 def find_stiffness(
-    stiffness: Any, alpha: float, alpha_des: float, speed: float, friction: float, space: Any,
+    stiffness: Stiffness, alpha: float, alpha_des: float, speed: float, friction: float,
+    space: FitSpace,
 ) -> None:
     """
     Take a sample into the estimate of a stiffness, whatever law moves the contact.
@@ -404,7 +503,8 @@ def find_stiffness(
 
 @compiled
 def learn_stiffness(
-    laws: Any, contacts: Any, which: int, control: Any, speed: float, space: Any,
+    laws: Records[AdaptiveLaw], contacts: Records[Contact], which: int, control: Control,
+    speed: float, space: FitSpace,
 ) -> None:
     """
     Take a sample into the model of a contact's surface, which follows at a bounded rate.
@@ -454,7 +554,7 @@ def learn_stiffness(
 
 
 @compiled
-def ratio_limit_of(stiffness: Any) -> float:
+def ratio_limit_of(stiffness: Stiffness) -> float:
     """Return k over that of the model in use at which its loop is stable, from the curve of it."""
     config, last = stiffness.config, LIMITS - 1
     limits = config.ratio_limit

@@ -11,7 +11,7 @@ millimetres and hundredths of a radian, as the reference waits for an arm that c
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.algebra import (
     add_scaled,
@@ -23,12 +23,12 @@ from multicontact_control.algebra import (
     solve_cholesky,
     solve_lower_columns,
 )
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Bytes, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.dynamics.operational_space import mobility_gradient
 from multicontact_control.flags import JOINT_STOP, REACH
-from multicontact_control.records import F, MAX_JOINTS
+from multicontact_control.records import Contact, Control, F, Joint, MAX_JOINTS, Record, Records
 import numpy as np
 
 SPEED_SHARE = 0.98  # of the speed limit of a joint, up to which it may go
@@ -66,6 +66,32 @@ BOUND_SPACE = np.dtype([
 ], align=True)
 
 
+class BoundSpace(Record, Protocol):
+    """A record of `BOUND_SPACE`."""
+
+    rows: Matrix
+    bounds: Vector
+    excess: Vector
+    multipliers: Vector
+    acceleration: Vector
+    change: Vector
+    L: Matrix
+    Y: Matrix
+    mobility: Matrix
+    direction: Vector
+    rates: Vector
+    wrench: Vector
+    cost: Matrix
+    row: Vector
+    root: Matrix
+    Z: Matrix
+    G: Matrix
+    basis: Matrix
+    factor: Matrix
+    slack: Vector
+    counts: Bytes
+
+
 @compiled
 def allowed_speed(distance: float) -> float:
     """
@@ -92,7 +118,7 @@ def bound_of_acceleration(allowed: float, closing: float, slope: float) -> float
 
 
 @compiled
-def add_joint_bounds(joints: Any, rows: Matrix, bounds: Vector) -> int:
+def add_joint_bounds(joints: Records[Joint], rows: Matrix, bounds: Vector) -> int:
     """
     Fill in a row for each side on which a joint is near its stop or its speed limit.
 
@@ -121,7 +147,8 @@ def add_joint_bounds(joints: Any, rows: Matrix, bounds: Vector) -> int:
 
 @compiled
 def add_reach_bounds(
-    joints: Any, jacobian: Matrix, rows: Matrix, bounds: Vector, count: int, space: Any,
+    joints: Records[Joint], jacobian: Matrix, rows: Matrix, bounds: Vector, count: int,
+    space: BoundSpace,
 ) -> int:
     """
     Fill in a row for each direction in which the arm is nearly singular, as stretched arms are.
@@ -152,8 +179,8 @@ def add_reach_bounds(
 
 @compiled
 def cost_of_changes(
-    mass_matrix: Matrix, jacobian: Matrix, contacts: Any, twist_des: Vector, by_task: bool,
-    row: Vector, cost: Matrix,
+    mass_matrix: Matrix, jacobian: Matrix, contacts: Records[Contact], twist_des: Vector,
+    by_task: bool, row: Vector, cost: Matrix,
 ) -> None:
     """
     Fill in H, shape (n, n): a change of the accelerations by x costs x^T H x.
@@ -186,7 +213,7 @@ def cost_of_changes(
 
 
 @compiled
-def least_change(n: int, m: int, space: Any) -> bool:
+def least_change(n: int, m: int, space: BoundSpace) -> bool:
     """
     Fill in the x of least x^T H x / 2 with R x <= -e; return whether it was found.
 
@@ -241,7 +268,8 @@ def least_change(n: int, m: int, space: Any) -> bool:
 
 @compiled
 def predict_acceleration(
-    torque: Vector, control: Any, joints: Any, contacts: Any, jacobian: Matrix, space: Any,
+    torque: Vector, control: Control, joints: Records[Joint], contacts: Records[Contact],
+    jacobian: Matrix, space: BoundSpace,
 ) -> None:
     """
     Fill in M^-1 (Gamma - C v - g - friction - J^T f), shape (n,) [rad/s^2].
@@ -269,8 +297,8 @@ def predict_acceleration(
 
 @compiled
 def bound_motion(
-    torque: Vector, joints: Any, control: Any, contacts: Any, mass_matrix: Matrix,
-    jacobian: Matrix, by_task: bool, space: Any,
+    torque: Vector, joints: Records[Joint], control: Control, contacts: Records[Contact],
+    mass_matrix: Matrix, jacobian: Matrix, by_task: bool, space: BoundSpace,
 ) -> int:
     """
     Change a torque so that no bound of the motion is passed; return which ones were.

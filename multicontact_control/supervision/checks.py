@@ -9,10 +9,10 @@ or the error it raises), `collision` (the joint that it loads last), `start` (`o
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.algebra import add_scaled, length
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
@@ -27,8 +27,8 @@ from multicontact_control.flags import (
     SIDEWAYS,
     STRAY,
 )
-from multicontact_control.records import B, F, I, Records
-from multicontact_control.supervision.contacts import FREE, LOST
+from multicontact_control.records import B, Contact, Control, F, I, Joint, Record, Records
+from multicontact_control.supervision.contacts import ContactState, FREE, LOST
 from multicontact_control.supervision.reactions import NONE, SEVERITY
 import numpy as np
 
@@ -55,6 +55,16 @@ PLAUSIBILITY = np.dtype([
     ('box', F, (2, 3)),  # where the operational point may be [m]
 ], align=True)
 
+
+class Plausibility(Record, Protocol):
+    """A record of `PLAUSIBILITY`."""
+
+    inertia: float
+    friction_bound: float
+    force_ceiling: float
+    box: Matrix
+
+
 # How answers have been judged; one.
 JUDGEMENT = np.dtype([
     ('plausibility', PLAUSIBILITY),
@@ -62,6 +72,15 @@ JUDGEMENT = np.dtype([
     ('contradictions', I),  # in a row
     ('wrench', F, 6),  # at the operational point, less what the contacts explain [N, N m]
 ], align=True)
+
+
+class Judgement(Record, Protocol):
+    """A record of `JUDGEMENT`."""
+
+    plausibility: Plausibility
+    resumes: bool
+    contradictions: int
+    wrench: Vector
 
 
 def reaction_to(causes: tuple[str, ...], config: ControllerConfig) -> str:
@@ -76,7 +95,8 @@ def reaction_to(causes: tuple[str, ...], config: ControllerConfig) -> str:
 
 @compiled
 def check_plausibility(
-    bounds: Any, control: Any, joints: Any, contacts: Any, states: Any, wrench: Vector,
+    bounds: Plausibility, control: Control, joints: Records[Joint], contacts: Records[Contact],
+    states: Records[ContactState], wrench: Vector,
 ) -> int:
     """
     Check the answer of the control law that is in the joints.
@@ -122,7 +142,8 @@ def check_plausibility(
 
 @compiled
 def judge_answer(
-    judgement: Any, control: Any, joints: Any, contacts: Any, states: Any, strict: bool,
+    judgement: Judgement, control: Control, joints: Records[Joint], contacts: Records[Contact],
+    states: Records[ContactState], strict: bool,
 ) -> int:
     """
     Judge the answer of the control law that is in the joints; see `check_plausibility`.
@@ -153,7 +174,7 @@ def cause_to_refuse(found: int) -> str:
     return next(cause for flag, cause in WRONG_WRENCH.items() if found & flag)
 
 
-def plausibility_limits(config: ControllerConfig) -> Records:
+def plausibility_limits(config: ControllerConfig) -> Records[Plausibility]:
     """Return what an answer must be like as one record of `PLAUSIBILITY`."""
     bounds = np.zeros(1, dtype=PLAUSIBILITY)
     bounds['friction_bound'] = config.watchdog.friction_bound

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.algebra import (
     across,
@@ -17,7 +17,7 @@ from multicontact_control.algebra import (
     rotate_by,
     Triple,
 )
-from multicontact_control.arrays import Mask, Vector
+from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig, validate
 from multicontact_control.config.contact import LARGEST_OFFSET
@@ -25,9 +25,24 @@ from multicontact_control.config.supervision import ContactStateConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import STILL, Task, TaskSource
 from multicontact_control.dynamics.rotations import Pose, rotation_vector
-from multicontact_control.records import B, F, MAX_COLUMNS
+from multicontact_control.records import (
+    B,
+    Contact,
+    Control,
+    F,
+    Frame,
+    MAX_COLUMNS,
+    Record,
+    Records,
+)
+from multicontact_control.records import Task as TaskRecord
 from multicontact_control.supervision import contacts
-from multicontact_control.supervision.contacts import CONTACT_SETTINGS, CONTACT_STATE
+from multicontact_control.supervision.contacts import (
+    CONTACT_SETTINGS,
+    CONTACT_STATE,
+    ContactSettings,
+    ContactState,
+)
 import numpy as np
 
 GUARD_SHARE = 0.3  # of the force held, below which the measured force is fed forward
@@ -60,6 +75,21 @@ TASK_LIMITS_CONFIG = np.dtype([
     ('lower', F, 3), ('upper', F, 3),  # corners of the workspace [m]
 ], align=True)
 
+
+class TaskLimitsConfig(Record, Protocol):
+    """A record of `TASK_LIMITS_CONFIG`."""
+
+    guarded: bool
+    contacts: ContactSettings
+    lead: float
+    reach: float
+    turn: float
+    ramp: float
+    turn_ramp: float
+    lower: Vector
+    upper: Vector
+
+
 # Bounds of a task, and the reference that follows it; one.
 TASK_LIMITS = np.dtype([
     ('config', TASK_LIMITS_CONFIG),
@@ -76,6 +106,27 @@ TASK_LIMITS = np.dtype([
     ('way', F, 3), ('turned_way', F, 3),  # worked with: what the reference goes [m], [rad]
     ('axes', F, (MAX_COLUMNS, 3)),  # worked with: normals of active contacts, orthogonal
 ], align=True)
+
+
+class TaskLimits(Record, Protocol):
+    """A record of `TASK_LIMITS`."""
+
+    config: TaskLimitsConfig
+    locked: bool
+    time: float
+    bounded_at: float
+    bounded: bool
+    behind: bool
+    position: Vector
+    rotation: Matrix
+    twist: Vector
+    ahead: Vector
+    turned_ahead: Vector
+    reads_before: bool
+    changed: bool
+    way: Vector
+    turned_way: Vector
+    axes: Matrix
 
 
 class ContactTask:
@@ -111,10 +162,10 @@ class ContactTask:
             self._columns['wanted'], self._columns['alpha_wanted'])
         self._written: tuple[object, ...] = (None,) * len(self._places)
         self._active = self._columns['answer']['active']
-        self.states: Any = np.zeros(len(config.columns), dtype=CONTACT_STATE)
+        self.states: Records[ContactState] = np.zeros(len(config.columns), dtype=CONTACT_STATE)
         self._names, self._leaders = config.column_names, np.array(config.leaders)
         self._codes = self.states['state']
-        self.limits: Any = np.zeros(1, dtype=TASK_LIMITS)
+        self.limits: Records[TaskLimits] = np.zeros(1, dtype=TASK_LIMITS)
         limits = self.limits['config']
         limits['guarded'] = guarded
         limits['contacts'] = contacts.contact_settings(validate(
@@ -277,9 +328,10 @@ class ContactTask:
         limits['bounded_at'], limits['behind'] = -math.inf, True
         limits['changed'] = True
 
-    def sought_normals(self) -> Any:
+    def sought_normals(self) -> Matrix:
         """Return normals of what is sought or held, couples with 0, shape (k, 3)."""
-        return self._columns['normal'][self._codes != contacts.FREE]
+        normals: Matrix = self._columns['normal'][self._codes != contacts.FREE]
+        return normals
 
     def placing_columns(self) -> dict[str, Vector]:
         """Return N_i of what is sought or held, shape (6,), by the force's or couple's name."""
@@ -289,7 +341,9 @@ class ContactTask:
 
 
 @compiled
-def limit_task(limit: Any, control: Any, columns: Any, states: Any) -> bool:
+def limit_task(
+    limit: TaskLimits, control: Control, columns: Records[Contact], states: Records[ContactState],
+) -> bool:
     """
     Bring a task that is wanted to one that may be followed; return whether it was limited.
 
@@ -349,7 +403,7 @@ def limit_task(limit: Any, control: Any, columns: Any, states: Any) -> bool:
 
 
 @compiled
-def _follow_task(limit: Any, frame: Any, task: Any) -> bool:
+def _follow_task(limit: TaskLimits, frame: Frame, task: TaskRecord) -> bool:
     """
     Let the reference catch up with the task where the arm could not; return if it is behind.
 
@@ -393,7 +447,7 @@ def _is_step(way: Vector, speed_des: Vector, speed: Vector, fastest: float) -> b
 
 @compiled
 def _catch_up(
-    way: Vector, speed_des: Vector, acceleration: Vector, limit: Any, speed: Vector,
+    way: Vector, speed_des: Vector, acceleration: Vector, limit: TaskLimits, speed: Vector,
     speed_of_arm: Vector, ahead: Vector, least_lead: float, reach: float, ramp: float,
 ) -> bool:
     """
@@ -434,7 +488,8 @@ def _catch_up(
 
 @compiled
 def _follow_force(
-    settings: Any, frame: Any, column: Any, state: Any, place: float, speed: float,
+    settings: ContactSettings, frame: Frame, column: Contact, state: ContactState, place: float,
+    speed: float,
 ) -> None:
     """Advance a contact whose tip is at a place [m, m/s]; say what the force law does with it."""
     answer = column.answer
@@ -459,7 +514,10 @@ def _follow_force(
 
 
 @compiled
-def _follow_couple(settings: Any, column: Any, couple: Any, force: Any, leader: Any) -> None:
+def _follow_couple(
+    settings: ContactSettings, column: Contact, couple: ContactState, force: Contact,
+    leader: ContactState,
+) -> None:
     """
     Let a couple act while its contact does; `force` and `leader` are the records of that.
 
@@ -484,14 +542,14 @@ def _follow_couple(settings: Any, column: Any, couple: Any, force: Any, leader: 
 
 
 @compiled
-def take_off(column: Any, state: Any) -> None:
+def take_off(column: Contact, state: ContactState) -> None:
     """Take what is read without a touch off the measured force from now on."""
     column.alpha_meas += column.untared - state.untared
     column.untared = state.untared
 
 
 @compiled
-def _follow_slide(period: float, frame: Any, column: Any, state: Any) -> float:
+def _follow_slide(period: float, frame: Frame, column: Contact, state: ContactState) -> float:
     """
     Allow for a surface that is not as told where the tip slides on it.
 
@@ -515,7 +573,9 @@ def _follow_slide(period: float, frame: Any, column: Any, state: Any) -> float:
 
 
 @compiled
-def _bound_task(limit: Any, frame: Any, task: Any, columns: Any) -> bool:
+def _bound_task(
+    limit: TaskLimits, frame: Frame, task: TaskRecord, columns: Records[Contact],
+) -> bool:
     """Bring a task within the box and, off active normals, within reach; return if it changed."""
     # The arm goes at v_des + (k_p / k_v) (x_des - x): the limit's speed at an error of one reach.
     position, twist, acceleration = task.position, task.twist, task.acceleration

@@ -22,12 +22,13 @@ tip along the normal, relative to the task without displacement [m, m/s].
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.compiled import compiled
 from multicontact_control.config.supervision import ContactStateConfig
-from multicontact_control.records import B, F, I, Records
+from multicontact_control.records import B, F, I, Record, Records
 import numpy as np
+from numpy.typing import NDArray
 
 NAMES = ('free', 'approaching', 'impact', 'holding', 'lost', 'retracting', 'given up')
 FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(len(NAMES))
@@ -113,6 +114,54 @@ CONTACT_STATE = np.dtype([
     ('calm', F),  # until it has more than the preload, of one that has answered late [s]
 ], align=True)
 
+
+class ContactState(Record, Protocol):
+    """A record of `CONTACT_STATE`."""
+
+    state: int
+    losses: int
+    left: bool
+    again: bool
+    wanted: bool
+    asked: float
+    asked_for: float
+    displacement: float
+    moved: float
+    speed: float
+    acceleration: float
+    force_limit: float
+    in_state: float
+    below: float
+    shaken: float
+    level: float
+    origin: float
+    start: float
+    fall: float
+    target: float
+    stiffness: float
+    surface_speed: float
+    approach_speed: float
+    averaged: float
+    baseline: float
+    untared: float
+    free_way: float
+    free_baseline: float
+    answered: bool
+    resumed: bool
+    resting: float
+    last_speed: float
+    seen: float
+    felt: float
+    read: float
+    least_read: float
+    unanswered: float
+    least: float
+    least_place: float
+    touch_place: float
+    flat_place: float
+    calm: float
+
+
 # What is set for all contacts: `ContactStateConfig`, h, times of at least some periods, and the
 # mass whose inertia the wrench has in it [kg]; one.
 CONTACT_SETTINGS = np.dtype([(name, F) for name in (
@@ -120,13 +169,32 @@ CONTACT_SETTINGS = np.dtype([(name, F) for name in (
     'approach_distance', 'contact_threshold', 'release_threshold', 'preload', 'force_ceiling',
     'retry_time', 'settling_time', 'tool_mass')])
 
-FREE_CONTACT: Records = np.zeros((), dtype=CONTACT_STATE)
+
+class ContactSettings(Record, Protocol):
+    """A record of `CONTACT_SETTINGS`."""
+
+    period: float
+    loss_time: float
+    bounce_time: float
+    approach_speed: float
+    approach_ramp_time: float
+    approach_distance: float
+    contact_threshold: float
+    release_threshold: float
+    preload: float
+    force_ceiling: float
+    retry_time: float
+    settling_time: float
+    tool_mass: float
+
+
+FREE_CONTACT: NDArray[np.void] = np.zeros((), dtype=CONTACT_STATE)
 FREE_CONTACT['origin'] = np.nan
 
 
 def contact_settings(
     config: ContactStateConfig, period: float, delay: float = 0.0,
-) -> Records:
+) -> Records[ContactSettings]:
     """
     Return what is set for all contacts as one record of `CONTACT_SETTINGS`.
 
@@ -142,7 +210,7 @@ def contact_settings(
 
 
 @compiled
-def let_go(contact: Any, place: float, speed: float) -> None:
+def let_go(contact: ContactState, place: float, speed: float) -> None:
     """Give a contact back to the motion law, which leads the tip to where the surface was."""
     contact.displacement, contact.speed = place, 0.0
     if contact.state in PRESSED:
@@ -155,7 +223,7 @@ def let_go(contact: Any, place: float, speed: float) -> None:
 
 
 @compiled
-def _take_off(contact: Any, settings: Any, baseline: float) -> None:
+def _take_off(contact: ContactState, settings: ContactSettings, baseline: float) -> None:
     """Take what is read without a touch off the measured force, if it is worth it [N]."""
     contact.baseline = baseline
     least = TARE_SHARE * settings.contact_threshold
@@ -163,7 +231,7 @@ def _take_off(contact: Any, settings: Any, baseline: float) -> None:
 
 
 @compiled
-def _begin_search(contact: Any, settings: Any) -> None:
+def _begin_search(contact: ContactState, settings: ContactSettings) -> None:
     """Go to a surface, and take off what is read before."""
     contact.free_way = 0.0
     _take_off(contact, settings, contact.baseline)
@@ -171,7 +239,7 @@ def _begin_search(contact: Any, settings: Any) -> None:
 
 
 @compiled
-def average_reading(contact: Any, settings: Any, alpha: float) -> None:
+def average_reading(contact: ContactState, settings: ContactSettings, alpha: float) -> None:
     """Average what is read where a contact is not sought, over `AVERAGE_TIME`."""
     longest = max(1.0, np.round(AVERAGE_TIME / settings.period))
     contact.averaged = min(contact.averaged + 1.0, longest)
@@ -179,7 +247,9 @@ def average_reading(contact: Any, settings: Any, alpha: float) -> None:
 
 
 @compiled
-def follow_reading(contact: Any, settings: Any, alpha: float, way: float) -> None:
+def follow_reading(
+    contact: ContactState, settings: ContactSettings, alpha: float, way: float,
+) -> None:
     """Follow what is read on a way towards a surface [m], and take it off."""
     seen = TARE_SHARE * settings.contact_threshold
     if contact.averaged * settings.period < AVERAGE_TIME and abs(alpha) < seen:
@@ -193,7 +263,7 @@ def follow_reading(contact: Any, settings: Any, alpha: float, way: float) -> Non
 
 
 @compiled
-def go_on(contact: Any, alpha: float, place: float) -> None:
+def go_on(contact: ContactState, alpha: float, place: float) -> None:
     """
     Go on with a contact that was pressed before a pause.
 
@@ -207,7 +277,7 @@ def go_on(contact: Any, alpha: float, place: float) -> None:
 
 
 @compiled
-def read_anew(contact: Any, settings: Any, alpha: float) -> None:
+def read_anew(contact: ContactState, settings: ContactSettings, alpha: float) -> None:
     """Take what is read after a pause for what a search begins with."""
     if contact.state == FREE or contact.state == APPROACHING or contact.state == GIVEN_UP:
         contact.averaged = 0.0
@@ -220,7 +290,7 @@ def read_anew(contact: Any, settings: Any, alpha: float) -> None:
 
 @compiled
 def _watch_answer(
-    contact: Any, settings: Any, alpha: float, place: float, speed: float,
+    contact: ContactState, settings: ContactSettings, alpha: float, place: float, speed: float,
 ) -> None:
     """
     Notice whether a force that is seen answers the motion.
@@ -260,7 +330,7 @@ def _watch_answer(
 
 
 @compiled
-def _take_answer(contact: Any, settings: Any) -> None:
+def _take_answer(contact: ContactState, settings: ContactSettings) -> None:
     """
     Begin with the preload where the tip has gone on before a force that held has answered.
 
@@ -276,7 +346,7 @@ def _take_answer(contact: Any, settings: Any) -> None:
 
 
 @compiled
-def desired_force(contact: Any, settings: Any) -> float:
+def desired_force(contact: ContactState, settings: ContactSettings) -> float:
     """Return what is asked of a contact as far as it may have it [N]."""
     desired = min(contact.asked, contact.force_limit)
     if contact.answered:
@@ -289,7 +359,7 @@ def desired_force(contact: Any, settings: Any) -> float:
 
 
 @compiled
-def approach_speed(contact: Any, settings: Any, mobility: float) -> float:
+def approach_speed(contact: ContactState, settings: ContactSettings, mobility: float) -> float:
     """
     Return the speed of an approach [m/s].
 
@@ -303,7 +373,7 @@ def approach_speed(contact: Any, settings: Any, mobility: float) -> float:
 
 
 @compiled
-def speed_bound(contact: Any, fall_speed: float) -> float:
+def speed_bound(contact: ContactState, fall_speed: float) -> float:
     """
     Return the largest speed into a surface that does not answer, 0 for none [m/s].
 
@@ -321,7 +391,7 @@ def speed_bound(contact: Any, fall_speed: float) -> float:
 
 
 @compiled
-def refute(contact: Any, settings: Any, place: float, speed: float) -> bool:
+def refute(contact: ContactState, settings: ContactSettings, place: float, speed: float) -> bool:
     """
     Let a contact go if it is none; return whether it was let go.
 
@@ -348,7 +418,7 @@ def refute(contact: Any, settings: Any, place: float, speed: float) -> bool:
 
 
 @compiled
-def _touch(contact: Any, settings: Any, alpha: float) -> float:
+def _touch(contact: ContactState, settings: ContactSettings, alpha: float) -> float:
     """
     Begin to press; return the measured force without what was read before [N].
 
@@ -372,7 +442,7 @@ def _touch(contact: Any, settings: Any, alpha: float) -> float:
 
 @compiled
 def _watch_search(
-    contact: Any, settings: Any, alpha: float, place: float, speed: float,
+    contact: ContactState, settings: ContactSettings, alpha: float, place: float, speed: float,
 ) -> None:
     """Touch, or give up, or begin to look for a lost surface."""
     met_before = not np.isnan(contact.origin)
@@ -412,11 +482,13 @@ def _watch_search(
 
 @compiled
 def _watch_hold(
-    contact: Any, settings: Any, alpha: float, place: float, speed: float, escape: float,
+    contact: ContactState, settings: ContactSettings, alpha: float, place: float, speed: float,
+    escape: float,
 ) -> None:
     """Notice a loss, or that a touch has lasted."""
     h = settings.period
-    if not contact.answered:
+    unproven = not contact.answered
+    if unproven:
         _watch_answer(contact, settings, alpha, place, speed)
         if contact.answered and contact.state == HOLDING and not contact.resumed:
             _take_answer(contact, settings)
@@ -449,7 +521,7 @@ def _watch_hold(
 
 
 @compiled
-def _leave(contact: Any, place: float, speed: float) -> None:
+def _leave(contact: ContactState, place: float, speed: float) -> None:
     """Forget a contact that the task does not ask for."""
     if contact.state in PRESSED:
         let_go(contact, place, speed)
@@ -462,7 +534,7 @@ def _leave(contact: Any, place: float, speed: float) -> None:
 
 
 @compiled
-def _search_again(contact: Any, settings: Any) -> None:
+def _search_again(contact: ContactState, settings: ContactSettings) -> None:
     """Look again for a surface that was given up, if it is time or asked for."""
     due = 0.0 < settings.retry_time <= contact.in_state and not contact.left
     if due or contact.again:
@@ -473,7 +545,7 @@ def _search_again(contact: Any, settings: Any) -> None:
 
 
 @compiled
-def _lead_tip(contact: Any, settings: Any) -> None:
+def _lead_tip(contact: ContactState, settings: ContactSettings) -> None:
     """Go on by a displacement that is ramped, bounded and braked."""
     h, wanted, change = settings.period, contact.approach_speed, BRAKING
     if contact.state != APPROACHING:
@@ -489,7 +561,8 @@ def _lead_tip(contact: Any, settings: Any) -> None:
 
 @compiled
 def advance_contact(
-    contact: Any, settings: Any, alpha: float, place: float, speed: float, escape: float,
+    contact: ContactState, settings: ContactSettings, alpha: float, place: float, speed: float,
+    escape: float,
 ) -> None:
     """
     Take one tick into the state machine of a contact, and bound the force or the way it goes.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 import math
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.algebra import quintic
 from multicontact_control.arrays import Matrix, Vector
@@ -13,8 +13,19 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.config.controller import TransitionConfig
 from multicontact_control.control.arm import ArmState
 from multicontact_control.flags import JOINT_STOP, REACH, REFERENCE, REPLACED, TORQUE, TORQUE_RATE
-from multicontact_control.records import B, F, I, MAX_JOINTS, Records
-from multicontact_control.supervision.bounds import bound_motion, BOUND_SPACE
+from multicontact_control.records import (
+    B,
+    Contact,
+    Control,
+    F,
+    I,
+    Joint,
+    JointConfig,
+    MAX_JOINTS,
+    Record,
+    Records,
+)
+from multicontact_control.supervision.bounds import bound_motion, BOUND_SPACE, BoundSpace
 import numpy as np
 
 LIMIT_NAMES = {
@@ -32,6 +43,17 @@ GATE_CONFIG = np.dtype([
     ('blend_time', F), ('blend_rate', F),  # of a commanded change: see `TransitionConfig`
 ], align=True)
 
+
+class GateConfig(Record, Protocol):
+    """A record of `GATE_CONFIG`."""
+
+    guarded: bool
+    period: float
+    keep: float
+    blend_time: float
+    blend_rate: float
+
+
 # The gate: what is set for it, and what it remembers; one.
 GATE = np.dtype([
     ('config', GATE_CONFIG),
@@ -45,8 +67,24 @@ GATE = np.dtype([
 ], align=True)
 
 
+class Gate(Record, Protocol):
+    """A record of `GATE`."""
+
+    config: GateConfig
+    begun: bool
+    ranged: bool
+    law: int
+    pending: bool
+    blending: bool
+    fading: bool
+    elapsed: float
+    duration: float
+    torque: Vector
+    space: BoundSpace
+
+
 @compiled
-def law_number(contacts: Any, guarded: bool) -> int:
+def law_number(contacts: Records[Contact], guarded: bool) -> int:
     """Return the number of the control law with these active contacts; 0 without guards."""
     if not guarded:
         return 0
@@ -58,7 +96,7 @@ def law_number(contacts: Any, guarded: bool) -> int:
 
 
 @compiled
-def blend(gate: Any, joints: Any, law: int, torque: Vector) -> None:
+def blend(gate: Gate, joints: Records[Joint], law: int, torque: Vector) -> None:
     """
     Add to a torque, shape (n,), what is left of the differences from the ones before.
 
@@ -102,7 +140,7 @@ def blend(gate: Any, joints: Any, law: int, torque: Vector) -> None:
 
 
 @compiled
-def set_ranges(joints: Any) -> None:
+def set_ranges(joints: Records[Joint]) -> None:
     """Keep joints a margin off their stops; one that starts beyond it may stay there."""
     for j in range(joints.shape[0]):
         joint = joints[j]
@@ -112,8 +150,8 @@ def set_ranges(joints: Any) -> None:
 
 @compiled
 def pass_gate(
-    gate: Any, joints: Any, control: Any, contacts: Any, mass_matrix: Matrix, jacobian: Matrix,
-    law: int, seen: bool, by_task: bool,
+    gate: Gate, joints: Records[Joint], control: Control, contacts: Records[Contact],
+    mass_matrix: Matrix, jacobian: Matrix, law: int, seen: bool, by_task: bool,
 ) -> int:
     """
     Let the torque of the joints through as far as continuity and the limits allow.
@@ -180,7 +218,7 @@ def limit_names(found: int) -> tuple[str, ...]:
     return tuple(name for flag, name in LIMIT_NAMES.items() if found & flag)
 
 
-def gate_record(config: ControllerConfig, *, guarded: bool) -> Records:
+def gate_record(config: ControllerConfig, *, guarded: bool) -> Records[Gate]:
     """Return one record of `GATE` as configured, before the first torque."""
     gate = np.zeros(1, dtype=GATE)
     settings = gate['config']
@@ -212,9 +250,9 @@ class TorqueGate:
 
     def __init__(self, config: ControllerConfig, arm: ArmState, *, guarded: bool = True) -> None:
         self._arm, self._joints = arm, arm.joints
-        self.records: Any = gate_record(config, guarded=guarded)
+        self.records: Records[Gate] = gate_record(config, guarded=guarded)
         self._gate = self.records[0]
-        joints: Any = self._joints['config']
+        joints: Records[JointConfig] = self._joints['config']
         rate = config.limits.torque_rate if guarded else ()
         joints['torque_step'] = np.array(rate or np.inf) * config.period
         joints['gate_speed'] = config.limits.joint_speed or np.inf

@@ -8,19 +8,34 @@ of the ticks before, and what is found. `supervision.inputs` says what the fault
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Protocol
 
 from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
-from multicontact_control.records import B, F, I, INPUT, MAX_JOINTS, Records
+from multicontact_control.records import (
+    B,
+    Contact,
+    Control,
+    F,
+    I,
+    INPUT,
+    Input,
+    Joint,
+    MAX_JOINTS,
+    Momentum,
+    Record,
+    Records,
+)
 from multicontact_control.supervision.velocities import (
     check_velocities,
     count_proof,
     JOINT_TRACK,
+    JointTrack,
     OFFSET,
     PROOF,
     VELOCITY_STATE,
+    VelocityState,
 )
 import numpy as np
 
@@ -76,11 +91,46 @@ INPUT_SETTINGS = np.dtype([
     ('b', F, 3), ('a', F, 3),  # its coefficients, highest power of z first
 ], align=True)
 
+
+class InputSettings(Record, Protocol):
+    """A record of `INPUT_SETTINGS`."""
+
+    guarded: bool
+    period: float
+    shortest: float
+    longest: float
+    joints_max_age: float
+    wrench_max_age: float
+    variance_max_age: float
+    fastest: Vector
+    turn: Vector
+    frozen_joint_ticks: int
+    frozen_ticks: int
+    smallest_variance: float
+    largest_variance: float
+    initial_variance: float
+    adds_gravity: bool
+    commands: int
+    full_scale: Vector
+    leaves_out: bool
+    order: int
+    b: Vector
+    a: Vector
+
+
 # What is known of the stamps of one reading, NaN for none.
 STAMPS = np.dtype([
     ('seen', F),  # the newest [s]
     ('valid', F),  # of the newest valid reading [s]
 ])
+
+
+class Stamps(Record, Protocol):
+    """A record of `STAMPS`."""
+
+    seen: float
+    valid: float
+
 
 # What the wrenches before have been like; one.
 WRENCH_STATE = np.dtype([
@@ -100,12 +150,41 @@ WRENCH_STATE = np.dtype([
     ('next_output', F, 6), ('output_after', F, 6),
 ], align=True)
 
+
+class WrenchState(Record, Protocol):
+    """A record of `WRENCH_STATE`."""
+
+    newest: Vector
+    last: Vector
+    equal: int
+    faults: int
+    suspect: bool
+    suspected: Vector
+    trusted: float
+    outliers: float
+    learnt: int
+    mean_square: Vector
+    filtered: Vector
+    next_output: Vector
+    output_after: Vector
+
+
 # The measured and commanded torques of one joint.
 TORQUE_STATE = np.dtype([
     ('last', F),  # measured one that was not 0, inf before the first [N m]
     ('zeros', I), ('unheard', I),  # samples in a row of exactly 0 N m, and without a usable one
     ('commanded', F, MOST_COMMANDS),  # ring of what was commanded, NaN before [N m]
 ], align=True)
+
+
+class TorqueState(Record, Protocol):
+    """A record of `TORQUE_STATE`."""
+
+    last: float
+    zeros: int
+    unheard: int
+    commanded: Vector
+
 
 # What the input stage remembers; one.
 INPUT_STATE = np.dtype([
@@ -121,11 +200,39 @@ INPUT_STATE = np.dtype([
     ('wrenches', WRENCH_STATE),
 ], align=True)
 
+
+class InputState(Record, Protocol):
+    """A record of `INPUT_STATE`."""
+
+    time: float
+    odd_periods: int
+    joints: Stamps
+    wrench: Stamps
+    variance: Stamps
+    known: bool
+    blind_ticks: int
+    unknown: int
+    equal_joints: int
+    tracks: Records[JointTrack]
+    velocities: VelocityState
+    torques: Records[TorqueState]
+    commands: int
+    wrenches: WrenchState
+
+
 # What was found of one reading, or of the time.
 FINDING = np.dtype([
     ('problem', I),  # what is wrong with it, see `PROBLEMS`
     ('stale', B),  # whether the newest valid one is too old, or the time is wrong
 ], align=True)
+
+
+class Finding(Record, Protocol):
+    """A record of `FINDING`."""
+
+    problem: int
+    stale: bool
+
 
 # What the input stage finds at a tick; one.
 INPUT_FINDINGS = np.dtype([
@@ -134,13 +241,34 @@ INPUT_FINDINGS = np.dtype([
     ('blind', B),  # whether joints were valid neither in this tick nor in the one before
 ], align=True)
 
+
+class InputFindings(Record, Protocol):
+    """A record of `INPUT_FINDINGS`."""
+
+    joints: Finding
+    wrench: Finding
+    variance: Finding
+    clock: Finding
+    skipped: int
+    blind: bool
+
+
 INPUT_STAGE = np.dtype([
     ('input', INPUT), ('settings', INPUT_SETTINGS), ('state', INPUT_STATE),
     ('found', INPUT_FINDINGS)], align=True)
 
 
+class InputStage(Record, Protocol):
+    """A record of `INPUT_STAGE`."""
+
+    input: Input
+    settings: InputSettings
+    state: InputState
+    found: InputFindings
+
+
 @compiled
-def _check_clock(stage: Any) -> None:
+def _check_clock(stage: InputStage) -> None:
     """Check and keep the time of a tick."""
     settings, state, found = stage.settings, stage.state, stage.found
     elapsed, h = stage.input.time - state.time, settings.period
@@ -162,7 +290,7 @@ def _check_clock(stage: Any) -> None:
 
 
 @compiled
-def _check_stamp(came: int, stamp: float, stamps: Any, latest: float) -> int:
+def _check_stamp(came: int, stamp: float, stamps: Stamps, latest: float) -> int:
     """Check the stamp of a reading, at most `latest` [s]; return its content if it is new."""
     if came != FINE:
         return came
@@ -175,7 +303,7 @@ def _check_stamp(came: int, stamp: float, stamps: Any, latest: float) -> int:
 
 
 @compiled
-def _check_joints(stage: Any, tracks: Any, span: float) -> int:
+def _check_joints(stage: InputStage, tracks: Records[JointTrack], span: float) -> int:
     """Check a joint state, `span` after the one before [s], and track it."""
     inputs, settings, state = stage.input, stage.settings, stage.state
     velocities = state.velocities
@@ -211,7 +339,9 @@ def _check_joints(stage: Any, tracks: Any, span: float) -> int:
 
 
 @compiled
-def _take_joints(stage: Any, tracks: Any, q: Vector, velocity: Vector) -> None:
+def _take_joints(
+    stage: InputStage, tracks: Records[JointTrack], q: Vector, velocity: Vector,
+) -> None:
     """Check a joint state and hand it over, if it is valid."""
     inputs, state, finding = stage.input, stage.state, stage.found.joints
     stamps, velocities, h = state.joints, state.velocities, stage.settings.period
@@ -244,7 +374,7 @@ def _take_joints(stage: Any, tracks: Any, q: Vector, velocity: Vector) -> None:
 
 
 @compiled
-def _is_outlier(raw: Vector, before: Any, settings: Any, span: float) -> bool:
+def _is_outlier(raw: Vector, before: WrenchState, settings: InputSettings, span: float) -> bool:
     """
     Return whether a wrench, `span` after the valid one before [s], is to be left out.
 
@@ -282,7 +412,7 @@ def _is_outlier(raw: Vector, before: Any, settings: Any, span: float) -> bool:
 
 
 @compiled
-def _filter_wrench(raw: Vector, before: Any, settings: Any) -> int:
+def _filter_wrench(raw: Vector, before: WrenchState, settings: InputSettings) -> int:
     """Check a wrench, and low-pass it: transposed direct form II, settled on its first wrench."""
     equal, saturated = True, False
     for i in range(6):
@@ -312,7 +442,7 @@ def _filter_wrench(raw: Vector, before: Any, settings: Any) -> int:
 
 
 @compiled
-def _take_wrench(stage: Any, wrench: Vector) -> None:
+def _take_wrench(stage: InputStage, wrench: Vector) -> None:
     """Check a wrench and hand it over behind the low-pass, if it is valid."""
     inputs, settings, state = stage.input, stage.settings, stage.state
     stamps, before, finding, h = state.wrench, state.wrenches, stage.found.wrench, settings.period
@@ -341,7 +471,7 @@ def _take_wrench(stage: Any, wrench: Vector) -> None:
 
 
 @compiled
-def _take_variance(stage: Any, contacts: Any) -> None:
+def _take_variance(stage: InputStage, contacts: Records[Contact]) -> None:
     """Check an R and hand it over within its bounds, if it is valid; let an old one grow."""
     inputs, settings, state = stage.input, stage.settings, stage.state
     stamps, finding = state.variance, stage.found.variance
@@ -366,7 +496,9 @@ def _take_variance(stage: Any, contacts: Any) -> None:
 
 
 @compiled
-def _hear_torques(inputs: Any, torques: Any, joints: Any, period: float) -> int:
+def _hear_torques(
+    inputs: Input, torques: Records[TorqueState], joints: Records[Joint], period: float,
+) -> int:
     """
     Find which measured torques are of use, and why the others are not; return how many are.
 
@@ -399,7 +531,9 @@ def _hear_torques(inputs: Any, torques: Any, joints: Any, period: float) -> int:
 
 
 @compiled
-def _supply_torques(stage: Any, joints: Any, momentum: Any, elapsed: float) -> None:
+def _supply_torques(
+    stage: InputStage, joints: Records[Joint], momentum: Momentum, elapsed: float,
+) -> None:
     """
     Give the momentum observer the torques, measured or commanded, that acted in a period.
 
@@ -444,7 +578,7 @@ def _supply_torques(stage: Any, joints: Any, momentum: Any, elapsed: float) -> N
 
 @compiled
 def _hand_over_as_it_came(
-    stage: Any, q: Vector, velocity: Vector, wrench: Vector, contacts: Any,
+    stage: InputStage, q: Vector, velocity: Vector, wrench: Vector, contacts: Records[Contact],
 ) -> None:
     """Hand over joints, wrench and R, valid or not; the wrench behind the low-pass."""
     inputs, settings = stage.input, stage.settings
@@ -465,7 +599,8 @@ def _hand_over_as_it_came(
 
 @compiled
 def check_inputs(
-    stages: Any, q: Vector, velocity: Vector, joints: Any, controls: Any, contacts: Any,
+    stages: Records[InputStage], q: Vector, velocity: Vector, joints: Records[Joint],
+    controls: Records[Control], contacts: Records[Contact],
 ) -> bool:
     """
     Check what has come in at a tick, and hand over what is valid.
@@ -510,7 +645,7 @@ def check_inputs(
     return True
 
 
-def stage_record(config: ControllerConfig, turning: Any, *, guarded: bool) -> Records:
+def stage_record(config: ControllerConfig, turning: Any, *, guarded: bool) -> Records[InputStage]:
     """
     Return one record of `INPUT_STAGE` as configured, before the first tick.
 
@@ -519,7 +654,7 @@ def stage_record(config: ControllerConfig, turning: Any, *, guarded: bool) -> Re
     sensor, watch, h = config.sensor, config.watchdog, config.period
     record = np.zeros(1, dtype=INPUT_STAGE)
     n = len(config.robot.joint_names)
-    settings: Any = record['settings'][0]
+    settings: InputSettings = record['settings'][0]
     settings['guarded'], settings['period'] = guarded, h
     settings['shortest'], settings['longest'] = h / watch.rate_band, h * watch.rate_band
     settings['joints_max_age'] = h * (AGE_TOLERANCE + watch.joint_max_age)
@@ -549,7 +684,7 @@ def stage_record(config: ControllerConfig, turning: Any, *, guarded: bool) -> Re
     return record
 
 
-def _forget(state: Any) -> None:
+def _forget(state: InputState) -> None:
     """Set what nothing is known of before the first tick."""
     state['time'] = math.nan
     for reading in READINGS:

@@ -22,11 +22,13 @@ from typing import Any, NamedTuple
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
+from multicontact_control.records import Input, Records
 from multicontact_control.supervision.input_checks import (
     ABSENT,
     check_inputs,
     FINE,
     HEARD,
+    InputSettings,
     INVALID,
     NOT_A_NUMBER,
     OUTLIER,
@@ -129,7 +131,7 @@ class _Intake:
 
     """
 
-    def __init__(self, record: Any, joint_count: int, column_count: int) -> None:
+    def __init__(self, record: Records[Input], joint_count: int, column_count: int) -> None:
         self._time, self._command_came = record['time'], record['command_came']
         self._joints_came, self._joints_stamp = record['joints_came'], record['joints_stamp']
         self._velocity_came, self._effort_came = record['velocity_came'], record['effort_came']
@@ -246,7 +248,7 @@ class Inputs:
         joints, controls, contacts = (
             controller.arm.joints, controller.controls, controller.contacts)
         n = len(joints)
-        self._stage: Any = stage_record(config, controller.robot.turning, guarded=guarded)
+        self._stage = stage_record(config, controller.robot.turning, guarded=guarded)
         self._initial = self._stage.copy()
         self._initial_variance = config.initial_noise_variance
         self._by_momentum = config.wrench_input == 'momentum'
@@ -350,7 +352,7 @@ class Inputs:
 
     def _wrench_of_torques(self, joints: JointInput | None) -> WrenchInput | None:
         """Return the wrench that the momentum observer finds; it takes some samples to begin."""
-        settings: Any = self._stage['settings'][0]
+        settings: InputSettings = self._stage['settings'][0]
         if joints is None or self._state['unknown'] > settings['commands'] + 1:
             return None
         return WrenchInput(joints.stamp, self._wrench)

@@ -9,7 +9,12 @@ from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.controller import Controller, ControlOutput
-from multicontact_control.dynamics.operational_space import INERTIA_SPACE, mobility_and_inertia
+from multicontact_control.dynamics.operational_space import (
+    INERTIA_SPACE,
+    InertiaSpace,
+    mobility_and_inertia,
+)
+from multicontact_control.records import Law, Records, Task
 from multicontact_control.supervision.velocities import OFFSET, SHARE
 import numpy as np
 
@@ -57,7 +62,7 @@ PHYSICAL = ('motion', 'law', 'internal', 'joints_velocity', 'wrench_pull', 'wren
 
 def hold_torque(
     way: Vector, velocity: Vector, bias_torque: Vector, mass_matrix: Matrix, jacobian: Matrix,
-    frequency: float, damping: float, laws: Any,
+    frequency: float, damping: float, laws: Records[Law],
 ) -> Vector:
     """
     Return the torque that holds a posture, shape (n,) [N m].
@@ -83,7 +88,7 @@ def hold_torque(
     free = least ** 2 * way - 2.0 * least * velocity
     upper = np.triu(mass_matrix)
     torque: Vector = bias_torque + (upper + np.triu(upper, 1).T) @ free
-    inertia: Any = np.zeros(1, dtype=INERTIA_SPACE)[0]
+    inertia: InertiaSpace = np.zeros(1, dtype=INERTIA_SPACE)[0]
     singular, _ = mobility_and_inertia(
         mass_matrix, jacobian, laws['singular_mobility'][0], inertia)
     if singular < 0.0:
@@ -129,8 +134,8 @@ class Reactions:
         self._robot, self._contacts = controller.robot, controller.contacts
         self._added: Vector = controller.arm.joints['added']
         self._release_threshold = config.contact_state.release_threshold
-        self._task: Any = controller.controls['task']
-        self._law: Any = controller.controls['law']
+        self._task: Records[Task] = controller.controls['task']
+        self._law: Records[Law] = controller.controls['law']
         self._swings: Matrix = np.zeros((3, self._robot.joint_count))
         self._begin_swings()
         self._keep_turns = math.exp(-config.period / TURN_TIME)

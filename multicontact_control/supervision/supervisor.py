@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
 
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
@@ -25,6 +24,7 @@ from multicontact_control.flags import (
     TOUCHED,
 )
 from multicontact_control.force.force_law import continue_laws_at
+from multicontact_control.records import Records
 from multicontact_control.supervision import checks, reactions
 from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.contact_task import ContactTask
@@ -77,7 +77,7 @@ class Supervisor:
         self.explanations = Explanations(controller, self.inputs, self.task, guarded=guarded)
         self._recovery = reactions.Recovery(config.watchdog.recovery_time, config.period)
         self._steadiness = reactions.Steadiness(config.period)
-        self._judgements: Any = np.zeros(1, dtype=checks.JUDGEMENT)
+        self._judgements: Records[checks.Judgement] = np.zeros(1, dtype=checks.JUDGEMENT)
         self._judgement = self._judgements[0]
         self._records = (
             self._joints, self._controls, controller.contacts, controller.laws, self.task.states,

@@ -12,11 +12,11 @@ refuted stays in doubt until ten readings of its own motion agree, see `count_pr
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.records import B, F, I
+from multicontact_control.records import B, F, I, Record, Records
 import numpy as np
 
 HISTORY = 50  # joint states that are kept for an explanation
@@ -48,6 +48,25 @@ JOINT_TRACK = np.dtype([
     ('past_q', F, HISTORY), ('past_velocity', F, HISTORY),  # rings of what came [rad], [rad/s]
 ], align=True)
 
+
+class JointTrack(Record, Protocol):
+    """A record of `JOINT_TRACK`."""
+
+    q: float
+    velocity: float
+    last_q: float
+    last_velocity: float
+    q_tracked: float
+    v_tracked: float
+    missed: float
+    way: float
+    unrest: float
+    doubt: float
+    unproven: int
+    past_q: Vector
+    past_velocity: Vector
+
+
 # The velocities of all joints; one.
 VELOCITY_STATE = np.dtype([
     ('states', I),  # joint states since the first one, or since a jump
@@ -58,9 +77,20 @@ VELOCITY_STATE = np.dtype([
 ], align=True)
 
 
+class VelocityState(Record, Protocol):
+    """A record of `VELOCITY_STATE`."""
+
+    states: int
+    contradicted: int
+    unproven: bool
+    silent: bool
+    estimated: bool
+
+
 @compiled
 def check_velocities(
-    tracks: Any, state: Any, fastest: Vector, span: float, follows: bool, period: float,
+    tracks: Records[JointTrack], state: VelocityState, fastest: Vector, span: float, follows: bool,
+    period: float,
 ) -> bool:
     """
     Track positions; return whether they contradict the velocities of the newest joint state.
@@ -122,7 +152,7 @@ def check_velocities(
 
 
 @compiled
-def count_proof(tracks: Any, refuted: bool) -> bool:
+def count_proof(tracks: Records[JointTrack], refuted: bool) -> bool:
     """
     Count the readings in motion that prove velocities which were `refuted`, now or before.
 

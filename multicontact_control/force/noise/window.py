@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
-from typing import Any, Literal
+from typing import Literal, Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.force.noise.base import Innovation, MAX_MAGNITUDE, NoiseEstimator
-from multicontact_control.records import F, I
+from multicontact_control.records import F, I, Record, Records
 import numpy as np
 
 Normalisation = Literal['dc', 'hf']
@@ -21,8 +21,26 @@ NOISE_WINDOW = np.dtype([
     ('count', I),  # samples so far
 ], align=True)
 
+
+class NoiseWindow(Record, Protocol):
+    """A record of `NOISE_WINDOW`."""
+
+    pole: float
+    zero: float
+    gain: float
+    scale: float
+    count: int
+
+
 # What the filter of one contact remembers of the sample before.
 FILTER_STATE = np.dtype([('alpha', F), ('filtered', F)])  # [N]
+
+
+class FilterState(Record, Protocol):
+    """A record of `FILTER_STATE`."""
+
+    alpha: float
+    filtered: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +71,8 @@ def lead_filter(
 
 @compiled
 def take_into_window(
-    alpha: Vector, windows: Any, states: Any, samples: Matrix, variance: Vector,
+    alpha: Vector, windows: Records[NoiseWindow], states: Records[FilterState], samples: Matrix,
+    variance: Vector,
 ) -> bool:
     """
     Filter one sample per contact, and estimate R once the window is full (P04 eqs 42-44).
