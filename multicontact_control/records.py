@@ -31,7 +31,11 @@ class Record(Protocol):
 
 
 class Records(Protocol[RecordT_co]):
-    """An array of records."""
+    """
+    An array of records of one type, which numpy's arrays of their dtype are taken for.
+
+    A field of all is an array of numbers, or again of records.
+    """
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -43,6 +47,7 @@ class Records(Protocol[RecordT_co]):
     def __iter__(self) -> Iterator[RecordT_co]:
         """Go through them."""
 
+    # In the order in which numpy declares the same, or a type checker does not find it there.
     @overload
     def __getitem__(self, place: Mask) -> Records[RecordT_co]: ...
 
@@ -60,6 +65,7 @@ class Records(Protocol[RecordT_co]):
 
     def copy(self) -> Records[RecordT_co]:
         """Return a copy."""
+
 
 F, I, B = np.float64, np.int64, np.bool_
 

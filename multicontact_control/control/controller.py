@@ -301,10 +301,11 @@ class Controller:
         M = np.triu(terms.mass_matrix)
         M += np.triu(M, 1).T
         N = self.contacts['N'][active].T
-        answer, answered = self.contacts['answer'][active], self.arm.joints['answer']
+        answer = self.contacts['answer'][active]
+        unlimited = self.arm.joints['answer']['unlimited']
         beyond = answer['alpha_fed'] - answer['alpha_est']
         twist_rate = terms.jacobian @ np.linalg.solve(
-            M, torque - answered['unlimited'] + terms.jacobian.T @ (N @ beyond))
+            M, torque - unlimited + terms.jacobian.T @ (N @ beyond))
         act_beyond(self.laws, active, N.T @ twist_rate)
 
     def refuse(self, found: int = DEPENDENT) -> NoReturn:
