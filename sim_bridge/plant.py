@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from multicontact_control.arrays import require_shape, Vector
 from multicontact_control.config import ToolConfig
 from multicontact_control.errors import ConfigError, RunError
+from multicontact_control.records import Records
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME, TOOL_LINK
 from sim_bridge.config import PlantConfig
-from sim_bridge.contacts import act_on_arm, Contacts, HAND, Pushes
-from sim_bridge.drives import DRIVE, flexible_drives, joint_friction, RigidDrives
+from sim_bridge.contacts import act_on_arm, Contacts, HAND, Hand, Pushes
+from sim_bridge.drives import DRIVE, Drive, flexible_drives, joint_friction, RigidDrives
 from sim_bridge.engine_arm import EngineArm
 from sim_bridge.kinematics import chain_of
 from sim_bridge.robots import find_robot
@@ -80,7 +81,7 @@ class Plant:
         self._bare = pin.Inertia(self.model.inertias[self.model.nv])
         self._limit = np.array(config.torque_limit or self.description.torque_limit)
         self.arm = make_engine(config, self.description)
-        self._hands: Any = np.zeros(2, dtype=HAND)
+        self._hands: Records[Hand] = np.zeros(2, dtype=HAND)
         frame = self.model.frames[self.model.getFrameId(OPERATIONAL_FRAME)]
         self._hands['local'][0] = frame.placement.translation
         pushed = self.model.frames[self.model.getFrameId(config.tool_push_link)].placement
@@ -88,7 +89,7 @@ class Plant:
         self._torques = np.zeros((4, len(self._home)))
         self._motor, _, self._sum, self._link_side = self._torques
         self._pushes = np.zeros((len(config.met) + len(self._hands), 7))
-        self._drives: Any = np.zeros(0, dtype=DRIVE)
+        self._drives: Records[Drive] = np.zeros(0, dtype=DRIVE)
         self._rigid: RigidDrives | None = None
         friction = joint_friction(
             self.description, config.joint_friction_scale, config.joint_friction_speed)
@@ -97,9 +98,9 @@ class Plant:
                 self.description.armature, config.drive_stiffness, config.drive_damping, friction)
         elif config.contact == 'compliant':  # otherwise the engine has the rotors
             self._rigid = RigidDrives(self.model, friction, config.substep)
-        motor_side = config.drives == 'flexible' and config.joint_sensing == 'motor'
-        self._q, self._qd = (
-            self._drives['q'], self._drives['qd']) if motor_side else self.arm.motion
+        self._q, self._qd = self.arm.motion
+        if config.drives == 'flexible' and config.joint_sensing == 'motor':
+            self._q, self._qd = self._drives['q'], self._drives['qd']
         self.reset()
 
     def reset(self) -> Sample:

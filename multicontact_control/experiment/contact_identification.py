@@ -158,9 +158,9 @@ def _fit(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
 
 def _band_passed(signal: ContactSignals, h: float) -> tuple[Matrix, Mask]:
     """Return z, v, w, alpha and a behind the on-line estimate's band-pass, and what it takes."""
-    record: Any = np.zeros(1, dtype=stiffness.STIFFNESS)[0]
-    space: Any = np.zeros(1, dtype=stiffness.FIT_SPACE)[0]
-    record['period'] = h
+    record: stiffness.Stiffness = np.zeros(1, dtype=stiffness.STIFFNESS)[0]
+    space: stiffness.FitSpace = np.zeros(1, dtype=stiffness.FIT_SPACE)[0]
+    record['config']['period'] = h
     fit = record['slow']
     stiffness.adopt_band(fit, stiffness.SLOW_BAND, h, math.inf)
     filtered = np.zeros((len(signal.alpha), 5))

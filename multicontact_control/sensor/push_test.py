@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import Config, parameter, ToolConfig
 from multicontact_control.contact.wrench import contact_wrench
 from multicontact_control.errors import CommandError, ConfigError
+from multicontact_control.records import Frame
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -164,7 +165,7 @@ class PushGate:
         """End a test that is under way, because of what has nothing to do with the pushes."""
         self._finish(PushTestResult((finding,), judged=False))
 
-    def update(self, frame: Any, wrench_sensor: Vector, tool: ToolConfig) -> bool:
+    def update(self, frame: Frame, wrench_sensor: Vector, tool: ToolConfig) -> bool:
         """
         Take the next sample of a test that is under way; return whether it has come to its end.
 
