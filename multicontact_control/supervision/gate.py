@@ -207,7 +207,7 @@ class TorqueGate:
     def __init__(self, config: ControllerConfig, arm: ArmState, *, guarded: bool = True) -> None:
         self._arm, self._joints = arm, arm.joints
         self.records: Any = gate_record(config, guarded=guarded)
-        self._gate = self.records[0]
+        self._gate, self._begun = self.records[0], self.records['begun']
         limits: Any = self._joints['gate']
         rate = config.limits.torque_rate if guarded else ()
         limits['step'] = np.array(rate or np.inf) * config.period
@@ -232,7 +232,7 @@ class TorqueGate:
     @property
     def begun(self) -> bool:
         """Whether there is a torque that acts."""
-        return bool(self._gate['begun'])
+        return bool(self._begun[0])
 
     def begin(self, torque: Vector) -> None:
         """Go over from a torque, shape (n,) [N m], that acts before the first tick."""
