@@ -13,7 +13,6 @@ import sys
 from tempfile import TemporaryDirectory
 from time import perf_counter_ns
 
-from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.experiment.closed_loop import estimate_variance, run_in_process
 from multicontact_control.experiment.compilation import ensure_compiled
@@ -146,19 +145,16 @@ def bench_contacts(count):
         config = setup.controller.model_copy(update={'contact_names': tuple(names), 'contacts': {
             name: table.model_copy(update={'normal_world': (*n,), 'point_operational': (*p,)})
             for name, n, p in zip(names, NORMALS, points)}})
-        controller = Controller(config, RobotModel(config.robot, setup.urdf_dir))
-        controller.contacts['noise_variance'] = 0.6
-        controller.take(home, 0.0 * home, np.zeros(6))
-        task, columns = controller.controls['task'], controller.contacts
-        task['position'], task['rotation'] = controller.start()
-        columns['answer']['active'], columns['answer']['alpha_des'] = True, 5.0
+        loop = ControlLoop(config, None, CommandLimits(), setup.urdf_dir, supervised=False)
+        loop.step(TickInputs(0.0, JointInput(0.0, home, 0.0 * home), WrenchInput(0.0, np.zeros(6))))
+        loop.set_forces(dict.fromkeys(names, 5.0))
         times = np.zeros(count)
         for k in range(count):
             move, speed, wrench = random.standard_normal((3, 6))
+            time, q = (k + 1) * config.period, home + 0.02 * move
+            inputs = TickInputs(time, JointInput(time, q, 0.1 * speed), WrenchInput(time, wrench))
             start = perf_counter_ns()
-            controller.take(home + 0.02 * move, 0.1 * speed, wrench)
-            controller.answer()
-            controller.output(controller.torque.copy())
+            loop.step(inputs)
             times[k] = perf_counter_ns() - start
         medians[contacts] = 1e-3 * float(np.median(times))
     return medians

@@ -174,6 +174,7 @@ class ScenarioTask:
         self._direction = np.zeros(6)  # of the sinusoid, as a twist
         if config.motion:
             self._direction[:3] = config.motion.direction_world
+        self._line = self._direction[:3]
         self.contact_state: Mapping[str, float] = {
             'approach_speed': approach.speed, 'approach_ramp_time': approach.ramp_time,
             'contact_threshold': approach.contact_threshold, 'preload': approach.preload}
@@ -241,9 +242,12 @@ class ScenarioTask:
         position, motion = self._position, self._motion
         if motion is not None and time > motion.start_time:
             s, ds, dds = sine_motion(motion, time)
-            position = position + s * self._direction[:3]
-            twist = twist + ds * self._direction
-            acceleration = acceleration + dds * self._direction
+            position = position + s * self._line
+            speed, rate = ds * self._direction, dds * self._direction
+            if twist is STILL:
+                twist, acceleration = speed, rate
+            else:
+                twist, acceleration = twist + speed, acceleration + rate
         return Task(
             Pose(position, self._pose.rotation_world), twist, acceleration, active, alpha_des)
 

@@ -166,6 +166,8 @@ class ContactTask:
         self._names, self._leaders = config.column_names, np.array(config.leaders)
         self._codes = self.states['state']
         self.limits: Records[TaskLimits] = np.zeros(1, dtype=TASK_LIMITS)
+        self._time, self._changed = self.limits['time'], self.limits['changed']
+        self._reads_before = self.limits['reads_before']
         limits = self.limits['config']
         limits['guarded'] = guarded
         limits['contacts'] = contacts.contact_settings(validate(
@@ -199,7 +201,7 @@ class ContactTask:
         """Let all contacts start anew, free; a hold ends."""
         self.held = False
         self._lost_time = 0.0
-        self.limits['time'] = 0.0
+        self._time[0] = 0.0
         self.limits['reads_before'] = False
         self._active[:] = False
         self._stand(pressing=False)
@@ -229,13 +231,13 @@ class ContactTask:
     def ask(self, time: float) -> None:
         """Get what is wanted at a time since the start [s]; see `limit`."""
         if self.held or self.locked:
-            self._lost_time += time - float(self.limits['time'][0])
+            self._lost_time += time - float(self._time[0])
         else:
             task = self._source.task(
                 time - self._lost_time, None if self._guarded else self._columns['alpha_meas'])
             if task is not self._task:
                 self._want(task)
-        self.limits['time'] = time
+        self._time[0] = time
         if self._guarded and self._kept is not None:
             self._return(self._kept)
 
@@ -261,13 +263,13 @@ class ContactTask:
     @property
     def reads_before(self) -> bool:
         """Return whether there is anything in `read_before`."""
-        return bool(self.limits['reads_before'][0])
+        return bool(self._reads_before[0])
 
     @property
     def state_names(self) -> tuple[str, ...]:
         """Return the state of each contact's normal force."""
-        if self.limits['changed'][0]:
-            self.limits['changed'] = False
+        if self._changed[0]:
+            self._changed[0] = False
             codes = self._codes[self._leaders].tolist()
             self._state_names = tuple([contacts.NAMES[code] for code in codes])
         return self._state_names

@@ -251,7 +251,7 @@ class TorqueGate:
     def __init__(self, config: ControllerConfig, arm: ArmState, *, guarded: bool = True) -> None:
         self._arm, self._joints = arm, arm.joints
         self.records: Records[Gate] = gate_record(config, guarded=guarded)
-        self._gate = self.records[0]
+        self._gate, self._begun = self.records[0], self.records['begun']
         joints: Records[JointConfig] = self._joints['config']
         rate = config.limits.torque_rate if guarded else ()
         joints['torque_step'] = np.array(rate or np.inf) * config.period
@@ -276,7 +276,7 @@ class TorqueGate:
     @property
     def begun(self) -> bool:
         """Whether there is a torque that acts."""
-        return bool(self._gate['begun'])
+        return bool(self._begun[0])
 
     def begin(self, torque: Vector) -> None:
         """Go over from a torque, shape (n,) [N m], that acts before the first tick."""

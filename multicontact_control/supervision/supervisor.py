@@ -68,6 +68,7 @@ class Supervisor:
     ) -> None:
         self.guarded = guarded
         self._robot, self._period = robot, config.period
+        self._adds_gravity = config.robot.adds_gravity
         self.controller = controller = Controller(config, robot)
         self._joints, self._controls = controller.arm.joints, controller.controls
         self.task = ContactTask(config, source, controller, guarded=guarded)
@@ -169,7 +170,7 @@ class Supervisor:
             controller.change_tool()
         if seen.joints:
             self._robot.compute(controller.arm.q, controller.arm.velocity)
-            if self.config.robot.adds_gravity:
+            if self._adds_gravity:
                 weight = controller.own_weight()
                 if np.isfinite(weight).all():
                     self.gate.allow_for(weight)
@@ -399,7 +400,9 @@ class Supervisor:
     ) -> Answer:
         """Return the answer of the tick; of contacts that no law controls nothing is known."""
         self._reaction = reaction
-        torque = self.gate.last - self._joints['added']
+        torque = self.gate.last.copy()
+        if self._adds_gravity:
+            torque -= self._joints['added']
         output = self._output if self._arm is None else self.controller.output(torque)
         if not controlled:
             contacts = output.contacts.copy()
