@@ -20,8 +20,9 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sensor.push_test import CANCELLED, PushGate, PushTestConfig
-from multicontact_control.sensor.tool import MAX_JOINT_SPEED, RecentReadings, tare_bias
+from multicontact_control.sensor.tool import MAX_JOINT_SPEED, tare_bias
 from multicontact_control.supervision.command_limits import check_motion, CommandLimits
+from multicontact_control.supervision.input_checks import RECENT_WRENCHES
 from multicontact_control.supervision.inputs import TickInputs
 from multicontact_control.supervision.report import EventLog, SupervisorStatus
 from multicontact_control.supervision.supervisor import not_supervised, Supervisor
@@ -33,7 +34,6 @@ UNTOLD_WAY, UNTOLD_TURN = 0.005, 0.05
 STREAM_TIME = 1.0  # s; commands that come more often than this are a stream
 VELOCITIES_IN_DOUBT = (
     'the joint velocities are in doubt (joints_velocity): prove them in motion, or ~/retry')
-TARE_READINGS = 100  # of a tare, at most, and the periods in which they have come
 
 
 class ControlLoop:
@@ -107,7 +107,6 @@ class ControlLoop:
         self.status: SupervisorStatus | None = None
         self.events = EventLog()
         self._inputs, self.time, self._commanded_at = TickInputs(0.0), 0.0, -math.inf
-        self._readings = RecentReadings(TARE_READINGS, len(self.config.robot.joint_names))
 
     def step(self, inputs: TickInputs) -> Vector:
         """
@@ -117,13 +116,13 @@ class ControlLoop:
         this posture.
         """
         self._inputs, self.time = inputs, inputs.time
-        output, self.status = self.supervisor.step(inputs)
+        output, status = self.supervisor.step(inputs)
         self.output = None if self.supervisor.safe else output
-        if self.status is not None:
-            self.events.note(inputs.time - inputs.ahead, self.status)
-        if inputs.wrench is not None and inputs.wrench.stamp == inputs.time:
-            self._readings.add(self.time, self.supervisor.inputs.raw,
-                               self.supervisor.controller.arm.velocity)
+        if status is self.status:
+            self.events.repeats += 1
+        elif status is not None:
+            self.events.note(inputs.time - inputs.ahead, status)
+        self.status = status
         if self.push_gate.phase:
             self._push(inputs)
         return output.torque
@@ -293,8 +292,8 @@ class ControlLoop:
         self._require_rest('tare')
         if fault := self.supervisor.inputs.sensor_fault:
             raise CommandError('wrench', 'one without faults', fault)
-        oldest = self.time - (TARE_READINGS - 0.5) * self.config.period
-        readings, velocities = self._readings.since(oldest)
+        oldest = self.time - (RECENT_WRENCHES - 0.5) * self.config.period
+        readings, velocities = self.supervisor.inputs.recent(oldest)
         fastest = np.abs(velocities.sum(axis=0)).max() / max(len(readings), 1)
         if fastest > MAX_JOINT_SPEED:
             raise CommandError('joint speeds', f'at most {MAX_JOINT_SPEED:g} rad/s',

@@ -47,8 +47,23 @@ class ControlOutput(NamedTuple):
     """The answer to one sample; its records cannot be written to."""
 
     torque: Vector  # Gamma, shape (n,) [N m]
-    contacts: Records[Contact]  # all that there is to say of every contact, shape (r,)
-    controls: Records[Control]  # one: the arm, and what it is asked for
+    memory: bytes  # a copy of the controller's
+
+    @property
+    def controls(self) -> Records[Control]:
+        """Return one record of `CONTROL`: the arm, and what it is asked for."""
+        return np.frombuffer(self.memory, CONTROL, count=1)
+
+    @property
+    def contacts(self) -> Records[Contact]:
+        """Return records of `CONTACT`, all that there is to say of every contact, shape (r,)."""
+        return np.frombuffer(self.memory, CONTACT, offset=CONTROL.itemsize)
+
+    def without_answer(self) -> ControlOutput:
+        """Return the same for contacts that no law controls."""
+        contacts = np.frombuffer(self.memory, CONTACT, offset=CONTROL.itemsize).copy()
+        contacts['answer'] = 0
+        return self._replace(memory=self.memory[:CONTROL.itemsize] + contacts.tobytes())
 
     @property
     def pose(self) -> Pose:
@@ -107,6 +122,8 @@ class Controller:
         shape (r,) [N^2].
     controls, contacts, laws
         One record of `CONTROL`, records of `CONTACT` and `FORCE_LAW`, shape (r,).
+    memory
+        The bytes of the first two.
     tool, next_tool
         What hangs on the sensor now, and the one that is configured; see `change_tool`.
     active, torque
@@ -127,9 +144,9 @@ class Controller:
         count = len(config.columns)
         self.robot = robot
         # In one piece, so that an answer is one copy.
-        self._memory = np.zeros(CONTROL.itemsize + count * CONTACT.itemsize, dtype=np.uint8)
-        self.controls: Records[Control] = self._memory[:CONTROL.itemsize].view(CONTROL)
-        self.contacts: Records[Contact] = self._memory[CONTROL.itemsize:].view(CONTACT)
+        self.memory = np.zeros(CONTROL.itemsize + count * CONTACT.itemsize, dtype=np.uint8)
+        self.controls: Records[Control] = self.memory[:CONTROL.itemsize].view(CONTROL)
+        self.contacts: Records[Contact] = self.memory[CONTROL.itemsize:].view(CONTACT)
         self.controls['measured'] = True
         self.controls['task']['rotation'] = np.eye(3)
         self.arm = ArmState(robot, self.controls, self.contacts)
@@ -277,10 +294,7 @@ class Controller:
 
     def output(self, torque: Vector) -> ControlOutput:
         """Return an answer to the sample that has been seen."""
-        copy = self._memory.tobytes()
-        return ControlOutput(
-            torque, np.frombuffer(copy, CONTACT, offset=CONTROL.itemsize),
-            np.frombuffer(copy, CONTROL, count=1))
+        return ControlOutput(torque, self.memory.tobytes())
 
     def own_weight(self) -> Vector:
         """Return the torque by which drives with `adds_gravity` carry the arm, (n,) [N m]."""

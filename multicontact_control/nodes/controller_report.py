@@ -31,7 +31,7 @@ ANSWER_INTERVAL = 100_000_000  # ns, between two equal answers: motions come at 
 TROUBLED = tuple(NAMES[code] for code in (LOST, RETRACTING, GIVEN_UP))
 # Samples from which on a rate is known, and the factor from which on it is a wrong one.
 FEWEST, WRONG_RATE = 10, 1.3
-QUIET = SupervisorStatus(NONE, (), (), (), (), 0.0)  # before the first sample, and bare
+QUIET = SupervisorStatus(NONE)  # before the first sample, and bare
 
 
 class ControllerReport:
@@ -227,7 +227,8 @@ class ControllerReport:
             trouble = f'{trouble}; {status.unwatched}' if trouble else status.unwatched
         yield Status('supervisor', {
             'reaction': status.reaction, 'causes': ' '.join(status.causes) or 'none',
-            'task_time_s': status.task_time, 'events': len(log.events), **log.collisions,
+            'task_time_s': self._loop.supervisor.task_time, 'events': len(log.events),
+            **log.collisions,
             **{f'{what} {name}': count for what, counts in (
                 ('ticks with', log.reactions), ('rejected', log.rejected),
                 ('limited', log.limited)) for name, count in counts.items() if name != NONE}},

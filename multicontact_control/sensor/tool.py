@@ -33,29 +33,6 @@ class PoseReading(NamedTuple):
     wrench_sensor: Vector
 
 
-class RecentReadings:
-    """The newest `count` readings of a sensor on an arm of some joints, in a ring."""
-
-    def __init__(self, count: int, joints: int) -> None:
-        self._times: Vector = np.full(count, -np.inf)
-        self._wrenches: Matrix = np.zeros((count, 6))
-        self._velocities: Matrix = np.zeros((count, joints))
-        self._next = 0
-
-    def add(self, time: float, wrench_sensor: Vector, velocity: Vector) -> None:
-        """Keep a reading, shape (6,) [N, N m], and joint velocities, (n,) [rad/s], at a time."""
-        place = self._next
-        self._times[place] = time
-        self._wrenches[place] = wrench_sensor
-        self._velocities[place] = velocity
-        self._next = (place + 1) % len(self._times)
-
-    def since(self, time: float) -> tuple[Matrix, Matrix]:
-        """Return the readings, shape (k, 6), and velocities, (k, n), from a time on [s]."""
-        recent = self._times >= time
-        return self._wrenches[recent], self._velocities[recent]
-
-
 @dataclass(frozen=True, slots=True)
 class Identification:
     """What hangs on the sensor and what it reads of itself."""

@@ -70,6 +70,7 @@ HEARD, UNHEARD, NOT_A_NUMBER, SILENT = range(4)
 NEAR_ZERO = 1.0  # N m; a torque that was larger does not become 0 exactly
 SILENCE = 0.1  # s of exactly 0 N m, from which on a joint seems to measure no torque
 REPORTED = 5  # samples in a row without a usable torque, from which on that is said
+RECENT_WRENCHES = 100  # that are kept, for a tare
 MOST_COMMANDS = 12  # that are kept: two more than the longest `collision.command_delay`
 
 # What the input stage is set to; one.
@@ -186,6 +187,13 @@ class TorqueState(Record, Protocol):
     commanded: Vector
 
 
+# A wrench that came with a tick, and how fast the joints were.
+RECENT_WRENCH = np.dtype([
+    ('time', F),  # of that tick, -inf before [s]
+    ('wrench', F, 6),  # [N, N m]
+    ('velocity', F, MAX_JOINTS),  # [rad/s]
+], align=True)
+
 # What the input stage remembers; one.
 INPUT_STATE = np.dtype([
     ('time', F),  # of the newest tick, NaN before the first [s]
@@ -198,6 +206,7 @@ INPUT_STATE = np.dtype([
     ('torques', TORQUE_STATE, MAX_JOINTS),
     ('commands', I),  # that have been given
     ('wrenches', WRENCH_STATE),
+    ('recent', RECENT_WRENCH, RECENT_WRENCHES), ('next_recent', I),  # ring of the newest
 ], align=True)
 
 
@@ -577,6 +586,18 @@ def _supply_torques(
 
 
 @compiled
+def _keep_wrench(state: Any, velocity: Vector) -> None:
+    """Keep the wrench of a tick, with the velocities of the joints, shape (n,) [rad/s]."""
+    recent = state.recent[state.next_recent]
+    recent.time = state.time
+    for i in range(6):
+        recent.wrench[i] = state.wrenches.newest[i]
+    for j in range(velocity.shape[0]):
+        recent.velocity[j] = velocity[j]
+    state.next_recent = (state.next_recent + 1) % RECENT_WRENCHES
+
+
+@compiled
 def _hand_over_as_it_came(
     stage: InputStage, q: Vector, velocity: Vector, wrench: Vector, contacts: Records[Contact],
 ) -> None:
@@ -629,6 +650,8 @@ def check_inputs(
     _take_wrench(stage, control.wrench)
     _take_variance(stage, contacts)
     _supply_torques(stage, joints, control.momentum, state.joints.valid - valid_before)
+    if stage.input.wrench_came == FINE and stage.input.wrench_stamp == stage.input.time:
+        _keep_wrench(state, velocity)
     if not stage.settings.guarded:
         _hand_over_as_it_came(stage, q, velocity, control.wrench, contacts)
         return True
@@ -693,4 +716,5 @@ def _forget(state: InputState) -> None:
         state['wrenches'][name] = math.nan
     for name in ('q', 'velocity'):
         state['tracks'][name] = math.nan
+    state['recent']['time'] = -math.inf
     state['torques']['commanded'], state['torques']['last'] = math.nan, math.inf

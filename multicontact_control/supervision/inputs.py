@@ -126,55 +126,67 @@ class _Intake:
 
     Attributes
     ----------
-    effort
-        The newest measured torques, shape (n,) [N m].
+    time, joints_stamp, q, velocity, effort, wrench_stamp, wrench, variance_stamp, variance
+        Places, of the joints shape (n,), of R (r,).
+    joint_shape, variance_shape
+        What these are.
+    complete
+        Whether all that came before was as it should be.
 
     """
 
     def __init__(self, record: Records[Input], joint_count: int, column_count: int) -> None:
-        self._time, self._command_came = record['time'], record['command_came']
-        self._joints_came, self._joints_stamp = record['joints_came'], record['joints_stamp']
+        self.time, self._command_came = record['time'], record['command_came']
+        self._joints_came, self.joints_stamp = record['joints_came'], record['joints_stamp']
         self._velocity_came, self._effort_came = record['velocity_came'], record['effort_came']
-        self._wrench_came, self._wrench_stamp = record['wrench_came'], record['wrench_stamp']
+        self._wrench_came, self.wrench_stamp = record['wrench_came'], record['wrench_stamp']
         self._variance_came = record['variance_came']
-        self._variance_stamp = record['variance_stamp']
-        self._joint_shape, self._variance_shape = (joint_count,), (column_count,)
-        self._q: Vector = record['q'][0, :joint_count]
-        self._velocity: Vector = record['velocity'][0, :joint_count]
+        self.variance_stamp = record['variance_stamp']
+        self.joint_shape, self.variance_shape = (joint_count,), (column_count,)
+        self.q: Vector = record['q'][0, :joint_count]
+        self.velocity: Vector = record['velocity'][0, :joint_count]
         self.effort: Vector = record['effort'][0, :joint_count]
         self._command: Vector = record['command'][0, :joint_count]
-        self._wrench: Vector = record['wrench'][0]
-        self._variance: Vector = record['variance'][0, :column_count]
-        self._complete = False  # whether all that came before was as it should be
+        self.wrench: Vector = record['wrench'][0]
+        self.variance: Vector = record['variance'][0, :column_count]
+        self.complete = False
 
-    def begin(self, time: Any) -> None:
-        """Begin a tick at a time [s]; what is put in from now on is taken for complete."""
-        if not self._complete:
-            for came in (self._joints_came, self._velocity_came, self._effort_came,
-                         self._wrench_came, self._variance_came):
-                came[0] = FINE
-            self._complete = True
+    def expect_all(self) -> None:
+        """Take what is put in from now on for complete."""
+        for came in (self._joints_came, self._velocity_came, self._effort_came,
+                     self._wrench_came, self._variance_came):
+            came[0] = FINE
+        self.complete = True
+
+    def put(
+        self, inputs: TickInputs, wrench: WrenchInput | None,
+    ) -> None:
+        """Put what has come in its place, and say what is missing or malformed."""
+        self.expect_all()
         try:
-            self._time[0] = time
+            self.time[0] = inputs.time
         except MALFORMED:
-            self._time[0] = math.nan
+            self.time[0] = math.nan
+        self._put_joints(inputs.joints)
+        self._put_wrench(wrench)
+        self._put_variance(inputs.variance)
 
-    def put_joints(self, joints: JointInput | None) -> None:
+    def _put_joints(self, joints: JointInput | None) -> None:
         """Put a joint state and its torques in their places."""
         if joints is None:
             self._mark(self._joints_came, ABSENT)
             self._mark(self._effort_came, ABSENT)
             return
-        shape = self._joint_shape
+        shape = self.joint_shape
         if joints.qd is None:
             self._mark(self._velocity_came, ABSENT)
         try:
-            self._joints_stamp[0] = joints.stamp
-            self._q[...] = _array(joints.q, shape)
+            self.joints_stamp[0] = joints.stamp
+            self.q[...] = _array(joints.q, shape)
             if joints.qd is not None:
-                self._velocity[...] = _array(joints.qd, shape)
+                self.velocity[...] = _array(joints.qd, shape)
         except MALFORMED:
-            self._q[...] = math.nan
+            self.q[...] = math.nan
             self._mark(self._joints_came, INVALID)
         if joints.effort is None:
             self._mark(self._effort_came, ABSENT)
@@ -184,27 +196,27 @@ class _Intake:
         except MALFORMED:
             self._mark(self._effort_came, INVALID)
 
-    def put_wrench(self, wrench: WrenchInput | None) -> None:
+    def _put_wrench(self, wrench: WrenchInput | None) -> None:
         """Put a wrench in its place."""
         if wrench is None:
             self._mark(self._wrench_came, ABSENT)
             return
         try:
-            self._wrench_stamp[0] = wrench.stamp
-            self._wrench[...] = _array(wrench.wrench, WRENCH_SHAPE)
+            self.wrench_stamp[0] = wrench.stamp
+            self.wrench[...] = _array(wrench.wrench, WRENCH_SHAPE)
         except MALFORMED:
             self._mark(self._wrench_came, INVALID)
 
-    def put_variance(self, variance: VarianceInput | None) -> None:
+    def _put_variance(self, variance: VarianceInput | None) -> None:
         """Put an R in its place."""
         if variance is None:
             self._mark(self._variance_came, ABSENT)
             return
         try:
-            self._variance_stamp[0] = variance.stamp
-            self._variance[...] = _array(variance.variance, self._variance_shape)
+            self.variance_stamp[0] = variance.stamp
+            self.variance[...] = _array(variance.variance, self.variance_shape)
         except MALFORMED:
-            self._variance[...] = math.nan
+            self.variance[...] = math.nan
             self._mark(self._variance_came, INVALID)
 
     def put_command(self, command: Vector | None) -> None:
@@ -216,7 +228,7 @@ class _Intake:
     def _mark(self, came: Any, what: int) -> None:
         """Say of a reading that it is not there as it should be."""
         came[0] = what
-        self._complete = False
+        self.complete = False
 
 
 def _array(numbers: Any, shape: tuple[int, ...]) -> Any:
@@ -336,19 +348,43 @@ class Inputs:
 
     def validate(self, inputs: TickInputs, command: Vector | None = None) -> Seen:
         """Take in what came at a tick, and the command before it [N m]; say what is valid."""
-        wrench = inputs.wrench
-        if self._by_momentum:
-            wrench = self._wrench_of_torques(inputs.joints)
+        _, joints, wrench, variance, _ = inputs
         intake = self._intake
-        intake.begin(inputs.time)
-        intake.put_joints(inputs.joints)
-        intake.put_wrench(wrench)
-        intake.put_variance(inputs.variance)
+        if self._by_momentum:
+            wrench = self._wrench_of_torques(joints)
+        try:
+            q, velocity, effort = joints.q, joints.qd, joints.effort  # type: ignore[union-attr]
+            reading, R = wrench.wrench, variance.variance  # type: ignore[union-attr]
+            complete = q.shape == velocity.shape == effort.shape == intake.joint_shape and (
+                reading.shape == WRENCH_SHAPE and R.shape == intake.variance_shape)
+            if complete:
+                intake.time[0] = inputs.time
+                intake.joints_stamp[0] = joints.stamp  # type: ignore[union-attr]
+                intake.wrench_stamp[0] = wrench.stamp  # type: ignore[union-attr]
+                intake.variance_stamp[0] = variance.stamp  # type: ignore[union-attr]
+                intake.q[...], intake.velocity[...], intake.effort[...] = q, velocity, effort
+                intake.wrench[...], intake.variance[...] = reading, R
+        except (AttributeError, *MALFORMED):  # something is missing, or is no array of numbers
+            complete = False
+        if not complete:
+            intake.put(inputs, wrench)
+        elif not intake.complete:
+            intake.expect_all()
         if self._by_command:
             intake.put_command(command)
         if check_inputs(*self._arguments):
             return ALL_WELL
         return self._what_is_wrong()
+
+    def recent(self, time: float) -> tuple[Matrix, Matrix]:
+        """
+        Return the wrenches that came with ticks from a time on [s], at most `RECENT_WRENCHES`.
+
+        Shape (k, 6) [N, N m], and the joint velocities then, shape (k, n) [rad/s].
+        """
+        recent = self._state['recent']
+        recent = recent[recent['time'] >= time]
+        return recent['wrench'], recent['velocity'][:, :len(self._joints)]
 
     def _wrench_of_torques(self, joints: JointInput | None) -> WrenchInput | None:
         """Return the wrench that the momentum observer finds; it takes some samples to begin."""

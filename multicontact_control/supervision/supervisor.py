@@ -17,8 +17,10 @@ from multicontact_control.flags import (
     AMBIGUOUS,
     DEPENDENT,
     LASTING_LIMITS,
+    LIMITS,
     NO_NUMBERS,
     PASSED,
+    REFERENCE,
     REFUSED,
     SINGULAR,
     TOUCHED,
@@ -39,6 +41,7 @@ import numpy as np
 LOGGER = logging.getLogger(__name__)
 STANDING_TIME = 0.2  # s between two looks at what an arm that stands in a reaction weighs
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
+NAMED, UNNAMED = LIMITS | REFERENCE, -1  # what a status names; nothing that could be the same
 CONTROLLED = (NONE, reactions.INFLATE)  # what the control law answers
 Answer = tuple[ControlOutput, SupervisorStatus | None]
 
@@ -80,10 +83,15 @@ class Supervisor:
         self._steadiness = reactions.Steadiness(config.period)
         self._judgements: Records[checks.Judgement] = np.zeros(1, dtype=checks.JUDGEMENT)
         self._judgement = self._judgements[0]
+        self._memory = controller.memory
         self._records = (
             self._joints, self._controls, controller.contacts, controller.laws, self.task.states,
             self.task.limits, self._judgements, self.gate.records,
             np.zeros(1, dtype=WORKSPACE), controller.arm.motion)
+        self._q, self._velocity = controller.arm.q, controller.arm.velocity
+        self._torque_acts = self.gate.records['begun']
+        self._states_changed = self.task.limits['changed']
+        self._reads_before = self.task.limits['reads_before']
         self._adopt(config)
         operational_wrench(self._controls[0], np.zeros(6))
         self.reset()
@@ -104,6 +112,7 @@ class Supervisor:
         self._seen = Seen()
         self._know_wrench(False)
         self._reaction = NONE
+        self._named, self._status = UNNAMED, SupervisorStatus(NONE)
         self._output = no_answer(self._robot.joint_count, len(self.config.columns))
 
     def _restart_law(self) -> None:
@@ -112,6 +121,7 @@ class Supervisor:
         self._task_ticks = self._good_ticks = self._reacting = 0
         self._judgement['contradictions'] = 0
         self.started = self._paused = self._weighed = False
+        self._in_control = False  # whether the law has answered the sample before
         self._recovery.reset()
         self._steadiness.reset()
         self._trusted = False
@@ -132,76 +142,80 @@ class Supervisor:
         """
         self._part = 'internal'
         try:
-            seen, found = self._take_in(inputs), 0
-            if seen is ALL_WELL and self._in_control and not self.task.seeks:
-                self._ask()
-                found = self.run_tick(SEE | ACT)
-                if not found & ALARMS:
-                    return self._answer(found, NONE, ())
-                self._part = 'internal'
-            elif seen.joints:
-                found = self.run_tick(SEE)
-            reaction, causes = self._decide(seen.causes + self._alarms(found))
-            if reaction in CONTROLLED:
-                return self._control(reaction, causes)
-            return self._react(reaction, causes)
+            if not self.guarded:
+                self._require_readings(inputs)
+            command = self.gate.last if self._torque_acts[0] else None
+            self._seen = seen = self.inputs.validate(inputs, command)
+            if self.controller.tool is not self.controller.next_tool:
+                self.controller.change_tool()
+            if seen.joints:
+                terms = self._robot.compute(self._q, self._velocity)
+                if self._adds_gravity:
+                    self._allow_for_gravity()
+            if seen.measured != self._wrench_known:
+                self._know_wrench(seen.measured)
+            if seen is not ALL_WELL or not self._in_control or (
+                    not self.guarded and self.task.seeks):
+                return self._step_apart(seen)
+            self._part = 'law'
+            self.task.ask(self._task_ticks * self._period)
+            found = tick(SEE | ACT, *self._records, terms.mass_matrix, terms.bias_torque,
+                         terms.jacobian, terms.jacobian_rate, *terms.placements)
+            self.controller.arm.flags = found
+            if found & ALARMS:
+                return self._decide(seen, found)
+            return self._answer(found, NONE, ())
         except Exception as error:
             if not self.guarded:
                 raise
             return self._survive(self._part, error)
 
-    @property
-    def _in_control(self) -> bool:
-        """Whether the law has answered the sample before."""
-        return self.started and not self._paused and not self.safe
+    def _require_readings(self, inputs: TickInputs) -> None:
+        """Raise if joints or wrench are missing; the law's time is that of the samples."""
+        if inputs.joints is None or inputs.wrench is None:
+            raise not_supervised()
+        self._task_ticks = round(inputs.time / self._period)
 
-    def _take_in(self, inputs: TickInputs) -> Seen:
-        """Take in what has come, and work out the model of the arm there."""
-        controller = self.controller
-        command = self.gate.last if self.gate.begun else None
-        self._seen = seen = self.inputs.validate(inputs, command)
-        if not self.guarded:
-            if inputs.joints is None or inputs.wrench is None:
-                raise not_supervised()
-            self._task_ticks = round(inputs.time / self._period)
-        elif self._in_control:
+    def _allow_for_gravity(self) -> None:
+        """Tell the gate what the drives add to a command."""
+        weight = self.controller.own_weight()
+        if np.isfinite(weight).all():
+            self.gate.allow_for(weight)
+
+    def _step_apart(self, seen: Seen) -> Answer:
+        """See first and act then, where it has to be decided between the two what answers."""
+        found = 0
+        if self.guarded and self._in_control:
             self._task_ticks += seen.skipped
-        if controller.tool is not controller.next_tool:
-            controller.change_tool()
         if seen.joints:
-            self._robot.compute(controller.arm.q, controller.arm.velocity)
-            if self._adds_gravity:
-                weight = controller.own_weight()
-                if np.isfinite(weight).all():
-                    self.gate.allow_for(weight)
-        if seen.measured != self._wrench_known:
-            self._know_wrench(seen.measured)
-        return seen
+            found = self._run(SEE)
+            self.controller.arm.flags = found
+            if not found & NO_NUMBERS:
+                self._arm = self.controller.arm
+            if found & PASSED:
+                self._add_finding(self.explanations.lag())
+        return self._decide(seen, found)
+
+    def _decide(self, seen: Seen, found: int) -> Answer:
+        """Let the law answer what has been seen, or a reaction."""
+        self._part = 'internal'
+        if found & AMBIGUOUS:
+            self._know_wrench(False)  # it is older
+        reaction, causes = self._choose(seen.causes + self._alarms(found))
+        if reaction in CONTROLLED:
+            return self._control(reaction, causes)
+        return self._react(reaction, causes)
+
+    def _run(self, stage: int) -> int:
+        """Run one stage of the compiled pass; return what was found."""
+        terms = self._robot.terms
+        return tick(stage, *self._records, terms.mass_matrix, terms.bias_torque, terms.jacobian,
+                    terms.jacobian_rate, *terms.placements)
 
     def _know_wrench(self, known: bool) -> None:
         """Say whether the wrench is of this sample, and the contacts' forces with it."""
         self._wrench_known = known
         self._controls['measured'] = known
-
-    def _ask(self) -> None:
-        """Ask the source of the task what it wants now; what fails from here on is the law."""
-        self._part = 'law'
-        self.task.ask(self._task_ticks * self._period)
-
-    def run_tick(self, stages: int) -> int:
-        """Run stages of the compiled pass on all records; return what was found."""
-        arm, terms = self.controller.arm, self._robot.terms
-        found = tick(stages, *self._records, terms.mass_matrix, terms.bias_torque, terms.jacobian,
-                     terms.jacobian_rate, *terms.placements)
-        if stages & SEE:
-            arm.flags = found
-            if arm.finite:
-                self._arm = arm
-            if found & AMBIGUOUS:
-                self._know_wrench(False)  # it is older
-            if found & PASSED:
-                self._add_finding(self.explanations.lag())
-        return found
 
     def _alarms(self, found: int) -> tuple[str, ...]:
         """Name what is wrong with where the arm is and what touches it."""
@@ -216,15 +230,15 @@ class Supervisor:
     def _control(self, reaction: str, causes: tuple[str, ...]) -> Answer:
         """Let the law answer a sample that has been seen, also for the first time."""
         arm = self.controller.arm
+        self._part = 'law'
         if not self._in_control:
-            self._part = 'law'
             self._resume()
             self._begin()
-        self._ask()
+        self.task.ask(self._task_ticks * self._period)
         if arm.flags & (NO_NUMBERS | AMBIGUOUS):
             self.controller.refuse()
         self._judgement['resumes'] = self._paused
-        return self._answer(self.run_tick(ACT), reaction, causes)
+        return self._answer(self._run(ACT), reaction, causes)
 
     def _answer(self, found: int, reaction: str, causes: tuple[str, ...]) -> Answer:
         """Answer by the law, or refuse what it says."""
@@ -235,6 +249,8 @@ class Supervisor:
             return self._refuse(checks.cause_to_refuse(found))
         if not self._in_control:
             self._take_over()
+        if found & PASSED:
+            self._add_finding(self.explanations.lag())
         # A blend passes in a moment, and a limited rate is caught up with: they are left out.
         if self.guarded and found & LASTING_LIMITS:
             self.controller.account_for(self.gate.last)
@@ -246,7 +262,7 @@ class Supervisor:
         if finding and finding not in self.findings:
             self.findings = (*self.findings, finding)
 
-    def _decide(self, causes: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
+    def _choose(self, causes: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
         """Return what answers the tick, the law or a reaction, and why."""
         arm = self._arm
         if self.safe:
@@ -294,7 +310,8 @@ class Supervisor:
             self._causes = self.findings = ()
             if self.started:
                 self._recovery.resumed_at = self._task_ticks
-        self.started, self._paused = True, False
+        self.started = self._in_control = True
+        self._paused = False
 
     def _begin(self) -> None:
         """Let the torque start from the one that acts before any command."""
@@ -337,7 +354,7 @@ class Supervisor:
             gravity = self.explanations.gravity(self._causes)
             self._weighed = bool(gravity)
             self._add_finding(gravity)
-        self._paused = True
+        self._paused, self._in_control = True, False
         self._begin()
         if reaction != SAFE:
             self.gate.hurry()
@@ -380,7 +397,7 @@ class Supervisor:
             again = self._tell(f'reaction_{type(second).__name__}', second)
             self.findings = self._failure[1], again
             self._causes = (cause,)
-            self._paused, self._good_ticks = True, 0
+            self._paused, self._in_control, self._good_ticks = True, False, 0
             return self._report(FLOAT, (cause,), 0, controlled=False)
         finally:
             self._failure = '', ''
@@ -403,17 +420,35 @@ class Supervisor:
         torque = self.gate.last.copy()
         if self._adds_gravity:
             torque -= self._joints['added']
-        output = self._output if self._arm is None else self.controller.output(torque)
+        if self._arm is None:
+            self._output = self._output._replace(torque=torque)
+        else:
+            self._output = ControlOutput(torque, self._memory.tobytes())
         if not controlled:
-            contacts = output.contacts.copy()
-            contacts['answer'] = 0
-            output = output._replace(torque=torque, contacts=contacts)
-        self._output = output
-        unwatched = self.explanations.unwatched() if self._seen.unheard else ''
-        return output, SupervisorStatus(
-            reaction, causes, self._seen.rejected, limit_names(found), self.task.state_names,
-            self._task_ticks * self._period, unwatched,
-            self.task.read_before if self.task.reads_before else ()) if self.guarded else None
+            self._output = self._output.without_answer()
+        if not self.guarded:
+            return self._output, None
+        named, plain = found & NAMED, self._seen is ALL_WELL and not causes
+        if self._reads_before[0] or self._states_changed[0] or not plain or named != self._named:
+            self._status = self._new_status(reaction, causes, named)
+            self._named = named if plain else UNNAMED
+        return self._output, self._status
+
+    def _new_status(self, reaction: str, causes: tuple[str, ...], named: int) -> SupervisorStatus:
+        """Return what was done in a tick in which something is not as in the one before."""
+        unwatched, read_before = '', tuple[str, ...]()
+        if self._seen.unheard:
+            unwatched = self.explanations.unwatched()
+        if self._reads_before[0]:
+            read_before = self.task.read_before
+        return SupervisorStatus(
+            reaction, causes, self._seen.rejected, limit_names(named), self.task.state_names,
+            unwatched, read_before)
+
+    @property
+    def task_time(self) -> float:
+        """Return the time of the task, which stands still during a reaction [s]."""
+        return self._task_ticks * self._period
 
     def use(self, design: Design) -> None:
         """Go on with other live parameters, without a jump; see `Controller.design`."""

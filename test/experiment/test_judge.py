@@ -166,7 +166,7 @@ def test_line_of_the_log_on_what_a_contact_reads_before_it_touches_is_read(setup
     report = EventLog()
     for time, state in ((0.0, 'free'), (2.6, 'holding')):
         report.note(time, SupervisorStatus(
-            'none', (), (), (), (state, state), time, read_before=('table reads -1.0 N',)))
+            'none', contact_states=(state, state), read_before=('table reads -1.0 N',)))
     assert [len(what.split(' | ')) for _, what in report.events] == [4, 4]
     assert judge(data, setup, events=report.events).name == STABLE
 
