@@ -146,7 +146,8 @@ def bench_contacts(count):
             name: table.model_copy(update={'normal_world': (*n,), 'point_operational': (*p,)})
             for name, n, p in zip(names, NORMALS, points)}})
         loop = ControlLoop(config, None, CommandLimits(), setup.urdf_dir, supervised=False)
-        loop.step(TickInputs(0.0, JointInput(0.0, home, 0.0 * home), WrenchInput(0.0, np.zeros(6))))
+        rest = JointInput(0.0, home, 0.0 * home)
+        loop.step(TickInputs(0.0, rest, WrenchInput(0.0, np.zeros(6))))
         loop.set_forces(dict.fromkeys(names, 5.0))
         times = np.zeros(count)
         for k in range(count):

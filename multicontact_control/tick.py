@@ -94,9 +94,9 @@ def tick(
     found |= judge_answer(judgements[0], control, joints, contacts, states, strict)
     if found & REFUSED:
         return found
+    gate.seen = True
     law = law_number(contacts, gate.config.guarded)
-    found |= pass_gate(
-        gate, joints, control, contacts, mass_matrix, jacobian, law, True, True)
+    found |= pass_gate(gate, joints, control, contacts, mass_matrix, jacobian, law)
     if found & BOUNDING_LIMITS:
         limit.bounded_at = limit.time
     return found

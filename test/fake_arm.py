@@ -43,8 +43,9 @@ class FakeArm:
         self.k = 0
         self._joints = node.create_publisher(JointState, 'joint_states', profile)
         self._wrench = node.create_publisher(topics.WRENCH.message, 'ft_sensor/wrench', profile)
-        self.force_command, self.motion_command = (
-            create_publisher(node, x) for x in (topics.FORCE_COMMAND, topics.MOTION_COMMAND))
+        self.force_command, self.motion_command, self._variance = (
+            create_publisher(node, x) for x in (
+                topics.FORCE_COMMAND, topics.MOTION_COMMAND, topics.NOISE_VARIANCE))
         self._commands = node.create_subscription(
             JointState, 'joint_effort_command', ignore, DEPTH)
         self._forces = {kind: node.create_subscription(
@@ -70,6 +71,12 @@ class FakeArm:
             self._joints.publish(messages.joint_state_message(
                 stamp, self.config.robot.joint_names, position=HOME, velocity=np.zeros(6),
                 effort=EFFORT))
+
+    def send_variance(self):
+        """Send an R of the newest sample, as the noise estimator does [N^2]."""
+        names = self.config.column_names
+        self._variance.publish(messages.joint_state_message(
+            self.k * PERIOD, names, effort=np.full(len(names), 0.5)))
 
     def newest_command(self):
         """Return the newest command that has come since, None without any."""

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # What is not listed (config, errors, arrays, paths, ...) lies at the bottom.
 LAYERS = {
     'dynamics': 1, 'contact': 1, 'force': 1, 'control': 2, 'sensor': 3, 'supervision': 3,
-    'diagnosis': 4, 'sampling': 4, 'loop': 4, 'nodes': 5, 'experiment': 6, 'client': 6, 'view': 7,
+    'tick': 3, 'diagnosis': 4, 'sampling': 4, 'loop': 4, 'nodes': 5, 'experiment': 6, 'client': 6, 'view': 7,
     'cli': 8, '__main__': 8}
 PINOCCHIO_HOME = 'multicontact_control.dynamics.robot'
 PRIVATE = 'multicontact_control.nodes.private'
@@ -24,11 +24,11 @@ TORQUE_PATH = ('dynamics', 'contact', 'force', 'control', 'supervision', 'sampli
 # idea that is added takes one out, or its commit says why the house grows.
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
-    TOP: 7_300, 'dynamics': 5_900, 'contact': 4_500, 'force': 14_200, 'control': 7_800,
-    LOOP: 3_300, 'supervision': 24_300, 'diagnosis': 3_340, 'sensor': 3_100, 'config': 6_000,
-    'nodes': 25_700, 'experiment': 68_000, 'view': 18_700, 'cli': 5_600, 'sim_bridge': 29_200,
-    'test': 146_800, 'test/campaign': 8_700, 'benchmarks': 3_200}
-MOST_COMPILED = 120  # functions
+    TOP: 8_100, 'dynamics': 6_100, 'contact': 4_500, 'force': 15_500, 'control': 8_700,
+    LOOP: 3_300, 'supervision': 29_200, 'diagnosis': 3_340, 'sensor': 3_100, 'config': 6_000,
+    'nodes': 25_800, 'experiment': 68_100, 'view': 18_700, 'cli': 5_600, 'sim_bridge': 29_200,
+    'test': 149_800, 'test/campaign': 8_700, 'benchmarks': 3_200}
+MOST_COMPILED = 142  # functions
 
 
 def sources(*folders: str) -> dict[str, str]:
@@ -100,6 +100,8 @@ def broken_rule(module: str, target: str) -> str:
     if area(module) and area(target):
         if layer(module) < layer(target):
             return 'imports flow downwards'
+        if 'tick' in (area(module), area(target)):
+            return ''  # the supervisor steps it, and it calls the kernels of all
         if layer(module) == layer(target) in (1, 3) and area(module) != area(target):
             return 'dynamics, contact and force know nothing of each other, nor do sensor and ' \
                 'supervision'

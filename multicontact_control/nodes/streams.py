@@ -40,7 +40,9 @@ class StreamPublisher:
 
     def write(self, stamp: int, *numbers: Vector) -> bytes:
         """Return the message with a stamp [ns], and numbers in their order; MessageError."""
-        values = finite_array(np.concatenate(numbers), len(self._places), 'numbers')
+        values = np.concatenate(numbers)
+        if values.size != len(self._places) or not math.isfinite(values.sum()):
+            finite_array(values, len(self._places), 'numbers')  # raises what is wrong
         sec, nanosec = divmod(stamp, NANOSECONDS)
         if abs(sec) > LAST_SECOND:
             raise MessageError('stamp.sec', f'at most {LAST_SECOND}', sec)
@@ -63,12 +65,14 @@ class MessageReader:
     """
 
     def __init__(self, class_: Any, read: Callable[[Any], tuple[Any, ...]]) -> None:
-        self._class, self._read, self._length = class_, read, -1
+        self._class, self._read = class_, read
+        self._length, self._word_count = -1, 0  # of a message like the last one
 
     def __call__(self, data: bytes) -> tuple[Any, ...]:
         """Return the stamp [ns] and the vectors in a message; MessageError."""
         if len(data) == self._length:
-            (sec, nanosec), words = STAMP.unpack_from(data, HEADER), _words(data)
+            sec, nanosec = STAMP.unpack_from(data, HEADER)
+            words = np.frombuffer(data, np.float64, self._word_count, HEADER)
             if words[self._others].tobytes() == self._constant and nanosec < NANOSECONDS and (
                     math.isfinite(sum(words[self._used].tolist()))):
                 return sec * NANOSECONDS + nanosec, *(words[x] for x in self._vectors)
@@ -88,6 +92,7 @@ class MessageReader:
             self._used, words = np.concatenate(self._vectors), _words(data)
             self._others = np.delete(np.arange(len(words)), [0, *places])  # 0 is the stamp
             self._constant, self._length = words[self._others].tobytes(), len(data)
+            self._word_count = len(words)
         return reading
 
 

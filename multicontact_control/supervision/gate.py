@@ -57,6 +57,7 @@ class GateConfig(Record, Protocol):
 # The gate: what is set for it, and what it remembers; one.
 GATE = np.dtype([
     ('config', GATE_CONFIG),
+    ('seen', B),  # whether the joints are known now, so that their motion is limited
     ('begun', B), ('ranged', B),  # whether a torque acts; whether the joints' ranges are set
     ('law', I),  # what has answered last; see `law_number`
     ('pending', B),  # whether the next torque is to be the one that acts
@@ -71,6 +72,7 @@ class Gate(Record, Protocol):
     """A record of `GATE`."""
 
     config: GateConfig
+    seen: bool
     begun: bool
     ranged: bool
     law: int
@@ -151,7 +153,7 @@ def set_ranges(joints: Records[Joint]) -> None:
 @compiled
 def pass_gate(
     gate: Gate, joints: Records[Joint], control: Control, contacts: Records[Contact],
-    mass_matrix: Matrix, jacobian: Matrix, law: int, seen: bool, by_task: bool,
+    mass_matrix: Matrix, jacobian: Matrix, law: int,
 ) -> int:
     """
     Let the torque of the joints through as far as continuity and the limits allow.
@@ -164,11 +166,8 @@ def pass_gate(
     mass_matrix, jacobian
         M (upper triangle), shape (n, n), and J, shape (6, n).
     law
-        What has answered: `law_number`, or any other number for something else.
-    seen
-        Whether the joints are known now, so that their motion is limited.
-    by_task
-        Whether the torque serves the contacts and the task, which are kept as far as possible.
+        What has answered: `law_number`, so that contacts and the task are kept as far as possible,
+        or a negative number for something else.
 
     Returns
     -------
@@ -181,7 +180,7 @@ def pass_gate(
     for j in range(n):
         torque[j] = joints[j].answer.torque
     blend(gate, joints, law, torque)
-    if seen and not gate.ranged:
+    if gate.seen and not gate.ranged:
         set_ranges(joints)
         gate.ranged = True
     finite = True
@@ -193,9 +192,9 @@ def pass_gate(
             torque[j] = 0.0
             if np.isfinite(joints[j].bias_torque):
                 torque[j] = joints[j].bias_torque
-    if seen and gate.config.guarded:
+    if gate.seen and gate.config.guarded:
         enforced |= bound_motion(
-            torque, joints, control, contacts, mass_matrix, jacobian, by_task, gate.space)
+            torque, joints, control, contacts, mass_matrix, jacobian, law >= 0, gate.space)
     for j in range(n):
         joint, last = joints[j], joints[j].gate.last
         limit, step = joint.config.torque_limit, joint.config.torque_step
@@ -259,7 +258,7 @@ class TorqueGate:
         self.last: Vector = self._joints['gate']['last']
         self.retune(config.transition)
         self.reset()
-        self.apply(0, np.zeros(len(self._joints)))  # no tick is to wait for numba
+        self.apply(-1, np.zeros(len(self._joints)))  # no tick is to wait for numba
         self.reset()
 
     def retune(self, transition: TransitionConfig) -> None:
@@ -305,10 +304,11 @@ class TorqueGate:
         """
         Let a torque, shape (n,) [N m], through to `last`; return the `LIMITS` enforced.
 
-        A `law` has another number than others; `seen`: the joints are known now.
+        A `law` has another number than others, see `pass_gate`; `seen`: the joints are known now.
         """
         self._joints['answer']['torque'] = torque
+        self._gate['seen'] = seen
         terms = self._arm.robot.terms
         return pass_gate(
             self._gate, self._joints, self._arm.controls[0], self._arm.contacts,
-            terms.mass_matrix, terms.jacobian, law, seen, False)
+            terms.mass_matrix, terms.jacobian, law)

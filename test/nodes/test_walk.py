@@ -15,8 +15,9 @@ PACKAGE = Path(multicontact_control.__file__).parent
 PAGE = PACKAGE.parent / 'docs' / 'architecture.md'
 HOP = re.compile(r'^\| `(\w+(?:\.\w+)?)` \| `(\w[\w/]*\.py)` \|', re.MULTILINE)
 CALLBACK = 'ControllerNode._on_message'
+KERNELS = ('check_inputs', 'tick')  # compiled functions that Python calls
 STEADY = 400  # samples, after which nothing is left of the start
-MOST_HOPS, MOST_FILES = 31, 16  # compiled functions counted
+MOST_HOPS, MOST_FILES = 14, 9  # compiled functions aside
 
 
 class Walk:
@@ -46,6 +47,7 @@ def test_sample_walks_as_the_page_describes(host):
     arm.connect()
     for _ in range(STEADY):
         arm.step()
+        arm.send_variance()
     arm.send()
     walk = Walk()
     for _ in range(100):
@@ -56,6 +58,8 @@ def test_sample_walks_as_the_page_describes(host):
             break
     assert walk.published
     hops = list(dict.fromkeys(walk.hops))
-    assert hops == HOP.findall(PAGE.read_text(encoding='utf-8'))
+    walk_of_page = PAGE.read_text(encoding='utf-8').partition('What `tick` calls')[0]
+    assert hops == HOP.findall(walk_of_page)
+    hops = [(name, file) for name, file in hops if name not in KERNELS]
     assert len(hops) <= MOST_HOPS
     assert len({file for _, file in hops}) <= MOST_FILES

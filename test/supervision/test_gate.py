@@ -74,7 +74,7 @@ def test_gate_stops_a_joint_before_its_stop_whatever_the_others_do(joint):
         arm.refresh()
         held = state.mass_matrix @ (400.0 * (HOME - q) - 40.0 * v)
         held[joint] = 0.0
-        torque = passed(gate, 1, state.gravity + state.coriolis + held + push)
+        torque = passed(gate, -2, state.gravity + state.coriolis + held + push)
         v = v + 0.002 * np.linalg.solve(
             state.mass_matrix, torque - state.gravity - state.coriolis)
         q = q + 0.002 * v
@@ -95,7 +95,7 @@ def test_joint_that_starts_at_its_stop_stays_there():
         state = ROBOT.update(q, v)
         arm.motion[:] = q, v
         arm.refresh()
-        torque = passed(gate, 1, state.gravity + state.coriolis)
+        torque = passed(gate, -2, state.gravity + state.coriolis)
         v = v + 0.002 * np.linalg.solve(
             state.mass_matrix, torque - state.gravity - state.coriolis)
         q = q + 0.002 * v
@@ -108,26 +108,26 @@ def test_commanded_change_starts_at_the_torque_before_and_fades_at_its_rate():
     torques = []
     for gate in (calm, moved):
         gate.go_over()
-        torques = [passed(gate, 0, TORQUE.copy())]
+        torques = [passed(gate, -1, TORQUE.copy())]
     np.testing.assert_array_equal(torques[0], START)
     np.testing.assert_allclose(
-        passed(moved, 0, TORQUE + 0.1) - passed(calm, 0, TORQUE.copy()), 0.1)
+        passed(moved, -1, TORQUE + 0.1) - passed(calm, -1, TORQUE.copy()), 0.1)
     while (torques[-1] != TORQUE).any():
-        torques.append(passed(calm, 0, TORQUE.copy()))
+        torques.append(passed(calm, -1, TORQUE.copy()))
     assert np.abs(np.diff(torques, axis=0)[1:]).max() <= 100.0 * CONFIG.period * (1.0 + 1e-9)
     assert len(torques) >= 0.2 / CONFIG.period
 
 
 def test_change_of_law_is_continuous_and_decays_at_its_declared_rate():
     gate = blending()
-    out = [passed(gate, 1, START.copy())]
-    out += [passed(gate, 2, TORQUE.copy()) for _ in range(60)]
+    out = [passed(gate, -2, START.copy())]
+    out += [passed(gate, -3, TORQUE.copy()) for _ in range(60)]
     np.testing.assert_allclose(out[1], START)
     np.testing.assert_allclose(out[-1], TORQUE, atol=1e-5)
     steps = np.abs(np.diff(out, axis=0))
     assert (steps <= np.abs(START - TORQUE) * CONFIG.period / 0.003 + 1e-12).all()
-    before = passed(gate, 3, np.full(6, np.nan))  # the change waits for numbers
-    np.testing.assert_allclose(passed(gate, 3, TORQUE.copy()), before, atol=1e-9)
+    before = passed(gate, -4, np.full(6, np.nan))  # the change waits for numbers
+    np.testing.assert_allclose(passed(gate, -4, TORQUE.copy()), before, atol=1e-9)
 
 
 BIAS = [0.0, 0.0, 3.0, 0.0, 0.0, 0.0]

@@ -33,7 +33,7 @@ LASTING = (300, 600)  # ticks of what is there from the start
 SIDE_WALL, ELBOW_WALL = -2, -1  # numbers of surfaces that are no contacts: the last ones
 FAR = 10.0  # m, where they are not in the way
 # What a tick calls of a supervisor, one after the other.
-PARTS = ('inputs.validate', 'controller.robot.compute', 'task.ask', 'run_tick',
+PARTS = ('inputs.validate', 'controller.robot.compute', 'task.ask',
          'reactions.torque', 'gate.apply')
 
 

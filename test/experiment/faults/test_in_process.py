@@ -25,8 +25,8 @@ def world():
     (('wrapped_q', 'joints'), 'none'), (('second_publisher', 'plant'), 'none'),
     (('constant_qd', 'joints'), 'hold'), (('like_position_qd', 'joints'), 'hold'),
     *((('raises', part), reaction) for part, reaction in (
-        ('inputs.validate', 'float'), ('task.ask', 'hold'), ('controller.answer', 'hold'),
-        ('gate.apply', 'float')))])
+        ('inputs.validate', 'float'), ('controller.robot.compute', 'float'),
+        ('task.ask', 'hold')))])
 def test_fault_is_answered_as_declared(world, kind, reaction):
     row = in_fork(world, FAULTS[kind], 1, 'approach')
     assert (row.reaction, row.safe, row.problems) == (reaction, True, '')
