@@ -194,6 +194,15 @@ RECENT_WRENCH = np.dtype([
     ('velocity', F, MAX_JOINTS),  # [rad/s]
 ], align=True)
 
+
+class RecentWrench(Record, Protocol):
+    """A record of `RECENT_WRENCH`."""
+
+    time: float
+    wrench: Vector
+    velocity: Vector
+
+
 # What the input stage remembers; one.
 INPUT_STATE = np.dtype([
     ('time', F),  # of the newest tick, NaN before the first [s]
@@ -227,6 +236,8 @@ class InputState(Record, Protocol):
     torques: Records[TorqueState]
     commands: int
     wrenches: WrenchState
+    recent: Records[RecentWrench]
+    next_recent: int
 
 
 # What was found of one reading, or of the time.
@@ -586,7 +597,7 @@ def _supply_torques(
 
 
 @compiled
-def _keep_wrench(state: Any, velocity: Vector) -> None:
+def _keep_wrench(state: InputState, velocity: Vector) -> None:
     """Keep the wrench of a tick, with the velocities of the joints, shape (n,) [rad/s]."""
     recent = state.recent[state.next_recent]
     recent.time = state.time
