@@ -395,7 +395,7 @@ def test_variances_are_bounded_alike_with_and_without_a_supervisor(supervised):
 
 @pytest.mark.parametrize(('part', 'cause', 'reaction'), [
     ('task.ask', 'law_ZeroDivisionError', 'hold'),
-    ('controller.output', 'internal_ZeroDivisionError', 'float')])
+    ('inputs.validate', 'internal_ZeroDivisionError', 'float')])
 def test_exception_is_told_in_words_and_logged_once_with_its_traceback(
         monkeypatch, caplog, part, cause, reaction):
     bench = Bench()
