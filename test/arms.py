@@ -90,20 +90,20 @@ def pressed_wrench(config, state, **forces):
     return np.concatenate([force @ R, moment @ R])
 
 
-def seven_joint_urdf(folder: Path) -> Path:
-    """Write an arm of seven alternating joints with a wrist frame, and return its file."""
+def seven_joint_urdf(folder: Path, joints: int = 7) -> Path:
+    """Write an arm of alternating joints with a wrist frame, and return its file."""
     parts = ['<robot name="seven"><link name="base"/>']
     parent = 'base'
-    for i in range(7):
+    for i in range(joints):
         axis = '0 0 1' if i % 2 == 0 else '0 1 0'
         parts.append(
-            f'<link name="l{i}"><inertial><origin xyz="0.02 0.01 0.1"/><mass value="{3 - 0.3 * i}"'
+            f'<link name="l{i}"><inertial><origin xyz="0.02 0.01 0.1"/><mass value="{3 - 0.3 * min(i, 6)}"'
             '/><inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
             f'</link><joint name="j{i}" type="revolute"><parent link="{parent}"/>'
             f'<child link="l{i}"/><origin xyz="0 0 0.2"/><axis xyz="{axis}"/>'
             '<limit lower="-3" upper="3" effort="100" velocity="3"/></joint>')
         parent = f'l{i}'
-    parts.append('<link name="wrist"/><joint name="fixed" type="fixed"><parent link="l6"/>'
+    parts.append(f'<link name="wrist"/><joint name="fixed" type="fixed"><parent link="{parent}"/>'
                  '<child link="wrist"/><origin xyz="0 0 0.1"/></joint></robot>')
     path = folder / 'seven.urdf'
     path.write_text(''.join(parts), encoding='utf-8')

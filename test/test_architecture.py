@@ -14,8 +14,8 @@ ROOT = Path(__file__).resolve().parents[1]
 # What is not listed (config, errors, arrays, paths, ...) lies at the bottom.
 LAYERS = {
     'dynamics': 1, 'contact': 1, 'force': 1, 'control': 2, 'sensor': 3, 'supervision': 3,
-    'tick': 3, 'diagnosis': 4, 'sampling': 4, 'loop': 4, 'nodes': 5, 'experiment': 6, 'client': 6, 'view': 7,
-    'cli': 8, '__main__': 8}
+    'tick': 3, 'diagnosis': 4, 'sampling': 4, 'loop': 4, 'nodes': 5, 'experiment': 6,
+    'client': 6, 'view': 7, 'cli': 8, '__main__': 8}
 PINOCCHIO_HOME = 'multicontact_control.dynamics.robot'
 PRIVATE = 'multicontact_control.nodes.private'
 STEPPED = 'multicontact_control.supervision.supervisor'

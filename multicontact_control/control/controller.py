@@ -149,6 +149,8 @@ class Controller:
         self.contacts: Records[Contact] = self.memory[CONTROL.itemsize:].view(CONTACT)
         self.controls['measured'] = True
         self.controls['task']['rotation'] = np.eye(3)
+        place_columns(config, self.contacts)
+        check_columns(config.column_names, self.contacts)
         self.arm = ArmState(robot, self.controls, self.contacts)
         self.active: Mask = self.contacts['answer']['active']
         self.measured = (self.arm.motion, self.controls['wrench'][0],
@@ -156,7 +158,6 @@ class Controller:
         self.torque: Vector = self.arm.joints['answer']['torque']
         self._space: LawSpace = np.zeros(1, dtype=LAW_SPACE)[0]
         self._adopt(config)
-        check_columns(config.column_names, self.contacts)
         self.resolutions = check_resolution(config, self.controls, self.contacts)
         self.reset()
         self.arm.pose.quaternion_xyzw  # noqa: B018 - no step is to wait for it to be compiled
@@ -178,7 +179,7 @@ class Controller:
         elif config.tool != self.next_tool:
             self._last_tool, self.next_tool, self._slewed = self.tool, config.tool, 0
         # What has been learnt of the surfaces is kept.
-        if before is None or before.contacts != config.contacts:
+        if before is not None and before.contacts != config.contacts:
             place_columns(config, self.contacts)
         joints = self.arm.joints['config']
         for name in ('coulomb', 'viscous'):

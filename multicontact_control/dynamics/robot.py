@@ -14,6 +14,7 @@ from multicontact_control.dynamics import model_check
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.dynamics.urdf import check_tree, parse_urdf
 from multicontact_control.errors import ConfigError
+from multicontact_control.records import MAX_JOINTS
 import numpy as np
 import pinocchio as pin
 
@@ -79,6 +80,9 @@ class RobotModel:
                 'robot.joint_names', f"the robot's joints {names}" + (
                     f', or {others} in robot.locked_joints' if others else ''),
                 list(config.joint_names))
+        if len(names) > MAX_JOINTS:
+            raise ConfigError('robot.joint_names', f'at most {MAX_JOINTS} joints', len(names),
+                              hint='lock others: robot.locked_joints')
         if config.armature:
             self._model.armature = np.array(config.armature)
         self._model.gravity.linear = np.array(config.gravity_world)

@@ -182,6 +182,15 @@ def _acceleration(state, torque):
     return state.jacobian @ qdd + state.jacobian_drift
 
 
+def test_arm_of_more_joints_than_a_tick_has_room_for_is_refused(tmp_path):
+    urdf = seven_joint_urdf(tmp_path, joints=13)
+    names = tuple(f'j{i}' for i in range(13))
+    config = seven_joint_config(urdf).model_copy(
+        update={'joint_names': names, 'armature': (0.1,) * 13})
+    with pytest.raises(ConfigError, match='at most 12 joints.*got 13'):
+        RobotModel(config, tmp_path)
+
+
 def torque_for(model, q, v, acceleration, **nullspace):
     """Return J^T Lambda (a + bias), with the null space as records of `LAW` and `JOINT` say it."""
     controls = np.zeros(1, dtype=CONTROL)
