@@ -12,6 +12,8 @@ from multicontact_control.compiled import compiled
 import numpy as np
 
 Triple = tuple[float, float, float]
+MOST_SWEEPS = 15  # of Jacobi's rotations; 6 are enough
+SMALLEST_SQUARE = 1e-30  # of what is left beside the diagonal, over that on it
 
 
 @compiled
@@ -147,6 +149,55 @@ def invert(A: Matrix, factor: Matrix, root: Matrix, inverse: Matrix) -> bool:
     solve_lower_columns(factor, root)
     gram(root, inverse)
     return True
+
+
+@compiled
+def diagonalise(A: Matrix, vectors: Matrix) -> None:
+    """
+    Leave the eigenvalues of a symmetric A, shape (n, n), on its diagonal, in no order.
+
+    Its unit eigenvectors become the columns of `vectors`. By Jacobi's rotations, each of which
+    makes an element beside the diagonal 0; sweeps over all of them converge quadratically. Unlike
+    LAPACK's, these allocate nothing.
+    """
+    n = A.shape[0]
+    for i in range(n):
+        for j in range(n):
+            vectors[i, j] = 1.0 if i == j else 0.0
+    for _ in range(MOST_SWEEPS):
+        beside, total = 0.0, 0.0
+        for i in range(n):
+            total += A[i, i] * A[i, i]
+            for j in range(i + 1, n):
+                beside += A[i, j] * A[i, j]
+        if not beside > SMALLEST_SQUARE * total:  # or they are not numbers
+            return
+        for i in range(n):
+            for j in range(i + 1, n):
+                if A[i, j] != 0.0:
+                    rotate_pair(A, vectors, i, j)
+
+
+@compiled
+def rotate_pair(A: Matrix, vectors: Matrix, i: int, j: int) -> None:
+    """Turn axes i and j so that a symmetric A has 0 between them; see `diagonalise`."""
+    slope = (A[j, j] - A[i, i]) / (2.0 * A[i, j])
+    tangent = 1.0 / (abs(slope) + np.sqrt(slope * slope + 1.0))
+    if slope < 0.0:
+        tangent = -tangent
+    cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
+    sine = tangent * cosine
+    for k in range(A.shape[0]):
+        first, second = A[k, i], A[k, j]
+        A[k, i] = cosine * first - sine * second
+        A[k, j] = sine * first + cosine * second
+        first, second = vectors[k, i], vectors[k, j]
+        vectors[k, i] = cosine * first - sine * second
+        vectors[k, j] = sine * first + cosine * second
+    for k in range(A.shape[0]):
+        first, second = A[i, k], A[j, k]
+        A[i, k] = cosine * first - sine * second
+        A[j, k] = sine * first + cosine * second
 
 
 @compiled

@@ -95,9 +95,9 @@ def seven_joint_urdf(folder: Path, joints: int = 7) -> Path:
     parts = ['<robot name="seven"><link name="base"/>']
     parent = 'base'
     for i in range(joints):
-        axis = '0 0 1' if i % 2 == 0 else '0 1 0'
+        axis, mass = '0 0 1' if i % 2 == 0 else '0 1 0', 3.0 - 0.3 * min(i, 6)
         parts.append(
-            f'<link name="l{i}"><inertial><origin xyz="0.02 0.01 0.1"/><mass value="{3 - 0.3 * min(i, 6)}"'
+            f'<link name="l{i}"><inertial><origin xyz="0.02 0.01 0.1"/><mass value="{mass:.1f}"'
             '/><inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
             f'</link><joint name="j{i}" type="revolute"><parent link="{parent}"/>'
             f'<child link="l{i}"/><origin xyz="0 0 0.2"/><axis xyz="{axis}"/>'

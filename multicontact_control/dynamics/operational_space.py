@@ -7,6 +7,7 @@ from typing import Protocol
 from multicontact_control.algebra import (
     cholesky,
     cross,
+    diagonalise,
     dot,
     frobenius_norm,
     gram,
@@ -87,8 +88,13 @@ def mobility_and_inertia(
         smallest = 1.0 / frobenius_norm(space.Lambda)
     if smallest >= singular_mobility and smallest * MAX_CONDITION > trace:
         return 0.0, smallest
-    eigenvalues, damping = np.linalg.eigvalsh(mobility), 0.0
-    smallest, largest = eigenvalues[0], eigenvalues[-1]
+    eigenvalues, damping = space.factor, 0.0
+    eigenvalues[:] = mobility
+    diagonalise(eigenvalues, space.root)
+    smallest = largest = eigenvalues[0, 0]
+    for i in range(1, 6):
+        smallest = min(smallest, eigenvalues[i, i])
+        largest = max(largest, eigenvalues[i, i])
     if singular_mobility > 0.0 and smallest < singular_mobility:
         damping = 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2
         for i in range(6):

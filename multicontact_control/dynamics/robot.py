@@ -98,8 +98,8 @@ class RobotModel:
         frame, sensor = data.oMf[self._frame], data.oMf[self._sensor]
         self.terms = Terms(  # pinocchio's memory, so that nothing needs to be copied
             mass_matrix=data.M, bias_torque=data.nle, gravity=data.g,
-            jacobian=np.zeros((6, self._model.nv), order='F'),
-            jacobian_rate=np.zeros((6, self._model.nv), order='F'), placements=(
+            jacobian=np.zeros((6, self._model.nv)),
+            jacobian_rate=np.zeros((6, self._model.nv)), placements=(
                 frame.translation, frame.rotation, sensor.translation, sensor.rotation))
         self.turning: Mask = np.array(['ModelR' in x.shortname() for x in self._model.joints[1:]])
 

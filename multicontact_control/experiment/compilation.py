@@ -7,15 +7,14 @@ libraries and processor; a command that finds none compiles first.
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 import fcntl
 import hashlib
 from importlib.metadata import version
-from multiprocessing import get_context
 import os
 from pathlib import Path
 import shutil
+from subprocess import DEVNULL, PIPE, Popen
 import sys
 from typing import Any
 
@@ -28,6 +27,7 @@ NO_FOLDER = ('warning: no folder can be written for compiled kernels, so every p
              'its own (a minute each): set NUMBA_CACHE_DIR to one that can')
 LOCK_FILE = 'compiling.lock'
 TICKS = 3
+BESIDE = f'from {__name__} import compile_beside; print(compile_beside())'
 KEPT = 5  # folders, each for one state of the sources
 
 
@@ -45,16 +45,16 @@ def ensure_compiled() -> int:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if _marker(folder).is_file():
             return 0
-        with ProcessPoolExecutor(1, get_context('spawn')) as beside:  # on another core
-            done = beside.submit(_compile_beside)
+        with Popen([sys.executable, '-c', BESIDE], stdout=PIPE, stderr=DEVNULL,
+                   env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}) as beside:
             _compile_law()
-            count = done.result()
+            told, _ = beside.communicate()
         _call_all()
         _marker(folder).touch()
     alike = folder.parent.glob(f'{folder.name.rpartition("-")[0]}-*')
     for outdated in sorted(alike, key=os.path.getmtime)[:-KEPT]:
         shutil.rmtree(outdated, ignore_errors=True)
-    return count + compiled_here()
+    return int(told or 0) + compiled_here()
 
 
 def _marker(folder: Path) -> Path:
@@ -64,8 +64,12 @@ def _marker(folder: Path) -> Path:
     return folder / f'complete-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}'
 
 
-def _compile_beside() -> int:
-    """Compile what works without the law: plant, inputs, task, gate; return how many kernels."""
+def compile_beside() -> int:
+    """
+    Compile what works without the law: plant, inputs, task and gate; return how many kernels.
+
+    In a process of its own, on another core. What fails there is compiled by what follows.
+    """
     from multicontact_control.experiment.scenario import resolve
     from multicontact_control.records import CONTACT, CONTROL, JOINT
     from multicontact_control.supervision.contact_task import limit_task, TASK_LIMITS
@@ -74,7 +78,7 @@ def _compile_beside() -> int:
     from multicontact_control.supervision.input_checks import check_inputs, INPUT_STAGE
     from sim_bridge.plant import Plant
 
-    matrix = np.eye(6, order='F')
+    mass_matrix, jacobian = np.eye(6, order='F'), np.eye(6)  # as pinocchio gives them
     joints: Any = np.zeros(6, dtype=JOINT)
     controls: Any = np.zeros(1, dtype=CONTROL)
     contacts: Any = np.zeros(2, dtype=CONTACT)
@@ -83,7 +87,7 @@ def _compile_beside() -> int:
     limits: Any = np.zeros(1, dtype=TASK_LIMITS)
     stages: Any = np.zeros(1, dtype=INPUT_STAGE)
     stages['settings']['commands'] = 2
-    pass_gate(gates[0], joints, controls[0], contacts, matrix, matrix, 0)
+    pass_gate(gates[0], joints, controls[0], contacts, mass_matrix, jacobian, 0)
     limit_task(limits[0], controls[0], contacts, states)
     check_inputs(stages, np.zeros(6), np.zeros(6), joints, controls, contacts)
     for name in ('flexible', 'rigid'):

@@ -16,6 +16,7 @@ from typing import Protocol
 from multicontact_control.algebra import (
     add_scaled,
     cholesky,
+    diagonalise,
     dot,
     gram,
     length,
@@ -56,7 +57,7 @@ BOUND_SPACE = np.dtype([
     ('excess', F, MAX_BOUNDS), ('multipliers', F, MAX_BOUNDS),  # of each bound [rad/s^2]
     ('acceleration', F, MAX_JOINTS), ('change', F, MAX_JOINTS),  # [rad/s^2]
     ('L', F, (MAX_JOINTS, MAX_JOINTS)), ('Y', F, (MAX_JOINTS, 6)),  # M = L L^T, L^-1 J^T
-    ('mobility', F, (6, 6)), ('direction', F, 6), ('rates', F, MAX_JOINTS),
+    ('mobility', F, (6, 6)), ('directions', F, (6, 6)), ('rates', F, MAX_JOINTS),
     ('wrench', F, 6),  # that the contacts bear [N, N m]
     ('cost', F, (MAX_JOINTS, MAX_JOINTS)), ('row', F, MAX_JOINTS),
     ('root', F, (MAX_JOINTS, MAX_JOINTS)), ('Z', F, (MAX_JOINTS, MAX_BOUNDS)),  # in
@@ -78,7 +79,7 @@ class BoundSpace(Record, Protocol):
     L: Matrix
     Y: Matrix
     mobility: Matrix
-    direction: Vector
+    directions: Matrix
     rates: Vector
     wrench: Vector
     cost: Matrix
@@ -159,15 +160,14 @@ def add_reach_bounds(
     """
     n = joints.shape[0]
     gram(space.Y[:n], space.mobility)
-    eigenvalues, directions = np.linalg.eigh(space.mobility)
+    diagonalise(space.mobility, space.directions)
     for k in range(6):
-        size = np.sqrt(max(eigenvalues[k], ROUNDING))
+        size = np.sqrt(max(space.mobility[k, k], ROUNDING))
         if size > NEAR_SINGULAR:
-            break
+            continue
         gradient, closing = rows[count], 0.0
-        space.direction[:] = directions[:, k]
-        mobility_gradient(
-            jacobian, space.L[:n, :n], space.Y[:n], space.direction, space.rates[:n], gradient)
+        mobility_gradient(jacobian, space.L[:n, :n], space.Y[:n], space.directions[:, k],
+                          space.rates[:n], gradient)
         for j in range(n):  # so that it closes in where this times the speeds is positive
             gradient[j] *= -0.5 / size
             closing += gradient[j] * joints[j].velocity

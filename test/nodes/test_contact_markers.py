@@ -17,10 +17,12 @@ CONFIG = controller_config()
 
 
 def arrows_of(forces, active):
-    output = no_answer(6, len(NORMALS))
-    contacts, answer, pose = output.contacts, output.answer, output.pose
-    contacts['alpha_meas'], answer['active'], contacts['normal'] = forces, active, NORMALS
-    pose.position_world[:], pose.rotation_world[:] = POSE
+    nothing = no_answer(6, len(NORMALS))
+    contacts, controls = nothing.contacts.copy(), nothing.controls.copy()
+    contacts['alpha_meas'], contacts['answer']['active'] = forces, active
+    contacts['normal'] = NORMALS
+    controls['frame']['position'], controls['frame']['rotation'] = POSE
+    output = nothing._replace(memory=controls.tobytes() + contacts.tobytes())
     return contact_arrows(CONFIG, STAMP, output).markers
 
 
