@@ -1,0 +1,31 @@
+"""The compiled pass of a sample as a whole."""
+
+import inspect
+
+from multicontact_control.experiment.closed_loop import ClosedLoop
+from multicontact_control.experiment.scenario import resolve
+from multicontact_control.supervision.input_checks import check_inputs
+from multicontact_control.tick import tick
+from numba.core.runtime import _nrt_python, rtsys
+import pytest
+
+PRESSED = 2500  # ticks, after which both contacts are
+
+
+@pytest.mark.parametrize('preset', ['best', 'adaptive'])
+def test_tick_allocates_nothing_but_what_hands_over_its_arguments(preset):
+    """Of each array that Python hands over, numba makes a header; also near a singular posture."""
+    loop = ClosedLoop(resolve('quick', preset=preset, plant='rigid'))
+    for _ in range(PRESSED):
+        loop.advance()
+    assert loop.control.output.answer['active'].all()
+    arrays = len(inspect.signature(check_inputs).parameters) + (
+        len(inspect.signature(tick).parameters) - 1)  # but for the stages
+    _nrt_python.memsys_enable_stats()
+    for _ in range(20):
+        inputs = loop.inputs()
+        before = rtsys.get_allocation_stats().alloc
+        loop.command = loop.control.step(inputs)
+        assert rtsys.get_allocation_stats().alloc - before == arrays
+        loop.act()
+    loop.close()
