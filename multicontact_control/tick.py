@@ -42,7 +42,7 @@ def tick(
     stages: int, joints: Records[Joint], controls: Records[Control], contacts: Records[Contact],
     laws: Records[ForceLaw], states: Records[ContactState], limits: Records[TaskLimits],
     judgements: Records[Judgement], gates: Records[Gate], workspaces: Records[Workspace],
-    motion: Matrix, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix,
+    q: Vector, velocity: Vector, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix,
     jacobian_rate: Matrix, position: Vector, rotation: Matrix, sensor_position: Vector,
     sensor_rotation: Matrix,
 ) -> int:
@@ -61,8 +61,8 @@ def tick(
         `CONTROL`, and records of `CONTACT`, `FORCE_LAW` and `CONTACT_STATE`, shape (r,).
     limits, judgements, gates, workspaces
         One record of `TASK_LIMITS`, of `JUDGEMENT`, of `GATE` and of `WORKSPACE`.
-    motion
-        q [rad] and v [rad/s], shape (2, n).
+    q, velocity
+        Joint positions [rad] and velocities [rad/s], shape (n,).
     mass_matrix, bias_torque, jacobian, jacobian_rate
         M (upper triangle), C v + g, J and dJ/dt there.
     position, rotation, sensor_position, sensor_rotation
@@ -77,7 +77,7 @@ def tick(
     control, space, found = controls[0], workspaces[0], 0
     if stages & SEE:
         found = see_arm(
-            motion, mass_matrix, bias_torque, jacobian, position, rotation, sensor_position,
+            q, velocity, mass_matrix, bias_torque, jacobian, position, rotation, sensor_position,
             sensor_rotation, joints, control, contacts, space.arm)
         if found & ALARMS:
             return found

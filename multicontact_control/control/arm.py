@@ -243,17 +243,17 @@ def wrench_of_residual(
 
 @compiled
 def see_arm(
-    motion: Matrix, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix, position: Vector,
-    rotation: Matrix, sensor_position: Vector, sensor_rotation: Matrix, joints: Records[Joint],
-    control: Control, contacts: Records[Contact], space: ArmSpace,
+    q: Vector, velocity: Vector, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix,
+    position: Vector, rotation: Matrix, sensor_position: Vector, sensor_rotation: Matrix,
+    joints: Records[Joint], control: Control, contacts: Records[Contact], space: ArmSpace,
 ) -> int:
     """
     Take in all that is known of a sample before anything is asked for.
 
     Parameters
     ----------
-    motion
-        q [rad] and v [rad/s], shape (2, n).
+    q, velocity
+        Joint positions [rad] and velocities [rad/s], shape (n,).
     mass_matrix, bias_torque, jacobian
         M, upper triangle, C v + g and J there.
     position, rotation, sensor_position, sensor_rotation
@@ -278,7 +278,7 @@ def see_arm(
         joint = joints[j]
         joint.watch.last_velocity = joint.velocity
         joint.watch.last_bias = joint.bias_torque
-        joint.q, joint.velocity = motion[0, j], motion[1, j]
+        joint.q, joint.velocity = q[j], velocity[j]
         joint.inertia, joint.bias_torque = mass_matrix[j, j], bias_torque[j]
         if abs(joint.velocity) > joint.config.speed_limit:
             flags = JOINT_SPEED
@@ -286,9 +286,9 @@ def see_arm(
     frame.rotation[:] = rotation
     frame.sensor_position[:] = sensor_position
     frame.sensor_rotation[:] = sensor_rotation
-    multiply(jacobian, motion[1], frame.twist)
-    velocity, turn = frame.twist[:3], frame.twist[3:]
-    if dot(velocity, velocity) > frame.config.speed_limit ** 2 or (
+    multiply(jacobian, velocity, frame.twist)
+    speed, turn = frame.twist[:3], frame.twist[3:]
+    if dot(speed, speed) > frame.config.speed_limit ** 2 or (
             dot(turn, turn) > frame.config.turn_limit ** 2):
         flags |= OPERATIONAL_SPEED
     if control.momentum.config.bandwidth > 0.0:
@@ -357,6 +357,6 @@ class ArmState:
         """Take in what has been written into `motion`; return whether the model is `finite`."""
         terms = self.robot.compute(self.q, self.velocity)
         self.flags = see_arm(
-            self.motion, terms.mass_matrix, terms.bias_torque, terms.jacobian,
+            self.q, self.velocity, terms.mass_matrix, terms.bias_torque, terms.jacobian,
             *terms.placements, self.joints, self.controls[0], self.contacts, self._space)
         return self.finite

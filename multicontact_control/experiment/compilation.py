@@ -19,7 +19,7 @@ import sys
 from typing import Any
 
 from llvmlite import binding as llvm
-from multicontact_control.compiled import cache_folder, compiled_here
+from multicontact_control.compiled import cache_folder, compiled_here, HERE
 import numpy as np
 from rich.console import Console
 
@@ -45,8 +45,9 @@ def ensure_compiled() -> int:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if _marker(folder).is_file():
             return 0
+        places = [str(HERE.parent), os.environ.get('PYTHONPATH', '')]
         with Popen([sys.executable, '-c', BESIDE], stdout=PIPE, stderr=DEVNULL,
-                   env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}) as beside:
+                   env={**os.environ, 'PYTHONPATH': os.pathsep.join(places)}) as beside:
             _compile_law()
             told, _ = beside.communicate()
         _call_all()

@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from multicontact_control.algebra import add_scaled, length
-from multicontact_control.arrays import Matrix, Vector
+from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
@@ -52,7 +52,7 @@ PLAUSIBILITY = np.dtype([
     ('inertia', F),  # what a lost contact may read more: the tool's inertia [N]
     ('friction_bound', F),  # force across the normals, per force along them
     ('force_ceiling', F),  # along them, of contacts that are not commanded [N]
-    ('box', F, (2, 3)),  # where the operational point may be [m]
+    ('lower', F, 3), ('upper', F, 3),  # where the operational point may be [m]
 ], align=True)
 
 
@@ -62,7 +62,8 @@ class Plausibility(Record, Protocol):
     inertia: float
     friction_bound: float
     force_ceiling: float
-    box: Matrix
+    lower: Vector
+    upper: Vector
 
 
 # How answers have been judged; one.
@@ -133,9 +134,9 @@ def check_plausibility(
             flags |= STRAY
     if length(sideways) > SIDEWAYS_LIMIT + bounds.friction_bound * pressed:
         flags |= SIDEWAYS
-    place, box = control.frame.position, bounds.box
+    place = control.frame.position
     for k in range(3):
-        if place[k] < box[0, k] or place[k] > box[1, k]:
+        if place[k] < bounds.lower[k] or place[k] > bounds.upper[k]:
             flags |= OUTSIDE
     return flags
 
@@ -181,8 +182,8 @@ def plausibility_limits(config: ControllerConfig) -> Records[Plausibility]:
     bounds['force_ceiling'] = config.contact_state.force_ceiling
     bounds['inertia'] = config.tool.mass * LOSS_ACCELERATION
     limits = config.limits
-    bounds['box'] = (np.array(limits.workspace_lower or [-np.inf] * 3) - BOX_EXCESS,
-                     np.array(limits.workspace_upper or [np.inf] * 3) + BOX_EXCESS)
+    bounds['lower'] = np.array(limits.workspace_lower or [-np.inf] * 3) - BOX_EXCESS
+    bounds['upper'] = np.array(limits.workspace_upper or [np.inf] * 3) + BOX_EXCESS
     return bounds
 
 

@@ -87,7 +87,7 @@ class Supervisor:
         self._records = (
             self._joints, self._controls, controller.contacts, controller.laws, self.task.states,
             self.task.limits, self._judgements, self.gate.records,
-            np.zeros(1, dtype=WORKSPACE), controller.arm.motion)
+            np.zeros(1, dtype=WORKSPACE), controller.arm.q, controller.arm.velocity)
         self._q, self._velocity = controller.arm.q, controller.arm.velocity
         self._torque_acts = self.gate.records['begun']
         self._states_changed = self.task.limits['changed']
