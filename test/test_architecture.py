@@ -24,10 +24,10 @@ TORQUE_PATH = ('dynamics', 'contact', 'force', 'control', 'supervision', 'sampli
 # idea that is added takes one out, or its commit says why the house grows.
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
-    TOP: 8_100, 'dynamics': 6_100, 'contact': 4_500, 'force': 15_500, 'control': 8_700,
+    TOP: 8_500, 'dynamics': 6_100, 'contact': 4_500, 'force': 15_500, 'control': 8_700,
     LOOP: 3_300, 'supervision': 29_200, 'diagnosis': 3_340, 'sensor': 3_100, 'config': 6_000,
-    'nodes': 25_800, 'experiment': 68_100, 'view': 18_700, 'cli': 5_600, 'sim_bridge': 29_200,
-    'test': 149_800, 'test/campaign': 8_700, 'benchmarks': 3_200}
+    'nodes': 25_800, 'experiment': 68_500, 'view': 18_700, 'cli': 5_600, 'sim_bridge': 29_200,
+    'test': 150_200, 'test/campaign': 8_700, 'benchmarks': 3_200}
 MOST_COMPILED = 142  # functions
 
 
