@@ -28,7 +28,7 @@ BUDGETS = {
     LOOP: 3_300, 'supervision': 29_200, 'diagnosis': 3_340, 'sensor': 3_100, 'config': 6_000,
     'nodes': 25_800, 'experiment': 68_500, 'view': 18_700, 'cli': 5_600, 'sim_bridge': 29_200,
     'test': 150_200, 'test/campaign': 8_700, 'benchmarks': 3_200}
-MOST_COMPILED = 142  # functions
+MOST_COMPILED = 144  # functions
 
 
 def sources(*folders: str) -> dict[str, str]:
