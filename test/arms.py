@@ -10,11 +10,11 @@ from multicontact_control.config import (
     RobotConfig,
     validate,
 )
-from multicontact_control.control.controller import Controller
+from multicontact_control.control.controller import Controller, ControlOutput
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.flags import AMBIGUOUS
 from multicontact_control.paths import config_dir
-from multicontact_control.supervision.contact_task import ContactTask
+from multicontact_control.supervision.contact_task import ContactTask, limit_task
 import numpy as np
 from sim_bridge.config import PlantConfig
 
@@ -65,9 +65,9 @@ class Law:
         if not law.started:
             self._task.start(law.start())
         self._task.ask(measurement.time)
-        self._task.limit()
+        limit_task(self._task.limits[0], law.controls[0], law.contacts, self._task.states)
         law.answer()
-        return law.output(law.torque.copy())
+        return ControlOutput(law.torque.copy(), law.memory.tobytes())
 
 
 def plant_config(name, **changes):

@@ -326,7 +326,7 @@ class ArmState:
     pose
         Of the operational frame, in `frames`.
     flags
-        What was found of it; see `multicontact_control.flags`.
+        What the newest sample was found to have; see `multicontact_control.flags`.
 
     """
 

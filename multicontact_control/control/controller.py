@@ -102,9 +102,8 @@ class Controller:
 
     F = Lambda (Omega_m f_t* + Omega_f f_c*) + mu + p + f_c_hat, Gamma = J^T F (eqs 24-26).
 
-    A tick writes a sample into `measured`, calls `arm.refresh`, writes the task into `controls`
-    and `contacts`, and calls `answer`; before the first answer it calls `start`. All kernels are
-    compiled when a controller is made.
+    It holds the records that `tick` works on. The law alone, of a task in `controls` and
+    `contacts`, is `take` and `answer`. `start` comes before the first answer of either.
 
     Parameters
     ----------
@@ -117,9 +116,6 @@ class Controller:
     ----------
     arm
         Where the arm is.
-    measured
-        Places of a sample: q and v, shape (2, n) [rad, rad/s], wrench, shape (6,) [N, N m], and R,
-        shape (r,) [N^2].
     controls, contacts, laws
         One record of `CONTROL`, records of `CONTACT` and `FORCE_LAW`, shape (r,).
     memory
@@ -153,8 +149,6 @@ class Controller:
         check_columns(config.column_names, self.contacts)
         self.arm = ArmState(robot, self.controls, self.contacts)
         self.active: Mask = self.contacts['answer']['active']
-        self.measured = (self.arm.motion, self.controls['wrench'][0],
-                         self.contacts['noise_variance'])
         self.torque: Vector = self.arm.joints['answer']['torque']
         self._space: LawSpace = np.zeros(1, dtype=LAW_SPACE)[0]
         self._adopt(config)
@@ -246,13 +240,13 @@ class Controller:
 
     def take(self, q: Vector, qd: Vector, wrench_sensor: Vector) -> None:
         """
-        See a sample that no input stage has written into `measured`.
+        See a sample that no input stage has taken in.
 
         Joint positions [rad] and velocities [rad/s], shape (n,), and what the wrist sensor reads
         in its frame, force first, shape (6,) [N, N m].
         """
-        motion, wrench, _ = self.measured
-        motion[:], wrench[:] = (q, qd), wrench_sensor
+        self.arm.q[:], self.arm.velocity[:] = q, qd
+        self.controls['wrench'] = wrench_sensor
         self.arm.refresh()
 
     def start(self) -> Pose:
@@ -292,10 +286,6 @@ class Controller:
         if found & (SINGULAR | DEPENDENT):
             self.refuse(found)
         return bool(found & TORQUE)
-
-    def output(self, torque: Vector) -> ControlOutput:
-        """Return an answer to the sample that has been seen."""
-        return ControlOutput(torque, self.memory.tobytes())
 
     def own_weight(self) -> Vector:
         """Return the torque by which drives with `adds_gravity` carry the arm, (n,) [N m]."""

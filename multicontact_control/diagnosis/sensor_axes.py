@@ -67,6 +67,8 @@ def explain_axes(
         sign = '-' if row[other] < 0.0 else ''
         if abs(force) > 0.5 * UNLIKE * size and sign + AXES[other] != axis:
             told.append(f'its {axis} is {sign}{AXES[other]}')
+    if not told:
+        return ''
     x, y, z = shown
     return (f'the wrench sensor reads [{read[0]:.1f}, {read[1]:.1f}, {read[2]:.1f}] N where the '
             f'torques show [{x:.1f}, {y:.1f}, {z:.1f}] N: {", ".join(told)}; check '

@@ -19,7 +19,7 @@ import sys
 from typing import Any
 
 from llvmlite import binding as llvm
-from multicontact_control.compiled import cache_folder, compiled_here, HERE
+from multicontact_control.compiled import cache_folder, HERE
 import numpy as np
 from rich.console import Console
 
@@ -27,12 +27,16 @@ NO_FOLDER = ('warning: no folder can be written for compiled kernels, so every p
              'its own (a minute each): set NUMBA_CACHE_DIR to one that can')
 LOCK_FILE = 'compiling.lock'
 TICKS = 3
-BESIDE = f'from {__name__} import compile_beside; print(compile_beside())'
+BESIDE = f'from {__name__} import compile_beside; compile_beside()'
 KEPT = 5  # folders, each for one state of the sources
 
 
 def ensure_compiled() -> int:
-    """Compile every kernel that the cache lacks, one process at a time; return how many."""
+    """
+    Compile every kernel, unless the cache has them; return how many the cache has got now.
+
+    One command at a time does so, on two cores.
+    """
     folder = cache_folder()
     if folder is not None and _marker(folder).is_file():
         return 0
@@ -41,21 +45,25 @@ def ensure_compiled() -> int:
         console.print(NO_FOLDER, style='yellow')
         return 0
     with (folder / LOCK_FILE).open('w') as lock:  # the system frees it when this process ends
-        console.print(f'compiling the numerical kernels, once (about a minute), into {folder}')
+        console.print('compiling the numerical kernels, once (half a minute on two cores), into '
+                      f'{folder}')
         fcntl.flock(lock, fcntl.LOCK_EX)
         if _marker(folder).is_file():
             return 0
         places = [str(HERE.parent), os.environ.get('PYTHONPATH', '')]
-        with Popen([sys.executable, '-c', BESIDE], stdout=PIPE, stderr=DEVNULL,
+        with Popen([sys.executable, '-c', BESIDE], stdout=DEVNULL, stderr=PIPE, text=True,
                    env={**os.environ, 'PYTHONPATH': os.pathsep.join(places)}) as beside:
             _compile_law()
-            told, _ = beside.communicate()
+            _, errors = beside.communicate()
+        if beside.returncode:
+            console.print(f'warning: the second compiler failed, one goes on:\n{errors}',
+                          style='yellow')
         _call_all()
         _marker(folder).touch()
     alike = folder.parent.glob(f'{folder.name.rpartition("-")[0]}-*')
     for outdated in sorted(alike, key=os.path.getmtime)[:-KEPT]:
         shutil.rmtree(outdated, ignore_errors=True)
-    return int(told or 0) + compiled_here()
+    return sum(1 for _ in folder.rglob('*.nbc'))  # numba's files, one for each
 
 
 def _marker(folder: Path) -> Path:
@@ -65,9 +73,9 @@ def _marker(folder: Path) -> Path:
     return folder / f'complete-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}'
 
 
-def compile_beside() -> int:
+def compile_beside() -> None:
     """
-    Compile what works without the law: plant, inputs, task and gate; return how many kernels.
+    Compile what works without the law: plant, inputs, task and gate.
 
     In a process of its own, on another core. What fails there is compiled by what follows.
     """
@@ -96,7 +104,6 @@ def compile_beside() -> int:
         plant = Plant(setup.plant, rate=setup.controller.rate, seed=0)
         plant.step(plant.initial_torque)
         plant.close()
-    return compiled_here()
 
 
 def _compile_law() -> None:

@@ -133,17 +133,17 @@ class ContactTask:
     """
     A task as far as contacts and limits allow it, in the records of a controller.
 
-    In a tick `ask` writes what the source wants into `wanted` of the records, and `limit` makes of
-    that the `task` and what is asked of each contact. A hold keeps the arm where it is and
-    pressing as it does, a lock keeps it where it is without contact; the time of the source stands
-    still meanwhile. If not `guarded`, neither contact states nor limits apply: the source makes
-    the contacts.
+    In a tick `ask` writes what the source wants into `wanted` of the records, of which
+    `limit_task` makes the `task` and what is asked of each contact. A hold keeps the arm where it
+    is and pressing as it does, a lock keeps it where it is without contact; the time of the source
+    stands still meanwhile. If not `guarded`, neither contact states nor limits apply: the source
+    makes the contacts.
 
     Attributes
     ----------
     limits, states
-        One record of `TASK_LIMITS`, and records of `CONTACT_STATE`, shape (r,). Who moves the arm
-        sets `bounded_at`.
+        One record of `TASK_LIMITS`, and records of `CONTACT_STATE`, shape (r,). `tick` sets
+        `bounded_at`.
     held, locked
         Whether there is a hold, or a lock.
 
@@ -182,7 +182,6 @@ class ContactTask:
         contacts.go_on(first[0], 0.0, 0.0)
         contacts.read_anew(*first, 0.0)
         take_off(self._columns[0], first[0])
-        self.limit()
         self.reset()
 
     def retune(self, config: ControllerConfig) -> None:
@@ -229,7 +228,7 @@ class ContactTask:
         self._source.start(pose, self._columns['normal'].copy())
 
     def ask(self, time: float) -> None:
-        """Get what is wanted at a time since the start [s]; see `limit`."""
+        """Get what is wanted at a time since the start [s]; see `limit_task`."""
         if self.held or self.locked:
             self._lost_time += time - float(self._time[0])
         else:
@@ -249,11 +248,6 @@ class ContactTask:
             if part is not written:
                 place[:] = part
         self._written = parts
-
-    def limit(self) -> bool:
-        """Make a task of what is wanted that may be followed; return whether it was limited."""
-        return bool(limit_task(
-            self.limits[0], self._controls[0], self._columns, self.states))
 
     @property
     def seeks(self) -> bool:

@@ -158,9 +158,7 @@ class _Intake:
             came[0] = FINE
         self.complete = True
 
-    def put(
-        self, inputs: TickInputs, wrench: WrenchInput | None,
-    ) -> None:
+    def put(self, inputs: TickInputs, wrench: WrenchInput | None) -> None:
         """Put what has come in its place, and say what is missing or malformed."""
         self.expect_all()
         try:

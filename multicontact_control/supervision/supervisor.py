@@ -93,6 +93,7 @@ class Supervisor:
         self._states_changed = self.task.limits['changed']
         self._reads_before = self.task.limits['reads_before']
         self._adopt(config)
+        self._run(0)  # no stage, but compiled: no sample waits for it
         operational_wrench(self._controls[0], np.zeros(6))
         self.reset()
 

@@ -210,7 +210,8 @@ class Asked:
     def ask(self, time):
         """Return what is asked for where nothing is felt."""
         self.task.ask(time)
-        self.limited = self.task.limit()
+        self.limited = limit_task(
+            self.task.limits[0], self.controls[0], self.contacts, self.task.states)
         task = self.controls['task'][0].copy()
         return SimpleNamespace(
             pose=Pose(task['position'], task['rotation']), twist=task['twist'],
