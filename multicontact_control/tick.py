@@ -6,8 +6,8 @@ from typing import Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.control.arm import ARM_SPACE, ArmSpace, see_arm
-from multicontact_control.control.law import control_law, LAW_SPACE, LawSpace
+from multicontact_control.control.arm import ArmSpace, see_arm
+from multicontact_control.control.law import control_law, LawSpace
 from multicontact_control.flags import (
     ALARMS,
     BOUNDING_LIMITS,
@@ -17,24 +17,29 @@ from multicontact_control.flags import (
     SINGULAR,
 )
 from multicontact_control.force.force_law import ForceLaw
-from multicontact_control.records import Contact, Control, Joint, Record, Records
+from multicontact_control.records import (
+    Contact,
+    Control,
+    Joint,
+    Record,
+    record_dtype,
+    Records,
+)
 from multicontact_control.supervision.checks import judge_answer, Judgement
 from multicontact_control.supervision.contact_task import limit_task, TaskLimits
 from multicontact_control.supervision.contacts import ContactState
 from multicontact_control.supervision.gate import Gate, law_number, pass_gate
-import numpy as np
 
 SEE, ACT = 1, 2  # stages of a tick
 
-# What a tick works in, so that it allocates nothing; one.
-WORKSPACE = np.dtype([('arm', ARM_SPACE), ('law', LAW_SPACE)], align=True)
-
-
 class Workspace(Record, Protocol):
-    """A record of `WORKSPACE`."""
+    """What a tick works in, so that it allocates nothing; one."""
 
     arm: ArmSpace
     law: LawSpace
+
+
+WORKSPACE = record_dtype(Workspace)
 
 
 @compiled

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.errors import ConfigError
-from multicontact_control.records import Record, Records
+from multicontact_control.records import (
+    Record,
+    record_dtype,
+    Records,
+)
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, TOOL_LINK
@@ -23,20 +27,16 @@ from sim_bridge.kinematics import (
 )
 from sim_bridge.surface import build_surfaces, move, press, Surface
 
-# What pushes the last link or the tool at one point; world axes.
-HAND = np.dtype([
-    ('force', np.float64, 3),  # [N]
-    ('local', np.float64, 3),  # the point in the last joint's frame [m]
-    ('point', np.float64, 3),  # where it is, of use while it pushes [m]
-])
-
 
 class Hand(Record, Protocol):
-    """A record of `HAND`."""
+    """What pushes the last link or the tool at one point; world axes."""
 
-    force: Vector
-    local: Vector
-    point: Vector
+    force: Annotated[Vector, 3]  # [N]
+    local: Annotated[Vector, 3]  # the point in the last joint's frame [m]
+    point: Annotated[Vector, 3]  # where it is, of use while it pushes [m]
+
+
+HAND = record_dtype(Hand)
 
 
 class Pushes:

@@ -10,55 +10,46 @@ from typing import Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.records import Record, Records
+from multicontact_control.records import (
+    Record,
+    record_dtype,
+    Records,
+)
 import numpy as np
 from numpy.typing import ArrayLike
 import pinocchio as pin
 from sim_bridge.arm import Arm
 from sim_bridge.kinematics import mass_matrix
 
-# Friction of one joint, joint side.
-FRICTION = np.dtype([
-    ('viscous', np.float64),  # [N m s/rad]
-    ('coulomb_positive', np.float64),  # for positive speed, >= 0 [N m]
-    ('coulomb_negative', np.float64),  # for negative speed, >= 0 [N m]
-    ('speed', np.float64),  # scale of the smoothed Coulomb friction [rad/s]
-])
-
 
 class Friction(Record, Protocol):
-    """A record of `FRICTION`."""
+    """Friction of one joint, joint side."""
 
-    viscous: float
-    coulomb_positive: float
-    coulomb_negative: float
-    speed: float
+    viscous: float  # [N m s/rad]
+    coulomb_positive: float  # for positive speed, >= 0 [N m]
+    coulomb_negative: float  # for negative speed, >= 0 [N m]
+    speed: float  # scale of the smoothed Coulomb friction [rad/s]
+
+
+FRICTION = record_dtype(Friction)
 
 
 HOLD_FREQUENCY = 20.0  # w [rad/s]
 NEWTON_STEPS = 50
 LARGEST_SWEEPS = 1000
 NEWTON_TOLERANCE = 1e-13
-# One drive: its rotor, over the gear, and the spring to its link.
-DRIVE = np.dtype([
-    ('q', np.float64),  # [rad]
-    ('qd', np.float64),  # [rad/s]
-    ('inertia', np.float64),  # of the rotor, joint side [kg m^2]
-    ('stiffness', np.float64),  # of the spring [N m/rad]
-    ('damping', np.float64),  # of the spring [N m s/rad]
-    ('friction', FRICTION),  # of the rotor
-])
-
-
 class Drive(Record, Protocol):
-    """A record of `DRIVE`."""
+    """One drive: its rotor, over the gear, and the spring to its link."""
 
-    q: float
-    qd: float
-    inertia: float
-    stiffness: float
-    damping: float
-    friction: Friction
+    q: float  # [rad]
+    qd: float  # [rad/s]
+    inertia: float  # of the rotor, joint side [kg m^2]
+    stiffness: float  # of the spring [N m/rad]
+    damping: float  # of the spring [N m s/rad]
+    friction: Friction  # of the rotor
+
+
+DRIVE = record_dtype(Drive)
 
 
 def joint_friction(arm: Arm, scale: float, speed: float) -> Records[Friction]:

@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.records import Record, Records
+from multicontact_control.records import (
+    Record,
+    record_dtype,
+    Records,
+)
 import numpy as np
 import pinocchio as pin
 
-# One revolute joint of a chain, and its link.
-LINK = np.dtype([
-    ('rotation', np.float64, (3, 3)),  # axes of the joint frame in the link before it
-    ('offset', np.float64, 3),  # its origin there [m]
-    ('axis', np.float64, 3),  # z axis of the joint, world axes
-    ('axes', np.float64, (3, 3)),  # axes of the link as columns, world axes
-    ('origin', np.float64, 3),  # origin of the joint, world axes [m]
-])
-
 
 class Link(Record, Protocol):
-    """A record of `LINK`."""
+    """One revolute joint of a chain, and its link."""
 
-    rotation: Matrix
-    offset: Vector
-    axis: Vector
-    axes: Matrix
-    origin: Vector
+    rotation: Annotated[Matrix, 3, 3]  # axes of the joint frame in the link before it
+    offset: Annotated[Vector, 3]  # its origin there [m]
+    axis: Annotated[Vector, 3]  # z axis of the joint, world axes
+    axes: Annotated[Matrix, 3, 3]  # axes of the link as columns, world axes
+    origin: Annotated[Vector, 3]  # origin of the joint, world axes [m]
+
+
+LINK = record_dtype(Link)
 
 
 def chain_of(model: pin.Model) -> Records[Link]:

@@ -7,71 +7,50 @@ positive normal component.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.records import Record, Records
+from multicontact_control.records import (
+    Record,
+    record_dtype,
+    Records,
+)
 import numpy as np
 from sim_bridge.config import SurfaceConfig
 
 PROFILE_POINTS = 1 << 16
 POINTS_PER_LENGTH = 5
 
-# One surface, the tip that may touch it, and what is between them; world axes.
-SURFACE = np.dtype([
-    ('place', np.float64, 3),  # a point of the mean surface [m]
-    ('normal', np.float64, 3),  # unit normal INTO the surface
-    ('track', np.float64, 3),  # unit direction along which the height profile runs
-    ('axis', np.float64, 3),  # of a cylinder: normal x track
-    ('stiffness', np.float64),  # [N/m]
-    ('damping', np.float64),  # [N s/m]
-    ('friction', np.float64),  # coefficient
-    ('slip_speed', np.float64),  # [m/s]
-    ('spacing', np.float64),  # of the points of the profile [m]
-    ('joint', np.int64),  # number of the joint that carries the tip
-    ('body', np.int64),  # likewise of the link that is pushed, or n for the tool
-    ('tip', np.float64, 3),  # the tip in that joint's frame [m]
-    ('radius', np.float64),  # of a curved one, 0 for a plane, > 0 for the outside of a ball [m]
-    ('ball', np.uint8),  # whether curved all around, as a ball, or along the track alone
-    ('velocity', np.float64),  # largest, along its normal, away from the robot [m/s]
-    ('motion_start', np.float64),  # [s]
-    ('motion_period', np.float64),  # 0 for a constant velocity [s]
-    ('time', np.float64),  # of a surface that moves [s]
-    ('speed', np.float64),  # now, along its normal, away from the robot [m/s]
-    ('facing', np.float64, 3),  # unit normal INTO the surface where the tip is
-    ('point', np.float64, 3),  # where the tip is [m]
-    ('alpha', np.float64),  # normal force of robot on surface [N]
-    ('force', np.float64, 3),  # force of robot on surface, friction included [N]
-])
-
-
 class Surface(Record, Protocol):
-    """A record of `SURFACE`."""
+    """One surface, the tip that may touch it, and what is between them; world axes."""
 
-    place: Vector
-    normal: Vector
-    track: Vector
-    axis: Vector
-    stiffness: float
-    damping: float
-    friction: float
-    slip_speed: float
-    spacing: float
-    joint: int
-    body: int
-    tip: Vector
-    radius: float
-    ball: int
-    velocity: float
-    motion_start: float
-    motion_period: float
-    time: float
-    speed: float
-    facing: Vector
-    point: Vector
-    alpha: float
-    force: Vector
+    place: Annotated[Vector, 3]  # a point of the mean surface [m]
+    normal: Annotated[Vector, 3]  # unit normal INTO the surface
+    track: Annotated[Vector, 3]  # unit direction along which the height profile runs
+    axis: Annotated[Vector, 3]  # of a cylinder: normal x track
+    stiffness: float  # [N/m]
+    damping: float  # [N s/m]
+    friction: float  # coefficient
+    slip_speed: float  # [m/s]
+    spacing: float  # of the points of the profile [m]
+    joint: int  # number of the joint that carries the tip
+    body: int  # likewise of the link that is pushed, or n for the tool
+    tip: Annotated[Vector, 3]  # the tip in that joint's frame [m]
+    radius: float  # of a curved one, 0 for a plane, > 0 for the outside of a ball [m]
+    ball: int  # whether curved all around, as a ball, or along the track alone
+    velocity: float  # largest, along its normal, away from the robot [m/s]
+    motion_start: float  # [s]
+    motion_period: float  # 0 for a constant velocity [s]
+    time: float  # of a surface that moves [s]
+    speed: float  # now, along its normal, away from the robot [m/s]
+    facing: Annotated[Vector, 3]  # unit normal INTO the surface where the tip is
+    point: Annotated[Vector, 3]  # where the tip is [m]
+    alpha: float  # normal force of robot on surface [N]
+    force: Annotated[Vector, 3]  # force of robot on surface, friction included [N]
+
+
+SURFACE = record_dtype(Surface)
 
 
 def build_surfaces(

@@ -7,7 +7,11 @@ from typing import Protocol
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.errors import ConfigError
-from multicontact_control.records import Record, Records
+from multicontact_control.records import (
+    Record,
+    record_dtype,
+    Records,
+)
 import numpy as np
 from sim_bridge.config import SensorConfig
 
@@ -17,26 +21,18 @@ CASCADE_RATIO = 4.0
 AXES = 6
 READINGS_DRAWN = 16  # times as many readings as are taken at once, whose noise is drawn
 
-# One axis: what is set for it, and its newest reading [N or N m].
-AXIS = np.dtype([
-    ('bias', np.float64),
-    ('noise_std', np.float64),
-    ('limit', np.float64),  # full scale, infinite for none
-    ('quantum', np.float64),  # size of a converter step, 0 for none
-    ('reading', np.float64),
-    ('filtered', np.float64),  # the reading behind the low-passes
-])
-
-
 class Axis(Record, Protocol):
-    """A record of `AXIS`."""
+    """One axis: what is set for it, and its newest reading [N or N m]."""
 
     bias: float
     noise_std: float
-    limit: float
-    quantum: float
+    limit: float  # full scale, infinite for none
+    quantum: float  # size of a converter step, 0 for none
     reading: float
-    filtered: float
+    filtered: float  # the reading behind the low-passes
+
+
+AXIS = record_dtype(Axis)
 
 
 class WrenchSensor:

@@ -8,7 +8,7 @@ wrench that the arm exerts on the tool, which has the same sign.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
     across,
@@ -33,37 +33,38 @@ from multicontact_control.records import (
     Contact,
     CONTROL,
     Control,
-    F,
     Frame,
     Law,
     MAX_COLUMNS,
     Record,
+    record_dtype,
     Records,
     TOOL,
     Tool,
 )
 import numpy as np
 
-# What `measure_contacts` works in; one.
-CONTACT_SPACE = np.dtype([
-    ('wrench', F, 6), ('alpha', F, MAX_COLUMNS),  # f_c [N, N m], and of each contact [N]
-    ('rows', F, (MAX_COLUMNS, 6)), ('factor', F, (MAX_COLUMNS, MAX_COLUMNS)),  # of N^T W^-1 N
-    ('friction', F, (MAX_COLUMNS, 3)),  # that 1 N along each normal comes with
-    ('W', F, (6, 6)), ('root', F, (6, 6)), ('column', F, 6),  # W and W^(1/2); of friction
-], align=True)
-
 
 class ContactSpace(Record, Protocol):
-    """A record of `CONTACT_SPACE`."""
+    """What `measure_contacts` works in; one."""
 
-    wrench: Vector
-    alpha: Vector
-    rows: Matrix
-    factor: Matrix
-    friction: Matrix
-    W: Matrix
-    root: Matrix
-    column: Vector
+    # f_c [N, N m], and of each contact [N].
+    wrench: Annotated[Vector, 6]
+    alpha: Annotated[Vector, MAX_COLUMNS]
+
+    # Of N^T W^-1 N.
+    rows: Annotated[Matrix, MAX_COLUMNS, 6]
+    factor: Annotated[Matrix, MAX_COLUMNS, MAX_COLUMNS]
+
+    friction: Annotated[Matrix, MAX_COLUMNS, 3]  # that 1 N along each normal comes with
+
+    # W and W^(1/2); of friction.
+    W: Annotated[Matrix, 6, 6]
+    root: Annotated[Matrix, 6, 6]
+    column: Annotated[Vector, 6]
+
+
+CONTACT_SPACE = record_dtype(ContactSpace)
 
 
 SLIP_SPEED = 0.01  # m/s, v_s: the sliding speed at which 71 % of the friction is expected

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
     add,
@@ -17,13 +17,11 @@ from multicontact_control.algebra import (
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.wrench import (
-    CONTACT_SPACE,
     ContactSpace,
     measure_contacts,
     operational_wrench,
 )
 from multicontact_control.dynamics.operational_space import (
-    INERTIA_SPACE,
     InertiaSpace,
     mobility_and_inertia,
 )
@@ -40,13 +38,13 @@ from multicontact_control.flags import (
 from multicontact_control.records import (
     Contact,
     Control,
-    F,
     Frame,
     JOINT,
     Joint,
     MAX_JOINTS,
     Momentum,
     Record,
+    record_dtype,
     Records,
 )
 import numpy as np
@@ -60,26 +58,24 @@ PRIOR_TIME = 0.01  # s of motion without friction that each joint has behind it
 CALM_SHARE, CALM_TIME = 0.25, 0.1  # of its threshold, and s: a residual below is over by then
 UNPROVEN_THRESHOLD = 3.0  # N m, least threshold of a joint until it has moved that long
 
-# What `see_arm` works in; one.
-ARM_SPACE = np.dtype([
-    ('wrench', F, 6),  # of the tool on the arm, or that the residual stands for [N, N m]
-    ('felt', F, MAX_JOINTS),  # J^T f [N m]
-    ('inertial', F, MAX_JOINTS),  # M dv/dt [N m]
-    ('reduced', F, MAX_JOINTS), ('acceleration', F, 6),  # L^-1 r, and of the operational point
-    ('inertia', INERTIA_SPACE), ('contacts', CONTACT_SPACE),
-], align=True)
-
-
 class ArmSpace(Record, Protocol):
-    """A record of `ARM_SPACE`."""
+    """What `see_arm` works in; one."""
 
-    wrench: Vector
-    felt: Vector
-    inertial: Vector
-    reduced: Vector
-    acceleration: Vector
+    # Of the tool on the arm, or that the residual stands for [N, N m].
+    wrench: Annotated[Vector, 6]
+
+    felt: Annotated[Vector, MAX_JOINTS]  # J^T f [N m]
+    inertial: Annotated[Vector, MAX_JOINTS]  # M dv/dt [N m]
+
+    # L^-1 r, and of the operational point.
+    reduced: Annotated[Vector, MAX_JOINTS]
+    acceleration: Annotated[Vector, 6]
+
     inertia: InertiaSpace
     contacts: ContactSpace
+
+
+ARM_SPACE = record_dtype(ArmSpace)
 
 
 @compiled

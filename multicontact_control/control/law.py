@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
     add_scaled,
@@ -17,65 +17,70 @@ from multicontact_control.contact.projections import compose_acceleration, facto
 from multicontact_control.contact.surfaces import follow_surfaces
 from multicontact_control.dynamics.operational_space import (
     add_nullspace_torque,
-    INERTIA_SPACE,
     InertiaSpace,
     mobility_and_inertia,
 )
 from multicontact_control.dynamics.rotations import rotation_vector
 from multicontact_control.flags import DEPENDENT, SINGULAR, TORQUE
-from multicontact_control.force.force_law import answer_forces, FORCE_SPACE, ForceLaw, ForceSpace
+from multicontact_control.force.force_law import answer_forces, ForceLaw, ForceSpace
 from multicontact_control.records import (
     Contact,
     Control,
-    F,
     Frame,
     Joint,
     Law,
     MAX_COLUMNS,
     MAX_JOINTS,
     Record,
+    record_dtype,
     Records,
     Task,
 )
 import numpy as np
 
-# What `control_law` works in; one. The first r rows of matrices with one per contact are used.
-LAW_SPACE = np.dtype([
-    ('inertia', INERTIA_SPACE),
-    ('forces', FORCE_SPACE),
-    ('rows', F, (MAX_COLUMNS, 6)), ('weighted_rows', F, (MAX_COLUMNS, 6)),  # N^T, D^T
-    ('factor', F, (MAX_COLUMNS, MAX_COLUMNS)),  # of N^T N
-    ('weighted_factor', F, (MAX_COLUMNS, MAX_COLUMNS)),  # of N^T D
-    ('along', F, 6), ('beta', F, MAX_COLUMNS),  # Lambda^-1 N_i; of `compose_acceleration`
-    ('inputs', F, MAX_COLUMNS), ('alpha_star', F, MAX_COLUMNS),  # [m/s^2]
-    ('f_t', F, 6), ('f_c', F, 6),  # [m/s^2, rad/s^2]
-    ('acceleration', F, 6), ('bias', F, 6),  # that Lambda is applied to; mu + p over Lambda
-    ('force', F, 6), ('held', F, 6),  # F, and of that what is fed forward [N, N m]
-    ('reduced', F, MAX_JOINTS), ('pull', F, MAX_JOINTS),  # L^-1 (C v + g); of the null space
-], align=True)
-
 
 class LawSpace(Record, Protocol):
-    """A record of `LAW_SPACE`."""
+    """
+    What `control_law` works in; one. The first r rows of matrices with one per contact
+    are used.
+    """
 
     inertia: InertiaSpace
     forces: ForceSpace
-    rows: Matrix
-    weighted_rows: Matrix
-    factor: Matrix
-    weighted_factor: Matrix
-    along: Vector
-    beta: Vector
-    inputs: Vector
-    alpha_star: Vector
-    f_t: Vector
-    f_c: Vector
-    acceleration: Vector
-    bias: Vector
-    force: Vector
-    held: Vector
-    reduced: Vector
-    pull: Vector
+
+    # N^T, D^T.
+    rows: Annotated[Matrix, MAX_COLUMNS, 6]
+    weighted_rows: Annotated[Matrix, MAX_COLUMNS, 6]
+
+    factor: Annotated[Matrix, MAX_COLUMNS, MAX_COLUMNS]  # of N^T N
+    weighted_factor: Annotated[Matrix, MAX_COLUMNS, MAX_COLUMNS]  # of N^T D
+
+    # Lambda^-1 N_i; of `compose_acceleration`.
+    along: Annotated[Vector, 6]
+    beta: Annotated[Vector, MAX_COLUMNS]
+
+    # [m/s^2].
+    inputs: Annotated[Vector, MAX_COLUMNS]
+    alpha_star: Annotated[Vector, MAX_COLUMNS]
+
+    # [m/s^2, rad/s^2].
+    f_t: Annotated[Vector, 6]
+    f_c: Annotated[Vector, 6]
+
+    # That Lambda is applied to; mu + p over Lambda.
+    acceleration: Annotated[Vector, 6]
+    bias: Annotated[Vector, 6]
+
+    # F, and of that what is fed forward [N, N m].
+    force: Annotated[Vector, 6]
+    held: Annotated[Vector, 6]
+
+    # L^-1 (C v + g); of the null space.
+    reduced: Annotated[Vector, MAX_JOINTS]
+    pull: Annotated[Vector, MAX_JOINTS]
+
+
+LAW_SPACE = record_dtype(LawSpace)
 
 
 @compiled

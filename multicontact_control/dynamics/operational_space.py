@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
     cholesky,
@@ -19,30 +19,34 @@ from multicontact_control.algebra import (
 )
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.records import F, Joint, Law, MAX_JOINTS, Record, Records
-import numpy as np
+from multicontact_control.records import (
+    Joint,
+    Law,
+    MAX_JOINTS,
+    Record,
+    record_dtype,
+    Records,
+)
 
 MAX_CONDITION = 1e8  # of Lambda^-1, from which on a posture is singular
 STOP_MARGIN = 0.1  # rad, from how far before its stop on a joint is pushed away from it
 
-# What `mobility_and_inertia` fills in; the first n rows and columns are used. One.
-INERTIA_SPACE = np.dtype([
-    ('L', F, (MAX_JOINTS, MAX_JOINTS)),  # M = L L^T, lower triangle
-    ('Y', F, (MAX_JOINTS, 6)),  # L^-1 J^T
-    ('mobility', F, (6, 6)), ('Lambda', F, (6, 6)),  # J M^-1 J^T, and its inverse
-    ('factor', F, (6, 6)), ('root', F, (6, 6)),  # of Lambda^-1, and the inverse of that
-], align=True)
-
-
 class InertiaSpace(Record, Protocol):
-    """A record of `INERTIA_SPACE`."""
+    """What `mobility_and_inertia` fills in; the first n rows and columns are used. One."""
 
-    L: Matrix
-    Y: Matrix
-    mobility: Matrix
-    Lambda: Matrix
-    factor: Matrix
-    root: Matrix
+    L: Annotated[Matrix, MAX_JOINTS, MAX_JOINTS]  # M = L L^T, lower triangle
+    Y: Annotated[Matrix, MAX_JOINTS, 6]  # L^-1 J^T
+
+    # J M^-1 J^T, and its inverse.
+    mobility: Annotated[Matrix, 6, 6]
+    Lambda: Annotated[Matrix, 6, 6]
+
+    # Of Lambda^-1, and the inverse of that.
+    factor: Annotated[Matrix, 6, 6]
+    root: Annotated[Matrix, 6, 6]
+
+
+INERTIA_SPACE = record_dtype(InertiaSpace)
 
 
 @compiled

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import fields
 from functools import lru_cache
 from types import SimpleNamespace
-from typing import Any, cast, get_args, Protocol
+from typing import Annotated, Any, cast, get_args, Protocol
 
 from multicontact_control.algebra import dot
 from multicontact_control.arrays import Mask, Vector
@@ -17,7 +17,6 @@ from multicontact_control.config.contact import FORCE
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.laws import (
     LAWS,
-    LINEAR,
     Linear,
     LinearLaw,
     LinearRow,
@@ -37,9 +36,7 @@ from multicontact_control.force.observer import (
     keep_at_rest,
     make_observers,
     observe,
-    OBSERVER,
     Observer,
-    OBSERVER_SPACE,
     ObserverDesign,
     ObserverSpace,
     steady_gain,
@@ -47,16 +44,21 @@ from multicontact_control.force.observer import (
 from multicontact_control.force.stiffness import (
     adopt_stiffness,
     APPROACH_LIMIT,
-    FIT_SPACE,
     FitSpace,
     INPUT_LIMIT,
     keep_stiffness,
     learn_stiffness,
     LIMITS,
-    STIFFNESS,
     Stiffness,
 )
-from multicontact_control.records import B, Contact, Control, F, I, MAX_STATES, Record, Records
+from multicontact_control.records import (
+    Contact,
+    Control,
+    MAX_STATES,
+    Record,
+    record_dtype,
+    Records,
+)
 import numpy as np
 
 ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
@@ -67,39 +69,29 @@ BORNE_TIME = 0.05  # s, in which it is forgotten what a surface bears
 RATIOS = tuple(np.geomspace(1.0, 100.0, 9).tolist())  # where the loop's limit is looked for
 Gains = tuple[tuple[str, Any], ...]  # fields of `ForceConfig`, and their values
 
-# The force law of one contact, of which one part is at work.
-FORCE_LAW = np.dtype([
-    ('kind', I),  # number of the law in the registry, see `force.laws`
-    ('is_linear', B),  # whether `linear` is at work, or `observer`
-    ('fed', I),  # what is fed forward: ESTIMATE, DESIRED, MIXED or MEASURED
-    ('observer', OBSERVER), ('linear', LINEAR), ('stiffness', STIFFNESS),
-], align=True)
-
-
 class ForceLaw(Record, Protocol):
-    """A record of `FORCE_LAW`."""
+    """The force law of one contact, of which one part is at work."""
 
-    kind: int
-    is_linear: bool
-    fed: int
+    kind: int  # number of the law in the registry, see `force.laws`
+    is_linear: bool  # whether `linear` is at work, or `observer`
+    fed: int  # what is fed forward: ESTIMATE, DESIRED, MIXED or MEASURED
     observer: Observer
     linear: Linear
     stiffness: Stiffness
 
 
-# What `answer_forces` works in; one.
-FORCE_SPACE = np.dtype([
-    ('observer', OBSERVER_SPACE), ('fit', FIT_SPACE),
-    ('x_next', F, MAX_STATES),  # of a linear law
-], align=True)
+FORCE_LAW = record_dtype(ForceLaw)
 
 
 class ForceSpace(Record, Protocol):
-    """A record of `FORCE_SPACE`."""
+    """What `answer_forces` works in; one."""
 
     observer: ObserverSpace
     fit: FitSpace
-    x_next: Vector
+    x_next: Annotated[Vector, MAX_STATES]  # of a linear law
+
+
+FORCE_SPACE = record_dtype(ForceSpace)
 
 
 def loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:

@@ -5,79 +5,76 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 import math
-from typing import NamedTuple, Protocol
+from typing import Annotated, NamedTuple, Protocol
 
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import ForceConfig
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.observer import design_observer, ObserverDesign, steady_gain
 from multicontact_control.force.plant import delayed_plant, DelayedPlant, ForceLoop, place_poles
-from multicontact_control.records import B, F, I, MAX_STATES, Record, Records
+from multicontact_control.records import (
+    MAX_STATES,
+    Record,
+    record_dtype,
+    Records,
+)
 import numpy as np
 from scipy.linalg import solve, solve_discrete_are
 
 INPUTS = ('alpha_meas', 'alpha_des', 'speed')  # y of a linear law, see `LinearLaw`
 OUTPUTS = ('of_u', 'of_alpha', 'of_p')
 
-# What one state or output of a linear law has of its states, and of the inputs: A or C, B or D.
-LINEAR_ROW = np.dtype([
-    ('x', F, MAX_STATES), *((name, F) for name in INPUTS),
-], align=True)
-
-
 class LinearRow(Record, Protocol):
-    """A record of `LINEAR_ROW`."""
+    """What one state or output of a linear law has of its states and inputs: A or C, B or D."""
 
-    x: Vector
+    x: Annotated[Vector, MAX_STATES]
     alpha_meas: float
     alpha_des: float
     speed: float
 
 
-# What a linear law works by.
-LINEAR_DESIGN = np.dtype([
-    ('states', I),  # n
-    ('of_state', LINEAR_ROW, MAX_STATES),  # x_(k+1) = A x_k + B y_k
-    *((name, LINEAR_ROW) for name in OUTPUTS),  # C x_k + D y_k
-    ('E', F, MAX_STATES),  # added to x_(k+1) for 1 m/s^2 that acts beyond the answer
-    ('start_force', F, MAX_STATES),  # state at touch, for 1 N that is felt
-    ('start_disturbance', F, MAX_STATES),  # and for a known disturbance of 1 m/s^2
-], align=True)
+LINEAR_ROW = record_dtype(LinearRow)
 
 
 class LinearDesign(Record, Protocol):
-    """A record of `LINEAR_DESIGN`."""
+    """What a linear law works by."""
 
-    states: int
-    of_state: Records[LinearRow]
+    states: int  # n
+    of_state: Annotated[Records[LinearRow], MAX_STATES]  # x_(k+1) = A x_k + B y_k
+
+    # C x_k + D y_k.
     of_u: LinearRow
     of_alpha: LinearRow
     of_p: LinearRow
-    E: Vector
-    start_force: Vector
-    start_disturbance: Vector
+
+    E: Annotated[Vector, MAX_STATES]  # added to x_(k+1) for 1 m/s^2 beyond the answer
+    start_force: Annotated[Vector, MAX_STATES]  # state at touch, for 1 N that is felt
+
+    # And for a known disturbance of 1 m/s^2.
+    start_disturbance: Annotated[Vector, MAX_STATES]
 
 
-# A linear force law, from alpha_meas, alpha_des and the contact's speed to u, alpha_est and p_est.
-LINEAR = np.dtype([
-    ('design', LINEAR_DESIGN),
-    ('extra', F),  # acceleration that acted beyond the answer of the sample before [m/s^2]
-    ('running', B),  # whether there was a sample before
-    ('x', F, MAX_STATES),  # state
-    ('alpha', F),  # estimated force [N]
-    ('p_est', F),  # disturbance that the law compensates [m/s^2]
-], align=True)
+LINEAR_DESIGN = record_dtype(LinearDesign)
 
 
 class Linear(Record, Protocol):
-    """A record of `LINEAR`."""
+    """
+    A linear force law, from alpha_meas, alpha_des and the contact's speed to u,
+    alpha_est and p_est.
+    """
 
     design: LinearDesign
+
+    # Acceleration that acted beyond the answer of the sample before [m/s^2].
     extra: float
-    running: bool
-    x: Vector
-    alpha: float
-    p_est: float
+
+    running: bool  # whether there was a sample before
+    x: Annotated[Vector, MAX_STATES]  # state
+    alpha: float  # estimated force [N]
+    p_est: float  # disturbance that the law compensates [m/s^2]
+
+
+LINEAR = record_dtype(Linear)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,78 +5,72 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.force.plant import ForceLoop
-from multicontact_control.records import B, Contact, F, I, MAX_STATES, Record, Records
+from multicontact_control.records import (
+    Contact,
+    MAX_STATES,
+    Record,
+    record_dtype,
+    Records,
+)
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
 INITIAL_VARIANCE = 1e-3  # of every state
 
-# What an active observer works by. The first `states` rows and columns of matrices are used.
-OBSERVER_GAINS = np.dtype([
-    ('states', I), ('order', I),  # n, and how many of them are active states
-    ('Phi_c', F, (MAX_STATES, MAX_STATES)),  # transition of the closed loop
-    ('Phi_n', F, (MAX_STATES, MAX_STATES)),  # transition of the open loop
-    ('Gamma', F, MAX_STATES),  # input vector
-    ('feedback', F, MAX_STATES),  # [L_r 1]
-    ('Q', F, MAX_STATES),  # diagonal of the process noise's covariance
-    ('P_0', F),  # initial variance of every state
-    ('damping_time', F),  # c / k of the surface, which the force reads with its rate [s]
-], align=True)
-
-
 class ObserverGains(Record, Protocol):
-    """A record of `OBSERVER_GAINS`."""
+    """
+    What an active observer works by. The first `states` rows and columns of matrices
+    are used.
+    """
 
+    # N, and how many of them are active states.
     states: int
     order: int
-    Phi_c: Matrix
-    Phi_n: Matrix
-    Gamma: Vector
-    feedback: Vector
-    Q: Vector
-    P_0: float
-    damping_time: float
+
+    Phi_c: Annotated[Matrix, MAX_STATES, MAX_STATES]  # transition of the closed loop
+    Phi_n: Annotated[Matrix, MAX_STATES, MAX_STATES]  # transition of the open loop
+    Gamma: Annotated[Vector, MAX_STATES]  # input vector
+    feedback: Annotated[Vector, MAX_STATES]  # [L_r 1]
+    Q: Annotated[Vector, MAX_STATES]  # diagonal of the process noise's covariance
+    P_0: float  # initial variance of every state
+    damping_time: float  # c / k of the surface, which the force reads with its rate [s]
 
 
-# The active observer of one contact.
-OBSERVER = np.dtype([
-    ('design', OBSERVER_GAINS),
-    ('running', B),  # whether there was a sample before
-    ('command', F),  # r = L_1 f_des of the sample before [m/s^2]
-    ('x_est', F, MAX_STATES),  # state estimate; the first is the force [N], then its rate [N/s]
-    ('P', F, (MAX_STATES, MAX_STATES)),  # its covariance
-    ('x_1', F, MAX_STATES),  # prediction of the state
-], align=True)
+OBSERVER_GAINS = record_dtype(ObserverGains)
 
 
 class Observer(Record, Protocol):
-    """A record of `OBSERVER`."""
+    """The active observer of one contact."""
 
     design: ObserverGains
-    running: bool
-    command: float
-    x_est: Vector
-    P: Matrix
-    x_1: Vector
+    running: bool  # whether there was a sample before
+    command: float  # r = L_1 f_des of the sample before [m/s^2]
+
+    # State estimate; the first is the force [N], then its rate [N/s].
+    x_est: Annotated[Vector, MAX_STATES]
+
+    P: Annotated[Matrix, MAX_STATES, MAX_STATES]  # its covariance
+    x_1: Annotated[Vector, MAX_STATES]  # prediction of the state
 
 
-# What `observe` works in; one.
-OBSERVER_SPACE = np.dtype([
-    ('half', F, (MAX_STATES, MAX_STATES)),  # Phi_n P
-    ('covariance', F, MAX_STATES),  # P_1 C^T, of the state with the force that is read
-], align=True)
+OBSERVER = record_dtype(Observer)
 
 
 class ObserverSpace(Record, Protocol):
-    """A record of `OBSERVER_SPACE`."""
+    """What `observe` works in; one."""
 
-    half: Matrix
-    covariance: Vector
+    half: Annotated[Matrix, MAX_STATES, MAX_STATES]  # Phi_n P
+
+    # P_1 C^T, of the state with the force that is read.
+    covariance: Annotated[Vector, MAX_STATES]
+
+
+OBSERVER_SPACE = record_dtype(ObserverSpace)
 
 
 @dataclass(frozen=True, slots=True)

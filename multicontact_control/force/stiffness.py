@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import math
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from multicontact_control.algebra import across, cholesky, dot, rotated, solve_cholesky
 from multicontact_control.arrays import Matrix, Vector
@@ -28,7 +28,15 @@ from multicontact_control.config import ForceConfig
 from multicontact_control.config.contact import FORCE
 from multicontact_control.force.observer import Observer
 from multicontact_control.force.plant import DelayedPlant
-from multicontact_control.records import B, Contact, Control, F, Frame, MAX_STATES, Record, Records
+from multicontact_control.records import (
+    Contact,
+    Control,
+    Frame,
+    MAX_STATES,
+    Record,
+    record_dtype,
+    Records,
+)
 import numpy as np
 
 SLOW_BAND, FAST_BAND = (3.0, 20.0), (6.0, 30.0)  # Hz: of the high-pass, and of three low-passes
@@ -56,12 +64,11 @@ SMALLEST_SIGNAL = 0.15  # N, filtered, from which on a sample is accepted
 LIMITS = 8  # points of the curve of what stiffness a force loop is stable up to
 WAY, RATE, FRICTION = range(3)  # what the force is explained by, and with which factor: k, c, mu
 
-# What the band-pass of one signal remembers: of its high-pass, and of three low-passes.
-SIGNAL_BAND = np.dtype([('drift', F), ('first', F), ('second', F), ('passed', F)])
-
-
 class SignalBand(Record, Protocol):
-    """A record of `SIGNAL_BAND`."""
+    """
+    What the band-pass of one signal remembers: of its high-pass, and of three low-
+    passes.
+    """
 
     drift: float
     first: float
@@ -69,118 +76,120 @@ class SignalBand(Record, Protocol):
     passed: float
 
 
-# One frequency band of a stiffness estimator: filters of four signals, and sums over samples of
-# what passes them, X of way, rate and friction and y of the force without the tool's inertia.
-STIFFNESS_FIT = np.dtype([
-    ('high', F), ('low', F),  # gains of the high-pass and of the three low-passes, per sample
-    ('keep', F),  # by which the sums shrink with each accepted sample
-    ('way', SIGNAL_BAND), ('rate', SIGNAL_BAND),  # z into the surface and v [m], [m/s]
-    ('friction', SIGNAL_BAND), ('force', SIGNAL_BAND),  # w of the others per mu, and alpha [N]
-    ('products', F, (3, 3)),  # X^T X, its upper triangle
-    ('moments', F, 3), ('power', F),  # X^T y and y^T y
-    ('weight', F),  # of the samples in these sums
-    ('k', F), ('c', F), ('mu', F),  # what fits them best [N/m], [N s/m], [-]
-    ('k_std', F),  # standard error of k [N/m]
-    ('share', F),  # r^2, of the variance of y that is explained
-], align=True)
+SIGNAL_BAND = record_dtype(SignalBand)
 
 
 class StiffnessFit(Record, Protocol):
-    """A record of `STIFFNESS_FIT`."""
+    """
+    One frequency band of a stiffness estimator: filters of four signals, and sums over
+    samples of what passes them, X of way, rate and friction and y of the force without
+    the tool's inertia.
+    """
 
+    # Gains of the high-pass and of the three low-passes, per sample.
     high: float
     low: float
-    keep: float
+
+    keep: float  # by which the sums shrink with each accepted sample
+
+    # Z into the surface and v [m], [m/s].
     way: SignalBand
     rate: SignalBand
+
+    # W of the others per mu, and alpha [N].
     friction: SignalBand
     force: SignalBand
-    products: Matrix
-    moments: Vector
+
+    products: Annotated[Matrix, 3, 3]  # X^T X, its upper triangle
+
+    # X^T y and y^T y.
+    moments: Annotated[Vector, 3]
     power: float
-    weight: float
+
+    weight: float  # of the samples in these sums
+
+    # What fits them best [N/m], [N s/m], [-].
     k: float
     c: float
     mu: float
-    k_std: float
-    share: float
+
+    k_std: float  # standard error of k [N/m]
+    share: float  # r^2, of the variance of y that is explained
 
 
-# What an input of 1 m/s^2 per k adds to the state.
-INPUT_GAIN = np.dtype([('way', F), ('speed', F)])  # [s^2], [s]
+STIFFNESS_FIT = record_dtype(StiffnessFit)
 
 
 class InputGain(Record, Protocol):
-    """A record of `INPUT_GAIN`."""
+    """What an input of 1 m/s^2 per k adds to the state."""
 
+    # [s^2], [s].
     way: float
     speed: float
 
 
-# What is set for the on-line stiffness of one contact.
-STIFFNESS_CONFIG = np.dtype([
-    ('adaptive', B),  # whether the observer follows it
-    ('share', F),  # of a couple: its stiffness over that of its contact's normal force
-    ('period', F),  # h [s]
-    ('lowest', F), ('highest', F),  # k stays within [N/m]
-    ('tool_mass', F),  # beyond the sensor [kg]
-    ('fastest_pole', F), ('pole_ratio', F),  # 1 / tau [1/s], and of the second pole to it
-    # Of the undelayed plant: the way in a period for a speed [s], and the share of it that stays.
-    ('way_of_speed', F), ('speed_kept', F),
-    ('ratio_limit', F, LIMITS),  # k over a model's at which the loop is stable, `lowest` on
-    ('delay_gain', INPUT_GAIN, MAX_STATES),  # E_j, of inputs under way
-    ('input_gain', INPUT_GAIN),  # B of the undelayed plant
-], align=True)
+INPUT_GAIN = record_dtype(InputGain)
 
 
 class StiffnessConfig(Record, Protocol):
-    """A record of `STIFFNESS_CONFIG`."""
+    """What is set for the on-line stiffness of one contact."""
 
-    adaptive: bool
-    share: float
-    period: float
+    adaptive: bool  # whether the observer follows it
+    share: float  # of a couple: its stiffness over that of its contact's normal force
+    period: float  # h [s]
+
+    # K stays within [N/m].
     lowest: float
     highest: float
-    tool_mass: float
+
+    tool_mass: float  # beyond the sensor [kg]
+
+    # 1 / tau [1/s], and of the second pole to it.
     fastest_pole: float
     pole_ratio: float
+
+    # Of the undelayed plant: the way in a period for a speed [s], and the share of it
+    # that stays.
     way_of_speed: float
     speed_kept: float
-    ratio_limit: Vector
-    delay_gain: Records[InputGain]
-    input_gain: InputGain
+
+    # K over a model's at which the loop is stable, `lowest` on.
+    ratio_limit: Annotated[Vector, LIMITS]
+
+    delay_gain: Annotated[Records[InputGain], MAX_STATES]  # E_j, of inputs under way
+    input_gain: InputGain  # B of the undelayed plant
 
 
-# The on-line stiffness of one contact.
-STIFFNESS = np.dtype([
-    ('config', STIFFNESS_CONFIG),
-    ('slow', STIFFNESS_FIT), ('fast', STIFFNESS_FIT),
-    ('k', F), ('c', F),  # of the model in use [N/m], [N s/m]
-    ('k_est', F), ('k_std', F),  # estimate and its standard error; 0 for none [N/m]
-    ('alpha_ref', F),  # desired force as it is followed [N]
-    ('alpha_des', F),  # of the sample before [N]
-    ('since', F),  # a touch or a step [s]
-    ('depth', F), ('speed', F),  # of the contact point since the touch [m], and now [m/s]
-    ('felt', B),  # whether a surface is
-], align=True)
+STIFFNESS_CONFIG = record_dtype(StiffnessConfig)
 
 
 class Stiffness(Record, Protocol):
-    """A record of `STIFFNESS`."""
+    """The on-line stiffness of one contact."""
 
     config: StiffnessConfig
     slow: StiffnessFit
     fast: StiffnessFit
+
+    # Of the model in use [N/m], [N s/m].
     k: float
     c: float
+
+    # Estimate and its standard error; 0 for none [N/m].
     k_est: float
     k_std: float
-    alpha_ref: float
-    alpha_des: float
-    since: float
+
+    alpha_ref: float  # desired force as it is followed [N]
+    alpha_des: float  # of the sample before [N]
+    since: float  # a touch or a step [s]
+
+    # Of the contact point since the touch [m], and now [m/s].
     depth: float
     speed: float
-    felt: bool
+
+    felt: bool  # whether a surface is
+
+
+STIFFNESS = record_dtype(Stiffness)
 
 
 class AdaptiveLaw(Record, Protocol):
@@ -190,23 +199,22 @@ class AdaptiveLaw(Record, Protocol):
     stiffness: Stiffness
 
 
-# What `solve_fit` works in; one.
-FIT_SPACE = np.dtype([
-    ('factors', F, 3), ('solution', F, 3),  # k, c and mu, and the same scaled
-    ('variance', F, 3),  # first column of the inverse of the scaled X^T X
-    ('scale', F, 3), ('normal', F, (3, 3)), ('L', F, (3, 3)),  # scaled X^T X = L L^T
-], align=True)
-
-
 class FitSpace(Record, Protocol):
-    """A record of `FIT_SPACE`."""
+    """What `solve_fit` works in; one."""
 
-    factors: Vector
-    solution: Vector
-    variance: Vector
-    scale: Vector
-    normal: Matrix
-    L: Matrix
+    # K, c and mu, and the same scaled.
+    factors: Annotated[Vector, 3]
+    solution: Annotated[Vector, 3]
+
+    variance: Annotated[Vector, 3]  # first column of the inverse of the scaled X^T X
+
+    # Scaled X^T X = L L^T.
+    scale: Annotated[Vector, 3]
+    normal: Annotated[Matrix, 3, 3]
+    L: Annotated[Matrix, 3, 3]
+
+
+FIT_SPACE = record_dtype(FitSpace)
 
 
 def adopt_band(fit: StiffnessFit, band: tuple[float, float], period: float, memory: float) -> None:

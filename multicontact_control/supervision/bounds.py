@@ -11,7 +11,7 @@ millimetres and hundredths of a radian, as the reference waits for an arm that c
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
     add_scaled,
@@ -29,7 +29,15 @@ from multicontact_control.compiled import compiled
 from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.dynamics.operational_space import mobility_gradient
 from multicontact_control.flags import JOINT_STOP, REACH
-from multicontact_control.records import Contact, Control, F, Joint, MAX_JOINTS, Record, Records
+from multicontact_control.records import (
+    Contact,
+    Control,
+    Joint,
+    MAX_JOINTS,
+    Record,
+    record_dtype,
+    Records,
+)
 import numpy as np
 
 SPEED_SHARE = 0.98  # of the speed limit of a joint, up to which it may go
@@ -51,46 +59,46 @@ MOST_EXCHANGES = 60  # of a bound that counts for one that does not
 ROUNDING = 1e-12
 
 MAX_BOUNDS = 2 * MAX_JOINTS + 6
-# What `bound_motion` works in; one.
-BOUND_SPACE = np.dtype([
-    ('rows', F, (MAX_BOUNDS, MAX_JOINTS)), ('bounds', F, MAX_BOUNDS),  # see `add_joint_bounds`
-    ('excess', F, MAX_BOUNDS), ('multipliers', F, MAX_BOUNDS),  # of each bound [rad/s^2]
-    ('acceleration', F, MAX_JOINTS), ('change', F, MAX_JOINTS),  # [rad/s^2]
-    ('L', F, (MAX_JOINTS, MAX_JOINTS)), ('Y', F, (MAX_JOINTS, 6)),  # M = L L^T, L^-1 J^T
-    ('mobility', F, (6, 6)), ('directions', F, (6, 6)), ('rates', F, MAX_JOINTS),
-    ('wrench', F, 6),  # that the contacts bear [N, N m]
-    ('cost', F, (MAX_JOINTS, MAX_JOINTS)), ('row', F, MAX_JOINTS),
-    ('root', F, (MAX_JOINTS, MAX_JOINTS)), ('Z', F, (MAX_JOINTS, MAX_BOUNDS)),  # in
-    ('G', F, (MAX_BOUNDS, MAX_BOUNDS)), ('basis', F, (MAX_BOUNDS, MAX_BOUNDS)),  # `least_change`
-    ('factor', F, (MAX_BOUNDS, MAX_BOUNDS)), ('slack', F, MAX_BOUNDS),
-    ('counts', np.uint8, MAX_BOUNDS),
-], align=True)
-
-
 class BoundSpace(Record, Protocol):
-    """A record of `BOUND_SPACE`."""
+    """What `bound_motion` works in; one."""
 
-    rows: Matrix
-    bounds: Vector
-    excess: Vector
-    multipliers: Vector
-    acceleration: Vector
-    change: Vector
-    L: Matrix
-    Y: Matrix
-    mobility: Matrix
-    directions: Matrix
-    rates: Vector
-    wrench: Vector
-    cost: Matrix
-    row: Vector
-    root: Matrix
-    Z: Matrix
-    G: Matrix
-    basis: Matrix
-    factor: Matrix
-    slack: Vector
-    counts: Bytes
+    # See `add_joint_bounds`.
+    rows: Annotated[Matrix, MAX_BOUNDS, MAX_JOINTS]
+    bounds: Annotated[Vector, MAX_BOUNDS]
+
+    # Of each bound [rad/s^2].
+    excess: Annotated[Vector, MAX_BOUNDS]
+    multipliers: Annotated[Vector, MAX_BOUNDS]
+
+    # [rad/s^2].
+    acceleration: Annotated[Vector, MAX_JOINTS]
+    change: Annotated[Vector, MAX_JOINTS]
+
+    # M = L L^T, L^-1 J^T.
+    L: Annotated[Matrix, MAX_JOINTS, MAX_JOINTS]
+    Y: Annotated[Matrix, MAX_JOINTS, 6]
+
+    mobility: Annotated[Matrix, 6, 6]
+    directions: Annotated[Matrix, 6, 6]
+    rates: Annotated[Vector, MAX_JOINTS]
+    wrench: Annotated[Vector, 6]  # that the contacts bear [N, N m]
+    cost: Annotated[Matrix, MAX_JOINTS, MAX_JOINTS]
+    row: Annotated[Vector, MAX_JOINTS]
+
+    # In.
+    root: Annotated[Matrix, MAX_JOINTS, MAX_JOINTS]
+    Z: Annotated[Matrix, MAX_JOINTS, MAX_BOUNDS]
+
+    # `least_change`.
+    G: Annotated[Matrix, MAX_BOUNDS, MAX_BOUNDS]
+    basis: Annotated[Matrix, MAX_BOUNDS, MAX_BOUNDS]
+
+    factor: Annotated[Matrix, MAX_BOUNDS, MAX_BOUNDS]
+    slack: Annotated[Vector, MAX_BOUNDS]
+    counts: Annotated[Bytes, MAX_BOUNDS]
+
+
+BOUND_SPACE = record_dtype(BoundSpace)
 
 
 @compiled

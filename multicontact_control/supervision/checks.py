@@ -9,7 +9,7 @@ or the error it raises), `collision` (the joint that it loads last), `start` (`o
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from multicontact_control.algebra import add_scaled, length
 from multicontact_control.arrays import Vector
@@ -27,7 +27,14 @@ from multicontact_control.flags import (
     SIDEWAYS,
     STRAY,
 )
-from multicontact_control.records import B, Contact, Control, F, I, Joint, Record, Records
+from multicontact_control.records import (
+    Contact,
+    Control,
+    Joint,
+    Record,
+    record_dtype,
+    Records,
+)
 from multicontact_control.supervision.contacts import ContactState, FREE, LOST
 from multicontact_control.supervision.reactions import NONE, SEVERITY
 import numpy as np
@@ -47,41 +54,36 @@ BOX_EXCESS = 0.01  # m beyond the workspace, where the reference has failed
 # The smallest threshold [N m], and the largest share of the limit that friction adds to it.
 LEAST_THRESHOLD, LEARNT_SHARE = 1.0, 0.1
 
-# What an answer of the law must be like; one.
-PLAUSIBILITY = np.dtype([
-    ('inertia', F),  # what a lost contact may read more: the tool's inertia [N]
-    ('friction_bound', F),  # force across the normals, per force along them
-    ('force_ceiling', F),  # along them, of contacts that are not commanded [N]
-    ('lower', F, 3), ('upper', F, 3),  # where the operational point may be [m]
-], align=True)
-
-
 class Plausibility(Record, Protocol):
-    """A record of `PLAUSIBILITY`."""
+    """What an answer of the law must be like; one."""
 
-    inertia: float
-    friction_bound: float
-    force_ceiling: float
-    lower: Vector
-    upper: Vector
+    inertia: float  # what a lost contact may read more: the tool's inertia [N]
+    friction_bound: float  # force across the normals, per force along them
+    force_ceiling: float  # along them, of contacts that are not commanded [N]
+
+    # Where the operational point may be [m].
+    lower: Annotated[Vector, 3]
+    upper: Annotated[Vector, 3]
 
 
-# How answers have been judged; one.
-JUDGEMENT = np.dtype([
-    ('plausibility', PLAUSIBILITY),
-    ('resumes', B),  # whether the law has not been in control, so that one sample is enough
-    ('contradictions', I),  # in a row
-    ('wrench', F, 6),  # at the operational point, less what the contacts explain [N, N m]
-], align=True)
+PLAUSIBILITY = record_dtype(Plausibility)
 
 
 class Judgement(Record, Protocol):
-    """A record of `JUDGEMENT`."""
+    """How answers have been judged; one."""
 
     plausibility: Plausibility
+
+    # Whether the law has not been in control, so that one sample is enough.
     resumes: bool
-    contradictions: int
-    wrench: Vector
+
+    contradictions: int  # in a row
+
+    # At the operational point, less what the contacts explain [N, N m].
+    wrench: Annotated[Vector, 6]
+
+
+JUDGEMENT = record_dtype(Judgement)
 
 
 def reaction_to(causes: tuple[str, ...], config: ControllerConfig) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
     across,
@@ -26,19 +26,17 @@ from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import STILL, Task, TaskSource
 from multicontact_control.dynamics.rotations import Pose, rotation_vector
 from multicontact_control.records import (
-    B,
     Contact,
     Control,
-    F,
     Frame,
     MAX_COLUMNS,
     Record,
+    record_dtype,
     Records,
 )
 from multicontact_control.records import Task as TaskRecord
 from multicontact_control.supervision import contacts
 from multicontact_control.supervision.contacts import (
-    CONTACT_SETTINGS,
     CONTACT_STATE,
     ContactSettings,
     ContactState,
@@ -65,68 +63,68 @@ STEP_TIME, STEP_SHARE = 0.01, 0.15
 PARALLEL = 1e-6  # length that is left of a normal that the others span already
 
 
-# Bounds of a task.
-TASK_LIMITS_CONFIG = np.dtype([
-    ('guarded', B),  # whether these, and contact states, apply; if not, the task is as wanted
-    ('contacts', CONTACT_SETTINGS),
-    ('lead', F),  # k_v / k_p: an error of v k_v / k_p makes the motion law move at v [s]
-    ('reach', F), ('turn', F),  # greatest way and angle of the reference from the arm [m], [rad]
-    ('ramp', F), ('turn_ramp', F),  # largest accelerations of the reference [m/s^2], [rad/s^2]
-    ('lower', F, 3), ('upper', F, 3),  # corners of the workspace [m]
-], align=True)
-
-
 class TaskLimitsConfig(Record, Protocol):
-    """A record of `TASK_LIMITS_CONFIG`."""
+    """Bounds of a task."""
 
+    # Whether these, and contact states, apply; if not, the task is as wanted.
     guarded: bool
+
     contacts: ContactSettings
-    lead: float
+    lead: float  # k_v / k_p: an error of v k_v / k_p makes the motion law move at v [s]
+
+    # Greatest way and angle of the reference from the arm [m], [rad].
     reach: float
     turn: float
+
+    # Largest accelerations of the reference [m/s^2], [rad/s^2].
     ramp: float
     turn_ramp: float
-    lower: Vector
-    upper: Vector
+
+    # Corners of the workspace [m].
+    lower: Annotated[Vector, 3]
+    upper: Annotated[Vector, 3]
 
 
-# Bounds of a task, and the reference that follows it; one.
-TASK_LIMITS = np.dtype([
-    ('config', TASK_LIMITS_CONFIG),
-    ('locked', B),  # whether the arm is to stay where it is, without contact
-    ('time', F),  # of the task, since the start [s]
-    ('bounded_at', F),  # that time when stops, speeds or reach bounded the arm's motion last [s]
-    ('bounded', B),  # whether they have just done so
-    ('behind', B),  # whether the reference has still to catch up with the task
-    ('position', F, 3), ('rotation', F, (3, 3)),  # the reference, before contacts move it [m]
-    ('twist', F, 6),  # its velocity while it catches up [m/s, rad/s]
-    ('ahead', F, 3), ('turned_ahead', F, 3),  # of the arm, a tick ago, off normals [m], [rad]
-    ('reads_before', B),  # whether something is read that no touch explains
-    ('changed', B),  # whether contacts have changed their states since `state_names` were told
-    ('way', F, 3), ('turned_way', F, 3),  # worked with: what the reference goes [m], [rad]
-    ('axes', F, (MAX_COLUMNS, 3)),  # worked with: normals of active contacts, orthogonal
-], align=True)
+TASK_LIMITS_CONFIG = record_dtype(TaskLimitsConfig)
 
 
 class TaskLimits(Record, Protocol):
-    """A record of `TASK_LIMITS`."""
+    """Bounds of a task, and the reference that follows it; one."""
 
     config: TaskLimitsConfig
-    locked: bool
-    time: float
+    locked: bool  # whether the arm is to stay where it is, without contact
+    time: float  # of the task, since the start [s]
+
+    # That time when stops, speeds or reach bounded the arm's motion last [s].
     bounded_at: float
-    bounded: bool
-    behind: bool
-    position: Vector
-    rotation: Matrix
-    twist: Vector
-    ahead: Vector
-    turned_ahead: Vector
-    reads_before: bool
+
+    bounded: bool  # whether they have just done so
+    behind: bool  # whether the reference has still to catch up with the task
+
+    # The reference, before contacts move it [m].
+    position: Annotated[Vector, 3]
+    rotation: Annotated[Matrix, 3, 3]
+
+    twist: Annotated[Vector, 6]  # its velocity while it catches up [m/s, rad/s]
+
+    # Of the arm, a tick ago, off normals [m], [rad].
+    ahead: Annotated[Vector, 3]
+    turned_ahead: Annotated[Vector, 3]
+
+    reads_before: bool  # whether something is read that no touch explains
+
+    # Whether contacts have changed their states since `state_names` were told.
     changed: bool
-    way: Vector
-    turned_way: Vector
-    axes: Matrix
+
+    # Worked with: what the reference goes [m], [rad].
+    way: Annotated[Vector, 3]
+    turned_way: Annotated[Vector, 3]
+
+    # Worked with: normals of active contacts, orthogonal.
+    axes: Annotated[Matrix, MAX_COLUMNS, 3]
+
+
+TASK_LIMITS = record_dtype(TaskLimits)
 
 
 class ContactTask:

@@ -26,7 +26,11 @@ from typing import Protocol
 
 from multicontact_control.compiled import compiled
 from multicontact_control.config.supervision import ContactStateConfig
-from multicontact_control.records import B, F, I, Record, Records
+from multicontact_control.records import (
+    Record,
+    record_dtype,
+    Records,
+)
 import numpy as np
 from numpy.typing import NDArray
 
@@ -72,106 +76,83 @@ IMPACT_FORCE = 10.0  # N, of a touch at the approach speed, at most, if the surf
 TOUCHING = 1.5  # the same at a touch, which comes down to that within `IMPACT_TIME`
 SETTLING_PERIODS, SETTLING_DELAYS = 2, 3  # in which a step of what is read has passed the filters
 
-# The supervised state of one contact.
-CONTACT_STATE = np.dtype([
-    ('state', I),  # one of those above
-    ('losses', I),  # how often it was lost since it was first wanted
-    ('left', B),  # whether it is to be left, or was, for its force or for where it leads
-    ('again', B),  # whether it is to be sought although it was given up
-    ('wanted', B),  # whether the task asks for it
-    ('asked', F),  # force the task asks for [N]
-    ('asked_for', F),  # since when it is the same [s]
-    ('displacement', F),  # of the reference along the normal, relative to the task [m]
-    ('moved', F),  # the same when the tick began [m]
-    ('speed', F), ('acceleration', F),  # of that displacement [m/s], [m/s^2]
-    ('force_limit', F),  # upper limit of the desired force [N]
-    ('in_state', F),  # since when in this state [s]
-    ('below', F),  # for how long less is felt than by one that holds; < 0 if thrown back [s]
-    ('shaken', F),  # until it may be thrown back again without being lost [s]
-    ('level', F),  # force it is held with, averaged [N]
-    ('origin', F),  # displacement at which the surface is, NaN if it was never met [m]
-    ('start', F),  # displacement at which the search began [m]
-    ('fall', F),  # by which a surface may be lower where the tip has slid to since a loss [m]
-    ('target', F),  # displacement to go to [m]
-    ('stiffness', F),  # modelled, of the surface [N/m]
-    ('surface_speed', F),  # along the normal, as far as it is known [m/s]
-    ('approach_speed', F),  # largest one towards a surface that is not felt [m/s]
-    ('averaged', F),  # samples in `baseline`, up to as many as are averaged
-    ('baseline', F),  # what is read without a touch [N]
-    ('untared', F),  # of that, what is taken off the measured force [N]
-    ('free_way', F),  # of the search, on which nothing was felt [m]
-    ('free_baseline', F),  # `baseline` at its end [N]
-    ('answered', B),  # whether a force has risen with the way into the surface
-    ('resumed', B),  # whether it was pressed before a pause, and has not answered since
-    ('resting', F),  # force that the tip is said to rest on before a search, 0 if not [N]
-    ('last_speed', F),  # of the tip along the normal, at the sample before [m/s]
-    ('seen', F),  # for how long a force is seen that has not answered [s]
-    ('felt', F),  # that force without the tool's inertia, smoothed [N]
-    ('read', F), ('least_read', F),  # the same with it, and its minimum [N]
-    ('unanswered', F),  # for how long clearly more than that is asked for [s]
-    ('least', F), ('least_place', F),  # minimum of `felt`, and where the tip was then [N], [m]
-    ('touch_place', F), ('flat_place', F),  # of the touch, and of the last force near that [m]
-    ('calm', F),  # until it has more than the preload, of one that has answered late [s]
-], align=True)
-
-
 class ContactState(Record, Protocol):
-    """A record of `CONTACT_STATE`."""
+    """The supervised state of one contact."""
 
-    state: int
-    losses: int
-    left: bool
-    again: bool
-    wanted: bool
-    asked: float
-    asked_for: float
-    displacement: float
-    moved: float
+    state: int  # one of those above
+    losses: int  # how often it was lost since it was first wanted
+    left: bool  # whether it is to be left, or was, for its force or for where it leads
+    again: bool  # whether it is to be sought although it was given up
+    wanted: bool  # whether the task asks for it
+    asked: float  # force the task asks for [N]
+    asked_for: float  # since when it is the same [s]
+    displacement: float  # of the reference along the normal, relative to the task [m]
+    moved: float  # the same when the tick began [m]
+
+    # Of that displacement [m/s], [m/s^2].
     speed: float
     acceleration: float
-    force_limit: float
-    in_state: float
+
+    force_limit: float  # upper limit of the desired force [N]
+    in_state: float  # since when in this state [s]
+
+    # For how long less is felt than by one that holds; < 0 if thrown back [s].
     below: float
-    shaken: float
-    level: float
-    origin: float
-    start: float
+
+    shaken: float  # until it may be thrown back again without being lost [s]
+    level: float  # force it is held with, averaged [N]
+    origin: float  # displacement at which the surface is, NaN if it was never met [m]
+    start: float  # displacement at which the search began [m]
+
+    # By which a surface may be lower where the tip has slid to since a loss [m].
     fall: float
-    target: float
-    stiffness: float
-    surface_speed: float
-    approach_speed: float
-    averaged: float
-    baseline: float
-    untared: float
-    free_way: float
-    free_baseline: float
-    answered: bool
-    resumed: bool
+
+    target: float  # displacement to go to [m]
+    stiffness: float  # modelled, of the surface [N/m]
+    surface_speed: float  # along the normal, as far as it is known [m/s]
+    approach_speed: float  # largest one towards a surface that is not felt [m/s]
+    averaged: float  # samples in `baseline`, up to as many as are averaged
+    baseline: float  # what is read without a touch [N]
+    untared: float  # of that, what is taken off the measured force [N]
+    free_way: float  # of the search, on which nothing was felt [m]
+    free_baseline: float  # `baseline` at its end [N]
+    answered: bool  # whether a force has risen with the way into the surface
+    resumed: bool  # whether it was pressed before a pause, and has not answered since
+
+    # Force that the tip is said to rest on before a search, 0 if not [N].
     resting: float
-    last_speed: float
-    seen: float
-    felt: float
+
+    last_speed: float  # of the tip along the normal, at the sample before [m/s]
+    seen: float  # for how long a force is seen that has not answered [s]
+    felt: float  # that force without the tool's inertia, smoothed [N]
+
+    # The same with it, and its minimum [N].
     read: float
     least_read: float
-    unanswered: float
+
+    unanswered: float  # for how long clearly more than that is asked for [s]
+
+    # Minimum of `felt`, and where the tip was then [N], [m].
     least: float
     least_place: float
+
+    # Of the touch, and of the last force near that [m].
     touch_place: float
     flat_place: float
-    calm: float
+
+    calm: float  # until it has more than the preload, of one that has answered late [s]
 
 
-# What is set for all contacts: `ContactStateConfig`, h, times of at least some periods, and the
-# mass whose inertia the wrench has in it [kg]; one.
-CONTACT_SETTINGS = np.dtype([(name, F) for name in (
-    'period', 'loss_time', 'bounce_time', 'approach_speed', 'approach_ramp_time',
-    'approach_distance', 'contact_threshold', 'release_threshold', 'preload', 'force_ceiling',
-    'retry_time', 'settling_time', 'tool_mass')])
+CONTACT_STATE = record_dtype(ContactState)
 
 
 class ContactSettings(Record, Protocol):
-    """A record of `CONTACT_SETTINGS`."""
+    """
+    What is set for all contacts; one.
+
+    `ContactStateConfig`, h, times of at least some periods, and the mass whose inertia the wrench
+    has in it [kg].
+    """
 
     period: float
     loss_time: float
@@ -186,6 +167,9 @@ class ContactSettings(Record, Protocol):
     retry_time: float
     settling_time: float
     tool_mass: float
+
+
+CONTACT_SETTINGS = record_dtype(ContactSettings)
 
 
 FREE_CONTACT: NDArray[np.void] = np.zeros((), dtype=CONTACT_STATE)

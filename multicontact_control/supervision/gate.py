@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 import math
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from multicontact_control.algebra import quintic
 from multicontact_control.arrays import Matrix, Vector
@@ -14,18 +14,16 @@ from multicontact_control.config.controller import TransitionConfig
 from multicontact_control.control.arm import ArmState
 from multicontact_control.flags import JOINT_STOP, REACH, REFERENCE, REPLACED, TORQUE, TORQUE_RATE
 from multicontact_control.records import (
-    B,
     Contact,
     Control,
-    F,
-    I,
     Joint,
     JointConfig,
     MAX_JOINTS,
     Record,
+    record_dtype,
     Records,
 )
-from multicontact_control.supervision.bounds import bound_motion, BOUND_SPACE, BoundSpace
+from multicontact_control.supervision.bounds import bound_motion, BoundSpace
 import numpy as np
 
 LIMIT_NAMES = {
@@ -36,53 +34,49 @@ STEEPEST = 1.875  # largest slope of the quintic from 0 to 1
 BLEND_TIME = 0.003  # s, time constant by which a change of active contacts or laws is blended
 FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
 
-# What is set for the gate.
-GATE_CONFIG = np.dtype([
-    ('guarded', B),  # whether motion and rates are limited
-    ('period', F), ('keep', F),  # h [s]; what is left of a difference that fades, per period
-    ('blend_time', F), ('blend_rate', F),  # of a commanded change: see `TransitionConfig`
-], align=True)
-
-
 class GateConfig(Record, Protocol):
-    """A record of `GATE_CONFIG`."""
+    """What is set for the gate."""
 
-    guarded: bool
+    guarded: bool  # whether motion and rates are limited
+
+    # H [s]; what is left of a difference that fades, per period.
     period: float
     keep: float
+
+    # Of a commanded change: see `TransitionConfig`.
     blend_time: float
     blend_rate: float
 
 
-# The gate: what is set for it, and what it remembers; one.
-GATE = np.dtype([
-    ('config', GATE_CONFIG),
-    ('seen', B),  # whether the joints are known now, so that their motion is limited
-    ('begun', B), ('ranged', B),  # whether a torque acts; whether the joints' ranges are set
-    ('law', I),  # what has answered last; see `law_number`
-    ('pending', B),  # whether the next torque is to be the one that acts
-    ('blending', B), ('fading', B),  # whether `lacking` or `difference` of the joints count
-    ('elapsed', F), ('duration', F),  # of the blend [periods]
-    ('torque', F, MAX_JOINTS),  # on its way through [N m]
-    ('space', BOUND_SPACE),
-], align=True)
+GATE_CONFIG = record_dtype(GateConfig)
 
 
 class Gate(Record, Protocol):
-    """A record of `GATE`."""
+    """The gate: what is set for it, and what it remembers; one."""
 
     config: GateConfig
-    seen: bool
+    seen: bool  # whether the joints are known now, so that their motion is limited
+
+    # Whether a torque acts; whether the joints' ranges are set.
     begun: bool
     ranged: bool
-    law: int
-    pending: bool
+
+    law: int  # what has answered last; see `law_number`
+    pending: bool  # whether the next torque is to be the one that acts
+
+    # Whether `lacking` or `difference` of the joints count.
     blending: bool
     fading: bool
+
+    # Of the blend [periods].
     elapsed: float
     duration: float
-    torque: Vector
+
+    torque: Annotated[Vector, MAX_JOINTS]  # on its way through [N m]
     space: BoundSpace
+
+
+GATE = record_dtype(Gate)
 
 
 @compiled

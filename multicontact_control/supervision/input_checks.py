@@ -8,33 +8,28 @@ of the ticks before, and what is found. `supervision.inputs` says what the fault
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.records import (
-    B,
     Contact,
     Control,
-    F,
-    I,
-    INPUT,
     Input,
     Joint,
     MAX_JOINTS,
     Momentum,
     Record,
+    record_dtype,
     Records,
 )
 from multicontact_control.supervision.velocities import (
     check_velocities,
     count_proof,
-    JOINT_TRACK,
     JointTrack,
     OFFSET,
     PROOF,
-    VELOCITY_STATE,
     VelocityState,
 )
 import numpy as np
@@ -73,218 +68,183 @@ REPORTED = 5  # samples in a row without a usable torque, from which on that is 
 RECENT_WRENCHES = 100  # that are kept, for a tare
 MOST_COMMANDS = 12  # that are kept: two more than the longest `collision.command_delay`
 
-# What the input stage is set to; one.
-INPUT_SETTINGS = np.dtype([
-    ('guarded', B),  # whether only what is valid is handed over, or all as it came
-    ('period', F),  # [s]
-    ('shortest', F), ('longest', F),  # periods that are in order [s]
-    ('joints_max_age', F), ('wrench_max_age', F), ('variance_max_age', F),  # [s]
-    ('fastest', F, MAX_JOINTS),  # speed beyond which a velocity is no possible number [rad/s]
-    ('turn', F, MAX_JOINTS),  # after which an angle may begin again, 0 if it does not [rad]
-    ('frozen_joint_ticks', I), ('frozen_ticks', I),  # equal readings that are frozen, 0 for never
-    ('smallest_variance', F), ('largest_variance', F),  # bounds of R [N^2]
-    ('initial_variance', F),  # R before one comes, without guards [N^2]
-    ('adds_gravity', B),  # see `robot`
-    ('commands', I),  # that are kept: 2 more than periods from a sample to the torque it leads to
-    ('full_scale', F, 6),  # from where on an axis is saturated [N, N m]
-    ('leaves_out', B),  # whether a single wrench far from the others is left out
-    ('order', I),  # of the low-pass, 0 for none
-    ('b', F, 3), ('a', F, 3),  # its coefficients, highest power of z first
-], align=True)
-
-
 class InputSettings(Record, Protocol):
-    """A record of `INPUT_SETTINGS`."""
+    """What the input stage is set to; one."""
 
-    guarded: bool
-    period: float
+    guarded: bool  # whether only what is valid is handed over, or all as it came
+    period: float  # [s]
+
+    # Periods that are in order [s].
     shortest: float
     longest: float
+
+    # [s].
     joints_max_age: float
     wrench_max_age: float
     variance_max_age: float
-    fastest: Vector
-    turn: Vector
+
+    # Speed beyond which a velocity is no possible number [rad/s].
+    fastest: Annotated[Vector, MAX_JOINTS]
+
+    # After which an angle may begin again, 0 if it does not [rad].
+    turn: Annotated[Vector, MAX_JOINTS]
+
+    # Equal readings that are frozen, 0 for never.
     frozen_joint_ticks: int
     frozen_ticks: int
+
+    # Bounds of R [N^2].
     smallest_variance: float
     largest_variance: float
-    initial_variance: float
-    adds_gravity: bool
+
+    initial_variance: float  # R before one comes, without guards [N^2]
+    adds_gravity: bool  # see `robot`
+
+    # That are kept: 2 more than periods from a sample to the torque it leads to.
     commands: int
-    full_scale: Vector
-    leaves_out: bool
-    order: int
-    b: Vector
-    a: Vector
+
+    full_scale: Annotated[Vector, 6]  # from where on an axis is saturated [N, N m]
+    leaves_out: bool  # whether a single wrench far from the others is left out
+    order: int  # of the low-pass, 0 for none
+
+    # Its coefficients, highest power of z first.
+    b: Annotated[Vector, 3]
+    a: Annotated[Vector, 3]
 
 
-# What is known of the stamps of one reading, NaN for none.
-STAMPS = np.dtype([
-    ('seen', F),  # the newest [s]
-    ('valid', F),  # of the newest valid reading [s]
-])
+INPUT_SETTINGS = record_dtype(InputSettings)
 
 
 class Stamps(Record, Protocol):
-    """A record of `STAMPS`."""
+    """What is known of the stamps of one reading, NaN for none."""
 
-    seen: float
-    valid: float
+    seen: float  # the newest [s]
+    valid: float  # of the newest valid reading [s]
 
 
-# What the wrenches before have been like; one.
-WRENCH_STATE = np.dtype([
-    ('newest', F, 6),  # that was no outlier [N, N m]
-    ('last', F, 6),  # that was taken, NaN before the first [N, N m]
-    ('equal', I),  # to that in a row, itself counted
-    ('faults', I),  # frozen or saturated wrenches in a row
-    ('suspect', B),  # whether the wrench before was left out as an outlier
-    ('suspected', F, 6),  # the newest that was [N, N m]
-    ('trusted', F),  # for how long still wrenches are taken as they come, after a change [s]
-    ('outliers', F),  # count of those that were left out, which fades
-    ('learnt', I),  # wrenches that `mean_square` knows
-    ('mean_square', F, 6),  # of what changes from one to the next [N^2, N^2 m^2]
-    ('filtered', F, 6),  # behind the low-pass [N, N m]
-    # Its memory: what of this wrench is still to come out one and two periods later; NaN before
-    # the first [N, N m].
-    ('next_output', F, 6), ('output_after', F, 6),
-], align=True)
+STAMPS = record_dtype(Stamps)
 
 
 class WrenchState(Record, Protocol):
-    """A record of `WRENCH_STATE`."""
+    """What the wrenches before have been like; one."""
 
-    newest: Vector
-    last: Vector
-    equal: int
-    faults: int
-    suspect: bool
-    suspected: Vector
+    newest: Annotated[Vector, 6]  # that was no outlier [N, N m]
+    last: Annotated[Vector, 6]  # that was taken, NaN before the first [N, N m]
+    equal: int  # to that in a row, itself counted
+    faults: int  # frozen or saturated wrenches in a row
+    suspect: bool  # whether the wrench before was left out as an outlier
+    suspected: Annotated[Vector, 6]  # the newest that was [N, N m]
+
+    # For how long still wrenches are taken as they come, after a change [s].
     trusted: float
-    outliers: float
-    learnt: int
-    mean_square: Vector
-    filtered: Vector
-    next_output: Vector
-    output_after: Vector
+
+    outliers: float  # count of those that were left out, which fades
+    learnt: int  # wrenches that `mean_square` knows
+
+    # Of what changes from one to the next [N^2, N^2 m^2].
+    mean_square: Annotated[Vector, 6]
+
+    filtered: Annotated[Vector, 6]  # behind the low-pass [N, N m]
+
+    # Its memory: what of this wrench is still to come out one and two periods later;
+    # NaN before the first [N, N m].
+    next_output: Annotated[Vector, 6]
+    output_after: Annotated[Vector, 6]
 
 
-# The measured and commanded torques of one joint.
-TORQUE_STATE = np.dtype([
-    ('last', F),  # measured one that was not 0, inf before the first [N m]
-    ('zeros', I), ('unheard', I),  # samples in a row of exactly 0 N m, and without a usable one
-    ('commanded', F, MOST_COMMANDS),  # ring of what was commanded, NaN before [N m]
-], align=True)
+WRENCH_STATE = record_dtype(WrenchState)
 
 
 class TorqueState(Record, Protocol):
-    """A record of `TORQUE_STATE`."""
+    """The measured and commanded torques of one joint."""
 
-    last: float
+    last: float  # measured one that was not 0, inf before the first [N m]
+
+    # Samples in a row of exactly 0 N m, and without a usable one.
     zeros: int
     unheard: int
-    commanded: Vector
+
+    # Ring of what was commanded, NaN before [N m].
+    commanded: Annotated[Vector, MOST_COMMANDS]
 
 
-# A wrench that came with a tick, and how fast the joints were.
-RECENT_WRENCH = np.dtype([
-    ('time', F),  # of that tick, -inf before [s]
-    ('wrench', F, 6),  # [N, N m]
-    ('velocity', F, MAX_JOINTS),  # [rad/s]
-], align=True)
+TORQUE_STATE = record_dtype(TorqueState)
 
 
 class RecentWrench(Record, Protocol):
-    """A record of `RECENT_WRENCH`."""
+    """A wrench that came with a tick, and how fast the joints were."""
 
-    time: float
-    wrench: Vector
-    velocity: Vector
+    time: float  # of that tick, -inf before [s]
+    wrench: Annotated[Vector, 6]  # [N, N m]
+    velocity: Annotated[Vector, MAX_JOINTS]  # [rad/s]
 
 
-# What the input stage remembers; one.
-INPUT_STATE = np.dtype([
-    ('time', F),  # of the newest tick, NaN before the first [s]
-    ('odd_periods', I),  # in a row that are too long or too short
-    ('joints', STAMPS), ('wrench', STAMPS), ('variance', STAMPS),
-    ('known', B),  # whether any joints were valid
-    ('blind_ticks', I), ('unknown', I),  # in a row without valid joints; without their torques
-    ('equal_joints', I),  # joint states in a row, the newest counted
-    ('tracks', JOINT_TRACK, MAX_JOINTS), ('velocities', VELOCITY_STATE),
-    ('torques', TORQUE_STATE, MAX_JOINTS),
-    ('commands', I),  # that have been given
-    ('wrenches', WRENCH_STATE),
-    ('recent', RECENT_WRENCH, RECENT_WRENCHES), ('next_recent', I),  # ring of the newest
-], align=True)
+RECENT_WRENCH = record_dtype(RecentWrench)
 
 
 class InputState(Record, Protocol):
-    """A record of `INPUT_STATE`."""
+    """What the input stage remembers; one."""
 
-    time: float
-    odd_periods: int
+    time: float  # of the newest tick, NaN before the first [s]
+    odd_periods: int  # in a row that are too long or too short
     joints: Stamps
     wrench: Stamps
     variance: Stamps
-    known: bool
+    known: bool  # whether any joints were valid
+
+    # In a row without valid joints; without their torques.
     blind_ticks: int
     unknown: int
-    equal_joints: int
-    tracks: Records[JointTrack]
+
+    equal_joints: int  # joint states in a row, the newest counted
+    tracks: Annotated[Records[JointTrack], MAX_JOINTS]
     velocities: VelocityState
-    torques: Records[TorqueState]
-    commands: int
+    torques: Annotated[Records[TorqueState], MAX_JOINTS]
+    commands: int  # that have been given
     wrenches: WrenchState
-    recent: Records[RecentWrench]
+
+    # Ring of the newest.
+    recent: Annotated[Records[RecentWrench], RECENT_WRENCHES]
     next_recent: int
 
 
-# What was found of one reading, or of the time.
-FINDING = np.dtype([
-    ('problem', I),  # what is wrong with it, see `PROBLEMS`
-    ('stale', B),  # whether the newest valid one is too old, or the time is wrong
-], align=True)
+INPUT_STATE = record_dtype(InputState)
 
 
 class Finding(Record, Protocol):
-    """A record of `FINDING`."""
+    """What was found of one reading, or of the time."""
 
-    problem: int
-    stale: bool
+    problem: int  # what is wrong with it, see `PROBLEMS`
+    stale: bool  # whether the newest valid one is too old, or the time is wrong
 
 
-# What the input stage finds at a tick; one.
-INPUT_FINDINGS = np.dtype([
-    ('joints', FINDING), ('wrench', FINDING), ('variance', FINDING), ('clock', FINDING),
-    ('skipped', I),  # samples missing before this tick
-    ('blind', B),  # whether joints were valid neither in this tick nor in the one before
-], align=True)
+FINDING = record_dtype(Finding)
 
 
 class InputFindings(Record, Protocol):
-    """A record of `INPUT_FINDINGS`."""
+    """What the input stage finds at a tick; one."""
 
     joints: Finding
     wrench: Finding
     variance: Finding
     clock: Finding
-    skipped: int
-    blind: bool
+    skipped: int  # samples missing before this tick
+    blind: bool  # whether joints were valid neither in this tick nor in the one before
 
 
-INPUT_STAGE = np.dtype([
-    ('input', INPUT), ('settings', INPUT_SETTINGS), ('state', INPUT_STATE),
-    ('found', INPUT_FINDINGS)], align=True)
+INPUT_FINDINGS = record_dtype(InputFindings)
 
 
 class InputStage(Record, Protocol):
-    """A record of `INPUT_STAGE`."""
+    """TODO"""
 
     input: Input
     settings: InputSettings
     state: InputState
     found: InputFindings
+
+
+INPUT_STAGE = record_dtype(InputStage)
 
 
 @compiled

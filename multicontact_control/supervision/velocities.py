@@ -12,11 +12,15 @@ refuted stays in doubt until ten readings of its own motion agree, see `count_pr
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.records import B, F, I, Record, Records
+from multicontact_control.records import (
+    Record,
+    record_dtype,
+    Records,
+)
 import numpy as np
 
 HISTORY = 50  # joint states that are kept for an explanation
@@ -33,58 +37,52 @@ POLE = 0.5  # of the tracking filter, per period
 EVEN = 1.5  # periods between two joint states, up to which they are evidence
 
 
-# The positions and velocities of one joint.
-JOINT_TRACK = np.dtype([
-    # The newest reading: an angle that wraps goes on, and the estimate stands in for a velocity
-    # that is no possible number; NaN before the first [rad], [rad/s].
-    ('q', F), ('velocity', F),
-    ('last_q', F), ('last_velocity', F),  # the same of the reading before
-    ('q_tracked', F), ('v_tracked', F),  # estimated from the positions [rad], [rad/s]
-    # Sums that fade: of what the velocities miss of the way, and of the way [rad], and of how far
-    # they go up and down beside the estimate [rad/s].
-    ('missed', F), ('way', F), ('unrest', F),
-    ('doubt', F),  # of the velocity: contradicted above 1, inf if it is not a possible number
-    ('unproven', I),  # readings in motion that it lacks until it is believed again
-    ('past_q', F, HISTORY), ('past_velocity', F, HISTORY),  # rings of what came [rad], [rad/s]
-], align=True)
-
-
 class JointTrack(Record, Protocol):
-    """A record of `JOINT_TRACK`."""
+    """The positions and velocities of one joint."""
 
+    # The newest reading: an angle that wraps goes on, and the estimate stands in for a
+    # velocity that is no possible number; NaN before the first [rad], [rad/s].
     q: float
     velocity: float
+
+    # The same of the reading before.
     last_q: float
     last_velocity: float
+
+    # Estimated from the positions [rad], [rad/s].
     q_tracked: float
     v_tracked: float
+
+    # Sums that fade: of what the velocities miss of the way, and of the way [rad], and
+    # of how far they go up and down beside the estimate [rad/s].
     missed: float
     way: float
     unrest: float
+
+    # Of the velocity: contradicted above 1, inf if it is not a possible number.
     doubt: float
-    unproven: int
-    past_q: Vector
-    past_velocity: Vector
+
+    unproven: int  # readings in motion that it lacks until it is believed again
+
+    # Rings of what came [rad], [rad/s].
+    past_q: Annotated[Vector, HISTORY]
+    past_velocity: Annotated[Vector, HISTORY]
 
 
-# The velocities of all joints; one.
-VELOCITY_STATE = np.dtype([
-    ('states', I),  # joint states since the first one, or since a jump
-    ('contradicted', I),  # in a row whose velocities positions contradict
-    ('unproven', B),  # whether velocities were refuted, and not proven in motion since
-    ('silent', B),  # whether none come, or only zeros
-    ('estimated', B),  # whether positions give the velocities in use
-], align=True)
+JOINT_TRACK = record_dtype(JointTrack)
 
 
 class VelocityState(Record, Protocol):
-    """A record of `VELOCITY_STATE`."""
+    """The velocities of all joints; one."""
 
-    states: int
-    contradicted: int
-    unproven: bool
-    silent: bool
-    estimated: bool
+    states: int  # joint states since the first one, or since a jump
+    contradicted: int  # in a row whose velocities positions contradict
+    unproven: bool  # whether velocities were refuted, and not proven in motion since
+    silent: bool  # whether none come, or only zeros
+    estimated: bool  # whether positions give the velocities in use
+
+
+VELOCITY_STATE = record_dtype(VelocityState)
 
 
 @compiled

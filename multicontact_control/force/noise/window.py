@@ -9,38 +9,39 @@ from typing import Literal, Protocol
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.force.noise.base import Innovation, MAX_MAGNITUDE, NoiseEstimator
-from multicontact_control.records import F, I, Record, Records
+from multicontact_control.records import (
+    Record,
+    record_dtype,
+    Records,
+)
 import numpy as np
 
 Normalisation = Literal['dc', 'hf']
 
-# What is set for an estimator over a window (P04 eqs 42-44); one.
-NOISE_WINDOW = np.dtype([
-    ('pole', F), ('zero', F), ('gain', F),  # a, c and b of the filter
-    ('scale', F),  # of the variances
-    ('count', I),  # samples so far
-], align=True)
-
-
 class NoiseWindow(Record, Protocol):
-    """A record of `NOISE_WINDOW`."""
+    """What is set for an estimator over a window (P04 eqs 42-44); one."""
 
+    # A, c and b of the filter.
     pole: float
     zero: float
     gain: float
-    scale: float
-    count: int
+
+    scale: float  # of the variances
+    count: int  # samples so far
 
 
-# What the filter of one contact remembers of the sample before.
-FILTER_STATE = np.dtype([('alpha', F), ('filtered', F)])  # [N]
+NOISE_WINDOW = record_dtype(NoiseWindow)
 
 
 class FilterState(Record, Protocol):
-    """A record of `FILTER_STATE`."""
+    """What the filter of one contact remembers of the sample before."""
 
+    # [N].
     alpha: float
     filtered: float
+
+
+FILTER_STATE = record_dtype(FilterState)
 
 
 @dataclass(frozen=True, slots=True)
