@@ -118,11 +118,20 @@ def version():
 
 def config_files():
     """Return the entries of `data_files` for config/, one for each folder."""
-    folders = sorted({path.parent for path in here.glob('config/**/*') if path.is_file()})
+    folders = sorted(
+        {path.parent for path in here.glob('config/**/*') if path.is_file()}
+    )
     return [
-        (f'{share}/{folder.relative_to(here).as_posix()}',
-         sorted(str(path.relative_to(here)) for path in folder.iterdir() if path.is_file()))
-        for folder in folders]
+        (
+            f'{share}/{folder.relative_to(here).as_posix()}',
+            sorted(
+                str(path.relative_to(here))
+                for path in folder.iterdir()
+                if path.is_file()
+            ),
+        )
+        for folder in folders
+    ]
 
 
 def ros2_run_wrappers():
@@ -141,7 +150,9 @@ def ros2_run_wrappers():
     for name in console_scripts:
         path = folder / name
         path.write_text(
-            f'#!/bin/sh\nexec "$(dirname "$0")/../../bin/{name}" "$@"\n', encoding='utf-8')
+            f'#!/bin/sh\nexec "$(dirname "$0")/../../bin/{name}" "$@"\n',
+            encoding='utf-8',
+        )
         path.chmod(0o755)
     wrappers = [str((folder / name).relative_to(here)) for name in console_scripts]
     return [(f'lib/{package_name}', wrappers)]
@@ -157,8 +168,9 @@ setup(
     license='Apache-2.0',
     python_requires='>=3.10',
     packages=find_packages(exclude=['test*', 'benchmarks*']),
-    package_data={package_name: [
-        'py.typed', 'experiment/page_assets/*', 'view/page_assets/*']},
+    package_data={
+        package_name: ['py.typed', 'experiment/page_assets/*', 'view/page_assets/*']
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (share, ['package.xml']),
@@ -169,6 +181,8 @@ setup(
     install_requires=install_requires,
     extras_require=extras_require,
     entry_points={
-        'console_scripts': [f'{name} = {target}' for name, target in console_scripts.items()],
+        'console_scripts': [
+            f'{name} = {target}' for name, target in console_scripts.items()
+        ],
     },
 )

@@ -17,7 +17,10 @@ import pinocchio as pin
 from tsid import tsid_pywrap as tsid
 
 PERIOD, LAPS = 0.002, 4  # s; laps over the samples, the first to warm up
-FREQUENCY, FRICTION = 30.0, 0.3  # rad/s of the motion tasks, critically damped; of the contacts
+FREQUENCY, FRICTION = (
+    30.0,
+    0.3,
+)  # rad/s of the motion tasks, critically damped; of the contacts
 FORCE_WANTED, LARGEST_FORCE = 10.0, 100.0  # N
 # Weights of the costs: motion before posture, forces near what is wanted.
 MOTION, POSTURE, CONTACT, FORCE = 1.0, 1e-3, 1e-1, 1e-3
@@ -38,14 +41,18 @@ def main():
 
     pose = tsid.TaskSE3Equality('pose', robot, frame)
     posture = tsid.TaskJointPosture('posture', robot)
-    posture.setReference(tsid.TrajectoryEuclidianConstant('posture_wanted', home).computeNext())
+    posture.setReference(
+        tsid.TrajectoryEuclidianConstant('posture_wanted', home).computeNext()
+    )
     for task, size, weight in ((pose, 6, MOTION), (posture, len(home), POSTURE)):
-        task.setKp(FREQUENCY ** 2 * np.ones(size))
+        task.setKp(FREQUENCY**2 * np.ones(size))
         task.setKd(2.0 * FREQUENCY * np.ones(size))
         dynamics.addMotionTask(task, weight, 1, 0.0)
     contacts = []  # TSID itself keeps references only
     for tip, normal in zip(map(str, problem['tips']), -problem['normals']):
-        contact = tsid.ContactPoint(tip, robot, tip, normal, FRICTION, 0.0, LARGEST_FORCE)
+        contact = tsid.ContactPoint(
+            tip, robot, tip, normal, FRICTION, 0.0, LARGEST_FORCE
+        )
         contact.setKp(np.zeros(3))
         contact.setKd(2.0 * FREQUENCY * np.ones(3))
         contact.useLocalFrame(False)
@@ -78,8 +85,16 @@ def main():
             else:
                 unsolved += 1
             times.append((perf_counter_ns() - start) / 1e3)
-    print(json.dumps({'tick_us': times, 'unsolved': unsolved, 'pinocchio': pin.__version__,
-                      'variables': dynamics.nVar}))
+    print(
+        json.dumps(
+            {
+                'tick_us': times,
+                'unsolved': unsolved,
+                'pinocchio': pin.__version__,
+                'variables': dynamics.nVar,
+            }
+        )
+    )
 
 
 if __name__ == '__main__':

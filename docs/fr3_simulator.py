@@ -47,7 +47,10 @@ def write_scene(simulator: Any, prefix: str, robot: Any) -> None:
 
     arm, plant = robot.arm, robot.plant_values('')
     elements = {element.get('name'): element for element in simulator.worldbody.iter()}
-    hand, face = elements[f'{prefix}hand'], np.array([0.0, 0.0, robot.file.tool.face_offset])
+    hand, face = (
+        elements[f'{prefix}hand'],
+        np.array([0.0, 0.0, robot.file.tool.face_offset]),
+    )
     for element in list(hand):
         if element.tag in ('geom', 'inertial'):
             hand.remove(element)
@@ -57,34 +60,75 @@ def write_scene(simulator: Any, prefix: str, robot: Any) -> None:
                 finger.remove(element)
         finger.find('inertial').attrib.update(mass='1e-5', diaginertia='1e-9 1e-9 1e-9')
     ElementTree.SubElement(
-        hand, 'inertial', mass=str(arm.carried_mass), pos=numbers(face + arm.carried_com),
-        diaginertia=numbers(arm.tool.inertia))
+        hand,
+        'inertial',
+        mass=str(arm.carried_mass),
+        pos=numbers(face + arm.carried_com),
+        diaginertia=numbers(arm.tool.inertia),
+    )
     ElementTree.SubElement(hand, 'site', name=SENSOR_FRAME, pos=numbers(face))
     simulator.scene.find('option').set('cone', 'elliptic')  # a pyramid would be stiffer
     pairs = simulator.scene.find('contact')
     turn = frame_pose(arm.model(), np.array(plant['home']), SENSOR_FRAME).rotation
     for name in plant['contact_names']:
         surface = plant['surfaces'][name]
-        tip, normal = np.array(arm.tips[surface['tip_link']]), np.array(surface['normal_world'])
+        tip, normal = (
+            np.array(arm.tips[surface['tip_link']]),
+            np.array(surface['normal_world']),
+        )
         free = {'contype': '0', 'conaffinity': '0'}
         ElementTree.SubElement(
-            hand, 'geom', type='capsule', size='0.004', mass='0', fromto=numbers(
-                [*face, *(face + tip)]), **free)
+            hand,
+            'geom',
+            type='capsule',
+            size='0.004',
+            mass='0',
+            fromto=numbers([*face, *(face + tip)]),
+            **free,
+        )
         ElementTree.SubElement(
-            hand, 'geom', name=surface['tip_link'], type='sphere', size=str(TIP_RADIUS), mass='0',
-            pos=numbers(face + tip - TIP_RADIUS * turn.T @ normal), **free)
+            hand,
+            'geom',
+            name=surface['tip_link'],
+            type='sphere',
+            size=str(TIP_RADIUS),
+            mass='0',
+            pos=numbers(face + tip - TIP_RADIUS * turn.T @ normal),
+            **free,
+        )
         ElementTree.SubElement(
-            simulator.worldbody, 'geom', name=name, type='plane', size='0.2 0.2 0.01',
-            pos=numbers(surface['point_world']), zaxis=numbers(-normal), **free)
+            simulator.worldbody,
+            'geom',
+            name=name,
+            type='plane',
+            size='0.2 0.2 0.01',
+            pos=numbers(surface['point_world']),
+            zaxis=numbers(-normal),
+            **free,
+        )
         ElementTree.SubElement(
-            pairs, 'pair', name=name, geom1=name, geom2=surface['tip_link'], condim='3',
-            friction='0.1 0.1 0 0 0', solimp=f'{IMPEDANCE} {IMPEDANCE} 0.001 0.5 1')
+            pairs,
+            'pair',
+            name=name,
+            geom1=name,
+            geom2=surface['tip_link'],
+            condim='3',
+            friction='0.1 0.1 0 0 0',
+            solimp=f'{IMPEDANCE} {IMPEDANCE} 0.001 0.5 1',
+        )
     sensors = ElementTree.SubElement(simulator.scene, 'sensor')
     for kind in ('force', 'torque'):
         ElementTree.SubElement(sensors, kind, site=SENSOR_FRAME)
-    custom = ElementTree.SubElement(simulator.scene, 'custom')  # what MJCF has no words for
-    for key, values in (('home', plant['home']), ('stiffness', [
-            plant['surfaces'][name]['stiffness'] for name in plant['contact_names']])):
+    custom = ElementTree.SubElement(
+        simulator.scene, 'custom'
+    )  # what MJCF has no words for
+    for key, values in (
+        ('home', plant['home']),
+        (
+            'stiffness',
+            [plant['surfaces'][name]['stiffness'] for name in plant['contact_names']],
+        ),
+    ):
         ElementTree.SubElement(custom, 'numeric', name=key, data=numbers(values))
 
 
@@ -96,8 +140,12 @@ class Sensor:
         os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(PROFILE))
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node('fr3_simulator', start_parameter_services=False)
-        self._wrench = self._node.create_publisher(WrenchStamped, 'franka_bridge/wrench', 10)
-        self._forces = self._node.create_publisher(JointState, 'fr3_simulator/contact_forces', 10)
+        self._wrench = self._node.create_publisher(
+            WrenchStamped, 'franka_bridge/wrench', 10
+        )
+        self._forces = self._node.create_publisher(
+            JointState, 'fr3_simulator/contact_forces', 10
+        )
         self._message = WrenchStamped()
         self._names = [model.pair(i).name for i in range(model.npair)]
         self._steps, self._random = 0, np.random.default_rng(0)
@@ -132,18 +180,30 @@ def run_franky_sim(address: str, output: Path | None) -> None:
     """Run franky-sim on a port of this machine, or write its scene to a file."""
     from franky_sim import franka_robot_server, simulation_server
     from franky_sim.base_simulator import RobotParameters
-    from franky_sim.franka_robot_protocol import BaseCommand, MoveStatus, RobotCommand, RobotMode
+    from franky_sim.franka_robot_protocol import (
+        BaseCommand,
+        MoveStatus,
+        RobotCommand,
+        RobotMode,
+    )
     from franky_sim.mujoco_simulator import MujocoSimulator
     from sim_bridge.robots import find_robot
 
     robot = find_robot('fr3')
     arm, stopped = robot.arm, [False]
-    flange = arm.operational.se3.rotation  # of the vendor's flange, in which its load is given
+    flange = (
+        arm.operational.se3.rotation
+    )  # of the vendor's flange, in which its load is given
     face = np.array([0.0, 0.0, robot.file.tool.face_offset])
     with MujocoSimulator() as simulator:
-        simulated = simulator.add_robot(robot.file.home, robot_parameters=RobotParameters(
-            ee_mass=arm.carried_mass, ee_com=tuple(flange @ (face + arm.carried_com)),
-            ee_inertia=tuple(np.diag(arm.tool.inertia).ravel())))
+        simulated = simulator.add_robot(
+            robot.file.home,
+            robot_parameters=RobotParameters(
+                ee_mass=arm.carried_mass,
+                ee_com=tuple(flange @ (face + arm.carried_com)),
+                ee_inertia=tuple(np.diag(arm.tool.inertia).ravel()),
+            ),
+        )
         write_scene(simulator, 'robot0_', robot)
         if output is not None:
             output.write_text(ElementTree.tostring(simulator.scene, encoding='unicode'))
@@ -164,16 +224,22 @@ def run_franky_sim(address: str, output: Path | None) -> None:
                 if stopped[0] and motion:
                     self.stop_motion(send_preemption_signal=False)
                     BaseCommand.send_response(
-                        self._tcp_socket, RobotCommand.kMove, motion,
-                        MoveStatus.kPreemptedDueToActivatedSafetyFunctions)
+                        self._tcp_socket,
+                        RobotCommand.kMove,
+                        motion,
+                        MoveStatus.kPreemptedDueToActivatedSafetyFunctions,
+                    )
                     self.reset_current_motion_id()
-                print(f'user stop {"pressed" if stopped[0] else "released"}', flush=True)
+                print(
+                    f'user stop {"pressed" if stopped[0] else "released"}', flush=True
+                )
 
         simulation_server.FrankaRobotServer = Server
         with simulation_server.SimulationServer(simulator, [address]) as server:
             sensor = Sensor(simulator.model)
             simulator.register_post_step_callback(
-                lambda sim: sensor.publish(sim.model, sim.data))
+                lambda sim: sensor.publish(sim.model, sim.data)
+            )
             pressed = []
             signal.signal(signal.SIGUSR1, lambda *_: pressed.append(True))
             print(f'FR3 at {simulated.hostname}; Ctrl-C ends it', flush=True)
@@ -207,8 +273,12 @@ def run_franka_sim(address: str, scene: Path) -> None:
                 self.sensor.publish(self.model, self.data)
 
     server = FrankaSimServer(
-        host=address, physics_sim=Simulation(), enable_gripper=False,
-        enforce_comm_constraints=True, enforce_motion_limits=True)
+        host=address,
+        physics_sim=Simulation(),
+        enable_gripper=False,
+        enforce_comm_constraints=True,
+        enforce_motion_limits=True,
+    )
     print(f'FR3 at {address}; Ctrl-C ends it', flush=True)
     try:
         server.start()
@@ -218,11 +288,19 @@ def run_franka_sim(address: str, scene: Path) -> None:
 
 def main() -> None:
     """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(description=(__doc__ or '').strip().partition('\n')[0])
-    parser.add_argument('--address', default='127.0.0.1', help='IP address of the robot')
+    parser = argparse.ArgumentParser(
+        description=(__doc__ or '').strip().partition('\n')[0]
+    )
+    parser.add_argument(
+        '--address', default='127.0.0.1', help='IP address of the robot'
+    )
     files = parser.add_mutually_exclusive_group()
-    files.add_argument('--write', type=Path, metavar='FILE', help='write the scene, and end')
-    files.add_argument('--read', type=Path, metavar='FILE', help='run franka-sim with a scene')
+    files.add_argument(
+        '--write', type=Path, metavar='FILE', help='write the scene, and end'
+    )
+    files.add_argument(
+        '--read', type=Path, metavar='FILE', help='run franka-sim with a scene'
+    )
     arguments = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:

@@ -48,13 +48,15 @@ NODES: dict[str, tuple[type[Config], ...]] = {
     topics.SIM: (PlantConfig, SimNodeConfig),
     topics.RECORDER: (RecorderConfig,),
     'franka_bridge': (FrankaBridgeConfig,),
-    topics.EVERY_NODE: (StartupConfig,)}
+    topics.EVERY_NODE: (StartupConfig,),
+}
 # And by the YAML file that holds it.
 FILES: dict[str, tuple[str, type[Config]]] = {
     'scenario': ('`config/scenarios`, and `--scenario FILE`', ScenarioConfig),
     'robot': ('`config/robots`, and `--robot FILE`', RobotFile),
     'study': ('`config/studies`, and `multicontact study FILE`', StudyConfig),
-    'situation': ('`situation.*` of `config/studies/situations.yaml`', SituationConfig)}
+    'situation': ('`situation.*` of `config/studies/situations.yaml`', SituationConfig),
+}
 TYPES = {bool: 'bool', int: 'int', float: 'float', str: 'string', Any: 'any'}
 VALUES = {bool: '', int: 'INTEGER', float: 'NUMBER', str: 'TEXT', Path: 'PATH'}
 BOUNDS = {'gt': '> ', 'ge': '≥ ', 'lt': '< ', 'le': '≤ '}
@@ -90,12 +92,21 @@ class Entry(NamedTuple):
     def limits(self) -> str:
         """Return the range or the choices."""
         if self.choices:
-            return ', '.join(f'`{choice}`' if choice else '`""`' for choice in self.choices)
-        bounds = [f'{sign}{getattr(bound, name):g}' for bound in self.field.metadata
-                  for name, sign in BOUNDS.items() if getattr(bound, name, None) is not None]
-        lengths = [f'{word} {count}' for bound in self.field.metadata
-                   for word, name in (('at least', 'min_length'), ('at most', 'max_length'))
-                   if (count := getattr(bound, name, None))]
+            return ', '.join(
+                f'`{choice}`' if choice else '`""`' for choice in self.choices
+            )
+        bounds = [
+            f'{sign}{getattr(bound, name):g}'
+            for bound in self.field.metadata
+            for name, sign in BOUNDS.items()
+            if getattr(bound, name, None) is not None
+        ]
+        lengths = [
+            f'{word} {count}'
+            for bound in self.field.metadata
+            for word, name in (('at least', 'min_length'), ('at most', 'max_length'))
+            if (count := getattr(bound, name, None))
+        ]
         return ', '.join(bounds + lengths)
 
 
@@ -114,7 +125,9 @@ def groups(model: type[Config], prefix: str = '') -> Iterator[Group]:
     What a model has from another, as nodes do, is that one's.
     """
     entries, inner = [], []
-    inherited = {key for base in model.__mro__[1:] for key in getattr(base, 'model_fields', ())}
+    inherited = {
+        key for base in model.__mro__[1:] for key in getattr(base, 'model_fields', ())
+    }
     for key, field in model.model_fields.items():
         if key in inherited:
             continue
@@ -137,9 +150,17 @@ def _kind(kind: Any, field: FieldInfo) -> tuple[str, FieldInfo, Sequence[str]]:
     """Return what a value is called, with its field and its choices, if there are only a few."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is Literal:
-        return 'string', field, [
-            choice for x in arguments for choice in (
-                typing.get_args(x) if typing.get_origin(x) is Literal else (x,))]
+        return (
+            'string',
+            field,
+            [
+                choice
+                for x in arguments
+                for choice in (
+                    typing.get_args(x) if typing.get_origin(x) is Literal else (x,)
+                )
+            ],
+        )
     if origin is dict:
         return f'{_kind(_bare(arguments[1]), field)[0]} by name', field, ()
     if origin is tuple:
@@ -178,81 +199,132 @@ def _plain(value: Any) -> Any:
 def parameters() -> str:
     """Return the page of all parameters."""
     parts = [
-        '# Parameters', MADE,
+        '# Parameters',
+        MADE,
         'Every value that can be set, as it is declared in the code: `ros2 param describe` says '
         'the same of a node that runs. In a parameter file dots are levels of the YAML; on the '
         'command line, `--set controller.force.damping_rate=60` (or `noise_estimator.`, '
         '`plant.`, `scenario.`) of `run`, `simulate` and `view` takes the same names, and `*` for '
         'every NAME. What only a node needs to know is for `run` and `view`, which start nodes. '
         'NAME is one of `contact_names`. All units are SI. *Live* values change while the node '
-        'runs, all others while it is unconfigured.']
+        'runs, all others while it is unconfigured.',
+    ]
     for node, models in NODES.items():
         sections = [group for model in models for group in groups(model)]
         parts += [f'## {node}', *_group_tables(node, sections, live=True)]
     for name, (where, model) in FILES.items():
-        parts += [f'## {name} file', f'In {where}.',
-                  *_group_tables(f'{name} file', list(groups(model)))]
+        parts += [
+            f'## {name} file',
+            f'In {where}.',
+            *_group_tables(f'{name} file', list(groups(model))),
+        ]
     return _page(parts)
 
 
-def _group_tables(title: str, sections: Sequence[Group], *, live: bool = False) -> Iterator[str]:
-    header = ['parameter', 'type', 'default', 'unit', 'range', *(['live'] if live else ()),
-              'what it is']
+def _group_tables(
+    title: str, sections: Sequence[Group], *, live: bool = False
+) -> Iterator[str]:
+    header = [
+        'parameter',
+        'type',
+        'default',
+        'unit',
+        'range',
+        *(['live'] if live else ()),
+        'what it is',
+    ]
     for group in sections:
         if not group.entries:
             continue
         if group.prefix:
             yield f'### {title}: {group.prefix}'
         yield _text(group.model.__doc__)
-        yield table(header, [
-            [f'`{x.name}`', x.kind, x.default, _text(x.unit), x.limits,
-             *([('yes' if x.live else '')] if live else ()), _text(x.field.description)]
-            for x in group.entries])
+        yield table(
+            header,
+            [
+                [
+                    f'`{x.name}`',
+                    x.kind,
+                    x.default,
+                    _text(x.unit),
+                    x.limits,
+                    *([('yes' if x.live else '')] if live else ()),
+                    _text(x.field.description),
+                ]
+                for x in group.entries
+            ],
+        )
 
 
 def graph() -> str:
     """Return the page of topics, services and qualities of service."""
     names = _profile_names()
     contents = [[f'`{x.name}`', x.type_name, _text(x.content)] for x in topics.TOPICS]
-    ends = [[f'`{x.name}`', x.publisher,
-             ', '.join(name for name in x.subscribers if name != topics.RECORDER), x.rate,
-             f'[{names[id(x.profile)]}](#quality-of-service)'] for x in topics.TOPICS]
+    ends = [
+        [
+            f'`{x.name}`',
+            x.publisher,
+            ', '.join(name for name in x.subscribers if name != topics.RECORDER),
+            x.rate,
+            f'[{names[id(x.profile)]}](#quality-of-service)',
+        ]
+        for x in topics.TOPICS
+    ]
     described = _attribute_docs(qos)
-    profiles = [[f'`{name}`', *_policies(getattr(qos, name)), _text(text)]
-                for name, text in described.items()]
-    return _page([
-        '# Topics and services', MADE,
-        'All names but those with a slash in front are relative: a namespace moves the whole '
-        'graph. The robot, or a simulator of yours, stands where `sim_node` does. *control*: one '
-        'message per control period; *event*: now and then. What each end does when messages '
-        'are late, missing or wrong is in [the interface](../interface.md#samples).',
-        '## Topics',
-        table(['topic', 'type', 'content'], contents),
-        '## Ends',
-        f'`{topics.RECORDER}` reads all of them.',
-        table(['topic', 'from', 'always read by', 'rate', 'published as'], ends),
-        'The controller also reads one of the two wrenches (`wrench_input`; none with `momentum`) '
-        'and the commands, which it refuses while it follows a scenario; with '
-        '`effort_output_topic` it publishes bare efforts, too (std_msgs/msg/Float64MultiArray). '
-        'Estimators that work on innovations read `contact_forces/innovation`.',
-        '## Services',
-        f'Of `{topics.CONTROLLER}`; each answers with `success`, and with words or the reason of '
-        'a refusal. Controller and noise estimator also have those of every life-cycle node '
-        '(`~/change_state`, `~/get_state`), and every node but the recorder those of parameters.',
-        table(['service', 'type', 'what it does'], [
-            [f'`~/{name}`', f'{kind.__module__.split(".")[0]}/srv/{kind.__name__}', _text(content)]
-            for name, (kind, content) in SERVICES.items()]),
-        '## Quality of service',
-        'History is `KEEP_LAST` throughout. An end that cannot be served is logged with its '
-        'node, topic and policy.',
-        table(['profile', 'reliability', 'depth', 'durability', 'for'], profiles)])
+    profiles = [
+        [f'`{name}`', *_policies(getattr(qos, name)), _text(text)]
+        for name, text in described.items()
+    ]
+    return _page(
+        [
+            '# Topics and services',
+            MADE,
+            'All names but those with a slash in front are relative: a namespace moves the whole '
+            'graph. The robot, or a simulator of yours, stands where `sim_node` does. *control*: one '
+            'message per control period; *event*: now and then. What each end does when messages '
+            'are late, missing or wrong is in [the interface](../interface.md#samples).',
+            '## Topics',
+            table(['topic', 'type', 'content'], contents),
+            '## Ends',
+            f'`{topics.RECORDER}` reads all of them.',
+            table(['topic', 'from', 'always read by', 'rate', 'published as'], ends),
+            'The controller also reads one of the two wrenches (`wrench_input`; none with `momentum`) '
+            'and the commands, which it refuses while it follows a scenario; with '
+            '`effort_output_topic` it publishes bare efforts, too (std_msgs/msg/Float64MultiArray). '
+            'Estimators that work on innovations read `contact_forces/innovation`.',
+            '## Services',
+            f'Of `{topics.CONTROLLER}`; each answers with `success`, and with words or the reason of '
+            'a refusal. Controller and noise estimator also have those of every life-cycle node '
+            '(`~/change_state`, `~/get_state`), and every node but the recorder those of parameters.',
+            table(
+                ['service', 'type', 'what it does'],
+                [
+                    [
+                        f'`~/{name}`',
+                        f'{kind.__module__.split(".")[0]}/srv/{kind.__name__}',
+                        _text(content),
+                    ]
+                    for name, (kind, content) in SERVICES.items()
+                ],
+            ),
+            '## Quality of service',
+            'History is `KEEP_LAST` throughout. An end that cannot be served is logged with its '
+            'node, topic and policy.',
+            table(['profile', 'reliability', 'depth', 'durability', 'for'], profiles),
+        ]
+    )
 
 
 def _policies(profile: QoSProfile) -> tuple[str, str, str]:
-    return ('reliable' if profile.reliability == ReliabilityPolicy.RELIABLE else 'best effort',
-            str(profile.depth),
-            'transient local' if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-            else 'volatile')
+    return (
+        'reliable'
+        if profile.reliability == ReliabilityPolicy.RELIABLE
+        else 'best effort',
+        str(profile.depth),
+        'transient local'
+        if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        else 'volatile',
+    )
 
 
 def _profile_names() -> dict[int, str]:
@@ -263,41 +335,86 @@ def _profile_names() -> dict[int, str]:
 def _attribute_docs(module: Any) -> dict[str, str]:
     """Return the strings that stand below the constants of a module, by their names."""
     body = ast.parse(inspect.getsource(module)).body
-    return {first.targets[0].id: inspect.cleandoc(second.value.value)
-            for first, second in zip(body, body[1:])
-            if isinstance(first, ast.Assign) and isinstance(first.targets[0], ast.Name)
-            and isinstance(second, ast.Expr) and isinstance(second.value, ast.Constant)}
+    return {
+        first.targets[0].id: inspect.cleandoc(second.value.value)
+        for first, second in zip(body, body[1:])
+        if isinstance(first, ast.Assign)
+        and isinstance(first.targets[0], ast.Name)
+        and isinstance(second, ast.Expr)
+        and isinstance(second.value, ast.Constant)
+    }
 
 
 def commands() -> str:
     """Return the page of all commands and their options."""
     known = dict(_commands(app))
     parts = [
-        '# Commands', MADE,
+        '# Commands',
+        MADE,
         'What `multicontact COMMAND --help` says, of all commands at once. Exit codes: 0 stable, '
         'or not judged, or done; 1 not stable, held by the supervisor, a node died, or what was '
         'asked for failed; 2 bad input; 128 + n ended by signal n.',
-        table(['command', 'what it does'], [
-            [f'[`{name}`](#multicontact-{name.replace(" ", "-")})', _text(_first(command.help))]
-            for name, command in known.items()])]
+        table(
+            ['command', 'what it does'],
+            [
+                [
+                    f'[`{name}`](#multicontact-{name.replace(" ", "-")})',
+                    _text(_first(command.help)),
+                ]
+                for name, command in known.items()
+            ],
+        ),
+    ]
     for name, command in known.items():
         kinds = typing.get_type_hints(command.callback)
         arguments = [x for x in command.params if x.param_type_name == 'argument']
         options = [x for x in command.params if x.param_type_name == 'option']
-        usage = ' '.join(['multicontact', name, *(['[OPTIONS]'] if options else ()),
-                          *(_metavar(x) for x in arguments)])
-        parts += [f'## multicontact {name}', f'```\n{usage}\n```',
-                  *map(_paragraph, inspect.cleandoc(command.help).split('\n\n'))]
+        usage = ' '.join(
+            [
+                'multicontact',
+                name,
+                *(['[OPTIONS]'] if options else ()),
+                *(_metavar(x) for x in arguments),
+            ]
+        )
+        parts += [
+            f'## multicontact {name}',
+            f'```\n{usage}\n```',
+            *map(_paragraph, inspect.cleandoc(command.help).split('\n\n')),
+        ]
         if arguments:
-            parts.append(table(['argument', 'what it is'], [
-                [f'`{_metavar(x)}`', _text(x.help)] for x in arguments]))
+            parts.append(
+                table(
+                    ['argument', 'what it is'],
+                    [[f'`{_metavar(x)}`', _text(x.help)] for x in arguments],
+                )
+            )
         if options:
-            parts.append(table(['option', 'value', 'default', 'what it is'], [
-                [_names(x), _value(x, kinds[x.name]), _default(x), _text(x.help)]
-                for x in options]))
+            parts.append(
+                table(
+                    ['option', 'value', 'default', 'what it is'],
+                    [
+                        [
+                            _names(x),
+                            _value(x, kinds[x.name]),
+                            _default(x),
+                            _text(x.help),
+                        ]
+                        for x in options
+                    ],
+                )
+            )
     for folder in dict.fromkeys(FOLDERS.values()):
-        parts += [f'## {folder.capitalize()} by name', table(['name', 'what it is'], [
-            [f'`{name}`', _text(text)] for name, text in described(folder).items()])]
+        parts += [
+            f'## {folder.capitalize()} by name',
+            table(
+                ['name', 'what it is'],
+                [
+                    [f'`{name}`', _text(text)]
+                    for name, text in described(folder).items()
+                ],
+            ),
+        ]
     return _page(parts)
 
 
@@ -306,8 +423,11 @@ def _commands(application: typer.Typer) -> Iterator[tuple[str, Any]]:
     for name, command in typer.main.get_command(application).commands.items():  # type: ignore
         inner = getattr(command, 'commands', None)
         if not command.hidden:
-            yield from (((f'{name} {key}', each) for key, each in inner.items()) if inner
-                        else [(name, command)])
+            yield from (
+                ((f'{name} {key}', each) for key, each in inner.items())
+                if inner
+                else [(name, command)]
+            )
 
 
 def _paragraph(text: str) -> str:
@@ -350,8 +470,9 @@ def _first(text: str) -> str:
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table of Markdown; what stands in its cells is Markdown, too."""
     lines = [header, ['---'] * len(header), *rows]
-    return '\n'.join(f'| {" | ".join(" ".join(cell.split()) for cell in line)} |'
-                     for line in lines)
+    return '\n'.join(
+        f'| {" | ".join(" ".join(cell.split()) for cell in line)} |' for line in lines
+    )
 
 
 def _text(text: str | None) -> str:
@@ -381,7 +502,10 @@ def _wrapped(part: str) -> str:
 
 
 PAGES: dict[str, Callable[[], str]] = {
-    'parameters.md': parameters, 'topics.md': graph, 'commands.md': commands}
+    'parameters.md': parameters,
+    'topics.md': graph,
+    'commands.md': commands,
+}
 
 
 def main() -> None:

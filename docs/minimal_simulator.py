@@ -23,12 +23,17 @@ import yaml
 PERIOD, STEPS = 0.002, 4  # s, of a sample; steps of the engine in it
 RESEND = 0.2  # s, until a sample that has no answer is published again
 GAP, DAMPING = 0.007, 30.0  # m, from the tip at home to the table; N s/m, of the table
-NOISE = np.repeat([0.05, 0.005], 3)  # N, N m; a reading that repeats itself counts as frozen
+NOISE = np.repeat(
+    [0.05, 0.005], 3
+)  # N, N m; a reading that repeats itself counts as frozen
 
 home = yaml.safe_load(Path(sys.argv[1]).read_text())['home']
 parameters = yaml.safe_load(Path(sys.argv[2]).read_text())['/**']['ros__parameters']
 robot, contact = parameters['robot'], parameters['contacts']['table']
-point, normal = np.array(contact['point_operational']), np.array(contact['normal_world'])
+point, normal = (
+    np.array(contact['point_operational']),
+    np.array(contact['normal_world']),
+)
 
 spec = mujoco.MjSpec.from_file(str(Path(sys.argv[2]).parent / robot['urdf']))
 spec.compiler.fusestatic, spec.compiler.balanceinertia = False, True
@@ -62,8 +67,15 @@ def advance(torque):
     for _ in range(STEPS):
         before = tip()
         mujoco.mj_kinematics(model, data)
-        depth, speed = normal @ tip() - table, normal @ (tip() - before) * STEPS / PERIOD
-        press = max(0.0, contact['stiffness'] * depth + DAMPING * speed) if depth > 0.0 else 0.0
+        depth, speed = (
+            normal @ tip() - table,
+            normal @ (tip() - before) * STEPS / PERIOD,
+        )
+        press = (
+            max(0.0, contact['stiffness'] * depth + DAMPING * speed)
+            if depth > 0.0
+            else 0.0
+        )
         lever, force = tip() - tool.xipos, -press * normal
         data.xfrc_applied[tool.id] = [*force, *np.cross(lever, force)]
         mujoco.mj_step(model, data)
@@ -87,10 +99,16 @@ class Simulator(Node):
         self.stamp = Time(nanoseconds=round(self.tick * PERIOD * 1e9)).to_msg()
         sample.header.stamp = reading.header.stamp = self.stamp
         reading.header.frame_id = robot['sensor_frame']
-        sample.position, sample.velocity = data.qpos[joints].tolist(), data.qvel[joints].tolist()
-        wrench = data.sensordata + NOISE * np.random.normal(size=6)  # of the arm on the tool
+        sample.position, sample.velocity = (
+            data.qpos[joints].tolist(),
+            data.qvel[joints].tolist(),
+        )
+        wrench = data.sensordata + NOISE * np.random.normal(
+            size=6
+        )  # of the arm on the tool
         reading.wrench.force, reading.wrench.torque = (
-            Vector3(x=x, y=y, z=z) for x, y, z in wrench.reshape(2, 3).tolist())
+            Vector3(x=x, y=y, z=z) for x, y, z in wrench.reshape(2, 3).tolist()
+        )
         self.wrench.publish(reading)
         self.joint_states.publish(sample)
 
@@ -99,7 +117,10 @@ class Simulator(Node):
         if command.header.stamp == self.stamp:
             effort = dict(zip(command.name, command.effort))
             advance([effort[name] for name in robot['joint_names']])
-            self.tick, self.due = self.tick + 1, max(self.due + PERIOD, time.monotonic())
+            self.tick, self.due = (
+                self.tick + 1,
+                max(self.due + PERIOD, time.monotonic()),
+            )
             time.sleep(max(0.0, self.due - time.monotonic()))
             self.publish()
             self.timer.reset()

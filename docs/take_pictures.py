@@ -21,21 +21,30 @@ PATIENCE = 120e3  # ms
 LOADED_FOR, SEEN_FOR = 10e3, 4e3  # ms, before the step, and of the step in the curves
 NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
 # Without graphics the processor draws; root is root of a container, without a sandbox.
-SWITCHES = ['--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--no-sandbox',
-            '--hide-scrollbars']
+SWITCHES = [
+    '--use-angle=swiftshader',
+    '--enable-unsafe-swiftshader',
+    '--no-sandbox',
+    '--hide-scrollbars',
+]
 
 
 def main() -> None:
     """Start the page, press, take the picture, end all."""
     picture = Path(sys.argv[1]) if len(sys.argv) > 1 else PICTURE
-    chromium = next(filter(None, map(shutil.which, (os.environ.get('CHROMIUM', ''), *NAMES))),
-                    None)
+    chromium = next(
+        filter(None, map(shutil.which, (os.environ.get('CHROMIUM', ''), *NAMES))), None
+    )
     if chromium is None:
-        sys.exit('browser: expected Chromium (apt-get install chromium, or its path in CHROMIUM), '
-                 'got none')
+        sys.exit(
+            'browser: expected Chromium (apt-get install chromium, or its path in CHROMIUM), '
+            'got none'
+        )
     view = subprocess.Popen(
-        [sys.executable, '-m', 'multicontact_control.cli', 'view'], stdout=subprocess.PIPE,
-        text=True)
+        [sys.executable, '-m', 'multicontact_control.cli', 'view'],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     try:
         lines = iter(view.stdout or ())
         url = next((line.split()[-1] for line in lines if 'http' in line), None)
@@ -46,7 +55,9 @@ def main() -> None:
             page = browser.new_page(viewport=SIZE)
             page.set_default_timeout(PATIENCE)
             page.goto(url)
-            expect(page.locator('td', has_text='free')).to_have_count(2, timeout=PATIENCE)
+            expect(page.locator('td', has_text='free')).to_have_count(
+                2, timeout=PATIENCE
+            )
             page.wait_for_timeout(LOADED_FOR)
             press(page)
             page.wait_for_timeout(SEEN_FOR)
@@ -64,8 +75,10 @@ def press(page: Page) -> None:
     button.focus()
     button.press('Enter')
     expect(page.locator('td', has_text='holding')).to_have_count(2, timeout=PATIENCE)
-    page.evaluate('document.querySelectorAll("[class*=Notification-closeButton]")'
-                  '.forEach(button => button.click())')
+    page.evaluate(
+        'document.querySelectorAll("[class*=Notification-closeButton]")'
+        '.forEach(button => button.click())'
+    )
 
 
 if __name__ == '__main__':

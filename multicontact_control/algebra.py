@@ -221,7 +221,11 @@ def divided(vector: Vector | Triple, divisor: float) -> Triple:
 @compiled
 def cross(a: Vector | Triple, b: Vector | Triple) -> Triple:
     """Return a x b."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
 
 
 @compiled
@@ -254,8 +258,11 @@ def rotate_by(vector: Vector, rotation: Matrix) -> None:
         once = cross(axis, rotation[:, j])
         twice = cross(axis, once)
         for i in range(3):
-            rotation[i, j] = rotation[i, j] + (
-                np.sin(angle) * once[i]) + (1.0 - np.cos(angle)) * twice[i]
+            rotation[i, j] = (
+                rotation[i, j]
+                + (np.sin(angle) * once[i])
+                + (1.0 - np.cos(angle)) * twice[i]
+            )
 
 
 @compiled
@@ -264,6 +271,8 @@ def quintic(elapsed: float, duration: float) -> Triple:
     if elapsed >= duration:
         return 1.0, 0.0, 0.0
     x = max(0.0, elapsed / duration)
-    return (x ** 3.0 * (10.0 + x * (-15.0 + 6.0 * x)),
-            30.0 * x ** 2.0 * (1.0 - x) ** 2.0 / duration,
-            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration ** 2.0)
+    return (
+        x**3.0 * (10.0 + x * (-15.0 + 6.0 * x)),
+        30.0 * x**2.0 * (1.0 - x) ** 2.0 / duration,
+        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration**2.0,
+    )

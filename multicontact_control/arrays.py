@@ -10,7 +10,9 @@ Mask = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]  # 0 or 1: what a record holds of yes and no
 
 
-def require_shape(name: str, array: NDArray[np.generic], expected: tuple[int, ...]) -> None:
+def require_shape(
+    name: str, array: NDArray[np.generic], expected: tuple[int, ...]
+) -> None:
     """Raise a ShapeError with the name of an array that has another shape."""
     if array.shape != expected:
         raise ShapeError(name, f'shape {expected}', array.shape)

@@ -13,7 +13,11 @@ from multicontact_control.control.tasks import quintic, shortest_duration
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, RunError
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.link import CommandRefusedError, ControllerLink, DEACTIVATE
+from multicontact_control.nodes.link import (
+    CommandRefusedError,
+    ControllerLink,
+    DEACTIVATE,
+)
 from multicontact_control.nodes.messages import ControllerStatus, new_identifier
 from multicontact_control.supervision.command_limits import check_position
 from multicontact_control.supervision.contacts import HOLDING, NAMES
@@ -25,14 +29,27 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 __all__ = [
-    'ArmState', 'CommandRefusedError', 'ControllerStatus', 'MultiContactClient', 'NotReachedError']
+    'ArmState',
+    'CommandRefusedError',
+    'ControllerStatus',
+    'MultiContactClient',
+    'NotReachedError',
+]
 
 STATE_TOPICS = (
-    topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.POSE,
-    topics.POSE_DESIRED)
-LONGEST_INTERRUPTION = 5.0  # s of the samples: control resumes by itself within 2 s, or never
+    topics.MEASURED_FORCES,
+    topics.ESTIMATED_FORCES,
+    topics.DESIRED_FORCES,
+    topics.POSE,
+    topics.POSE_DESIRED,
+)
+LONGEST_INTERRUPTION = (
+    5.0  # s of the samples: control resumes by itself within 2 s, or never
+)
 LED_THERE = 2e-5  # m or rad of the reference, which the controller leads on after a late program
-LONGEST_ADVANCE = 0.1  # s between two set points of a motion; a late program makes no step
+LONGEST_ADVANCE = (
+    0.1  # s between two set points of a motion; a late program makes no step
+)
 
 
 class NotReachedError(RunError):
@@ -77,11 +94,19 @@ class MultiContactClient(ControllerLink):
     """
 
     def __init__(
-        self, namespace: str = '', *, domain_id: int | None = None, timeout: float = 10.0,
+        self,
+        namespace: str = '',
+        *,
+        domain_id: int | None = None,
+        timeout: float = 10.0,
     ) -> None:
         messages.require_positive('timeout', timeout, 's')
-        super().__init__((*STATE_TOPICS, topics.NOISE_VARIANCE), namespace=namespace,
-                         domain_id=domain_id, timeout=timeout)
+        super().__init__(
+            (*STATE_TOPICS, topics.NOISE_VARIANCE),
+            namespace=namespace,
+            domain_id=domain_id,
+            timeout=timeout,
+        )
 
     def activate(self) -> None:
         """Configure and activate estimator and controller; they know of no command from before."""
@@ -114,7 +139,9 @@ class MultiContactClient(ControllerLink):
         self.ask('retry', Trigger, Trigger.Request())
 
     def set_forces(
-        self, forces: Mapping[str, float], centres: Mapping[str, float] | None = None,
+        self,
+        forces: Mapping[str, float],
+        centres: Mapping[str, float] | None = None,
     ) -> None:
         """
         Command forces by contact or couple, e.g. ``blade/along`` [N], then centres of pressure.
@@ -128,15 +155,27 @@ class MultiContactClient(ControllerLink):
             messages.require_named_numbers('centres', centres, 'm')
         self.fresh(topics.DESIRED_FORCES)  # before its first sample it refuses
         if forces:
-            self.command(topics.FORCE_COMMAND, messages.joint_state_message(
-                0, list(forces), effort=list(forces.values())))
+            self.command(
+                topics.FORCE_COMMAND,
+                messages.joint_state_message(
+                    0, list(forces), effort=list(forces.values())
+                ),
+            )
         if centres:
-            self.command(topics.FORCE_COMMAND, messages.joint_state_message(
-                0, list(centres), position=list(centres.values())))
+            self.command(
+                topics.FORCE_COMMAND,
+                messages.joint_state_message(
+                    0, list(centres), position=list(centres.values())
+                ),
+            )
 
     def move(
-        self, position_world: ArrayLike, duration: float, *,
-        quaternion_xyzw: ArrayLike | None = None, position_tolerance: float = 0.005,
+        self,
+        position_world: ArrayLike,
+        duration: float,
+        *,
+        quaternion_xyzw: ArrayLike | None = None,
+        position_tolerance: float = 0.005,
         rotation_tolerance: float = 0.05,
     ) -> None:
         """
@@ -162,15 +201,27 @@ class MultiContactClient(ControllerLink):
         try:
             check_position(goal, limits)
         except CommandError as error:
-            raise CommandRefusedError(f'{topics.MOTION_COMMAND.name}: {error}') from None
+            raise CommandRefusedError(
+                f'{topics.MOTION_COMMAND.name}: {error}'
+            ) from None
         start = self.read()
-        last = start.quaternion_desired if quaternion_xyzw is None else messages.quaternion_array(
-            quaternion_xyzw, 'quaternion_xyzw')
+        last = (
+            start.quaternion_desired
+            if quaternion_xyzw is None
+            else messages.quaternion_array(quaternion_xyzw, 'quaternion_xyzw')
+        )
         goal_pose = Pose.from_quaternion(goal, last)
         _require_time(duration, start.pose_desired.way_to(goal_pose), limits)
         # All that takes time comes first: the motion runs from the sample that it starts at.
-        status = self.command(topics.MOTION_COMMAND, messages.motion_message(
-            start.position_desired, start.quaternion_desired, np.zeros(6), np.zeros(6)))
+        status = self.command(
+            topics.MOTION_COMMAND,
+            messages.motion_message(
+                start.position_desired,
+                start.quaternion_desired,
+                np.zeros(6),
+                np.zeros(6),
+            ),
+        )
         start = self.read()
         way = start.pose_desired.way_to(goal_pose)
         _require_free(way, status, position_tolerance, rotation_tolerance)
@@ -178,9 +229,14 @@ class MultiContactClient(ControllerLink):
         self._follow(start, way, goal_pose, duration)
         self._arrive(goal_pose, position_tolerance, rotation_tolerance)
 
-    def _follow(self, start: ArmState, way: Vector, goal: Pose, duration: float) -> None:
+    def _follow(
+        self, start: ArmState, way: Vector, goal: Pose, duration: float
+    ) -> None:
         """Command the points of a way from a state, shape (6,) [m, rad], as its samples come."""
-        identifier, turn = new_identifier(), Rotation.from_quat(start.quaternion_desired)
+        identifier, turn = (
+            new_identifier(),
+            Rotation.from_quat(start.quaternion_desired),
+        )
         elapsed = interrupted = 0.0
         state = start
         while elapsed < duration:
@@ -197,12 +253,18 @@ class MultiContactClient(ControllerLink):
             s, ds, dds = quintic(elapsed, duration)
             point = messages.motion_message(
                 start.position_desired + s * way[:3],
-                (Rotation.from_rotvec(s * way[3:]) * turn).as_quat(), ds * way, dds * way)
+                (Rotation.from_rotvec(s * way[3:]) * turn).as_quat(),
+                ds * way,
+                dds * way,
+            )
             self.send(topics.MOTION_COMMAND, point, identifier)
         self.command(topics.MOTION_COMMAND, point)
 
     def _arrive(
-        self, goal: Pose, position_tolerance: float, rotation_tolerance: float,
+        self,
+        goal: Pose,
+        position_tolerance: float,
+        rotation_tolerance: float,
     ) -> None:
         """Wait until the arm is at a goal, as far as contacts leave that free; NotReachedError."""
         waited, state = 0.0, self.read()
@@ -223,27 +285,44 @@ class MultiContactClient(ControllerLink):
         """Return the status that was looked at last; RunError if the controller sends none."""
         status = self.last_status
         if status is None:
-            status = self._awaited(self.status, f'{topics.STATUS.name}: expected a message')
+            status = self._awaited(
+                self.status, f'{topics.STATUS.name}: expected a message'
+            )
         return status
 
     def _limits(self) -> LimitsConfig:
         """Return the controller's limits of the operational point."""
-        names = [name for name in LimitsConfig.model_fields
-                 if name.startswith(('operational_', 'workspace_'))]
-        values = self.parameters(topics.CONTROLLER, *(f'limits.{name}' for name in names))
+        names = [
+            name
+            for name in LimitsConfig.model_fields
+            if name.startswith(('operational_', 'workspace_'))
+        ]
+        values = self.parameters(
+            topics.CONTROLLER, *(f'limits.{name}' for name in names)
+        )
         return LimitsConfig(**dict(zip(names, values)))
 
     def read(self) -> ArmState:
         """Return the state of a sample that comes from now on."""
         forces, estimated, desired, pose, pose_desired = self.fresh(
-            *STATE_TOPICS, one_stamp=True)
+            *STATE_TOPICS, one_stamp=True
+        )
         return ArmState(
-            _time_of(forces), _by_name(forces), _by_name(estimated), _by_name(desired),
+            _time_of(forces),
+            _by_name(forces),
+            _by_name(estimated),
+            _by_name(desired),
             _by_name(self.newest(topics.NOISE_VARIANCE) or JointState()),
-            *messages.pose_arrays(pose.pose), *messages.pose_arrays(pose_desired.pose))
+            *messages.pose_arrays(pose.pose),
+            *messages.pose_arrays(pose_desired.pose),
+        )
 
     def wait_until_reached(
-        self, force_tolerance: float = 0.5, timeout: float = 20.0, *, settle_time: float = 0.2,
+        self,
+        force_tolerance: float = 0.5,
+        timeout: float = 20.0,
+        *,
+        settle_time: float = 0.2,
     ) -> ArmState:
         """
         Wait until the controller holds the commanded forces; return the state then.
@@ -252,14 +331,19 @@ class MultiContactClient(ControllerLink):
         are within a tolerance [N] of their commands, these contacts are held, and no reaction
         takes the place of control. NotReachedError after a timeout [s] names what is still off.
         """
-        for field, value, unit in (('force_tolerance', force_tolerance, 'N'),
-                                   ('timeout', timeout, 's'), ('settle_time', settle_time, 's')):
+        for field, value, unit in (
+            ('force_tolerance', force_tolerance, 'N'),
+            ('timeout', timeout, 's'),
+            ('settle_time', settle_time, 's'),
+        ):
             messages.require_not_negative(field, value, unit)
         give_up = time.monotonic() + timeout
         while missing := self._missing(force_tolerance, settle_time):
             if time.monotonic() > give_up:
-                raise NotReachedError(f'not within {force_tolerance:g} N after {timeout:g} s: '
-                                      f'{", ".join(missing)}')
+                raise NotReachedError(
+                    f'not within {force_tolerance:g} N after {timeout:g} s: '
+                    f'{", ".join(missing)}'
+                )
         return self.read()
 
     def _missing(self, tolerance: float, settle_time: float) -> list[str]:
@@ -288,7 +372,10 @@ def _is_controlled(status: ControllerStatus) -> bool:
 
 
 def _require_passing(
-    status: ControllerStatus, state: ArmState, goal: Pose, lasted: float,
+    status: ControllerStatus,
+    state: ArmState,
+    goal: Pose,
+    lasted: float,
 ) -> None:
     """End a motion that does not go on by itself, or has not for so long [s]."""
     if lasted <= LONGEST_INTERRUPTION and LATCHED not in status.causes.split():
@@ -297,7 +384,8 @@ def _require_passing(
     place = ', '.join(f'{x:.4g}' for x in state.position_world)
     raise NotReachedError(
         f'{topics.MOTION_COMMAND.name}: ended at [{place}] m, {1e3 * distance:.3g} mm from the '
-        f'goal: {status.text}')
+        f'goal: {status.text}'
+    )
 
 
 def _free_distance(way: Vector, status: ControllerStatus) -> tuple[float, float]:
@@ -313,7 +401,10 @@ def _placed(way: Vector, status: ControllerStatus) -> Vector:
 
 
 def _require_free(
-    way: Vector, status: ControllerStatus, position_tolerance: float, rotation_tolerance: float,
+    way: Vector,
+    status: ControllerStatus,
+    position_tolerance: float,
+    rotation_tolerance: float,
 ) -> None:
     """Refuse a way, shape (6,) [m, rad], that contacts which are sought or held do not allow."""
     placed = _placed(way, status)
@@ -323,7 +414,8 @@ def _require_free(
             f'{topics.MOTION_COMMAND.name}: goal: expected at most {position_tolerance:g} m and '
             f'{rotation_tolerance:g} rad (position_tolerance, rotation_tolerance) where contacts '
             f'place the tool, got {distance:.3g} m and {angle:.3g} rad; let go of '
-            f'{", ".join(status.placing)} first: command 0 N')
+            f'{", ".join(status.placing)} first: command 0 N'
+        )
 
 
 def _require_time(duration: float, way: Vector, limits: LimitsConfig) -> None:
@@ -333,7 +425,8 @@ def _require_time(duration: float, way: Vector, limits: LimitsConfig) -> None:
         raise CommandRefusedError(
             f'{topics.MOTION_COMMAND.name}: duration: expected at least {shortest:.3g} s for '
             f'{np.linalg.norm(way[:3]):.3g} m and {np.linalg.norm(way[3:]):.3g} rad '
-            f'(limits.operational_*), got {duration:g} s')
+            f'(limits.operational_*), got {duration:g} s'
+        )
 
 
 def _time_of(message: JointState) -> float:

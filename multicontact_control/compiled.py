@@ -40,8 +40,12 @@ def cache_folder() -> Path | None:
             digest.update(f'{module}\0{module.stat().st_mtime_ns}\0'.encode() + text)
     user = os.environ.get('XDG_CACHE_HOME') or '~/.cache'
     chosen = os.environ.get('NUMBA_CACHE_DIR')
-    for base in [chosen] if chosen else [f'{HERE}/__pycache__/kernels', f'{user}/{HERE.name}']:
-        with contextlib.suppress(OSError, RuntimeError):  # not writable, or there is no home
+    for base in (
+        [chosen] if chosen else [f'{HERE}/__pycache__/kernels', f'{user}/{HERE.name}']
+    ):
+        with contextlib.suppress(
+            OSError, RuntimeError
+        ):  # not writable, or there is no home
             folder = Path(base).expanduser() / f'{HERE.name}-{digest.hexdigest()[:16]}'
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
@@ -61,5 +65,8 @@ def compiled(function: FunctionT) -> FunctionT:
 
 def compiled_here() -> int:
     """Return how often this process had to compile, because nothing on disk served."""
-    return sum(sum(kernel.stats.cache_misses.values()) for kernel in _kernels
-               if hasattr(kernel, 'stats'))
+    return sum(
+        sum(kernel.stats.cache_misses.values())
+        for kernel in _kernels
+        if hasattr(kernel, 'stats')
+    )

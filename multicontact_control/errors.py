@@ -19,21 +19,35 @@ class FieldError(MulticontactError):
     """
 
     def __init__(
-        self, field: str, expected: str = '', got: object = None, source: str = '', *,
+        self,
+        field: str,
+        expected: str = '',
+        got: object = None,
+        source: str = '',
+        *,
         hint: str = '',
     ) -> None:
         self.field, self.expected, self.got, self.source = field, expected, got, source
         self.hint = hint
         self.errors: tuple[Any, ...] = (self,)  # one per value
         where = f'{source}: {field}' if source else field
-        values = [*([f'expected {expected}'] if expected else []),
-                  *([] if got is None else [f'got {got}'])]
-        super().__init__(f'{where}: {"; ".join(filter(None, [", ".join(values), hint]))}')
+        values = [
+            *([f'expected {expected}'] if expected else []),
+            *([] if got is None else [f'got {got}']),
+        ]
+        super().__init__(
+            f'{where}: {"; ".join(filter(None, [", ".join(values), hint]))}'
+        )
 
     def moved(self, field: str = '', source: str = '') -> ConfigError:
         """Return the same as an error of a configuration, of another field or file."""
-        return ConfigError(field or self.field, self.expected, self.got, source or self.source,
-                           hint=self.hint)
+        return ConfigError(
+            field or self.field,
+            self.expected,
+            self.got,
+            source or self.source,
+            hint=self.hint,
+        )
 
 
 class CommandError(FieldError):

@@ -27,7 +27,9 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding='utf-8'))
     except (OSError, ValueError) as error:
-        raise ConfigError(str(path), 'a readable file of JSON', hint=str(error)) from None
+        raise ConfigError(
+            str(path), 'a readable file of JSON', hint=str(error)
+        ) from None
 
 
 def finite(value: Any) -> Any:

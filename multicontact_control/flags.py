@@ -8,7 +8,8 @@ See `tick` for the order in which they are found.
 # AMBIGUOUS: the contacts depend on each other, and what they bear is not known; TOUCHED: a
 # residual is beyond its threshold; PASSED: none has been for a while, after one was.
 NO_NUMBERS, OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS, TOUCHED, PASSED = (
-    1 << bit for bit in range(6))
+    1 << bit for bit in range(6)
+)
 # Of the task: the reference is not what is wanted.
 REFERENCE = 1 << 6
 # Of the law, which has no answer: a singular posture, or columns of N that depend on each other.
@@ -25,4 +26,6 @@ ALARMS = NO_NUMBERS | OPERATIONAL_SPEED | JOINT_SPEED | AMBIGUOUS | TOUCHED
 NO_ANSWER = SINGULAR | DEPENDENT | REFUSED
 LIMITS = REPLACED | JOINT_STOP | TORQUE | TORQUE_RATE | REACH
 BOUNDING_LIMITS = JOINT_STOP | REACH  # of the motion of the arm
-LASTING_LIMITS = BOUNDING_LIMITS | TORQUE  # that may last: the force laws are told of them
+LASTING_LIMITS = (
+    BOUNDING_LIMITS | TORQUE
+)  # that may last: the force laws are told of them

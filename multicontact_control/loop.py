@@ -32,8 +32,7 @@ import numpy as np
 # a tool that follows a surface leaves the height that was commanded, too.
 UNTOLD_WAY, UNTOLD_TURN = 0.005, 0.05
 STREAM_TIME = 1.0  # s; commands that come more often than this are a stream
-VELOCITIES_IN_DOUBT = (
-    'the joint velocities are in doubt (joints_velocity): prove them in motion, or ~/retry')
+VELOCITIES_IN_DOUBT = 'the joint velocities are in doubt (joints_velocity): prove them in motion, or ~/retry'
 
 
 class ControlLoop:
@@ -70,11 +69,18 @@ class ControlLoop:
     """
 
     def __init__(
-        self, config: ControllerConfig, scenario: TaskSource | None, limits: CommandLimits,
-        base_dir: Path, *, supervised: bool = True,
+        self,
+        config: ControllerConfig,
+        scenario: TaskSource | None,
+        limits: CommandLimits,
+        base_dir: Path,
+        *,
+        supervised: bool = True,
     ) -> None:
         if config.wrench_input == 'momentum' and not supervised:
-            raise ConfigError('wrench_input', 'raw or filtered without a supervisor', 'momentum')
+            raise ConfigError(
+                'wrench_input', 'raw or filtered without a supervisor', 'momentum'
+            )
         limits.check(config)
         self.limits = limits
         source = scenario or CommandedTask(config.column_names, config.leader_of)
@@ -82,11 +88,15 @@ class ControlLoop:
         robot = RobotModel(config.robot, base_dir)
         self.warnings = robot.warnings(config.torque_limit)
         self.supervisor = Supervisor(config, robot, source, guarded=supervised)
-        self.remark = 'standard deviation of the contact forces by the noise of the sensor: ' + (
-            ', '.join(map(str, self.supervisor.controller.resolutions)))
+        self.remark = (
+            'standard deviation of the contact forces by the noise of the sensor: '
+            + (', '.join(map(str, self.supervisor.controller.resolutions)))
+        )
         self.push_gate = PushGate(
             required=config.sensor.require_push_test,
-            gravity_world=np.array(config.robot.gravity_world), rate=config.rate)
+            gravity_world=np.array(config.robot.gravity_world),
+            rate=config.rate,
+        )
         self.restart()
 
     @property
@@ -139,10 +149,20 @@ class ControlLoop:
         if self.output is None or not self.push_gate.phase:
             return
         joints, wrench, stage = inputs.joints, inputs.wrench, self.supervisor.inputs
-        if stage.fresh and joints and wrench and joints.stamp == wrench.stamp and (
+        if (
+            stage.fresh
+            and joints
+            and wrench
+            and joints.stamp == wrench.stamp
+            and (
                 self.push_gate.update(
-                    self.supervisor.controller.arm.frames[0], stage.raw, self.config.tool)) and (
-                self.push_gate.open):
+                    self.supervisor.controller.arm.frames[0],
+                    stage.raw,
+                    self.config.tool,
+                )
+            )
+            and (self.push_gate.open)
+        ):
             self.supervisor.gate.go_over()
             self.supervisor.task.lock(False)
 
@@ -150,7 +170,8 @@ class ControlLoop:
         """Refuse what is only possible with a wrist sensor that nothing presses on."""
         if self.config.wrench_input == 'momentum':
             raise CommandError(
-                'wrench_input', got='momentum', hint=f'a {purpose} needs a wrist sensor')
+                'wrench_input', got='momentum', hint=f'a {purpose} needs a wrist sensor'
+            )
         if self.output is not None and self.output.answer['active'].any():
             raise CommandError('contacts', hint='let go of them first: command 0 N')
         if self.supervisor.reactions.presses:
@@ -161,8 +182,13 @@ class ControlLoop:
         self._require_rest('push test')
         if self.supervisor.velocities_in_doubt:
             raise CommandError('push test', hint=VELOCITIES_IN_DOUBT)
-        self.push_gate.start(config, {
-            name: np.array(x.point_operational) for name, x in self.config.contacts.items()})
+        self.push_gate.start(
+            config,
+            {
+                name: np.array(x.point_operational)
+                for name, x in self.config.contacts.items()
+            },
+        )
         self.supervisor.gate.go_over()
         self.supervisor.task.lock(True)
         return self.push_gate.instruction
@@ -191,10 +217,14 @@ class ControlLoop:
     def _keep_pushed_tool(self, config: ControllerConfig) -> None:
         """Refuse another tool while a push test runs."""
         if self.push_gate.running and config.tool != self.config.tool:
-            raise CommandError('tool', hint='wait: it cannot change while a push test runs')
+            raise CommandError(
+                'tool', hint='wait: it cannot change while a push test runs'
+            )
 
     def set_forces(
-        self, forces: dict[str, float], centres: Mapping[str, float] | None = None,
+        self,
+        forces: dict[str, float],
+        centres: Mapping[str, float] | None = None,
     ) -> None:
         """
         Obey forces and couples by name [N]; a change after a second or more is a `retry`, too.
@@ -204,9 +234,12 @@ class ControlLoop:
         """
         task = self._commandable()
         shares = offset_shares(self.config, centres or {})
-        followed = {name: share for name, share in task.shares.items() if name not in forces}
+        followed = {
+            name: share for name, share in task.shares.items() if name not in forces
+        }
         self.limits.check_forces(
-            self.config, forces, before=task.forces, shares={**followed, **shares})
+            self.config, forces, before=task.forces, shares={**followed, **shares}
+        )
         if task.set_forces(forces, shares):
             if not self.time - self._commanded_at <= STREAM_TIME:
                 self.supervisor.try_again()
@@ -222,7 +255,8 @@ class ControlLoop:
         check_motion(motion, self.config.limits)
         left_out = self._left_out(motion)
         task.set_motion(
-            motion, self.supervisor.task.sought_normals(), self.limits.motion_timeout)
+            motion, self.supervisor.task.sought_normals(), self.limits.motion_timeout
+        )
         return left_out
 
     def _left_out(self, motion: MotionReading) -> str:
@@ -231,13 +265,16 @@ class ControlLoop:
         if self.output is None or not placing:
             return ''
         way = self.output.pose_des.way_to(
-            Pose.from_quaternion(motion.position_world, motion.quaternion_xyzw))
+            Pose.from_quaternion(motion.position_world, motion.quaternion_xyzw)
+        )
         placed = placed_way(way, np.array(list(placing.values())))
         distance, angle = np.linalg.norm(placed.reshape(2, 3), axis=1).tolist()
         if distance <= UNTOLD_WAY and angle <= UNTOLD_TURN:
             return ''
-        return (f'{1e3 * distance:.3g} mm and {angle:.3g} rad of the way are not obeyed: there '
-                f'{", ".join(placing)} place the tool until they are let go (0 N)')
+        return (
+            f'{1e3 * distance:.3g} mm and {angle:.3g} rad of the way are not obeyed: there '
+            f'{", ".join(placing)} place the tool until they are let go (0 N)'
+        )
 
     @property
     def commanded_forces(self) -> dict[str, float]:
@@ -256,13 +293,20 @@ class ControlLoop:
     def _require_running(self) -> None:
         """Refuse a command unless the law has begun with the task."""
         if self.output is None:
-            raise CommandError('controller', hint='it is inactive, or has no samples yet')
+            raise CommandError(
+                'controller', hint='it is inactive, or has no samples yet'
+            )
         if self.supervisor.task.locked:
-            raise CommandError('~/push_test', hint=f'pass it first: {self.push_gate.instruction}')
+            raise CommandError(
+                '~/push_test', hint=f'pass it first: {self.push_gate.instruction}'
+            )
         if not self.supervisor.started:
             causes = () if self.status is None else self.status.causes
-            raise CommandError('control', hint='wait: it has not begun'
-                               + (f' ({", ".join(causes)})' if causes else ''))
+            raise CommandError(
+                'control',
+                hint='wait: it has not begun'
+                + (f' ({", ".join(causes)})' if causes else ''),
+            )
 
     def hold(self, wanted: bool) -> str:
         """Hold the present pose and the desired forces, or go on; return what happens now."""
@@ -296,8 +340,15 @@ class ControlLoop:
         readings, velocities = self.supervisor.inputs.recent(oldest)
         fastest = np.abs(velocities.sum(axis=0)).max() / max(len(readings), 1)
         if fastest > MAX_JOINT_SPEED:
-            raise CommandError('joint speeds', f'at most {MAX_JOINT_SPEED:g} rad/s',
-                               f'{fastest:.3g} rad/s')
+            raise CommandError(
+                'joint speeds',
+                f'at most {MAX_JOINT_SPEED:g} rad/s',
+                f'{fastest:.3g} rad/s',
+            )
         rotation_world = self.supervisor.controller.arm.frames['sensor_rotation'][0]
-        return tare_bias(readings, rotation_world, self.config.tool,
-                         np.array(self.config.robot.gravity_world))
+        return tare_bias(
+            readings,
+            rotation_world,
+            self.config.tool,
+            np.array(self.config.robot.gravity_world),
+        )

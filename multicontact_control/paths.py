@@ -21,13 +21,23 @@ def config_dir(package_dir: Path = PACKAGE_DIR) -> Path:
     if (package_dir.parent / 'package.xml').is_file():
         return package_dir.parent / 'config'
     # <prefix>/lib/pythonX.Y/site-packages/multicontact_control
-    prefixes = [*map(str, package_dir.parents[3:4]), sys.prefix,
-                *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
-    folders = [Path(prefix, 'share/multicontact_control/config') for prefix in prefixes if prefix]
+    prefixes = [
+        *map(str, package_dir.parents[3:4]),
+        sys.prefix,
+        *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep),
+    ]
+    folders = [
+        Path(prefix, 'share/multicontact_control/config')
+        for prefix in prefixes
+        if prefix
+    ]
     if folder := next(filter(Path.is_dir, folders), None):
         return folder
-    raise ConfigError('config', 'the configuration folder of the package',
-                      f'none of {", ".join(map(str, folders))}')
+    raise ConfigError(
+        'config',
+        'the configuration folder of the package',
+        f'none of {", ".join(map(str, folders))}',
+    )
 
 
 def named_file(kind: str, folder: str, name: str) -> Path:
@@ -36,6 +46,10 @@ def named_file(kind: str, folder: str, name: str) -> Path:
     for path in (there / f'{name}.yaml', Path(name)):
         if path.is_file():
             return path
-    known = ', '.join(sorted(
-        file.relative_to(there).with_suffix('').as_posix() for file in there.rglob('*.yaml')))
+    known = ', '.join(
+        sorted(
+            file.relative_to(there).with_suffix('').as_posix()
+            for file in there.rglob('*.yaml')
+        )
+    )
     raise ConfigError(kind, f'one of {known}, or a path', f"'{name}'")

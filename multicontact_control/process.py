@@ -11,7 +11,11 @@ import sys
 
 # Read by numpy's libraries when they are loaded. Threads only delay products of 6 x 6 matrices.
 THREAD_VARIABLES = (
-    'OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS', 'NUMBA_NUM_THREADS')
+    'OPENBLAS_NUM_THREADS',
+    'OMP_NUM_THREADS',
+    'MKL_NUM_THREADS',
+    'NUMBA_NUM_THREADS',
+)
 PR_SET_TIMERSLACK = 29
 # s, in which a thread that computes lets another one go on: a sample does not wait for it longer.
 SWITCH_INTERVAL = 5e-5
@@ -30,12 +34,17 @@ def settle_process() -> None:
     gc.freeze()
     gc.disable()
     sys.setswitchinterval(SWITCH_INTERVAL)
-    with contextlib.suppress(AttributeError, OSError):  # Linux: waits are 50 us too long else
+    with contextlib.suppress(
+        AttributeError, OSError
+    ):  # Linux: waits are 50 us too long else
         ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
 def claim_processor(
-    *, fifo_priority: int = 0, cpus: tuple[int, ...] = (), lock_memory: bool = False,
+    *,
+    fifo_priority: int = 0,
+    cpus: tuple[int, ...] = (),
+    lock_memory: bool = False,
 ) -> list[str]:
     """
     Request SCHED_FIFO (0 for none), processors for all threads, and memory that stays.
@@ -57,12 +66,16 @@ def claim_processor(
                 with contextlib.suppress(ProcessLookupError):  # it has ended
                     os.sched_setaffinity(thread, cpus)
     if fifo_priority:
-        with asking(f'SCHED_FIFO {fifo_priority}',
-                    'CAP_SYS_NICE or an rtprio limit (ulimit -r) of that size'):
+        with asking(
+            f'SCHED_FIFO {fifo_priority}',
+            'CAP_SYS_NICE or an rtprio limit (ulimit -r) of that size',
+        ):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(fifo_priority))
     if lock_memory:
-        with asking('locked memory',
-                    'CAP_IPC_LOCK or a memlock limit (ulimit -l) of the size of the process'):
+        with asking(
+            'locked memory',
+            'CAP_IPC_LOCK or a memlock limit (ulimit -l) of the size of the process',
+        ):
             if ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE):
                 raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
     return problems

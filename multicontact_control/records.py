@@ -77,7 +77,10 @@ class Records(Protocol[RecordT_co]):
 
 
 NUMBERS: dict[object, type[np.generic]] = {
-    float: np.float64, int: np.int64, bool: np.bool_}
+    float: np.float64,
+    int: np.int64,
+    bool: np.bool_,
+}
 
 
 def record_dtype(record: type) -> np.dtype[np.void]:
@@ -88,7 +91,9 @@ def record_dtype(record: type) -> np.dtype[np.void]:
     twelve records.
     """
     fields = get_type_hints(record, include_extras=True)
-    return np.dtype([(name, *_field_dtype(kind)) for name, kind in fields.items()], align=True)
+    return np.dtype(
+        [(name, *_field_dtype(kind)) for name, kind in fields.items()], align=True
+    )
 
 
 def _field_dtype(kind: Any) -> tuple[Any, ...]:
@@ -107,9 +112,12 @@ def _field_dtype(kind: Any) -> tuple[Any, ...]:
 
 
 MAX_ORDER = 3  # of an observer's active state
-MAX_STATES = 2 + MAX_DELAY_PERIODS + MAX_ORDER  # force, its rate, delayed inputs, active states
+MAX_STATES = (
+    2 + MAX_DELAY_PERIODS + MAX_ORDER
+)  # force, its rate, delayed inputs, active states
 MAX_JOINTS = 12  # of an arm
 MAX_COLUMNS = 6  # of N: more are always dependent
+
 
 class Law(Record, Protocol):
     """What is set for the control law and for taking the measured wrench apart; one."""
@@ -518,4 +526,3 @@ class Input(Record, Protocol):
 
 
 INPUT = record_dtype(Input)
-

@@ -93,13 +93,21 @@ class SampleTiming:
     """
 
     def __init__(
-        self, rate: float, *, supervised: bool = True, lockstep: bool = False, feels: bool = True,
-        patience: float = 0.0, pair_tolerance: float = 0.0,
+        self,
+        rate: float,
+        *,
+        supervised: bool = True,
+        lockstep: bool = False,
+        feels: bool = True,
+        patience: float = 0.0,
+        pair_tolerance: float = 0.0,
     ) -> None:
         self._rate, self._period = rate, 1.0 / rate
         self._supervised, self._lockstep, self._feels = supervised, lockstep, feels
         self._period_ns = self._period * NANOSECONDS
-        self._patience_ns = patience * self._period_ns if supervised and not lockstep else 0.0
+        self._patience_ns = (
+            patience * self._period_ns if supervised and not lockstep else 0.0
+        )
         self.tolerance = round(pair_tolerance * self._period_ns)
         self._halves: dict[type, Any] = {}
         self._waiting: tuple[int, JointInput | None, WrenchInput | None] | None = None
@@ -130,7 +138,9 @@ class SampleTiming:
             return
         self.apart = 0 if wrench is None else wrench.stamp - joints.stamp
         if abs(self.apart) <= self.tolerance:
-            self._came_again = self._waiting is not None and self._waiting[0] == joints.stamp
+            self._came_again = (
+                self._waiting is not None and self._waiting[0] == joints.stamp
+            )
             self._waiting = joints.stamp, joints, wrench
             self._halves, self.apart = {}, 0
 
@@ -183,7 +193,9 @@ class SampleTiming:
             time if self._supervised else tick * self._period,
             joints._replace(stamp=time) if joints else before.joints,
             wrench._replace(stamp=time) if wrench else before.wrench,
-            before.variance, self._shift)
+            before.variance,
+            self._shift,
+        )
         return Decision(action, self._inputs)
 
     def late(self, now: int) -> Decision:
@@ -194,19 +206,24 @@ class SampleTiming:
         if newest is not None and newest.stamp > self.last_stamp + self.tolerance:
             del self._halves[type(newest)]
             self.unpaired += 1
-            self._waiting = newest.stamp, *(
-                (newest, None) if isinstance(newest, JointInput) else (None, newest))
+            self._waiting = (
+                newest.stamp,
+                *((newest, None) if isinstance(newest, JointInput) else (None, newest)),
+            )
             since = max(self._since + self._period_ns, now - self._period_ns)
             return Decision(Action.HALF, self.what_now(since).inputs)
         periods_late = int((now - self._since - self._patience_ns) // self._period_ns)
         passed = int((now - self._since) // self._period_ns) if periods_late else 0
         ticks, self._late = passed - self._late, passed
-        self.due = int(self._since + self._patience_ns + (periods_late + 1) * self._period_ns)
+        self.due = int(
+            self._since + self._patience_ns + (periods_late + 1) * self._period_ns
+        )
         if not ticks:  # what is only late is waited for one more period
             return Decision(Action.WAIT)
         self.answered_stamp = self.last_stamp + round(passed * self._period * 1e9)
         counted = ticks * self._period
         self._time += counted
         self._inputs = self._inputs._replace(
-            time=self._time, ahead=self._inputs.ahead + counted)
+            time=self._time, ahead=self._inputs.ahead + counted
+        )
         return Decision(Action.WITHOUT, self._inputs)

@@ -32,6 +32,7 @@ from multicontact_control.supervision.gate import Gate, law_number, pass_gate
 
 SEE, ACT = 1, 2  # stages of a tick
 
+
 class Workspace(Record, Protocol):
     """What a tick works in, so that it allocates nothing; one."""
 
@@ -44,11 +45,25 @@ WORKSPACE = record_dtype(Workspace)
 
 @compiled
 def tick(
-    stages: int, joints: Records[Joint], controls: Records[Control], contacts: Records[Contact],
-    laws: Records[ForceLaw], states: Records[ContactState], limits: Records[TaskLimits],
-    judgements: Records[Judgement], gates: Records[Gate], workspaces: Records[Workspace],
-    q: Vector, velocity: Vector, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix,
-    jacobian_rate: Matrix, position: Vector, rotation: Matrix, sensor_position: Vector,
+    stages: int,
+    joints: Records[Joint],
+    controls: Records[Control],
+    contacts: Records[Contact],
+    laws: Records[ForceLaw],
+    states: Records[ContactState],
+    limits: Records[TaskLimits],
+    judgements: Records[Judgement],
+    gates: Records[Gate],
+    workspaces: Records[Workspace],
+    q: Vector,
+    velocity: Vector,
+    mass_matrix: Matrix,
+    bias_torque: Vector,
+    jacobian: Matrix,
+    jacobian_rate: Matrix,
+    position: Vector,
+    rotation: Matrix,
+    sensor_position: Vector,
     sensor_rotation: Matrix,
 ) -> int:
     """
@@ -82,8 +97,20 @@ def tick(
     control, space, found = controls[0], workspaces[0], 0
     if stages & SEE:
         found = see_arm(
-            q, velocity, mass_matrix, bias_torque, jacobian, position, rotation, sensor_position,
-            sensor_rotation, joints, control, contacts, space.arm)
+            q,
+            velocity,
+            mass_matrix,
+            bias_torque,
+            jacobian,
+            position,
+            rotation,
+            sensor_position,
+            sensor_rotation,
+            joints,
+            control,
+            contacts,
+            space.arm,
+        )
         if found & ALARMS:
             return found
     if not stages & ACT:
@@ -92,7 +119,8 @@ def tick(
     if limit_task(limit, control, contacts, states):
         found |= REFERENCE
     found |= control_law(
-        control, joints, mass_matrix, jacobian, jacobian_rate, contacts, laws, space.law)
+        control, joints, mass_matrix, jacobian, jacobian_rate, contacts, laws, space.law
+    )
     if found & (SINGULAR | DEPENDENT):
         return found
     strict = limit.config.guarded and not limit.locked

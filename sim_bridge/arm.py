@@ -29,7 +29,11 @@ class Placement:
     """A frame in another one."""
 
     position: Vector3 = (0.0, 0.0, 0.0)  # of its origin [m]
-    rpy: Vector3 = (0.0, 0.0, 0.0)  # its axes, turned about the other's x, then y, then z [rad]
+    rpy: Vector3 = (
+        0.0,
+        0.0,
+        0.0,
+    )  # its axes, turned about the other's x, then y, then z [rad]
 
     @classmethod
     def of(cls, placement: pin.SE3) -> Placement:
@@ -64,7 +68,9 @@ class Body:
         return cls(float(inertia.mass), com, triple(moments))
 
 
-MASSLESS = Body(0.0, Placement(), (0.0, 0.0, 0.0))  # PyBullet takes none at all for 1 kg
+MASSLESS = Body(
+    0.0, Placement(), (0.0, 0.0, 0.0)
+)  # PyBullet takes none at all for 1 kg
 
 
 @dataclass(frozen=True)
@@ -72,7 +78,9 @@ class Link:
     """One joint and what it carries."""
 
     joint: str  # name of the joint
-    placement: Placement  # of the joint's frame in the link before; it turns about its z axis
+    placement: (
+        Placement  # of the joint's frame in the link before; it turns about its z axis
+    )
     body: Body  # in the joint's frame
     lower: float  # range, infinite for a joint without end [rad]
     upper: float
@@ -152,23 +160,39 @@ def urdf_text(arm: Arm, *, for_bullet: bool = False) -> str:
     bodies, visuals = arm.bodies, {} if for_bullet else arm.visuals
     base = _link(BASE_LINK, MASSLESS, visuals.get(BASE_LINK, ''))
     if for_bullet:
-        bodies = tuple(replace(body, inertia=(max(body.inertia),) * 3) for body in bodies)
+        bodies = tuple(
+            replace(body, inertia=(max(body.inertia),) * 3) for body in bodies
+        )
         base = _link(BASE_LINK, Body(1.0, Placement(), (1.0, 1.0, 1.0)))
     parts, parent = base, BASE_LINK
     for number, (link, body) in enumerate(zip(arm.links, bodies), start=1):
         name = f'link{number}'
-        endless = for_bullet or not (math.isfinite(link.lower) and math.isfinite(link.upper))
+        endless = for_bullet or not (
+            math.isfinite(link.lower) and math.isfinite(link.upper)
+        )
         lower, upper = (-NO_LIMIT, NO_LIMIT) if endless else (link.lower, link.upper)
         parts += _link(name, body, visuals.get(name, ''))
         parts += _joint(
-            link.joint, 'continuous' if endless else 'revolute', parent, name, link.placement, [
+            link.joint,
+            'continuous' if endless else 'revolute',
+            parent,
+            name,
+            link.placement,
+            [
                 '    <axis xyz="0 0 1"/>',
                 f'    <limit lower="{lower!r}" upper="{upper!r}" effort="{link.torque_limit!r}"'
-                f' velocity="{link.speed_limit!r}"/>'])
+                f' velocity="{link.speed_limit!r}"/>',
+            ],
+        )
         parent = name
-    places = {} if for_bullet else {
-        OPERATIONAL_FRAME: (parent, arm.operational),
-        **{tip: (TOOL_LINK, Placement(point)) for tip, point in arm.tips.items()}}
+    places = (
+        {}
+        if for_bullet
+        else {
+            OPERATIONAL_FRAME: (parent, arm.operational),
+            **{tip: (TOOL_LINK, Placement(point)) for tip, point in arm.tips.items()},
+        }
+    )
     parts += _link(SENSOR_FRAME, bodies[-2])
     parts += _joint(f'{SENSOR_FRAME}_joint', 'fixed', parent, SENSOR_FRAME, arm.sensor)
     parts += _link(TOOL_LINK, bodies[-1], visuals.get(TOOL_LINK, ''))
@@ -192,11 +216,16 @@ def _link(name: str, body: Body, visuals: str = '') -> list[str]:
         f'      <mass value="{body.mass!r}"/>',
         f'      <inertia ixx="{ixx!r}" iyy="{iyy!r}" izz="{izz!r}" ixy="0" ixz="0" iyz="0"/>',
         f'    </inertial>{visuals}',
-        '  </link>']
+        '  </link>',
+    ]
 
 
 def _joint(
-    name: str, kind: str, parent: str, child: str, placement: Placement,
+    name: str,
+    kind: str,
+    parent: str,
+    child: str,
+    placement: Placement,
     turning: Sequence[str] = (),
 ) -> list[str]:
     return [
@@ -205,11 +234,14 @@ def _joint(
         f'    <child link="{child}"/>',
         f'    {_origin(placement)}',
         *turning,
-        '  </joint>']
+        '  </joint>',
+    ]
 
 
 def _origin(placement: Placement) -> str:
-    return f'<origin xyz="{numbers(placement.position)}" rpy="{numbers(placement.rpy)}"/>'
+    return (
+        f'<origin xyz="{numbers(placement.position)}" rpy="{numbers(placement.rpy)}"/>'
+    )
 
 
 def numbers(values: Iterable[float]) -> str:

@@ -18,133 +18,218 @@ class SurfaceConfig(Config):
     """One compliant, rough surface that one bar tip may touch."""
 
     tip_link: str = parameter(
-        ..., 'URDF link whose origin meets this surface, at the tip of the tool or anywhere on '
-        'the arm.')
+        ...,
+        'URDF link whose origin meets this surface, at the tip of the tool or anywhere on '
+        'the arm.',
+    )
     contact: str = parameter(
-        '', 'Contact that this tip is a part of, as an end of an edge or a corner of a plane; '
-        'empty for a contact of its own, named as the surface.')
+        '',
+        'Contact that this tip is a part of, as an end of an edge or a corner of a plane; '
+        'empty for a contact of its own, named as the surface.',
+    )
     offset: tuple[float, float] = parameter(
-        (0.0, 0.0), 'Where on that contact, in half lengths along its direction and half widths '
-        'across it.')
+        (0.0, 0.0),
+        'Where on that contact, in half lengths along its direction and half widths '
+        'across it.',
+    )
     point_world: Vector3 = parameter(..., 'A point of the mean surface.', unit='m')
     normal_world: UnitVector3 = parameter(
-        ..., 'Unit surface normal INTO the surface, at that point.')
+        ..., 'Unit surface normal INTO the surface, at that point.'
+    )
     shape: Literal['plane', 'cylinder', 'sphere'] = parameter(
-        'plane', 'Cylinders are curved along the track of the height profile (world x laid into '
-        'the surface, or y for one that faces along x).')
+        'plane',
+        'Cylinders are curved along the track of the height profile (world x laid into '
+        'the surface, or y for one that faces along x).',
+    )
     radius: float = parameter(
-        0.0, 'Of a cylinder or sphere: above 0 with its centre behind the surface, as of a ball, '
-        'below 0 with its centre on the side of the robot, as of a bowl.', unit='m')
+        0.0,
+        'Of a cylinder or sphere: above 0 with its centre behind the surface, as of a ball, '
+        'below 0 with its centre on the side of the robot, as of a bowl.',
+        unit='m',
+    )
     velocity: float = parameter(
-        0.0, 'Largest speed at which the surface moves along its normal, first away from the '
-        'robot if positive.', unit='m/s')
+        0.0,
+        'Largest speed at which the surface moves along its normal, first away from the '
+        'robot if positive.',
+        unit='m/s',
+    )
     motion_start: float = parameter(0.0, 'When it begins to move.', unit='s', ge=0.0)
     motion_period: float = parameter(
-        0.0, 'Period of v sin(2 pi t / T), which leads it back; 0 for a constant velocity.',
-        unit='s', ge=0.0)
+        0.0,
+        'Period of v sin(2 pi t / T), which leads it back; 0 for a constant velocity.',
+        unit='s',
+        ge=0.0,
+    )
     stiffness: float = parameter(
-        6000.0, 'Contact stiffness.', unit='N/m', live=True, gt=0.0)
+        6000.0, 'Contact stiffness.', unit='N/m', live=True, gt=0.0
+    )
     damping: float = parameter(30.0, 'Contact damping.', unit='N s/m', ge=0.0)
     friction: float = parameter(
-        0.1, 'Coulomb friction coefficient.', live=True, ge=0.0, le=2.0)
+        0.1, 'Coulomb friction coefficient.', live=True, ge=0.0, le=2.0
+    )
     slip_speed: float = parameter(
-        5e-3, 'Sliding speed at which friction reaches 71 % of its value.', unit='m/s', gt=0.0)
+        5e-3,
+        'Sliding speed at which friction reaches 71 % of its value.',
+        unit='m/s',
+        gt=0.0,
+    )
     roughness_std: float = parameter(
-        4e-5, 'Standard deviation of the height profile, 0 for a smooth one.', unit='m', ge=0.0)
+        4e-5,
+        'Standard deviation of the height profile, 0 for a smooth one.',
+        unit='m',
+        ge=0.0,
+    )
     roughness_length: float = parameter(
-        1e-4, 'Standard deviation of the Gaussian that smooths the profile.', unit='m', gt=0.0)
+        1e-4,
+        'Standard deviation of the Gaussian that smooths the profile.',
+        unit='m',
+        gt=0.0,
+    )
 
 
 class SensorConfig(Config):
     """The wrist force/torque sensor; force before torque, x y z."""
 
     mounting: Vector = parameter(
-        (), 'What the mounting makes of true forces and of true torques: a 3 x 3 matrix, row by '
-        'row, e.g. a rotation or -1 on the diagonal for a flipped sign; empty for nothing.')
+        (),
+        'What the mounting makes of true forces and of true torques: a 3 x 3 matrix, row by '
+        'row, e.g. a rotation or -1 on the diagonal for a flipped sign; empty for nothing.',
+    )
     noise: bool = parameter(True, 'Whether white noise is added.')
     force_noise_std: float = parameter(0.047, 'Noise per force axis.', unit='N', ge=0.0)
-    torque_noise_std: float = parameter(0.004, 'Noise per torque axis.', unit='N m', ge=0.0)
+    torque_noise_std: float = parameter(
+        0.004, 'Noise per torque axis.', unit='N m', ge=0.0
+    )
     bias: Vector = parameter((0.0,) * 6, 'Constant offset of each axis.', unit='N, N m')
     saturate: bool = parameter(True, 'Whether readings stop at full scale.')
     full_scale: Vector = parameter(
-        (100.0, 100.0, 200.0, 5.0, 5.0, 5.0), 'Largest reading of each axis.', unit='N, N m')
+        (100.0, 100.0, 200.0, 5.0, 5.0, 5.0),
+        'Largest reading of each axis.',
+        unit='N, N m',
+    )
     quantise: bool = parameter(True, 'Whether readings come in steps.')
     bits: int = parameter(14, 'Bits over the whole range, both signs.', ge=2, le=32)
     low_pass: bool = parameter(True, 'Whether ft_sensor/wrench_filtered is filtered.')
     low_pass_cutoff: float = parameter(
-        125.0, 'Cut-off of the last of the cascaded low-passes.', unit='Hz', gt=0.0)
+        125.0, 'Cut-off of the last of the cascaded low-passes.', unit='Hz', gt=0.0
+    )
 
     def _misfits(self) -> Iterator[ConfigError]:
-        for name, counts in (('bias', (6,)), ('full_scale', (6,)), ('mounting', (0, 9))):
+        for name, counts in (
+            ('bias', (6,)),
+            ('full_scale', (6,)),
+            ('mounting', (0, 9)),
+        ):
             if len(getattr(self, name)) not in counts:
                 yield ConfigError(
-                    f'sensor.{name}', f'{counts[-1]} values', len(getattr(self, name)))
+                    f'sensor.{name}', f'{counts[-1]} values', len(getattr(self, name))
+                )
         if min(self.full_scale) <= 0.0:
-            yield ConfigError('sensor.full_scale', 'values above 0', min(self.full_scale))
+            yield ConfigError(
+                'sensor.full_scale', 'values above 0', min(self.full_scale)
+            )
 
 
 class PlantConfig(Config):
     """The simulated arm, its drives, its sensor and what it touches."""
 
-    robot: str = parameter('puma', 'Robot: a name of config/robots, or the path of such a file.')
+    robot: str = parameter(
+        'puma', 'Robot: a name of config/robots, or the path of such a file.'
+    )
     engine: Literal['pybullet', 'mujoco'] = parameter(
-        'pybullet', 'What works out how the arm moves.')
+        'pybullet', 'What works out how the arm moves.'
+    )
     contact: Literal['compliant', 'native'] = parameter(
-        'compliant', 'Whether surfaces push as they are configured, the same with every engine, '
-        'or the contact solver of the engine does, with planes at rest and without roughness.')
+        'compliant',
+        'Whether surfaces push as they are configured, the same with every engine, '
+        'or the contact solver of the engine does, with planes at rest and without roughness.',
+    )
     home: Vector = parameter(..., 'Joint angles at the start.', unit='rad')
     gravity_world: Vector3 = parameter((0.0, 0.0, -9.81), 'Gravity.', unit='m/s^2')
     substep: float = parameter(2.5e-4, 'Integration step.', unit='s', gt=0.0)
     actuator_delay_ticks: int = parameter(
-        1, 'Control periods from a sample to the torque that answers it.',
-        ge=0, le=MAX_ACTUATOR_DELAY)
+        1,
+        'Control periods from a sample to the torque that answers it.',
+        ge=0,
+        le=MAX_ACTUATOR_DELAY,
+    )
     drives: Literal['rigid', 'flexible'] = parameter(
-        'flexible', 'Whether rotors and links are one or joined by springs.')
+        'flexible', 'Whether rotors and links are one or joined by springs.'
+    )
     drive_stiffness: Vector = parameter(
-        (), 'Stiffness between rotor and link, joint side.', unit='N m/rad')
+        (), 'Stiffness between rotor and link, joint side.', unit='N m/rad'
+    )
     drive_damping: Vector = parameter(
-        (), 'Damping between rotor and link, joint side.', unit='N m s/rad')
+        (), 'Damping between rotor and link, joint side.', unit='N m s/rad'
+    )
     joint_sensing: Literal['motor', 'joint'] = parameter(
-        'motor', 'Side of the drive springs the encoders sit on.')
+        'motor', 'Side of the drive springs the encoders sit on.'
+    )
     joint_friction_scale: float = parameter(
-        0.6, 'Joint friction relative to the published one, 0 for none.', ge=0.0, le=5.0)
+        0.6, 'Joint friction relative to the published one, 0 for none.', ge=0.0, le=5.0
+    )
     joint_friction_speed: float = parameter(
-        1e-3, 'Joint speed scale of the smoothed Coulomb friction.', unit='rad/s', gt=0.0)
+        1e-3,
+        'Joint speed scale of the smoothed Coulomb friction.',
+        unit='rad/s',
+        gt=0.0,
+    )
     torque_limit: Vector = parameter(
-        (), "Largest joint torque; empty for the robot's own.", unit='N m')
+        (), "Largest joint torque; empty for the robot's own.", unit='N m'
+    )
     contact_names: tuple[str, ...] = parameter(
-        ..., 'Contacts in the order of every contact vector.')
+        ..., 'Contacts in the order of every contact vector.'
+    )
     obstacle_names: tuple[str, ...] = parameter(
-        (), 'Surfaces that are in the way, and no contacts of the controller.')
+        (), 'Surfaces that are in the way, and no contacts of the controller.'
+    )
     surfaces: dict[str, SurfaceConfig]
     sensor: SensorConfig = SensorConfig()
     push_start: Vector = parameter((), 'When each push begins.', unit='s')
     push_duration: Vector = parameter((), 'How long each push lasts.', unit='s')
     push_force_world: Vector = parameter(
-        (), 'Forces of the pushes at the operational point, x y z of each in turn.', unit='N')
+        (),
+        'Forces of the pushes at the operational point, x y z of each in turn.',
+        unit='N',
+    )
     tool_push_link: str = parameter(
-        'tip_board', 'URDF link, carried by the last joint, at whose origin the tool is pushed.')
+        'tip_board',
+        'URDF link, carried by the last joint, at whose origin the tool is pushed.',
+    )
 
     def _misfits(self) -> Iterator[ConfigError]:
-        for field, known in (('contact_names', set(self.contacts.values())),
-                             ('obstacle_names', set(self.surfaces))):
+        for field, known in (
+            ('contact_names', set(self.contacts.values())),
+            ('obstacle_names', set(self.surfaces)),
+        ):
             for name in getattr(self, field):
                 if name not in known:
                     yield ConfigError(
-                        field, f'names among {", ".join(sorted(known))}', f"'{name}'")
+                        field, f'names among {", ".join(sorted(known))}', f"'{name}'"
+                    )
         for names in (self.met, self.contact_names):
             if len(set(names)) != len(names):
-                yield ConfigError('contact_names', 'distinct names, obstacle_names included',
-                                  list(names))
+                yield ConfigError(
+                    'contact_names',
+                    'distinct names, obstacle_names included',
+                    list(names),
+                )
         for name, surface in self.surfaces.items():
             yield from self._check_surface(f'surfaces.{name}', surface)
         joints, flexible = len(self.home), self.drives == 'flexible'
         pushes = len(self.push_start)
-        counts = {'drive_stiffness': joints, 'drive_damping': joints, 'torque_limit': joints,
-                  'push_duration': pushes, 'push_force_world': 3 * pushes}
+        counts = {
+            'drive_stiffness': joints,
+            'drive_damping': joints,
+            'torque_limit': joints,
+            'push_duration': pushes,
+            'push_force_world': 3 * pushes,
+        }
         for name, count in counts.items():
             values = getattr(self, name)
-            optional = name == 'torque_limit' or (name.startswith('drive') and not flexible)
+            optional = name == 'torque_limit' or (
+                name.startswith('drive') and not flexible
+            )
             if len(values) != count and not (optional and not values):
                 yield ConfigError(name, counted(count, 'values'), len(values))
             least = min(values, default=1.0)
@@ -154,29 +239,51 @@ class PlantConfig(Config):
                 yield ConfigError(name, 'no negative value', least)
         if self.contact == 'native' and self.engine != 'mujoco':
             yield ConfigError('contact', 'compliant with this engine', 'native')
-        if self.contact == 'native' and self.drives == 'rigid' and self.joint_friction_scale > 0.0:
-            yield ConfigError('joint_friction_scale', '0 with rigid drives and native contacts',
-                              self.joint_friction_scale)
+        if (
+            self.contact == 'native'
+            and self.drives == 'rigid'
+            and self.joint_friction_scale > 0.0
+        ):
+            yield ConfigError(
+                'joint_friction_scale',
+                '0 with rigid drives and native contacts',
+                self.joint_friction_scale,
+            )
 
-    def _check_surface(self, field: str, surface: SurfaceConfig) -> Iterator[ConfigError]:
+    def _check_surface(
+        self, field: str, surface: SurfaceConfig
+    ) -> Iterator[ConfigError]:
         if (surface.shape == 'plane') != (surface.radius == 0.0):
             yield ConfigError(
-                f'{field}.radius', '0 for a plane, and another number for what is curved',
-                f'{surface.radius:g} of a {surface.shape}')
-        if self.contact == 'native' and (surface.shape != 'plane' or surface.velocity != 0.0):
-            yield ConfigError(field, 'a plane at rest with native contacts',
-                              f'a {surface.shape} of velocity {surface.velocity:g} m/s')
+                f'{field}.radius',
+                '0 for a plane, and another number for what is curved',
+                f'{surface.radius:g} of a {surface.shape}',
+            )
+        if self.contact == 'native' and (
+            surface.shape != 'plane' or surface.velocity != 0.0
+        ):
+            yield ConfigError(
+                field,
+                'a plane at rest with native contacts',
+                f'a {surface.shape} of velocity {surface.velocity:g} m/s',
+            )
 
     @property
     def contacts(self) -> dict[str, str]:
         """Name of the contact that the tip of each surface is a part of."""
-        return {name: surface.contact or name for name, surface in self.surfaces.items()}
+        return {
+            name: surface.contact or name for name, surface in self.surfaces.items()
+        }
 
     @property
     def touched(self) -> tuple[str, ...]:
         """Names of the surfaces that the contacts are made of, contact by contact."""
-        return tuple(name for contact in self.contact_names
-                     for name, whose in self.contacts.items() if whose == contact)
+        return tuple(
+            name
+            for contact in self.contact_names
+            for name, whose in self.contacts.items()
+            if whose == contact
+        )
 
     @property
     def met(self) -> tuple[str, ...]:
@@ -188,7 +295,9 @@ class PlantConfig(Config):
         """Name of one surface for each contact and obstacle: the tips of a contact share it."""
         drawn: dict[str, str] = {}
         for name in self.met:
-            drawn.setdefault(self.contacts[name] if name in self.touched else name, name)
+            drawn.setdefault(
+                self.contacts[name] if name in self.touched else name, name
+            )
         return drawn
 
     @property
@@ -201,19 +310,25 @@ class PlantConfig(Config):
         """
         columns: dict[str, dict[str, float]] = {}
         for contact in self.contact_names:
-            tips = {name: self.surfaces[name].offset for name in self.touched
-                    if self.contacts[name] == contact}
+            tips = {
+                name: self.surfaces[name].offset
+                for name in self.touched
+                if self.contacts[name] == contact
+            }
             columns[contact] = dict.fromkeys(tips, 1.0)
             for kind, axis in ((ALONG, 0), (ACROSS, 1)):
                 if any(offset[axis] for offset in tips.values()):
                     columns[contact + SUFFIXES[kind]] = {
-                        name: offset[axis] for name, offset in tips.items()}
+                        name: offset[axis] for name, offset in tips.items()
+                    }
         return columns
 
     def stiffness_of(self, column: str) -> float:
         """Return the stiffness of the surfaces along a force or couple of `columns` [N/m]."""
-        return sum(share * share * self.surfaces[name].stiffness
-                   for name, share in self.columns[column].items())
+        return sum(
+            share * share * self.surfaces[name].stiffness
+            for name, share in self.columns[column].items()
+        )
 
     @property
     def column_names(self) -> tuple[str, ...]:
@@ -226,6 +341,8 @@ class PlantConfig(Config):
         count = round(ratio)
         if count < 1 or abs(ratio - count) > 1e-6 * count:
             raise ConfigError(
-                'substep', f'a whole fraction of the control period {1.0 / rate:g} s',
-                f'{self.substep:g} s')
+                'substep',
+                f'a whole fraction of the control period {1.0 / rate:g} s',
+                f'{self.substep:g} s',
+            )
         return count

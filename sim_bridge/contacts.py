@@ -53,8 +53,10 @@ class Pushes:
     def start_period(self, tick: int) -> None:
         """Take the forces of the control period that begins with a tick."""
         if self._pushes:
-            self.force_world[:] = sum((force for first, end, force in self._pushes
-                                       if first <= tick < end), np.zeros(3))
+            self.force_world[:] = sum(
+                (force for first, end, force in self._pushes if first <= tick < end),
+                np.zeros(3),
+            )
             self._pushes = [push for push in self._pushes if push[1] > tick]
 
 
@@ -78,7 +80,10 @@ class Contacts:
     """
 
     def __init__(
-        self, config: PlantConfig, arm: Arm, model: pin.Model,
+        self,
+        config: PlantConfig,
+        arm: Arm,
+        model: pin.Model,
         generators: list[np.random.Generator],
     ) -> None:
         met = [config.surfaces[name] for name in config.met]
@@ -98,9 +103,12 @@ class Contacts:
         self.pressed: Vector = self.surfaces['alpha']
         self.points_world: Matrix = self.surfaces['point']
         self.places_world: Matrix = self.surfaces['place']
-        self._columns = np.array([[shares.get(name, 0.0) for name in config.met]
-                                  for shares in config.columns.values()]).reshape(
-            len(config.columns), len(config.met))
+        self._columns = np.array(
+            [
+                [shares.get(name, 0.0) for name in config.met]
+                for shares in config.columns.values()
+            ]
+        ).reshape(len(config.columns), len(config.met))
         self._touched = len(config.touched)
 
     @property
@@ -112,12 +120,14 @@ class Contacts:
     @property
     def obstacles(self) -> Vector:
         """Return the normal forces on what is in the way and no contact, shape (k,) [N]."""
-        return self.pressed[self._touched:].copy()
+        return self.pressed[self._touched :].copy()
 
     def _changing(self, surface: int) -> Surface:
         """Return a surface to change; ConfigError if it is the engine's own."""
         if self._native:
-            raise ConfigError('contact', 'compliant, for surfaces that change', 'native')
+            raise ConfigError(
+                'contact', 'compliant, for surfaces that change', 'native'
+            )
         return self.surfaces[surface]
 
     def shift(self, contact: int, distance: float) -> None:
@@ -147,7 +157,9 @@ class Contacts:
 
 
 @compiled
-def take_push(push: Vector, force: Vector, sign: float, point: Vector, body: int) -> None:
+def take_push(
+    push: Vector, force: Vector, sign: float, point: Vector, body: int
+) -> None:
     """Fill a row of pushes: sign * force [N], its point [m], and the body it acts on."""
     for k in range(3):
         push[k], push[3 + k] = sign * force[k], point[k]
@@ -156,8 +168,15 @@ def take_push(push: Vector, force: Vector, sign: float, point: Vector, body: int
 
 @compiled
 def act_on_arm(
-    motion: Matrix, torques: Matrix, limit: Vector, links: Records[Link], drives: Records[Drive],
-    surfaces: Records[Surface], profiles: Matrix, hands: Records[Hand], pushes: Matrix,
+    motion: Matrix,
+    torques: Matrix,
+    limit: Vector,
+    links: Records[Link],
+    drives: Records[Drive],
+    surfaces: Records[Surface],
+    profiles: Matrix,
+    hands: Records[Hand],
+    pushes: Matrix,
     step: float,
 ) -> int:
     """
@@ -218,7 +237,9 @@ def act_on_arm(
         point_velocity(surface.point, qd, links, surface.joint, velocity)
         press(surface, velocity, profiles[i])
         if surface.alpha > 0.0:
-            add_joint_torque(surface.point, surface.force, -1.0, links, surface.joint, load)
+            add_joint_torque(
+                surface.point, surface.force, -1.0, links, surface.joint, load
+            )
             take_push(pushes[count], surface.force, -1.0, surface.point, surface.body)
             count += 1
     add_joint_torque(hands[1].point, hands[1].force, 1.0, links, last, load)

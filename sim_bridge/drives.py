@@ -38,6 +38,8 @@ HOLD_FREQUENCY = 20.0  # w [rad/s]
 NEWTON_STEPS = 50
 LARGEST_SWEEPS = 1000
 NEWTON_TOLERANCE = 1e-13
+
+
 class Drive(Record, Protocol):
     """One drive: its rotor, over the gear, and the spring to its link."""
 
@@ -63,7 +65,10 @@ def joint_friction(arm: Arm, scale: float, speed: float) -> Records[Friction]:
 
 
 def flexible_drives(
-    inertia: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, friction: Records[Friction],
+    inertia: ArrayLike,
+    stiffness: ArrayLike,
+    damping: ArrayLike,
+    friction: Records[Friction],
 ) -> Records[Drive]:
     """Return rotors joined to the links by springs, records of `DRIVE`, shape (n,)."""
     drives = np.zeros(len(friction), dtype=DRIVE)
@@ -74,7 +79,11 @@ def flexible_drives(
 
 @compiled
 def advance_drives(
-    torque: Vector, q: Vector, qd: Vector, drives: Records[Drive], step: float,
+    torque: Vector,
+    q: Vector,
+    qd: Vector,
+    drives: Records[Drive],
+    step: float,
     link_torque: Vector,
 ) -> None:
     """
@@ -87,7 +96,9 @@ def advance_drives(
     """
     for joint in range(drives.shape[0]):
         drive = drives[joint]
-        twist = drive.stiffness * (drive.q - q[joint]) + drive.damping * (drive.qd - qd[joint])
+        twist = drive.stiffness * (drive.q - q[joint]) + drive.damping * (
+            drive.qd - qd[joint]
+        )
         link_torque[joint] = twist
         free = drive.qd + step / drive.inertia * (torque[joint] - twist)
         drive.qd = implicit_speed(free, step, drive.inertia, drive.friction)
@@ -104,15 +115,24 @@ class RigidDrives:
     and the integration step [s].
     """
 
-    def __init__(self, model: pin.Model, friction: Records[Friction], step: float) -> None:
+    def __init__(
+        self, model: pin.Model, friction: Records[Friction], step: float
+    ) -> None:
         self._model, self._data = model, model.createData()
         self._armature = np.array(model.armature)
         self._friction, self._step = friction, step
         self._frictionless = not any(
-            friction[name].any() for name in ('viscous', 'coulomb_positive', 'coulomb_negative'))
+            friction[name].any()
+            for name in ('viscous', 'coulomb_positive', 'coulomb_negative')
+        )
 
     def advance(
-        self, torque: Vector, total: Vector, q: Vector, qd: Vector, link_torque: Vector,
+        self,
+        torque: Vector,
+        total: Vector,
+        q: Vector,
+        qd: Vector,
+        link_torque: Vector,
     ) -> None:
         """
         Fill `link_torque` with the torque on the links for one step, shape (n,) [N m].
@@ -125,7 +145,12 @@ class RigidDrives:
             inertia = mass_matrix(self._model, self._data, q)
             speed = qd.copy()
             implicit_joint_speed(
-                qd + self._step * acceleration, self._step, inertia, self._friction, speed)
+                qd + self._step * acceleration,
+                self._step,
+                inertia,
+                self._friction,
+                speed,
+            )
             slowed = (speed - qd) / self._step
             torque = torque - inertia @ (acceleration - slowed)
             acceleration = slowed
@@ -137,7 +162,9 @@ class PositionHold:
 
     def __init__(self, model: pin.Model) -> None:
         self._model, self._data = model, model.createData()  # tool and rotors included
-        self.posture: Vector | None = None  # that is held [rad]; None takes the next one
+        self.posture: Vector | None = (
+            None  # that is held [rad]; None takes the next one
+        )
 
     def torque(self, q: Vector, qd: Vector) -> Vector:
         """Return the torque that holds the posture, shape (n,) [N m]."""
@@ -147,7 +174,9 @@ class PositionHold:
         acceleration = w * w * (self.posture - q) - 2.0 * w * qd
         still = np.zeros_like(q)
         gravity = pin.rnea(self._model, self._data, q, still, still)
-        torque: Vector = mass_matrix(self._model, self._data, q) @ acceleration + gravity
+        torque: Vector = (
+            mass_matrix(self._model, self._data, q) @ acceleration + gravity
+        )
         return torque
 
 
@@ -156,12 +185,16 @@ def friction_at(speed: float, joint: Friction) -> tuple[float, float]:
     """Return f(v) = b v + F tanh(v / v_0) of a joint [N m] and df/dv [N m s/rad] at a speed."""
     coulomb = joint.coulomb_positive if speed >= 0.0 else joint.coulomb_negative
     tangent = np.tanh(speed / joint.speed)
-    return (joint.viscous * speed + coulomb * tangent,
-            joint.viscous + coulomb * (1.0 - tangent * tangent) / joint.speed)
+    return (
+        joint.viscous * speed + coulomb * tangent,
+        joint.viscous + coulomb * (1.0 - tangent * tangent) / joint.speed,
+    )
 
 
 @compiled
-def implicit_speed(free_speed: float, step: float, inertia: float, joint: Friction) -> float:
+def implicit_speed(
+    free_speed: float, step: float, inertia: float, joint: Friction
+) -> float:
     """
     Solve v = free_speed - step / inertia * f(v) for the speed at the end of a step.
 
@@ -192,7 +225,10 @@ def implicit_speed(free_speed: float, step: float, inertia: float, joint: Fricti
 
 @compiled
 def implicit_joint_speed(
-    free_speed: Vector, step: float, mass_matrix: Matrix, friction: Records[Friction],
+    free_speed: Vector,
+    step: float,
+    mass_matrix: Matrix,
+    friction: Records[Friction],
     speed: Vector,
 ) -> None:
     """
@@ -210,11 +246,14 @@ def implicit_joint_speed(
             moved = 0.0  # by the other joints
             for other in range(n):
                 if other != joint:
-                    moved -= mass_matrix[joint, other] * (speed[other] - free_speed[other])
+                    moved -= mass_matrix[joint, other] * (
+                        speed[other] - free_speed[other]
+                    )
             inertia = mass_matrix[joint, joint]
             before = speed[joint]
             speed[joint] = implicit_speed(
-                free_speed[joint] + moved / inertia, step, inertia, friction[joint])
+                free_speed[joint] + moved / inertia, step, inertia, friction[joint]
+            )
             largest = max(largest, abs(speed[joint] - before))
         if largest <= NEWTON_TOLERANCE:
             return

@@ -56,7 +56,11 @@ def forward_kinematics(q: Vector, links: Records[Link]) -> None:
         for row in range(3):
             if joint == 0:
                 place = link.offset[row]
-                x, y, z = link.rotation[row, 0], link.rotation[row, 1], link.rotation[row, 2]
+                x, y, z = (
+                    link.rotation[row, 0],
+                    link.rotation[row, 1],
+                    link.rotation[row, 2],
+                )
             else:
                 before = links[joint - 1]
                 place, x, y, z = before.origin[row], 0.0, 0.0, 0.0
@@ -83,7 +87,11 @@ def place_point(local: Vector, link: Link, point: Vector) -> None:
 
 @compiled
 def point_velocity(
-    point: Vector, qd: Vector, links: Records[Link], last: int, velocity: Vector,
+    point: Vector,
+    qd: Vector,
+    links: Records[Link],
+    last: int,
+    velocity: Vector,
 ) -> None:
     """
     Fill `velocity` with that of a point of link `last`, world axes, shape (3,) [m/s].
@@ -103,7 +111,12 @@ def point_velocity(
 
 @compiled
 def add_joint_torque(
-    point: Vector, force: Vector, sign: float, links: Records[Link], last: int, torque: Vector,
+    point: Vector,
+    force: Vector,
+    sign: float,
+    links: Records[Link],
+    last: int,
+    torque: Vector,
 ) -> None:
     """
     Add J^T (sign * force) of a force at a point of link `last`, world axes, to `torque`.
@@ -118,4 +131,5 @@ def add_joint_torque(
         torque[joint] += sign * (
             axis[0] * (y * force[2] - z * force[1])
             + axis[1] * (z * force[0] - x * force[2])
-            + axis[2] * (x * force[1] - y * force[0]))
+            + axis[2] * (x * force[1] - y * force[0])
+        )

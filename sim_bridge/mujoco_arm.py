@@ -19,7 +19,9 @@ from sim_bridge.posture import frame_pose
 IMPEDANCE = 0.01
 PLANE_SIZE = '1 1 0.1'
 TIP_RADIUS = 0.005  # m, of the balls at the tips
-FRICTION_RATIO = 100.0  # how much harder friction holds than the surface: else it creeps
+FRICTION_RATIO = (
+    100.0  # how much harder friction holds than the surface: else it creeps
+)
 
 
 class MujocoArm(EngineArm):
@@ -33,17 +35,27 @@ class MujocoArm(EngineArm):
         super().__init__(len(arm.links))
         native = config.contact == 'native'
         self._planes = _planes(arm, config) if native else []
-        self._model = mujoco.MjModel.from_xml_string(mjcf_text(arm, config, self._planes))
-        names = [*(f'link{i + 1}' for i in range(len(arm.links))), SENSOR_FRAME, TOOL_LINK]
+        self._model = mujoco.MjModel.from_xml_string(
+            mjcf_text(arm, config, self._planes)
+        )
+        names = [
+            *(f'link{i + 1}' for i in range(len(arm.links))),
+            SENSOR_FRAME,
+            TOOL_LINK,
+        ]
         for name, body in zip(names, arm.bodies, strict=True):
             # The compiler refuses those that break the triangle inequality.
             self._model.body(name).inertia[:] = body.inertia
         mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
         self._data = mujoco.MjData(self._model)
-        self._bodies = [self._model.body(name).id for name in names if name != SENSOR_FRAME]
+        self._bodies = [
+            self._model.body(name).id for name in names if name != SENSOR_FRAME
+        ]
         if native:
             # Rotors that are not behind springs, which the engine then carries itself.
-            self._model.dof_armature[:] = np.array(arm.armature) * (config.drives == 'rigid')
+            self._model.dof_armature[:] = np.array(arm.armature) * (
+                config.drives == 'rigid'
+            )
             mujoco.mj_setConst(self._model, self._data)
             self._set_springs()
             self.native_forces = np.zeros(len(self._planes))
@@ -58,9 +70,15 @@ class MujocoArm(EngineArm):
     def push(self, pushes: list[list[float]]) -> None:
         """Apply forces at points for one step; see `EngineArm`."""
         data = self._data
-        mujoco.mj_kinematics(self._model, data)  # where the links are now, not a step ago
+        mujoco.mj_kinematics(
+            self._model, data
+        )  # where the links are now, not a step ago
         for *values, number in pushes:
-            link, force, point = self._bodies[int(number)], np.array(values[:3]), values[3:]
+            link, force, point = (
+                self._bodies[int(number)],
+                np.array(values[:3]),
+                values[3:],
+            )
             data.xfrc_applied[link, :3] += force
             data.xfrc_applied[link, 3:] += np.cross(point - data.xipos[link], force)
 
@@ -100,7 +118,10 @@ class MujocoArm(EngineArm):
         # Planes do not move: of the two bodies of a contact, only the tool has an inverse mass.
         scale = self._model.body_invweight0[self._bodies[-1], 0] * (1.0 - IMPEDANCE)
         for i, plane in enumerate(self._planes):
-            self._model.pair_solref[i] = (-plane.stiffness * scale, -plane.damping * scale)
+            self._model.pair_solref[i] = (
+                -plane.stiffness * scale,
+                -plane.damping * scale,
+            )
 
 
 def _planes(arm: Arm, config: PlantConfig) -> list[SurfaceConfig]:
@@ -109,8 +130,10 @@ def _planes(arm: Arm, config: PlantConfig) -> list[SurfaceConfig]:
         surface = config.surfaces[name]
         if surface.tip_link not in arm.tips:
             raise ConfigError(
-                f'surfaces.{name}.tip_link', f'one of the tips {", ".join(sorted(arm.tips))} '
-                'with native contacts', f"'{surface.tip_link}'")
+                f'surfaces.{name}.tip_link',
+                f'one of the tips {", ".join(sorted(arm.tips))} with native contacts',
+                f"'{surface.tip_link}'",
+            )
         planes.append(surface)
     return planes
 
@@ -120,47 +143,70 @@ def mjcf_text(arm: Arm, config: PlantConfig, planes: Sequence[SurfaceConfig]) ->
     parts, end = [], []
     bodies = arm.bodies
     for number, (link, body) in enumerate(zip(arm.links, bodies), start=1):
-        parts += [_body(f'link{number}', link.placement, body),
-                  f'<joint name="{link.joint}" type="hinge" axis="0 0 1" limited="false"/>']
+        parts += [
+            _body(f'link{number}', link.placement, body),
+            f'<joint name="{link.joint}" type="hinge" axis="0 0 1" limited="false"/>',
+        ]
         end.append('</body>')
-    parts += [_body(SENSOR_FRAME, arm.sensor, bodies[-2]), f'<site name="{SENSOR_FRAME}"/>',
-              _body(TOOL_LINK, Placement(), bodies[-1])]
+    parts += [
+        _body(SENSOR_FRAME, arm.sensor, bodies[-2]),
+        f'<site name="{SENSOR_FRAME}"/>',
+        _body(TOOL_LINK, Placement(), bodies[-1]),
+    ]
     pairs = []
     if planes:
         # Each ball touches its plane with the tip itself at home.
         turn = frame_pose(arm.model(), np.array(config.home), SENSOR_FRAME).rotation
         for i, plane in enumerate(planes):
             centre = np.array(arm.tips[plane.tip_link]) - TIP_RADIUS * (
-                turn.T @ np.array(plane.normal_world))
-            parts.append(f'<geom name="tip{i}" type="sphere" size="{TIP_RADIUS!r}" '
-                         f'pos="{numbers(centre)}" contype="0" conaffinity="0" mass="0"/>')
+                turn.T @ np.array(plane.normal_world)
+            )
+            parts.append(
+                f'<geom name="tip{i}" type="sphere" size="{TIP_RADIUS!r}" '
+                f'pos="{numbers(centre)}" contype="0" conaffinity="0" mass="0"/>'
+            )
             mu = max(plane.friction, 1e-6)
-            pairs.append(f'<pair geom1="plane{i}" geom2="tip{i}" condim="3" '
-                         f'friction="{mu!r} {mu!r} 0 0 0" solref="-1 -1" '
-                         f'solimp="{IMPEDANCE!r} {IMPEDANCE!r} 0.001 0.5 1"/>')
+            pairs.append(
+                f'<pair geom1="plane{i}" geom2="tip{i}" condim="3" '
+                f'friction="{mu!r} {mu!r} 0 0 0" solref="-1 -1" '
+                f'solimp="{IMPEDANCE!r} {IMPEDANCE!r} 0.001 0.5 1"/>'
+            )
     end += ['</body>', '</body>']
     flag = '' if planes else '<flag contact="disable" constraint="disable"/>'
     geoms = [
         f'<geom name="plane{i}" type="plane" size="{PLANE_SIZE}" '
         f'pos="{numbers(plane.point_world)}" zaxis="{numbers(-x for x in plane.normal_world)}" '
-        'contype="0" conaffinity="0"/>' for i, plane in enumerate(planes)]
-    return ''.join([
-        f'<mujoco model="{arm.name}"><compiler angle="radian" autolimits="false"/>',
-        f'<option timestep="{config.substep!r}" gravity="{numbers(config.gravity_world)}" '
-        f'integrator="Euler" '
-        f'cone="elliptic" impratio="{FRICTION_RATIO!r}" solver="Newton" iterations="100" '
-        f'tolerance="1e-12">{flag}</option>',
-        '<worldbody>', *geoms, *parts, *end, '</worldbody>',
-        '<contact>', *pairs, '</contact>',
-        f'<sensor><force site="{SENSOR_FRAME}"/><torque site="{SENSOR_FRAME}"/></sensor>',
-        '</mujoco>'])
+        'contype="0" conaffinity="0"/>'
+        for i, plane in enumerate(planes)
+    ]
+    return ''.join(
+        [
+            f'<mujoco model="{arm.name}"><compiler angle="radian" autolimits="false"/>',
+            f'<option timestep="{config.substep!r}" gravity="{numbers(config.gravity_world)}" '
+            f'integrator="Euler" '
+            f'cone="elliptic" impratio="{FRICTION_RATIO!r}" solver="Newton" iterations="100" '
+            f'tolerance="1e-12">{flag}</option>',
+            '<worldbody>',
+            *geoms,
+            *parts,
+            *end,
+            '</worldbody>',
+            '<contact>',
+            *pairs,
+            '</contact>',
+            f'<sensor><force site="{SENSOR_FRAME}"/><torque site="{SENSOR_FRAME}"/></sensor>',
+            '</mujoco>',
+        ]
+    )
 
 
 def _body(name: str, placement: Placement, body: Body) -> str:
     """Return the beginning of a body."""
     inertia = numbers((max(body.inertia),) * 3)
-    return (f'<body name="{name}" {_frame(placement)}>'
-            f'<inertial {_frame(body.com)} mass="{body.mass!r}" diaginertia="{inertia}"/>')
+    return (
+        f'<body name="{name}" {_frame(placement)}>'
+        f'<inertial {_frame(body.com)} mass="{body.mass!r}" diaginertia="{inertia}"/>'
+    )
 
 
 def _frame(placement: Placement) -> str:

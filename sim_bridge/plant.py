@@ -76,7 +76,8 @@ class Plant:
         self._home = np.array(config.home)
         still = np.zeros(self.model.nv)
         self.initial_torque: Vector = pin.rnea(
-            self.model, self.model.createData(), self._home, still, still).copy()
+            self.model, self.model.createData(), self._home, still, still
+        ).copy()
         self.model.armature = np.array(self.description.armature)
         self._bare = pin.Inertia(self.model.inertias[self.model.nv])
         self._limit = np.array(config.torque_limit or self.description.torque_limit)
@@ -84,7 +85,9 @@ class Plant:
         self._hands: Records[Hand] = np.zeros(2, dtype=HAND)
         frame = self.model.frames[self.model.getFrameId(OPERATIONAL_FRAME)]
         self._hands['local'][0] = frame.placement.translation
-        pushed = self.model.frames[self.model.getFrameId(config.tool_push_link)].placement
+        pushed = self.model.frames[
+            self.model.getFrameId(config.tool_push_link)
+        ].placement
         self._hands['local'][1] = pushed.translation
         self._torques = np.zeros((4, len(self._home)))
         self._motor, _, self._sum, self._link_side = self._torques
@@ -92,10 +95,15 @@ class Plant:
         self._drives: Records[Drive] = np.zeros(0, dtype=DRIVE)
         self._rigid: RigidDrives | None = None
         friction = joint_friction(
-            self.description, config.joint_friction_scale, config.joint_friction_speed)
+            self.description, config.joint_friction_scale, config.joint_friction_speed
+        )
         if config.drives == 'flexible':
             self._drives = flexible_drives(
-                self.description.armature, config.drive_stiffness, config.drive_damping, friction)
+                self.description.armature,
+                config.drive_stiffness,
+                config.drive_damping,
+                friction,
+            )
         elif config.contact == 'compliant':  # otherwise the engine has the rotors
             self._rigid = RigidDrives(self.model, friction, config.substep)
         self._q, self._qd = self.arm.motion
@@ -116,21 +124,36 @@ class Plant:
         self.contacts = Contacts(config, self.description, self.model, generators[1:])
         self._hands['force'] = 0.0
         self._wrist_push, self._tool_push = (Pushes(hand) for hand in self._hands)
-        for i, (begin, length) in enumerate(zip(config.push_start, config.push_duration)):
+        for i, (begin, length) in enumerate(
+            zip(config.push_start, config.push_duration)
+        ):
             self._wrist_push.add(
-                round(begin * self._rate), round((begin + length) * self._rate),
-                config.push_force_world[3 * i:3 * i + 3])
+                round(begin * self._rate),
+                round((begin + length) * self._rate),
+                config.push_force_world[3 * i : 3 * i + 3],
+            )
         contacts = self.contacts
         acting = (
-            self.arm.motion, self._torques, self._limit, chain_of(self.model), self._drives,
-            contacts.surfaces, contacts.profiles, self._hands, self._pushes, config.substep)
+            self.arm.motion,
+            self._torques,
+            self._limit,
+            chain_of(self.model),
+            self._drives,
+            contacts.surfaces,
+            contacts.profiles,
+            self._hands,
+            self._pushes,
+            config.substep,
+        )
         self._act = partial(act_on_arm, *acting)
         self._tick = 0
         self.arm.reset(self._home)
         self.payload = 0.0
         self._carry(0.0)
         if len(self._drives):  # springs wound up
-            self._drives['q'] = self._home + self.initial_torque / self._drives['stiffness']
+            self._drives['q'] = (
+                self._home + self.initial_torque / self._drives['stiffness']
+            )
             self._drives['qd'] = 0.0
         self._sensor.read(self._static_wrench()[np.newaxis])
         self._motor[:] = self.initial_torque
@@ -147,7 +170,9 @@ class Plant:
         self._motor[:] = torque
         if self._carried != self.payload:
             most = PICK_UP_RATE / self._rate
-            self._carry(min(max(self.payload, self._carried - most), self._carried + most))
+            self._carry(
+                min(max(self.payload, self._carried - most), self._carried + most)
+            )
         self._wrist_push.start_period(self._tick)
         self._tool_push.start_period(self._tick)
         self._sensor.read(np.array(self._advance()).reshape(-1, 6))
@@ -160,8 +185,11 @@ class Plant:
         self.arm.set_tool_mass(tool.mass + payload)
         frame = self.model.frames[self.model.getFrameId(TOOL_LINK)]
         load = pin.Inertia(
-            payload, frame.placement.act(np.array(tool.com.position)), np.zeros((3, 3)))
-        self.model.inertias[frame.parentJoint] = self._bare + load if payload else self._bare
+            payload, frame.placement.act(np.array(tool.com.position)), np.zeros((3, 3))
+        )
+        self.model.inertias[frame.parentJoint] = (
+            self._bare + load if payload else self._bare
+        )
 
     def scale_torque_limit(self, factor: float) -> None:
         """Multiply the torque limits of the drives, unknown to the controller."""
@@ -174,7 +202,9 @@ class Plant:
         At the operational point, or at `tool_push_link`, beyond the wrist sensor, which reads it.
         """
         pushes = self._tool_push if tool else self._wrist_push
-        pushes.add(self._tick, self._tick + max(1, round(duration * self._rate)), force_world)
+        pushes.add(
+            self._tick, self._tick + max(1, round(duration * self._rate)), force_world
+        )
 
     def close(self) -> None:
         """Give the simulator's memory back."""
@@ -187,8 +217,10 @@ class Plant:
         for _ in range(self._substeps):
             count = act()
             if count < 0:
-                raise RunError(f'joint torque at tick {self._tick}: expected finite numbers, '
-                               f'got {self._motor.tolist()}')
+                raise RunError(
+                    f'joint torque at tick {self._tick}: expected finite numbers, '
+                    f'got {self._motor.tolist()}'
+                )
             if rigid is not None:
                 rigid.advance(self._motor, self._sum, arm.q, arm.qd, link_side)
             if count:
@@ -208,8 +240,13 @@ class Plant:
 
     def _sample(self) -> Sample:
         return Sample(
-            self._q.copy(), self._qd.copy(), self._motor.copy(), self._sensor.reading.copy(),
-            self._sensor.filtered.copy(), self.contacts.alpha)
+            self._q.copy(),
+            self._qd.copy(),
+            self._motor.copy(),
+            self._sensor.reading.copy(),
+            self._sensor.filtered.copy(),
+            self.contacts.alpha,
+        )
 
 
 def make_engine(config: PlantConfig, arm: Arm) -> EngineArm:
@@ -222,19 +259,27 @@ def make_engine(config: PlantConfig, arm: Arm) -> EngineArm:
         from sim_bridge.mujoco_arm import MujocoArm
     except ImportError as error:
         raise ConfigError(
-            'engine', 'pybullet, or mujoco, by pip install mujoco',
-            f'mujoco ({error})') from None
+            'engine', 'pybullet, or mujoco, by pip install mujoco', f'mujoco ({error})'
+        ) from None
     return MujocoArm(arm, config)
 
 
 def _require_fit(config: PlantConfig, model: pin.Model) -> None:
     if len(config.home) != model.nv:
         raise ConfigError('home', f'{model.nv} values, one per joint', len(config.home))
-    carriers = {frame.name: frame.parentJoint for frame in model.frames
-                if frame.type == pin.FrameType.BODY and frame.parentJoint > 0}
+    carriers = {
+        frame.name: frame.parentJoint
+        for frame in model.frames
+        if frame.type == pin.FrameType.BODY and frame.parentJoint > 0
+    }
     tool = [name for name, joint in carriers.items() if joint == carriers[SENSOR_FRAME]]
-    links = {f'surfaces.{name}.tip_link': (config.surfaces[name].tip_link, carriers)
-             for name in config.met}
-    for field, (link, known) in {**links, 'tool_push_link': (config.tool_push_link, tool)}.items():
+    links = {
+        f'surfaces.{name}.tip_link': (config.surfaces[name].tip_link, carriers)
+        for name in config.met
+    }
+    for field, (link, known) in {
+        **links,
+        'tool_push_link': (config.tool_push_link, tool),
+    }.items():
         if link not in known:
             raise ConfigError(field, f'one of {", ".join(sorted(known))}', f"'{link}'")

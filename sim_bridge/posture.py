@@ -28,12 +28,18 @@ def reach(model: pin.Model, pose: pin.SE3, start: Vector) -> Vector | None:
     q = np.array(start, dtype=float)
     for step in range(STEPS):
         now = frame_pose(model, q)
-        error = np.concatenate((
-            pose.translation - now.translation, pin.log3(pose.rotation @ now.rotation.T)))
+        error = np.concatenate(
+            (
+                pose.translation - now.translation,
+                pin.log3(pose.rotation @ now.rotation.T),
+            )
+        )
         if np.abs(error).max() < REACHED:
             return q
         jacobian = frame_jacobian(model, q)
-        inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + DAMPING * np.eye(6))
+        inverse = jacobian.T @ np.linalg.inv(
+            jacobian @ jacobian.T + DAMPING * np.eye(6)
+        )
         change = inverse @ error
         fading = CENTRING * max(0.0, 1.0 - 2.0 * step / STEPS)
         change += fading * (middle - q - inverse @ (jacobian @ (middle - q)))
@@ -43,7 +49,10 @@ def reach(model: pin.Model, pose: pin.SE3, start: Vector) -> Vector | None:
 
 
 def turn_along(
-    model: pin.Model, axis: Vector, direction_world: Vector, start: Vector,
+    model: pin.Model,
+    axis: Vector,
+    direction_world: Vector,
+    start: Vector,
 ) -> Vector | None:
     """
     Return joint angles that turn an axis of the operational frame along a direction, or None.
@@ -62,7 +71,8 @@ def turn_along(
         error = across * (np.arctan2(sine, cosine) / max(sine, REACHED))
         jacobian = frame_jacobian(model, q)[3:]
         change = jacobian.T @ np.linalg.solve(
-            jacobian @ jacobian.T + TURN_DAMPING * np.eye(3), error)
+            jacobian @ jacobian.T + TURN_DAMPING * np.eye(3), error
+        )
         change *= min(1.0, LARGEST_STEP / max(np.abs(change).max(), 1e-300))
         q = np.clip(q + change, lower, upper)
     return None
@@ -70,7 +80,10 @@ def turn_along(
 
 def limits_of(model: pin.Model) -> tuple[Vector, Vector]:
     """Return the joints' limits, shape (n,), infinite where there is none [rad]."""
-    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    lower, upper = (
+        np.array(model.lowerPositionLimit),
+        np.array(model.upperPositionLimit),
+    )
     return np.where(lower < -FAR, -np.inf, lower), np.where(upper > FAR, np.inf, upper)
 
 
@@ -78,8 +91,9 @@ def middle_of(model: pin.Model, otherwise: Vector) -> Vector:
     """Return the middle of the joints' ranges, and angles `otherwise` without one [rad]."""
     lower, upper = limits_of(model)
     ends = np.isfinite(lower) & np.isfinite(upper)
-    return np.where(ends, 0.5 * (np.where(ends, lower, 0.0) + np.where(ends, upper, 0.0)),
-                    otherwise)
+    return np.where(
+        ends, 0.5 * (np.where(ends, lower, 0.0) + np.where(ends, upper, 0.0)), otherwise
+    )
 
 
 def frame_pose(model: pin.Model, q: Vector, frame: str = OPERATIONAL_FRAME) -> pin.SE3:
@@ -89,11 +103,17 @@ def frame_pose(model: pin.Model, q: Vector, frame: str = OPERATIONAL_FRAME) -> p
     return data.oMf[model.getFrameId(frame, pin.FrameType.BODY)].copy()
 
 
-def frame_jacobian(model: pin.Model, q: Vector, frame: str = OPERATIONAL_FRAME) -> Matrix:
+def frame_jacobian(
+    model: pin.Model, q: Vector, frame: str = OPERATIONAL_FRAME
+) -> Matrix:
     """Return the Jacobian of a frame, world axes, linear rows first, shape (6, n) [m, rad]."""
     jacobian: Matrix = pin.computeFrameJacobian(
-        model, model.createData(), q, model.getFrameId(frame, pin.FrameType.BODY),
-        pin.LOCAL_WORLD_ALIGNED)
+        model,
+        model.createData(),
+        q,
+        model.getFrameId(frame, pin.FrameType.BODY),
+        pin.LOCAL_WORLD_ALIGNED,
+    )
     return jacobian
 
 

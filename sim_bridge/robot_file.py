@@ -13,7 +13,9 @@ from sim_bridge.arm import Body, Placement
 class ToolData(Config):
     """The tool beyond the wrist sensor, in the sensor's frame."""
 
-    face_offset: float = parameter(..., 'Operational point to sensor face, along its z.', unit='m')
+    face_offset: float = parameter(
+        ..., 'Operational point to sensor face, along its z.', unit='m'
+    )
     face_mass: float = parameter(..., 'Mass of the face itself.', unit='kg', gt=0.0)
     mass: float = parameter(..., 'Mass of the tool.', unit='kg', gt=0.0)
     com: Vector3 = parameter(..., 'Centre of mass of the tool.', unit='m')
@@ -32,9 +34,14 @@ class SideConfig(Config):
     tip: str = parameter(..., 'Tip of the tool that touches.')
     normal_world: UnitVector3 = parameter(..., 'Unit surface normal INTO the surface.')
     gap: float = parameter(
-        0.007, 'From the tip at home to the simulated surface.', unit='m', gt=0.0)
+        0.007, 'From the tip at home to the simulated surface.', unit='m', gt=0.0
+    )
     stiffness: float = parameter(
-        6000.0, 'Contact stiffness, of the surface and of its model.', unit='N/m', gt=0.0)
+        6000.0,
+        'Contact stiffness, of the surface and of its model.',
+        unit='N/m',
+        gt=0.0,
+    )
 
 
 class WideConfig(Config):
@@ -44,19 +51,26 @@ class WideConfig(Config):
     All else follows from where its tips are: the middle, direction and size of the contact.
     """
 
-    like: str = parameter(..., 'Contact whose surface it meets, in the place of its tip.')
+    like: str = parameter(
+        ..., 'Contact whose surface it meets, in the place of its tip.'
+    )
     tips: tuple[str, ...] = parameter(
-        ..., 'Tips of the tool at both ends of the edge, or at the corners of the face, one after '
-        'another in the sense of a screw that goes into the surface.')
+        ...,
+        'Tips of the tool at both ends of the edge, or at the corners of the face, one after '
+        'another in the sense of a screw that goes into the surface.',
+    )
 
 
 class PlantVariant(Config):
     """One way to simulate a robot, and what the controller then knows of it."""
 
     file: str = parameter(
-        '', 'Parameter file of the whole plant; empty for what follows from the robot.')
+        '', 'Parameter file of the whole plant; empty for what follows from the robot.'
+    )
     plant: dict[str, Any] = parameter({}, 'Values laid over that.')
-    controller_file: str = parameter('', "Parameter file laid over the controller's; or none.")
+    controller_file: str = parameter(
+        '', "Parameter file laid over the controller's; or none."
+    )
     controller: dict[str, Any] = parameter({}, "Values laid over the controller's.")
 
 
@@ -69,46 +83,73 @@ class RobotFile(Config):
     """
 
     urdf: str = parameter(
-        ..., 'URDF: package://NAME/... for one that comes with a Python package, or a path, '
-        'relative to this file.')
+        ...,
+        'URDF: package://NAME/... for one that comes with a Python package, or a path, '
+        'relative to this file.',
+    )
     joint_names: tuple[str, ...] = parameter(..., 'Joints of the arm, base to wrist.')
     locked_joints: tuple[str, ...] = parameter((), 'All other joints of the URDF.')
-    locked_positions: Vector = parameter((), 'Where each of them is; empty for 0.',
-                                         unit='rad or m')
+    locked_positions: Vector = parameter(
+        (), 'Where each of them is; empty for 0.', unit='rad or m'
+    )
     mount_link: str = parameter(
-        '', 'URDF link that carries the wrist sensor; empty for a URDF that has the links ft_face '
-        '(sensor), tool, wrist_point (operational point) and tips, as `new-robot` writes it.')
+        '',
+        'URDF link that carries the wrist sensor; empty for a URDF that has the links ft_face '
+        '(sensor), tool, wrist_point (operational point) and tips, as `new-robot` writes it.',
+    )
     mount_rpy: Vector3 = parameter(
-        (0.0, 0.0, 0.0), 'Axes of operational point and sensor in that link.', unit='rad')
+        (0.0, 0.0, 0.0),
+        'Axes of operational point and sensor in that link.',
+        unit='rad',
+    )
     tool: ToolData | None = parameter(
-        None, 'Our tool, instead of all that the URDF has beyond mount_link; none for that.')
+        None,
+        'Our tool, instead of all that the URDF has beyond mount_link; none for that.',
+    )
     tip_links: dict[str, str] = parameter(
-        {}, 'Of a tool in the URDF, the links that may touch, each under the name of its tip.')
-    home: Vector = parameter((), 'Joint angles at the start, the tool at the surfaces.',
-                             unit='rad')
-    armature: Vector = parameter((), 'Rotor inertia at each joint; empty for none.',
-                                 unit='kg m^2')
-    viscous: Vector = parameter((), 'Viscous friction of each joint; empty for none.',
-                                unit='N m s/rad')
-    coulomb: Vector = parameter((), 'Coulomb friction of each joint; empty for none.', unit='N m')
+        {},
+        'Of a tool in the URDF, the links that may touch, each under the name of its tip.',
+    )
+    home: Vector = parameter(
+        (), 'Joint angles at the start, the tool at the surfaces.', unit='rad'
+    )
+    armature: Vector = parameter(
+        (), 'Rotor inertia at each joint; empty for none.', unit='kg m^2'
+    )
+    viscous: Vector = parameter(
+        (), 'Viscous friction of each joint; empty for none.', unit='N m s/rad'
+    )
+    coulomb: Vector = parameter(
+        (), 'Coulomb friction of each joint; empty for none.', unit='N m'
+    )
     coulomb_negative: Vector = parameter(
-        (), 'That at negative speed; empty for the same.', unit='N m')
-    torque_limit: Vector = parameter((), "Largest joint torque; empty for the URDF's.",
-                                     unit='N m')
-    speed_limit: Vector = parameter((), "Largest joint speed; empty for the URDF's.",
-                                    unit='rad/s')
+        (), 'That at negative speed; empty for the same.', unit='N m'
+    )
+    torque_limit: Vector = parameter(
+        (), "Largest joint torque; empty for the URDF's.", unit='N m'
+    )
+    speed_limit: Vector = parameter(
+        (), "Largest joint speed; empty for the URDF's.", unit='rad/s'
+    )
     workspace_lower: Vector = parameter(
-        (), 'Lower corner of the box that the operational point reaches with the tool as at home, '
-        'as `new-robot` finds it; empty for a box around home.', unit='m')
+        (),
+        'Lower corner of the box that the operational point reaches with the tool as at home, '
+        'as `new-robot` finds it; empty for a box around home.',
+        unit='m',
+    )
     workspace_upper: Vector = parameter((), 'Upper corner of that box.', unit='m')
     contacts: dict[str, SideConfig] = parameter({}, 'Contacts, in their order.')
     wide_contacts: dict[str, WideConfig] = parameter(
-        {}, 'Edges and faces of the tool, which scenarios may name among their contacts.')
+        {},
+        'Edges and faces of the tool, which scenarios may name among their contacts.',
+    )
     controller_file: str = parameter(
-        '', "The controller's parameter file; empty for what follows from the robot.")
+        '', "The controller's parameter file; empty for what follows from the robot."
+    )
     controller: dict[str, Any] = parameter({}, 'Values laid over that, on every plant.')
     plants: dict[str, PlantVariant] = parameter(
-        {'rigid': PlantVariant()}, 'Ways to simulate it.', min_length=1)
+        {'rigid': PlantVariant()}, 'Ways to simulate it.', min_length=1
+    )
     plant_aliases: dict[str, str] = parameter({}, 'Other names of these.')
     default_plant: str = parameter('rigid', 'Which of them is taken if none is named.')
 
@@ -117,23 +158,43 @@ class RobotFile(Config):
             if not getattr(self, name):
                 yield ConfigError(name, 'a value, without a controller_file', 'nothing')
         joints = len(self.joint_names)
-        counts = dict.fromkeys(('home', 'armature', 'viscous', 'coulomb', 'coulomb_negative',
-                                'torque_limit', 'speed_limit'), joints)
-        for name, count in {**counts, 'locked_positions': len(self.locked_joints)}.items():
+        counts = dict.fromkeys(
+            (
+                'home',
+                'armature',
+                'viscous',
+                'coulomb',
+                'coulomb_negative',
+                'torque_limit',
+                'speed_limit',
+            ),
+            joints,
+        )
+        for name, count in {
+            **counts,
+            'locked_positions': len(self.locked_joints),
+        }.items():
             if len(getattr(self, name)) not in (0, count):
-                yield ConfigError(name, f'{counted(count, "values")}, one per joint',
-                                  len(getattr(self, name)))
+                yield ConfigError(
+                    name,
+                    f'{counted(count, "values")}, one per joint',
+                    len(getattr(self, name)),
+                )
         if self.tool is not None and self.tip_links:
             yield ConfigError('tip_links', hint='leave it out with `tool`')
         tips = tuple(self.tip_links if self.tool is None else self.tool.tips)
         for name, contact in self.contacts.items():
             if contact.tip not in tips:
-                yield ConfigError(f'contacts.{name}.tip', f'one of {", ".join(tips)}',
-                                  f"'{contact.tip}'")
+                yield ConfigError(
+                    f'contacts.{name}.tip',
+                    f'one of {", ".join(tips)}',
+                    f"'{contact.tip}'",
+                )
         for name, wide in self.wide_contacts.items():
             if len(wide.tips) not in (2, 4):
                 yield ConfigError(
-                    f'wide_contacts.{name}.tips', '2 ends or 4 corners', len(wide.tips))
+                    f'wide_contacts.{name}.tips', '2 ends or 4 corners', len(wide.tips)
+                )
         for name in (self.default_plant, *self.plant_aliases.values()):
             if name not in self.plants:
                 yield ConfigError('plants', f"'{name}' among them", list(self.plants))
@@ -141,5 +202,9 @@ class RobotFile(Config):
     @property
     def locked(self) -> dict[str, float]:
         """Return the positions of the locked joints by name [rad or m]."""
-        return dict(zip(self.locked_joints,
-                        self.locked_positions or (0.0,) * len(self.locked_joints)))
+        return dict(
+            zip(
+                self.locked_joints,
+                self.locked_positions or (0.0,) * len(self.locked_joints),
+            )
+        )

@@ -24,7 +24,12 @@ from multicontact_control.arrays import Vector
 from multicontact_control.config import parameter
 from multicontact_control.errors import MessageError, RunError
 from multicontact_control.nodes import diagnostics, messages, qos, topics
-from multicontact_control.nodes.graph import create_publisher, Refusals, StartupConfig, StartupGate
+from multicontact_control.nodes.graph import (
+    create_publisher,
+    Refusals,
+    StartupConfig,
+    StartupGate,
+)
 from multicontact_control.nodes.helper import Helper
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import run_node, Spinner
@@ -43,14 +48,22 @@ from sim_bridge.surface_patch import SurfaceMarkers
 from std_msgs.msg import Header, String
 
 MAX_LATE_PERIODS = 2
-CATCH_UP = NANOSECONDS // 10  # lag behind the wall clock that lockstep makes up for [ns]
+CATCH_UP = (
+    NANOSECONDS // 10
+)  # lag behind the wall clock that lockstep makes up for [ns]
 RESEND_PERIOD, RESEND_PERIOD_GATED = 1.0, 10.0
 ANSWER_TIMEOUT = 10.0  # s, longest wait for a command in lockstep
 RESENDS = 16  # times that a sample is sent in lockstep within that
-WAIT_FRACTION = 0.5  # of a period: time for the command of a sample before the plant moves on
-COMMAND_TIMEOUT = 0.05  # s without a command, free-running; then the drives hold their position
+WAIT_FRACTION = (
+    0.5  # of a period: time for the command of a sample before the plant moves on
+)
+COMMAND_TIMEOUT = (
+    0.05  # s without a command, free-running; then the drives hold their position
+)
 TOOL = 'tool'
-EDGES = np.logspace(1.0, 5.0, 41)  # us, of the latencies: ten per decade, 10 us to 100 ms
+EDGES = np.logspace(
+    1.0, 5.0, 41
+)  # us, of the latencies: ten per decade, 10 us to 100 ms
 REMEMBERED = 1024  # samples whose time of publication is known
 
 
@@ -61,14 +74,24 @@ class SimNodeConfig(StartupConfig):
     seed: int = parameter(0, 'Seed of roughness and sensor noise.', ge=0)
     ticks: int = parameter(0, 'Samples after which the node ends, 0 for never.', ge=0)
     lockstep: bool = parameter(
-        True, 'Whether to wait for the command that answers each sample; false for a plant that '
-        'runs on, as a robot does.')
+        True,
+        'Whether to wait for the command that answers each sample; false for a plant that '
+        'runs on, as a robot does.',
+    )
     speed: float = parameter(
-        1.0, 'Simulated time per wall time at most, in lockstep; 0 for as fast as it goes.',
-        ge=0.0, le=100.0)
+        1.0,
+        'Simulated time per wall time at most, in lockstep; 0 for as fast as it goes.',
+        ge=0.0,
+        le=100.0,
+    )
     payload: float = parameter(
-        0.0, 'Mass that the tool picks up, at its centre of mass, and lays down with 0.',
-        unit='kg', live=True, ge=0.0, le=50.0)
+        0.0,
+        'Mass that the tool picks up, at its centre of mass, and lays down with 0.',
+        unit='kg',
+        live=True,
+        ge=0.0,
+        le=50.0,
+    )
 
 
 def stamp_of(tick: int, rate: float) -> int:
@@ -111,21 +134,45 @@ class SimNode(Node):
         self._surfaces = SurfaceMarkers(plant_config, rate=config.rate)
         self._surface_publisher = create_publisher(self, topics.SURFACE_MARKERS)
         joints, contacts = self._plant.joint_names, self._plant.contact_names
-        zeros, wrench = np.zeros(len(joints)), WrenchStamped(header=Header(frame_id=SENSOR_FRAME))
-        self._streams = {topic: StreamPublisher(self, topic, pattern) for topic, pattern in (
-            (topics.WRENCH, wrench), (topics.WRENCH_FILTERED, wrench),
-            (topics.JOINT_STATES, messages.joint_state_message(
-                0, joints, position=zeros, velocity=zeros, effort=zeros)),
-            (topics.TRUE_FORCES, messages.joint_state_message(
-                0, contacts, effort=np.zeros(len(contacts)))))}
-        self._clock_publisher = create_publisher(self, topics.CLOCK) if config.lockstep else None
+        zeros, wrench = (
+            np.zeros(len(joints)),
+            WrenchStamped(header=Header(frame_id=SENSOR_FRAME)),
+        )
+        self._streams = {
+            topic: StreamPublisher(self, topic, pattern)
+            for topic, pattern in (
+                (topics.WRENCH, wrench),
+                (topics.WRENCH_FILTERED, wrench),
+                (
+                    topics.JOINT_STATES,
+                    messages.joint_state_message(
+                        0, joints, position=zeros, velocity=zeros, effort=zeros
+                    ),
+                ),
+                (
+                    topics.TRUE_FORCES,
+                    messages.joint_state_message(
+                        0, contacts, effort=np.zeros(len(contacts))
+                    ),
+                ),
+            )
+        }
+        self._clock_publisher = (
+            create_publisher(self, topics.CLOCK) if config.lockstep else None
+        )
         self.create_subscription(
-            topics.EFFORT_COMMAND.message, topics.EFFORT_COMMAND.name, self._on_command, qos.INPUT,
-            raw=True)
-        self._read = MessageReader(JointState, partial(
-            messages.read_named, names=joints, fields=['effort']))
+            topics.EFFORT_COMMAND.message,
+            topics.EFFORT_COMMAND.name,
+            self._on_command,
+            qos.INPUT,
+            raw=True,
+        )
+        self._read = MessageReader(
+            JointState, partial(messages.read_named, names=joints, fields=['effort'])
+        )
         self.create_subscription(
-            topics.PUSH.message, topics.PUSH.name, self._on_push, topics.PUSH.profile)
+            topics.PUSH.message, topics.PUSH.name, self._on_push, topics.PUSH.profile
+        )
         self._watch = diagnostics.LoopStatistics(config.rate)
         self._inputs = diagnostics.Inputs(self, config.rate, topics.EFFORT_COMMAND)
         self._diagnostics = diagnostics.Diagnostics(self, self._statuses, Helper())
@@ -149,19 +196,27 @@ class SimNode(Node):
     def close(self) -> None:
         """Write the counts and times of this run, if asked to, and free the plant."""
         self._plant.close()
-        self._config.write_counts({
-            'ticks': self._tick + 1, 'deadline_misses': self._misses,
-            'pace_slips': self._slips, 'command_timeouts': self._timeouts,
-            'wall_s': self._wall * 1e-9,
-            'latency_us': self._watch.latencies.percentiles(),
-            'latency_histogram': histogram(self._watch.latencies.microseconds()),
-            'plant_us': self._step_times.percentiles(), 'refused': dict(self._refusals.counts)})
+        self._config.write_counts(
+            {
+                'ticks': self._tick + 1,
+                'deadline_misses': self._misses,
+                'pace_slips': self._slips,
+                'command_timeouts': self._timeouts,
+                'wall_s': self._wall * 1e-9,
+                'latency_us': self._watch.latencies.percentiles(),
+                'latency_histogram': histogram(self._watch.latencies.microseconds()),
+                'plant_us': self._step_times.percentiles(),
+                'refused': dict(self._refusals.counts),
+            }
+        )
 
     def _start_up(self, spinner: Spinner) -> None:
         """Publish sample 0 until it is answered; nothing moves before that."""
         period = stamp_of(1, self._config.rate)
         # Lockstep knows no wall clock; one period on, so that no stamp is the zero of "none".
-        self._origin = period if self._config.lockstep else time.time_ns() // period * period
+        self._origin = (
+            period if self._config.lockstep else time.time_ns() // period * period
+        )
         self._publish_surfaces()
         # Behind the gate it cannot have been lost; a second copy would only be in the bag.
         resend = RESEND_PERIOD_GATED if self._config.startup_peers else RESEND_PERIOD
@@ -186,8 +241,11 @@ class SimNode(Node):
         slipped = 0
         torque = self._delay.torque_for(0)
         while not (spinner.stop or self._done):
-            self._advance(self._watched(
-                torque if self._delay_ticks else self._delay.torque_for(self._tick)))
+            self._advance(
+                self._watched(
+                    torque if self._delay_ticks else self._delay.torque_for(self._tick)
+                )
+            )
             deadline = anchor + slipped + int((self._tick + 1) * period)
             self._spin_until(spinner, deadline)
             late = time.monotonic_ns() - deadline
@@ -205,7 +263,9 @@ class SimNode(Node):
             self._publish_truth()
             self._diagnostics.poll()
         # The last sample deserves its answer, too.
-        self._spin_until(spinner, time.monotonic_ns() + NANOSECONDS // 10, answered=True)
+        self._spin_until(
+            spinner, time.monotonic_ns() + NANOSECONDS // 10, answered=True
+        )
 
     def _miss(self) -> None:
         self._misses += 1
@@ -255,12 +315,16 @@ class SimNode(Node):
         self._sample = self._plant.step(torque)
         self._step_times.add(time.perf_counter_ns() - start)
 
-    def _spin_until(self, spinner: Spinner, deadline: int, *, answered: bool = False) -> None:
+    def _spin_until(
+        self, spinner: Spinner, deadline: int, *, answered: bool = False
+    ) -> None:
         """Run callbacks until an absolute time [ns], or until the sample is `answered`."""
         remaining = deadline - time.monotonic_ns()
         if remaining <= 0 and not answered:
             spinner.spin_once(0.0)  # late, but what has arrived has arrived in time
-        while remaining > 0 and not (spinner.stop or answered and self._answered >= self._tick):
+        while remaining > 0 and not (
+            spinner.stop or answered and self._answered >= self._tick
+        ):
             spinner.spin_once(remaining * 1e-9)
             remaining = deadline - time.monotonic_ns()
 
@@ -273,7 +337,8 @@ class SimNode(Node):
                 if sent == RESENDS:
                     raise RunError(
                         f'no {topics.EFFORT_COMMAND.name} for sample {self._tick} after '
-                        f'{ANSWER_TIMEOUT:g} s: has the controller stopped?')
+                        f'{ANSWER_TIMEOUT:g} s: has the controller stopped?'
+                    )
                 # A controller that was cleaned up and configured again has not seen it.
                 sent += 1
                 self._send()
@@ -297,13 +362,17 @@ class SimNode(Node):
     def _publish_truth(self) -> None:
         """Publish what only an observer may know."""
         self._streams[topics.TRUE_FORCES].send(
-            self._stamp(self._tick), self._sample.contact_force)
+            self._stamp(self._tick), self._sample.contact_force
+        )
         if self._surfaces.due(self._tick):
             self._publish_surfaces()
 
     def _publish_surfaces(self) -> None:
-        self._surface_publisher.publish(self._surfaces.message(
-            self._stamp(self._tick), self._plant.contacts.places_world))
+        self._surface_publisher.publish(
+            self._surfaces.message(
+                self._stamp(self._tick), self._plant.contacts.places_world
+            )
+        )
 
     def _stamp(self, tick: int) -> int:
         return self._origin + stamp_of(tick, self._config.rate)
@@ -324,7 +393,9 @@ class SimNode(Node):
             self._commanded = self._tick
             if tick > self._answered:
                 self._answered = tick
-                if tick > 0:  # the answer to the first sample waits for everything to start
+                if (
+                    tick > 0
+                ):  # the answer to the first sample waits for everything to start
                     latency = received - int(self._published[tick % REMEMBERED])
                     self._watch.latencies.add(latency)
                     # The node was late itself, and has not counted this deadline.
@@ -335,11 +406,15 @@ class SimNode(Node):
         with self._refusals.guard(topics.PUSH):
             place, force = message.header.frame_id, message.vector
             if place not in ('', TOOL):
-                raise MessageError('header.frame_id', f"'{TOOL}', or none", f"'{place}'")
+                raise MessageError(
+                    'header.frame_id', f"'{TOOL}', or none", f"'{place}'"
+                )
             pushed = messages.finite_array([force.x, force.y, force.z], 3, 'vector')
             size = float(np.linalg.norm(pushed))
             if size > LARGEST_PUSH:
-                raise MessageError('vector', f'at most {LARGEST_PUSH:g} N', f'{size:g} N')
+                raise MessageError(
+                    'vector', f'at most {LARGEST_PUSH:g} N', f'{size:g} N'
+                )
             self._plant.push(pushed, PUSH_TIME, tool=place == TOOL)
 
     def _change(self, configurations: Sequence[Any]) -> None:
@@ -356,28 +431,44 @@ class SimNode(Node):
 
     def _statuses(self) -> list[diagnostics.Status]:
         wall = (time.monotonic_ns() - self._start) * 1e-9
-        loop = {**self._watch.report(), 'ticks': self._tick + 1, 'pace_slips': self._slips,
-                'command_timeouts': self._timeouts, 'lockstep': self._config.lockstep,
-                'realtime_factor': round(self._tick / self._config.rate / wall, 3)}
+        loop = {
+            **self._watch.report(),
+            'ticks': self._tick + 1,
+            'pace_slips': self._slips,
+            'command_timeouts': self._timeouts,
+            'lockstep': self._config.lockstep,
+            'realtime_factor': round(self._tick / self._config.rate / wall, 3),
+        }
         missed = loop['deadline_misses']
         forces = zip(self._plant.contact_names, self._sample.contact_force.tolist())
         return [
             diagnostics.Status(
-                'loop', loop, warning=f'{missed} deadlines missed' if missed else ''),
+                'loop', loop, warning=f'{missed} deadlines missed' if missed else ''
+            ),
             self._inputs.status(
                 needed=self._tick > 0,
-                consequence=': the last torque is held' if self._hold.posture is None
-                else ': the drives hold their position'),
-            diagnostics.Status('contacts', {
-                name: f'touching with {force:.4g} N' if force > 0.0 else 'free'
-                for name, force in forces}),
-            diagnostics.message_status(self._refusals)]
+                consequence=': the last torque is held'
+                if self._hold.posture is None
+                else ': the drives hold their position',
+            ),
+            diagnostics.Status(
+                'contacts',
+                {
+                    name: f'touching with {force:.4g} N' if force > 0.0 else 'free'
+                    for name, force in forces
+                },
+            ),
+            diagnostics.message_status(self._refusals),
+        ]
 
 
 def histogram(microseconds: Vector) -> dict[str, list[float] | list[int]]:
     """Return counts between edges [us]; the first and the last take all beyond."""
     kept = np.clip(microseconds, EDGES[0], EDGES[-1])
-    return {'edges_us': EDGES.round(1).tolist(), 'counts': np.histogram(kept, EDGES)[0].tolist()}
+    return {
+        'edges_us': EDGES.round(1).tolist(),
+        'counts': np.histogram(kept, EDGES)[0].tolist(),
+    }
 
 
 def main() -> int:

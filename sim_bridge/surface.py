@@ -22,6 +22,7 @@ from sim_bridge.config import SurfaceConfig
 PROFILE_POINTS = 1 << 16
 POINTS_PER_LENGTH = 5
 
+
 class Surface(Record, Protocol):
     """One surface, the tip that may touch it, and what is between them; world axes."""
 
@@ -54,7 +55,8 @@ SURFACE = record_dtype(Surface)
 
 
 def build_surfaces(
-    configs: list[SurfaceConfig], generators: list[np.random.Generator],
+    configs: list[SurfaceConfig],
+    generators: list[np.random.Generator],
 ) -> tuple[Records[Surface], Matrix]:
     """
     Return records of `SURFACE`, shape (no,), each with a roughness from its own generator.
@@ -67,13 +69,24 @@ def build_surfaces(
     for i, config in enumerate(configs):
         spacing = config.roughness_length / POINTS_PER_LENGTH
         heights = roughness_profile(config.roughness_std, generators[i])
-        profiles[i] = heights, (np.roll(heights, -1) - np.roll(heights, 1)) / (2.0 * spacing)
+        profiles[i] = (
+            heights,
+            (np.roll(heights, -1) - np.roll(heights, 1)) / (2.0 * spacing),
+        )
         record = records[i]
         record['place'], record['normal'] = config.point_world, config.normal_world
         record['track'] = track_direction(record['normal'])
         record['axis'] = np.cross(record['normal'], record['track'])
-        for name in ('stiffness', 'damping', 'friction', 'slip_speed', 'velocity', 'motion_start',
-                     'motion_period', 'radius'):
+        for name in (
+            'stiffness',
+            'damping',
+            'friction',
+            'slip_speed',
+            'velocity',
+            'motion_start',
+            'motion_period',
+            'radius',
+        ):
             record[name] = getattr(config, name)
         record['spacing'] = spacing
         record['ball'], record['facing'] = config.shape == 'sphere', record['normal']
@@ -183,16 +196,19 @@ def press(surface: Surface, velocity: Vector, profile: Matrix) -> None:
     index = int(lower) % profile.shape[1]
     following = (index + 1) % profile.shape[1]
     depth += (1.0 - share) * profile[0, index] + share * profile[0, following]
-    rate += ((1.0 - share) * profile[1, index] + share * profile[1, following]) * along_rate
+    rate += (
+        (1.0 - share) * profile[1, index] + share * profile[1, following]
+    ) * along_rate
     force[0], force[1], force[2] = 0.0, 0.0, 0.0
     surface.alpha = 0.0
     if depth <= 0.0:
         return
     surface.alpha = max(0.0, surface.stiffness * depth + surface.damping * rate)
-    speed_squared = surface.slip_speed ** 2
+    speed_squared = surface.slip_speed**2
     for i in range(3):
         speed_squared += (velocity[i] - normal_speed * normal[i]) ** 2
     friction = surface.friction * surface.alpha / np.sqrt(speed_squared)
     for i in range(3):
         force[i] = surface.alpha * normal[i] + friction * (
-            velocity[i] - normal_speed * normal[i])
+            velocity[i] - normal_speed * normal[i]
+        )

@@ -40,7 +40,9 @@ def reachable_box(model: pin.Model, home: Vector) -> tuple[Vector, Vector] | Non
             if abs(wider[side, axis] - pose.translation[axis]) > LARGEST:
                 growing.remove((side, axis))
                 continue
-            reached = _reach_all(model, pose.rotation, _points_on(wider, side, axis), known)
+            reached = _reach_all(
+                model, pose.rotation, _points_on(wider, side, axis), known
+            )
             if reached is None:
                 growing.remove((side, axis))
                 continue
@@ -58,17 +60,22 @@ def _points_on(corners: Matrix, side: int, axis: int) -> list[Vector]:
         lower, upper = corners[:, other]
         count = 1 + max(1, int(np.ceil((upper - lower) / SPACING)))
         values.append(np.linspace(lower, upper, count))
-    values[axis] = corners[side, axis:axis + 1]
+    values[axis] = corners[side, axis : axis + 1]
     return [np.array(point) for point in product(*values)]
 
 
 def _reach_all(
-    model: pin.Model, rotation: Matrix, points: list[Vector], known: list[tuple[Vector, Vector]],
+    model: pin.Model,
+    rotation: Matrix,
+    points: list[Vector],
+    known: list[tuple[Vector, Vector]],
 ) -> list[tuple[Vector, Vector]] | None:
     """Return the points with joint angles that reach them, None if one cannot be reached."""
     reached: list[tuple[Vector, Vector]] = []
     for point in points:
-        _, start = min(known + reached, key=lambda pair: float(np.linalg.norm(pair[0] - point)))
+        _, start = min(
+            known + reached, key=lambda pair: float(np.linalg.norm(pair[0] - point))
+        )
         q = _follow(model, pin.SE3(rotation, point), start)
         if q is None or not _is_free(model, q):
             return None
@@ -81,13 +88,21 @@ def _follow(model: pin.Model, pose: pin.SE3, start: Vector) -> Vector | None:
     q, data = start.copy(), model.createData()
     frame = model.getFrameId(OPERATIONAL_FRAME, pin.FrameType.BODY)
     for _ in range(STEPS):
-        jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+        jacobian = pin.computeFrameJacobian(
+            model, data, q, frame, pin.LOCAL_WORLD_ALIGNED
+        )
         now = pin.updateFramePlacement(model, data, frame)
-        error = np.concatenate((
-            pose.translation - now.translation, pin.log3(pose.rotation @ now.rotation.T)))
+        error = np.concatenate(
+            (
+                pose.translation - now.translation,
+                pin.log3(pose.rotation @ now.rotation.T),
+            )
+        )
         if np.abs(error).max() < REACHED:
             return q
-        q += jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + DAMPING * np.eye(6), error)
+        q += jacobian.T @ np.linalg.solve(
+            jacobian @ jacobian.T + DAMPING * np.eye(6), error
+        )
     return None
 
 
@@ -100,4 +115,6 @@ def _is_free(model: pin.Model, q: Vector) -> bool:
     M = np.triu(M) + np.triu(M, 1).T
     J = frame_jacobian(model, q)
     mobility = J @ np.linalg.solve(M, J.T)
-    return bool(np.sqrt(max(np.linalg.eigvalsh(mobility)[0], 0.0)) > REACH_MARGIN * SINGULAR)
+    return bool(
+        np.sqrt(max(np.linalg.eigvalsh(mobility)[0], 0.0)) > REACH_MARGIN * SINGULAR
+    )

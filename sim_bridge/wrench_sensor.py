@@ -21,6 +21,7 @@ CASCADE_RATIO = 4.0
 AXES = 6
 READINGS_DRAWN = 16  # times as many readings as are taken at once, whose noise is drawn
 
+
 class Axis(Record, Protocol):
     """One axis: what is set for it, and its newest reading [N or N m]."""
 
@@ -51,16 +52,22 @@ class WrenchSensor:
     """
 
     def __init__(
-        self, config: SensorConfig, period: float, generator: np.random.Generator,
+        self,
+        config: SensorConfig,
+        period: float,
+        generator: np.random.Generator,
     ) -> None:
         self._generator, self._noise = generator, np.zeros((0, AXES))
-        self._mounting = np.array(config.mounting).reshape(3, 3) if config.mounting else None
+        self._mounting = (
+            np.array(config.mounting).reshape(3, 3) if config.mounting else None
+        )
         self._axes: Records[Axis] = np.zeros(AXES, dtype=AXIS)
         self._axes['bias'] = config.bias
         self._axes['limit'] = config.full_scale if config.saturate else np.inf
         if config.noise:
             self._axes['noise_std'] = np.repeat(
-                (config.force_noise_std, config.torque_noise_std), 3)
+                (config.force_noise_std, config.torque_noise_std), 3
+            )
         if config.quantise:
             self._axes['quantum'] = quantum(config)
         self._stages = np.zeros((0, 5))
@@ -76,18 +83,25 @@ class WrenchSensor:
         if self._mounting is not None:
             wrenches = (wrenches.reshape(-1, 2, 3) @ self._mounting.T).reshape(-1, AXES)
         count = len(wrenches)
-        if len(self._noise) < count:  # many at once: the generator is then seldom called
-            self._noise = np.concatenate((
-                self._noise, self._generator.standard_normal((READINGS_DRAWN * count, AXES))))
+        if (
+            len(self._noise) < count
+        ):  # many at once: the generator is then seldom called
+            self._noise = np.concatenate(
+                (
+                    self._noise,
+                    self._generator.standard_normal((READINGS_DRAWN * count, AXES)),
+                )
+            )
         noise, self._noise = self._noise[:count], self._noise[count:]
         take_readings(
-            wrenches, noise, self._axes, self._stages, self._memory, not self._started)
+            wrenches, noise, self._axes, self._stages, self._memory, not self._started
+        )
         self._started = True
 
 
 def quantum(config: SensorConfig) -> Vector:
     """Return one step of each axis: the range, both signs, over 2^bits, shape (6,)."""
-    return np.asarray(2.0 * np.array(config.full_scale) / 2 ** config.bits)
+    return np.asarray(2.0 * np.array(config.full_scale) / 2**config.bits)
 
 
 def low_pass_stages(cutoff: float, rate: float) -> Matrix:
@@ -103,8 +117,10 @@ def low_pass_stages(cutoff: float, rate: float) -> Matrix:
     nyquist = 0.5 * rate
     if cutoff >= nyquist:
         raise ConfigError(
-            'sensor.low_pass_cutoff', f'below half the rate of the substeps ({nyquist:g} Hz)',
-            f'{cutoff:g} Hz')
+            'sensor.low_pass_cutoff',
+            f'below half the rate of the substeps ({nyquist:g} Hz)',
+            f'{cutoff:g} Hz',
+        )
     corners = []
     corner = CASCADE_HIGHEST
     while corner > 2.0 * cutoff:
@@ -124,14 +140,20 @@ def butterworth(cutoff: float, rate: float) -> tuple[Vector, Vector]:
     fs2 = 4.0  # twice the rate at which a Nyquist frequency is 1
     warped = fs2 * np.tan(0.5 * np.pi * (2.0 * cutoff / rate))
     poles = -warped * np.exp(0.5j * np.pi * np.array([-1, 1]) / 2)
-    gain = warped ** 2 * np.real(1.0 / np.prod(fs2 - poles))
-    return (gain * np.array([1.0, 2.0, 1.0]),
-            np.real(np.poly((fs2 + poles) / (fs2 - poles))))
+    gain = warped**2 * np.real(1.0 / np.prod(fs2 - poles))
+    return (
+        gain * np.array([1.0, 2.0, 1.0]),
+        np.real(np.poly((fs2 + poles) / (fs2 - poles))),
+    )
 
 
 @compiled
 def take_readings(
-    wrenches: Matrix, noise: Matrix, axes: Records[Axis], stages: Matrix, memory: Matrix,
+    wrenches: Matrix,
+    noise: Matrix,
+    axes: Records[Axis],
+    stages: Matrix,
+    memory: Matrix,
     first: bool,
 ) -> None:
     """

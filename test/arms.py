@@ -18,8 +18,16 @@ from multicontact_control.supervision.contact_task import ContactTask, limit_tas
 import numpy as np
 from sim_bridge.config import PlantConfig
 
-HOME = np.array([1.847117449942421, 0.8705595994175255, 2.9372057614605662, 0.0,
-                 -0.6661727072882984, 1.847117449942421])
+HOME = np.array(
+    [
+        1.847117449942421,
+        0.8705595994175255,
+        2.9372057614605662,
+        0.0,
+        -0.6661727072882984,
+        1.847117449942421,
+    ]
+)
 
 
 def controller_config(**changes):
@@ -47,10 +55,12 @@ class Law:
 
     def __init__(self, config, reference, base_dir=None):
         self.controller = Controller(
-            config, RobotModel(config.robot, base_dir or config_dir()))
+            config, RobotModel(config.robot, base_dir or config_dir())
+        )
         self.reference = reference
         self._task = ContactTask(
-            self.controller.config, reference, self.controller, guarded=False)
+            self.controller.config, reference, self.controller, guarded=False
+        )
 
     def __getattr__(self, name):
         return getattr(self.controller, name)
@@ -65,7 +75,9 @@ class Law:
         if not law.started:
             self._task.start(law.start())
         self._task.ask(measurement.time)
-        limit_task(self._task.limits[0], law.controls[0], law.contacts, self._task.states)
+        limit_task(
+            self._task.limits[0], law.controls[0], law.contacts, self._task.states
+        )
         law.answer()
         return ControlOutput(law.torque.copy(), law.memory.tobytes())
 
@@ -101,10 +113,13 @@ def seven_joint_urdf(folder: Path, joints: int = 7) -> Path:
             '/><inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
             f'</link><joint name="j{i}" type="revolute"><parent link="{parent}"/>'
             f'<child link="l{i}"/><origin xyz="0 0 0.2"/><axis xyz="{axis}"/>'
-            '<limit lower="-3" upper="3" effort="100" velocity="3"/></joint>')
+            '<limit lower="-3" upper="3" effort="100" velocity="3"/></joint>'
+        )
         parent = f'l{i}'
-    parts.append(f'<link name="wrist"/><joint name="fixed" type="fixed"><parent link="{parent}"/>'
-                 '<child link="wrist"/><origin xyz="0 0 0.1"/></joint></robot>')
+    parts.append(
+        f'<link name="wrist"/><joint name="fixed" type="fixed"><parent link="{parent}"/>'
+        '<child link="wrist"/><origin xyz="0 0 0.1"/></joint></robot>'
+    )
     path = folder / 'seven.urdf'
     path.write_text(''.join(parts), encoding='utf-8')
     return path
@@ -113,5 +128,9 @@ def seven_joint_urdf(folder: Path, joints: int = 7) -> Path:
 def seven_joint_config(path: Path) -> RobotConfig:
     """Return the names of that arm."""
     return RobotConfig(
-        urdf=path.name, joint_names=tuple(f'j{i}' for i in range(7)), armature=(0.1,) * 7,
-        operational_frame='wrist', sensor_frame='wrist')
+        urdf=path.name,
+        joint_names=tuple(f'j{i}' for i in range(7)),
+        armature=(0.1,) * 7,
+        operational_frame='wrist',
+        sensor_frame='wrist',
+    )

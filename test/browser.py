@@ -9,7 +9,13 @@ from typing import Any
 
 import pytest
 
-NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable', 'chrome')
+NAMES = (
+    'chromium',
+    'chromium-browser',
+    'google-chrome',
+    'google-chrome-stable',
+    'chrome',
+)
 # Without graphics the processor draws; root is root of a container, without a sandbox.
 SWITCHES = ['--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--no-sandbox']
 
@@ -33,10 +39,15 @@ def chromium() -> Iterator[Any]:
 
     While playwright is there, no other event loop can run.
     """
-    path = next(filter(None, map(shutil.which, (os.environ.get('CHROMIUM', ''), *NAMES))), None)
+    path = next(
+        filter(None, map(shutil.which, (os.environ.get('CHROMIUM', ''), *NAMES))), None
+    )
     if path is None:
-        give_up = pytest.fail if os.environ.get('MULTICONTACT_BROWSER') == REQUIRED else (
-            pytest.skip)
+        give_up = (
+            pytest.fail
+            if os.environ.get('MULTICONTACT_BROWSER') == REQUIRED
+            else (pytest.skip)
+        )
         give_up('no Chromium to test the pages in')
     from playwright.sync_api import sync_playwright
 
@@ -56,16 +67,29 @@ class Tab:
         self.page.set_default_timeout(1e3 * PATIENCE)
         self.problems: list[str] = []
         self.requests: list[str] = []
-        self.page.on('console', lambda line: self.problems.append(line.text)
-                     if line.type == 'error' else None)
+        self.page.on(
+            'console',
+            lambda line: (
+                self.problems.append(line.text) if line.type == 'error' else None
+            ),
+        )
         self.page.on('pageerror', lambda error: self.problems.append(str(error)))
-        self.page.on('requestfailed', lambda request: self.problems.append(
-            f'{request.url}: {request.failure}'))
-        self.page.on('request', lambda request: self.requests.append(request.url)
-                     if request.url != url and not request.url.startswith(('data:', 'blob:'))
-                     else None)
+        self.page.on(
+            'requestfailed',
+            lambda request: self.problems.append(f'{request.url}: {request.failure}'),
+        )
+        self.page.on(
+            'request',
+            lambda request: (
+                self.requests.append(request.url)
+                if request.url != url and not request.url.startswith(('data:', 'blob:'))
+                else None
+            ),
+        )
         self.page.goto(url)
 
     def ink(self, selector: str) -> list[float]:
         """Return the share of every canvas that a selector finds that is drawn on."""
-        return [element.evaluate(INK) for element in self.page.query_selector_all(selector)]
+        return [
+            element.evaluate(INK) for element in self.page.query_selector_all(selector)
+        ]

@@ -10,8 +10,11 @@ from multicontact_control.experiment.graph.domain import reserve_domain
 import pytest
 
 # In one worker, one after the other: graphs in real time would take each other's processor.
-REAL_TIME = ('test/campaign/test_campaign.py', 'test/experiment/graph/test_external.py',
-             'test/nodes/test_survival.py')
+REAL_TIME = (
+    'test/campaign/test_campaign.py',
+    'test/experiment/graph/test_external.py',
+    'test/nodes/test_survival.py',
+)
 
 # A machine that is busy for a moment makes no example wrong.
 settings.register_profile('no deadline', deadline=None)
@@ -29,8 +32,10 @@ def pytest_configure(config):
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_LOG_DIR', str(config.rootpath / '.pytest_cache/ros'))
     # What `nohup` or a shell in the background has ignored, all processes of the tests would.
-    for number, handler in ((signal.SIGINT, signal.default_int_handler),
-                            (signal.SIGHUP, signal.SIG_DFL)):
+    for number, handler in (
+        (signal.SIGINT, signal.default_int_handler),
+        (signal.SIGHUP, signal.SIG_DFL),
+    ):
         if signal.getsignal(number) == signal.SIG_IGN:
             signal.signal(number, handler)
     config.option.loadscopereorder = False
@@ -39,7 +44,9 @@ def pytest_configure(config):
 def pytest_collection_modifyitems(items):
     """Put what takes longest first, file by file, so that no worker begins it last."""
     longest = {item.path for item in items if item.get_closest_marker('slow')}
-    items.sort(key=lambda item: (group(item.nodeid) != REAL_TIME[0], item.path not in longest))
+    items.sort(
+        key=lambda item: (group(item.nodeid) != REAL_TIME[0], item.path not in longest)
+    )
 
 
 def group(nodeid):

@@ -17,7 +17,7 @@ def contact_normals(normals_world, levers_world):
 
 def free_motions(N):
     """Return T with N^T T = 0 and T^T T = 1 (P04 eqs 4, 6)."""
-    return np.linalg.svd(N)[0][:, N.shape[1]:] if N.shape[1] else np.eye(N.shape[0])
+    return np.linalg.svd(N)[0][:, N.shape[1] :] if N.shape[1] else np.eye(N.shape[0])
 
 
 def contact_coordinates(N, vector):
@@ -27,8 +27,10 @@ def contact_coordinates(N, vector):
 
 def general_projections(N, T, N_prime, T_prime):
     """Omega_f = N (T'^T N)^-1 T'^T, Omega_m = T (N'^T T)^-1 N'^T (P04 eqs 7-12)."""
-    return (N @ np.linalg.solve(T_prime.T @ N, T_prime.T),
-            T @ np.linalg.solve(N_prime.T @ T, N_prime.T))
+    return (
+        N @ np.linalg.solve(T_prime.T @ N, T_prime.T),
+        T @ np.linalg.solve(N_prime.T @ T, N_prime.T),
+    )
 
 
 def euclidean_projections(N):
@@ -66,11 +68,17 @@ def rotation_error(rotation_des, rotation):
 def motion_acceleration(config, reference, pose, twist):
     """Return a_des + k_v (theta_des - theta) + k_p (x_des - x) (P04 sec. 3.1)."""
     omega, zeta = config.natural_frequency, config.damping_ratio
-    error = np.concatenate([
-        reference.pose_des.position_world - pose.position_world,
-        rotation_error(reference.pose_des.rotation_world, pose.rotation_world)])
-    return reference.acceleration_des + 2.0 * zeta * omega * (
-        reference.twist_des - twist) + omega ** 2 * error
+    error = np.concatenate(
+        [
+            reference.pose_des.position_world - pose.position_world,
+            rotation_error(reference.pose_des.rotation_world, pose.rotation_world),
+        ]
+    )
+    return (
+        reference.acceleration_des
+        + 2.0 * zeta * omega * (reference.twist_des - twist)
+        + omega**2 * error
+    )
 
 
 def contact_wrench(reading, sensor_pose, position, tool, gravity):
@@ -79,8 +87,14 @@ def contact_wrench(reading, sensor_pose, position, tool, gravity):
     force, moment = np.reshape(reading - np.array(tool.bias_sensor), (2, 3))
     weight = tool.mass * gravity
     force = R @ force + weight
-    return np.concatenate([force, R @ moment + np.cross(R @ np.array(tool.com_sensor), weight)
-                           + np.cross(sensor_pose.position_world - position, force)])
+    return np.concatenate(
+        [
+            force,
+            R @ moment
+            + np.cross(R @ np.array(tool.com_sensor), weight)
+            + np.cross(sensor_pose.position_world - position, force),
+        ]
+    )
 
 
 def operational_space(state, singular_mobility=0.0):
@@ -93,26 +107,39 @@ def operational_space(state, singular_mobility=0.0):
     mobility = J @ np.linalg.solve(M, J.T)
     smallest = np.linalg.eigvalsh(mobility)[0]
     if smallest < singular_mobility:
-        mobility += 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2 * np.eye(6)
+        mobility += (
+            0.5
+            * singular_mobility
+            * (1.0 - smallest / singular_mobility) ** 2
+            * np.eye(6)
+        )
     Lambda = np.linalg.inv(mobility)
     J_bar = np.linalg.solve(M, J.T @ Lambda)
     return SimpleNamespace(
-        Lambda=Lambda, J_bar=J_bar, p=J_bar.T @ state.gravity,
-        mu=J_bar.T @ state.coriolis - Lambda @ state.jacobian_drift)
+        Lambda=Lambda,
+        J_bar=J_bar,
+        p=J_bar.T @ state.gravity,
+        mu=J_bar.T @ state.coriolis - Lambda @ state.jacobian_drift,
+    )
 
 
 def joint_torque(wrench, state, space, nullspace_damping=0.0, pull=0.0):
     """Return J^T F + (1 - J^T J_bar^T)(C v + g + M (pull - d v)) (P04 sec. 3)."""
     J = state.jacobian
-    free = state.coriolis + state.gravity + state.mass_matrix @ (
-        pull - nullspace_damping * state.velocity)
+    free = (
+        state.coriolis
+        + state.gravity
+        + state.mass_matrix @ (pull - nullspace_damping * state.velocity)
+    )
     return J.T @ wrench + free - J.T @ (space.J_bar.T @ free)
 
 
 def posture_pull(q, posture, lower, upper, frequency, margin):
     """Return w^2 (q_0 - q), and 16 w^2 (m - x)^2 / m away from a stop nearer than m."""
-    push = [np.maximum(margin - way, 0.0) ** 2 / margin for way in (q - lower, upper - q)]
-    return frequency ** 2 * (posture - q + 16.0 * (push[0] - push[1]))
+    push = [
+        np.maximum(margin - way, 0.0) ** 2 / margin for way in (q - lower, upper - q)
+    ]
+    return frequency**2 * (posture - q + 16.0 * (push[0] - push[1]))
 
 
 def limited_torque(torque, priority, limit, least_share):
@@ -120,8 +147,11 @@ def limited_torque(torque, priority, limit, least_share):
     over = np.abs(torque) > limit
     if not over.any():
         return torque
-    shares = [(np.sign(t) * m - p) / (t - p) for t, p, m in zip(
-        torque[over], priority[over], limit[over]) if np.sign(t) * p < m]
+    shares = [
+        (np.sign(t) * m - p) / (t - p)
+        for t, p, m in zip(torque[over], priority[over], limit[over])
+        if np.sign(t) * p < m
+    ]
     share = max(least_share, min([1.0, *shares]))
     return np.clip(priority + share * (torque - priority), -limit, limit)
 
@@ -142,8 +172,13 @@ class Observer:
         zero = np.zeros((order, n))
         self.Phi_n = np.block([[Phi, across], [zero, Phi_p]])
         self.Phi_c = np.block([[Phi - np.outer(Gamma, L), 0.0 * across], [zero, Phi_p]])
-        self.Gamma, self.feedback = np.append(Gamma, np.zeros(order)), np.append(L, newest)
-        self.Q = process_noise * np.diag([1.0] * (n + min(order, 1)) + [0.0] * (order - 1))
+        self.Gamma, self.feedback = (
+            np.append(Gamma, np.zeros(order)),
+            np.append(L, newest),
+        )
+        self.Q = process_noise * np.diag(
+            [1.0] * (n + min(order, 1)) + [0.0] * (order - 1)
+        )
         self.P_0 = initial_covariance * np.eye(n + order)
         self.reset(0.0)
 

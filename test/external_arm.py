@@ -7,8 +7,16 @@ import pinocchio as pin
 class Arm:
     """An arm whose wrist, or another link, meets a springy wall."""
 
-    def __init__(self, urdf, armature, normal, distance, stiffness,
-                 home=(0.3, 0.7, -0.4, 0.9, 0.5, -0.8, 0.6), tip='wrist'):
+    def __init__(
+        self,
+        urdf,
+        armature,
+        normal,
+        distance,
+        stiffness,
+        home=(0.3, 0.7, -0.4, 0.9, 0.5, -0.8, 0.6),
+        tip='wrist',
+    ):
         self._model = pin.buildModelFromUrdf(str(urdf))
         self._model.armature = np.array(armature)
         self._data = self._model.createData()
@@ -41,7 +49,8 @@ class Arm:
 
     def jacobian(self):
         return pin.computeFrameJacobian(
-            self._model, self._data, self.q, self._wrist, pin.LOCAL_WORLD_ALIGNED)[:3]
+            self._model, self._data, self.q, self._wrist, pin.LOCAL_WORLD_ALIGNED
+        )[:3]
 
     def step(self, torque, period, substeps=8):
         """Advance by a period."""

@@ -24,10 +24,14 @@ DEPTH = QoSProfile(depth=1000)
 
 def wrench_message(stamp, frame_id, wrench):
     """Build a wrench in a frame, force first."""
-    force, torque = (Vector3(**dict(zip('xyz', map(float, part)))) for part in (
-        wrench[:3], wrench[3:]))
-    return WrenchStamped(header=Header(stamp=messages.ns_to_stamp(stamp), frame_id=frame_id),
-                         wrench=Wrench(force=force, torque=torque))
+    force, torque = (
+        Vector3(**dict(zip('xyz', map(float, part))))
+        for part in (wrench[:3], wrench[3:])
+    )
+    return WrenchStamped(
+        header=Header(stamp=messages.ns_to_stamp(stamp), frame_id=frame_id),
+        wrench=Wrench(force=force, torque=torque),
+    )
 
 
 class FakeArm:
@@ -35,24 +39,40 @@ class FakeArm:
         self._middleware = middleware
         node = middleware.node
         self.config = controller_config()
-        self.state = RobotModel(self.config.robot, config_dir()).update(HOME, np.zeros(6))
+        self.state = RobotModel(self.config.robot, config_dir()).update(
+            HOME, np.zeros(6)
+        )
         self.weight = weight_reading(
-            self.state.sensor_pose.rotation_world, self.config.tool,
-            np.array(self.config.robot.gravity_world))
+            self.state.sensor_pose.rotation_world,
+            self.config.tool,
+            np.array(self.config.robot.gravity_world),
+        )
         self.wrench = self.weight
         self.k = 0
         self._joints = node.create_publisher(JointState, 'joint_states', profile)
-        self._wrench = node.create_publisher(topics.WRENCH.message, 'ft_sensor/wrench', profile)
+        self._wrench = node.create_publisher(
+            topics.WRENCH.message, 'ft_sensor/wrench', profile
+        )
         self.force_command, self.motion_command, self._variance = (
-            create_publisher(node, x) for x in (
-                topics.FORCE_COMMAND, topics.MOTION_COMMAND, topics.NOISE_VARIANCE))
+            create_publisher(node, x)
+            for x in (
+                topics.FORCE_COMMAND,
+                topics.MOTION_COMMAND,
+                topics.NOISE_VARIANCE,
+            )
+        )
         self._commands = node.create_subscription(
-            JointState, 'joint_effort_command', ignore, DEPTH)
-        self._forces = {kind: node.create_subscription(
-            JointState, f'contact_forces/{kind}', ignore, DEPTH) for kind in (
-                'desired', 'measured')}
+            JointState, 'joint_effort_command', ignore, DEPTH
+        )
+        self._forces = {
+            kind: node.create_subscription(
+                JointState, f'contact_forces/{kind}', ignore, DEPTH
+            )
+            for kind in ('desired', 'measured')
+        }
         self._diagnostics = node.create_subscription(
-            DiagnosticArray, 'diagnostics', ignore, DEPTH)
+            DiagnosticArray, 'diagnostics', ignore, DEPTH
+        )
 
     def press(self, **forces):
         """Let the sensor read these contact forces [N], and nothing else but the tool."""
@@ -65,18 +85,26 @@ class FakeArm:
 
     def send_parts(self, stamp, parts):
         if 'wrench' in parts:
-            self._wrench.publish(wrench_message(
-                stamp, 'ft_face', self.wrench))
+            self._wrench.publish(wrench_message(stamp, 'ft_face', self.wrench))
         if 'joints' in parts:
-            self._joints.publish(messages.joint_state_message(
-                stamp, self.config.robot.joint_names, position=HOME, velocity=np.zeros(6),
-                effort=EFFORT))
+            self._joints.publish(
+                messages.joint_state_message(
+                    stamp,
+                    self.config.robot.joint_names,
+                    position=HOME,
+                    velocity=np.zeros(6),
+                    effort=EFFORT,
+                )
+            )
 
     def send_variance(self):
         """Send an R of the newest sample, as the noise estimator does [N^2]."""
         names = self.config.column_names
-        self._variance.publish(messages.joint_state_message(
-            self.k * PERIOD, names, effort=np.full(len(names), 0.5)))
+        self._variance.publish(
+            messages.joint_state_message(
+                self.k * PERIOD, names, effort=np.full(len(names), 0.5)
+            )
+        )
 
     def newest_command(self):
         """Return the newest command that has come since, None without any."""
@@ -85,13 +113,17 @@ class FakeArm:
     def answer(self, stamp):
         """Return the newest command, if it answers this sample."""
         command = self.newest_command()
-        answers = command is not None and messages.stamp_to_ns(command.header.stamp) == stamp
+        answers = (
+            command is not None and messages.stamp_to_ns(command.header.stamp) == stamp
+        )
         return command if answers else None
 
     def step(self):
         """Publish a sample and return the torque that answers it."""
         stamp = self.send()
-        return np.array(wait_for(lambda: self.answer(stamp), f'answer to sample {self.k}').effort)
+        return np.array(
+            wait_for(lambda: self.answer(stamp), f'answer to sample {self.k}').effort
+        )
 
     def settle(self, count=60):
         """Return the torque that answers the last of so many samples."""
@@ -129,11 +161,20 @@ class FakeArm:
             (send or self.send)()
             self._middleware.pause(0.01)
             report = self._middleware.take(self._diagnostics)
-            if report is None or not report.status[0].name.startswith('controller_node'):
+            if report is None or not report.status[0].name.startswith(
+                'controller_node'
+            ):
                 return False
-            seen.append({x.name.split(': ')[1]: (
-                x.level[0], x.message, {value.key: value.value for value in x.values})
-                for x in report.status})
+            seen.append(
+                {
+                    x.name.split(': ')[1]: (
+                        x.level[0],
+                        x.message,
+                        {value.key: value.value for value in x.values},
+                    )
+                    for x in report.status
+                }
+            )
             return condition(seen[-1])
 
         wait_for(satisfied, 'such diagnostics', lambda: seen[-1:])

@@ -13,14 +13,22 @@ H = 0.002
 def estimator_of(name, contacts=1, **values):
     names = tuple(f'contact{i}' for i in range(contacts))
     return make_noise_estimator(
-        NoiseEstimatorConfig(estimator=name, contact_names=names, **values))
+        NoiseEstimatorConfig(estimator=name, contact_names=names, **values)
+    )
 
 
 def design_force_loop(
-    stiffness=6000.0, damping_rate=20.0, input_delay=0.006, period=H, time_constant=0.02,
+    stiffness=6000.0,
+    damping_rate=20.0,
+    input_delay=0.006,
+    period=H,
+    time_constant=0.02,
 ):
-    return place_poles(delayed_plant(stiffness, damping_rate, input_delay, period), period,
-                       time_constant=time_constant)
+    return place_poles(
+        delayed_plant(stiffness, damping_rate, input_delay, period),
+        period,
+        time_constant=time_constant,
+    )
 
 
 class ActiveObserver:
@@ -28,13 +36,19 @@ class ActiveObserver:
 
     def __init__(self, loop, **options):
         self.design = aob.design_observer(loop, **options)
-        self.records, self.contact = aob.make_observers([self.design]), np.zeros(1, CONTACT)
+        self.records, self.contact = (
+            aob.make_observers([self.design]),
+            np.zeros(1, CONTACT),
+        )
         self.space = np.zeros(1, aob.OBSERVER_SPACE)
         n = len(self.design.Gamma)
         self.x_est, self.P = self.records['x_est'][0, :n], self.records['P'][0, :n, :n]
 
     def update(self, force, noise_variance, measured=True):
-        self.contact['alpha_meas'], self.contact['noise_variance'] = force, noise_variance
+        self.contact['alpha_meas'], self.contact['noise_variance'] = (
+            force,
+            noise_variance,
+        )
         aob.observe(self.records[0], self.contact[0], measured, 0.0, self.space[0])
 
     def command(self, force_des):
@@ -43,8 +57,12 @@ class ActiveObserver:
     @property
     def innovation(self):
         """Return what a noise estimator gets, arrays of one contact."""
-        return Innovation(*(self.contact['answer'][name] for name in (
-            'innovation', 'prior_variance', 'variance_used')))
+        return Innovation(
+            *(
+                self.contact['answer'][name]
+                for name in ('innovation', 'prior_variance', 'variance_used')
+            )
+        )
 
 
 def observer_of(order=1, damping_rate=20.0):
@@ -58,12 +76,18 @@ def run_force_loop(estimator, noise=0.0, leak=0.0, command=10.0):
     Starts at rest at the commanded force. `noise` adds to the measurement, `leak` to the true and
     the measured force, as that of another contact does.
     """
-    observer, plant, x = observer_of(), delayed_plant(6000.0, 20.0, 0.006, H), np.zeros(5)
+    observer, plant, x = (
+        observer_of(),
+        delayed_plant(6000.0, 20.0, 0.006, H),
+        np.zeros(5),
+    )
     x[0] = command
     variances = [0.6]
     for each in np.asarray(noise) + leak:
         observer.update(x[0] + each, variances[-1])
         u = observer.command(command)
-        variances.append(estimator.update(observer.contact['alpha_meas'], observer.innovation)[0])
+        variances.append(
+            estimator.update(observer.contact['alpha_meas'], observer.innovation)[0]
+        )
         x = plant.Phi @ x + plant.Gamma * u
     return np.array(variances[1:])

@@ -24,10 +24,19 @@ def has_urdf(name):
 
 def robot_parameters(names):
     """Return robots as parameters of a test; all but the PUMA and the Panda are nightly."""
-    return [pytest.param(name, marks=[
-        pytest.mark.skipif(not has_urdf(name),
-                           reason=f'no URDF of {name}: extra [robots] or [franka]'),
-        *([] if name in ('puma', 'panda') else [pytest.mark.nightly])]) for name in names]
+    return [
+        pytest.param(
+            name,
+            marks=[
+                pytest.mark.skipif(
+                    not has_urdf(name),
+                    reason=f'no URDF of {name}: extra [robots] or [franka]',
+                ),
+                *([] if name in ('puma', 'panda') else [pytest.mark.nightly]),
+            ],
+        )
+        for name in names
+    ]
 
 
 ROBOTS = robot_parameters(robot_names())
@@ -37,6 +46,9 @@ OTHERS = robot_parameters([name for name in robot_names() if name != 'puma'])
 def carried(arm):
     """Return the inertia that hangs on the sensor, in its frame."""
     com = arm.tool.com.se3
-    tool = pin.Inertia(arm.tool.mass, com.translation,
-                       com.rotation @ np.diag(arm.tool.inertia) @ com.rotation.T)
+    tool = pin.Inertia(
+        arm.tool.mass,
+        com.translation,
+        com.rotation @ np.diag(arm.tool.inertia) @ com.rotation.T,
+    )
     return tool + pin.Inertia(arm.face_mass, np.zeros(3), 1e-6 * np.eye(3))

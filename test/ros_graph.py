@@ -32,9 +32,17 @@ PATIENCE = float(os.environ.get('MULTICONTACT_TEST_PATIENCE', '180'))
 
 def start_python(*arguments: object, **options: Any) -> subprocess.Popen[str]:
     """Start Python in a process of its own; what it writes goes to pipes."""
-    return subprocess.Popen([sys.executable, *map(str, arguments)], **{
-        'cwd': ROOT, 'env': {**os.environ, 'PYTHONPATH': str(ROOT)},
-        'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE, 'text': True, **options})
+    return subprocess.Popen(
+        [sys.executable, *map(str, arguments)],
+        **{
+            'cwd': ROOT,
+            'env': {**os.environ, 'PYTHONPATH': str(ROOT)},
+            'stdout': subprocess.PIPE,
+            'stderr': subprocess.PIPE,
+            'text': True,
+            **options,
+        },
+    )
 
 
 def start_command(*arguments: object, **options: Any) -> subprocess.Popen[str]:
@@ -44,18 +52,27 @@ def start_command(*arguments: object, **options: Any) -> subprocess.Popen[str]:
 
 def node_processes(folder: Path) -> dict[str, int]:
     """Return the processes of a run in a folder, by node name, as `ps` lists them."""
-    listed = subprocess.run(['ps', '-ewwo', 'pid=,args='], capture_output=True, text=True).stdout
-    return {command: int(pid) for pid, command, *rest in map(str.split, listed.splitlines())
-            if rest == [str(folder)] and command in START_ORDER}
+    listed = subprocess.run(
+        ['ps', '-ewwo', 'pid=,args='], capture_output=True, text=True
+    ).stdout
+    return {
+        command: int(pid)
+        for pid, command, *rest in map(str.split, listed.splitlines())
+        if rest == [str(folder)] and command in START_ORDER
+    }
 
 
 def recorded(bag: Path, topic: str) -> list[Any]:
     """Return the messages of one topic of a bag."""
     store = get_typestore(Stores.ROS2_JAZZY)
     with Reader(bag) as reader:
-        connections = [x for x in reader.connections if x.topic == f'/{topic.lstrip("/")}']
-        return [store.deserialize_cdr(data, connection.msgtype)
-                for connection, _, data in reader.messages(connections)]
+        connections = [
+            x for x in reader.connections if x.topic == f'/{topic.lstrip("/")}'
+        ]
+        return [
+            store.deserialize_cdr(data, connection.msgtype)
+            for connection, _, data in reader.messages(connections)
+        ]
 
 
 def write_bag(folder: Path, rows: Iterable[tuple[Topic, int, Any]]) -> None:
@@ -65,23 +82,39 @@ def write_bag(folder: Path, rows: Iterable[tuple[Topic, int, Any]]) -> None:
         for topic, time_ns, message in rows:
             if topic.name not in connections:
                 connections[topic.name] = bag.add_topic(
-                    f'/{topic.name}', topic.type_name, topic.profile)
+                    f'/{topic.name}', topic.type_name, topic.profile
+                )
             bag.write(connections[topic.name], time_ns, serialize_message(message))
 
 
 @contextmanager
 def obedient_graph(folder: Path) -> Iterator[int]:
     """Run the rigid plant's graph in `arm`, as fast as it goes; yield its domain."""
-    with reserve_domain() as domain_id, running_graph(GraphSpec(
-            out=folder, ticks=0, rate=500.0, speed=0.0, domain_id=domain_id, namespace='arm',
-            parameter_files=resolve('quick', plant='rigid').write(folder / 'config'))) as graph:
+    with (
+        reserve_domain() as domain_id,
+        running_graph(
+            GraphSpec(
+                out=folder,
+                ticks=0,
+                rate=500.0,
+                speed=0.0,
+                domain_id=domain_id,
+                namespace='arm',
+                parameter_files=resolve('quick', plant='rigid').write(
+                    folder / 'config'
+                ),
+            )
+        ) as graph,
+    ):
         wait_for(graph.progress.newest, 'samples')
         yield domain_id
         graph.processes.check_running()
 
 
 def wait_for(
-    condition: Callable[[], T], what: str, seen: Callable[[], object] | None = None,
+    condition: Callable[[], T],
+    what: str,
+    seen: Callable[[], object] | None = None,
 ) -> T:
     """
     Wait until a condition is true and return its value.
@@ -92,8 +125,10 @@ def wait_for(
     give_up = time.monotonic() + PATIENCE
     while not (value := condition()):
         if time.monotonic() > give_up:
-            raise AssertionError(f'{what}: did not happen within {PATIENCE:g} s; '
-                                 f'last seen: {value if seen is None else seen()!r}')
+            raise AssertionError(
+                f'{what}: did not happen within {PATIENCE:g} s; '
+                f'last seen: {value if seen is None else seen()!r}'
+            )
         time.sleep(0.005)
     return value
 
@@ -128,7 +163,10 @@ class Middleware:
         self._guest.close()
 
     def start(
-        self, module: str, *parameters: str, files: tuple[Path, ...] = (),
+        self,
+        module: str,
+        *parameters: str,
+        files: tuple[Path, ...] = (),
         flags: tuple[str, ...] = (),
     ) -> subprocess.Popen[str]:
         """Start a node of the project in a process of its own."""
@@ -137,7 +175,9 @@ class Middleware:
             arguments += ['--params-file', str(path)]
         for parameter in parameters:
             arguments += ['-p', parameter]
-        self._processes.append(start_python('-m', module, *arguments, env=self._environment))
+        self._processes.append(
+            start_python('-m', module, *arguments, env=self._environment)
+        )
         return self._processes[-1]
 
     def pause(self, duration: float = 0.002) -> None:

@@ -14,7 +14,9 @@ from multicontact_control.experiment.results import summarise
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.experiment.study.jobs import content_key, setup_content
 
-MEMORY = Memory(Path(__file__).resolve().parents[1] / '.pytest_cache' / 'runs', verbose=0)
+MEMORY = Memory(
+    Path(__file__).resolve().parents[1] / '.pytest_cache' / 'runs', verbose=0
+)
 
 
 def run_of(setup: Setup, *, supervised: bool = True) -> LoopResult:
@@ -31,6 +33,11 @@ def _run(key: str, setup: Setup, supervised: bool) -> LoopResult:
 def summary_of(setup: Setup, *, supervised: bool = True) -> dict:
     """Return the content of its ``summary.json``."""
     result = run_of(setup, supervised=supervised)
-    return summarise(result.data, setup, mode='in_process', timing={},
-                     ended_early=result.ended_early,
-                     events=result.events if supervised else None)
+    return summarise(
+        result.data,
+        setup,
+        mode='in_process',
+        timing={},
+        ended_early=result.ended_early,
+        events=result.events if supervised else None,
+    )

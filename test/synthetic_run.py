@@ -17,16 +17,35 @@ def perfect_run(setup: Setup) -> RunData:
     for step in reference.force_steps:
         for name, force in step.forces.items():
             desired[data.time >= step.time, data.contact_names.index(name)] = force
-    series = {name: np.zeros_like(getattr(data, name)) for name in (
-        'q', 'qd', 'effort', 'torque', 'wrench', 'wrench_filtered', 'alpha_rate_est', 'position',
-        'position_des')}
+    series = {
+        name: np.zeros_like(getattr(data, name))
+        for name in (
+            'q',
+            'qd',
+            'effort',
+            'torque',
+            'wrench',
+            'wrench_filtered',
+            'alpha_rate_est',
+            'position',
+            'position_des',
+        )
+    }
     turn = np.tile([0.0, 0.0, 0.0, 1.0], (data.ticks, 1))
-    variance = np.where(data.time[:, None] >= reference.motion.start_time, 100.0, 0.6) + (
-        0.0 * desired)
+    variance = np.where(
+        data.time[:, None] >= reference.motion.start_time, 100.0, 0.6
+    ) + (0.0 * desired)
     return replace(
-        data, **series, alpha_true=desired.copy(), alpha_meas=desired.copy(),
-        alpha_est=desired.copy(), alpha_des=desired, noise_variance=variance, quaternion=turn,
-        quaternion_des=turn)
+        data,
+        **series,
+        alpha_true=desired.copy(),
+        alpha_meas=desired.copy(),
+        alpha_est=desired.copy(),
+        alpha_des=desired,
+        noise_variance=variance,
+        quaternion=turn,
+        quaternion_des=turn,
+    )
 
 
 def paper_run(setup: Setup) -> RunData:
@@ -43,5 +62,6 @@ def paper_run(setup: Setup) -> RunData:
 def delayed(data: RunData, delay: float) -> np.ndarray:
     """Return the commanded forces, later."""
     shift = round(delay * data.rate)
-    return np.concatenate([np.repeat(data.alpha_des[:1], shift, axis=0),
-                           data.alpha_des[:-shift]])
+    return np.concatenate(
+        [np.repeat(data.alpha_des[:1], shift, axis=0), data.alpha_des[:-shift]]
+    )

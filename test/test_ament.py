@@ -8,13 +8,24 @@ import pytest
 pytestmark = [pytest.mark.nightly, pytest.mark.linter]
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES = ('multicontact_control', 'sim_bridge', 'test', 'benchmarks', 'docs', 'setup.py')
+SOURCES = (
+    'multicontact_control',
+    'sim_bridge',
+    'test',
+    'benchmarks',
+    'docs',
+    'setup.py',
+)
 
 
 @pytest.mark.parametrize('linter', ['ament_flake8', 'ament_pep257'])
 def test_sources_are_as_ament_wants_them(linter, capsys):
     pytest.importorskip(linter, reason=f'{linter} is not installed')
     code = importlib.import_module(f'{linter}.main').main(
-        argv=[str(ROOT / name) for name in SOURCES])
-    assert code == 0, [line for line in ''.join(capsys.readouterr()).splitlines()
-                       if line.startswith(str(ROOT))]
+        argv=[str(ROOT / name) for name in SOURCES]
+    )
+    assert code == 0, [
+        line
+        for line in ''.join(capsys.readouterr()).splitlines()
+        if line.startswith(str(ROOT))
+    ]

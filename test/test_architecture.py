@@ -13,31 +13,71 @@ import tokenize
 ROOT = Path(__file__).resolve().parents[1]
 # What is not listed (config, errors, arrays, paths, ...) lies at the bottom.
 LAYERS = {
-    'dynamics': 1, 'contact': 1, 'force': 1, 'control': 2, 'sensor': 3, 'supervision': 3,
-    'tick': 3, 'diagnosis': 4, 'sampling': 4, 'loop': 4, 'nodes': 5, 'experiment': 6,
-    'client': 6, 'view': 7, 'cli': 8, '__main__': 8}
+    'dynamics': 1,
+    'contact': 1,
+    'force': 1,
+    'control': 2,
+    'sensor': 3,
+    'supervision': 3,
+    'tick': 3,
+    'diagnosis': 4,
+    'sampling': 4,
+    'loop': 4,
+    'nodes': 5,
+    'experiment': 6,
+    'client': 6,
+    'view': 7,
+    'cli': 8,
+    '__main__': 8,
+}
 PINOCCHIO_HOME = 'multicontact_control.dynamics.robot'
 PRIVATE = 'multicontact_control.nodes.private'
 STEPPED = 'multicontact_control.supervision.supervisor'
-TORQUE_PATH = ('dynamics', 'contact', 'force', 'control', 'supervision', 'sampling', 'loop')
+TORQUE_PATH = (
+    'dynamics',
+    'contact',
+    'force',
+    'control',
+    'supervision',
+    'sampling',
+    'loop',
+)
 # Tokens of code of a room, without docstrings and comments: what it has, and a twentieth more. An
 # idea that is added takes one out, or its commit says why the house grows.
 TOP, LOOP = 'top', 'loop and sampling'
 BUDGETS = {
-    TOP: 8_500, 'dynamics': 6_100, 'contact': 4_500, 'force': 15_500, 'control': 8_700,
-    LOOP: 3_300, 'supervision': 29_200, 'diagnosis': 3_340, 'sensor': 3_100, 'config': 6_000,
-    'nodes': 25_800, 'experiment': 68_500, 'view': 18_700, 'cli': 5_600, 'sim_bridge': 29_200,
-    'test': 150_200, 'test/campaign': 8_700, 'benchmarks': 3_200}
+    TOP: 8_500,
+    'dynamics': 6_100,
+    'contact': 4_500,
+    'force': 15_500,
+    'control': 8_700,
+    LOOP: 3_300,
+    'supervision': 29_200,
+    'diagnosis': 3_340,
+    'sensor': 3_100,
+    'config': 6_000,
+    'nodes': 25_800,
+    'experiment': 68_500,
+    'view': 18_700,
+    'cli': 5_600,
+    'sim_bridge': 29_200,
+    'test': 150_200,
+    'test/campaign': 8_700,
+    'benchmarks': 3_200,
+}
 MOST_COMPILED = 144  # functions
 
 
 def sources(*folders: str) -> dict[str, str]:
     """Return the text of every module of some folders, by dotted name."""
     texts = {}
-    for path in sorted(path for folder in folders for path in (ROOT / folder).rglob('*.py')):
+    for path in sorted(
+        path for folder in folders for path in (ROOT / folder).rglob('*.py')
+    ):
         parts = path.relative_to(ROOT).with_suffix('').parts
-        texts['.'.join(parts[:-1] if parts[-1] == '__init__' else parts)] = path.read_text(
-            encoding='utf-8')
+        texts['.'.join(parts[:-1] if parts[-1] == '__init__' else parts)] = (
+            path.read_text(encoding='utf-8')
+        )
     return texts
 
 
@@ -52,7 +92,9 @@ def imports() -> dict[str, set[str]]:
                 targets.update(alias.name for alias in node.names)
             elif isinstance(node, ast.ImportFrom):
                 assert node.level == 0, f'{name}: a relative import'
-                inner = {f'{node.module}.{alias.name}' for alias in node.names} & modules.keys()
+                inner = {
+                    f'{node.module}.{alias.name}' for alias in node.names
+                } & modules.keys()
                 targets.update(inner or {node.module})
         graph[name] = targets - {name}
     return graph
@@ -60,14 +102,20 @@ def imports() -> dict[str, set[str]]:
 
 def is_ros(module: str) -> bool:
     top = module.split('.')[0]
-    return top in ('rclpy', 'ament_index_python', 'rosidl_runtime_py', 'rosidl_parser') or (
-        top.endswith(('_msgs', '_srvs', '_interfaces')))
+    return top in (
+        'rclpy',
+        'ament_index_python',
+        'rosidl_runtime_py',
+        'rosidl_parser',
+    ) or (top.endswith(('_msgs', '_srvs', '_interfaces')))
 
 
 def area(module: str) -> str:
     """Return the part of the package a module belongs to, e.g. 'force'; '' for another package."""
     package, *inner = module.split('.')
-    return (inner[0] if inner else '__init__') if package == 'multicontact_control' else ''
+    return (
+        (inner[0] if inner else '__init__') if package == 'multicontact_control' else ''
+    )
 
 
 def layer(module: str) -> int:
@@ -85,7 +133,11 @@ def broken_rule(module: str, target: str) -> str:
         return 'the core knows neither ROS nor the simulation'
     if top in ('viser', 'websockets') and area(module) != 'view':
         return 'the page is an extra, known to view/ alone'
-    if top == 'pinocchio' and module != PINOCCHIO_HOME and not module.startswith('sim_bridge'):
+    if (
+        top == 'pinocchio'
+        and module != PINOCCHIO_HOME
+        and not module.startswith('sim_bridge')
+    ):
         return 'pinocchio is wrapped in dynamics/robot.py'
     if target.startswith(STEPPED) and area(module) not in ('supervision', 'loop'):
         return 'samples become torques in loop.py'
@@ -95,7 +147,8 @@ def broken_rule(module: str, target: str) -> str:
         # It explains what has led to a reaction, and is asked only then.
         return '' if module == STEPPED else 'no torque needs an explanation'
     if area(module) in ('control', 'supervision') and f'{target}.'.startswith(
-            'multicontact_control.force.noise.'):
+        'multicontact_control.force.noise.'
+    ):
         return 'R reaches the controller as a number'
     if area(module) and area(target):
         if layer(module) < layer(target):
@@ -103,16 +156,21 @@ def broken_rule(module: str, target: str) -> str:
         if 'tick' in (area(module), area(target)):
             return ''  # the supervisor steps it, and it calls the kernels of all
         if layer(module) == layer(target) in (1, 3) and area(module) != area(target):
-            return 'dynamics, contact and force know nothing of each other, nor do sensor and ' \
+            return (
+                'dynamics, contact and force know nothing of each other, nor do sensor and '
                 'supervision'
+            )
     return ''
 
 
 def test_sources_keep_the_rules_of_the_architecture():
     assert len(imports()) > 100
-    assert [f'{module} imports {target}: {rule}'
-            for module, targets in imports().items() for target in sorted(targets)
-            if (rule := broken_rule(module, target))] == []
+    assert [
+        f'{module} imports {target}: {rule}'
+        for module, targets in imports().items()
+        for target in sorted(targets)
+        if (rule := broken_rule(module, target))
+    ] == []
     TopologicalSorter(imports()).prepare()  # CycleError names an import cycle
 
 
@@ -120,7 +178,9 @@ def room(module: str) -> str:
     package, *inner = module.split('.')
     if package == 'multicontact_control':
         name = (inner or [''])[0]
-        return LOOP if name in ('loop', 'sampling') else name if name in BUDGETS else TOP
+        return (
+            LOOP if name in ('loop', 'sampling') else name if name in BUDGETS else TOP
+        )
     return 'test/campaign' if (package, *inner[:1]) == ('test', 'campaign') else package
 
 
@@ -132,24 +192,36 @@ def tokens_of(text: str) -> int:
     documented: set[int] = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.Module)) and (
-                ast.get_docstring(node) is not None):
+            ast.get_docstring(node) is not None
+        ):
             said = node.body[0]
             documented.update(range(said.lineno, (said.end_lineno or said.lineno) + 1))
-    return sum(token.type in CODE and token.start[0] not in documented
-               for token in tokenize.generate_tokens(io.StringIO(text).readline))
+    return sum(
+        token.type in CODE and token.start[0] not in documented
+        for token in tokenize.generate_tokens(io.StringIO(text).readline)
+    )
 
 
 def test_rooms_stay_within_their_budgets():
     tokens: Counter[str] = Counter()
     for module, text in sources(
-            'multicontact_control', 'sim_bridge', 'test', 'benchmarks').items():
+        'multicontact_control', 'sim_bridge', 'test', 'benchmarks'
+    ).items():
         tokens[room(module)] += tokens_of(text)
     assert tokens.keys() == BUDGETS.keys()
-    assert [f'{name}: {count} tokens of {BUDGETS[name]}' for name, count in tokens.items()
-            if count > BUDGETS[name]] == []
+    assert [
+        f'{name}: {count} tokens of {BUDGETS[name]}'
+        for name, count in tokens.items()
+        if count > BUDGETS[name]
+    ] == []
 
 
 def test_compiled_functions_are_few():
-    assert sum(line.strip() == '@compiled' for text in sources(
-        'multicontact_control', 'sim_bridge').values() for line in text.splitlines()
-    ) <= MOST_COMPILED
+    assert (
+        sum(
+            line.strip() == '@compiled'
+            for text in sources('multicontact_control', 'sim_bridge').values()
+            for line in text.splitlines()
+        )
+        <= MOST_COMPILED
+    )

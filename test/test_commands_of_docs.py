@@ -17,7 +17,11 @@ from multicontact_control.cli.application import app
 from multicontact_control.cli.options import RunOptions
 from multicontact_control.client import ArmState, MultiContactClient
 from multicontact_control.experiment.results import load_run
-from multicontact_control.experiment.study.config import read_choices, read_study, select
+from multicontact_control.experiment.study.config import (
+    read_choices,
+    read_study,
+    select,
+)
 from multicontact_control.nodes import messages, topics
 import pytest
 from robots import has_urdf
@@ -25,26 +29,56 @@ from ros_graph import ROOT, write_bag
 from test_docs import prose
 import typer
 
-DOCUMENTS = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
+DOCUMENTS = [
+    ROOT / 'README.md',
+    ROOT / 'CONTRIBUTING.md',
+    *sorted((ROOT / 'docs').glob('*.md')),
+]
 TUTORIAL, FIRST = ROOT / 'docs/tutorial.md', Path('runs/first')
 # Files that are the reader's own.
-YOURS = {'my_arm.urdf', 'arm.urdf', 'ur5e.urdf', 'my_arm.yaml', 'controller.yaml', 'tool.yaml',
-         'ur.yaml'}
+YOURS = {
+    'my_arm.urdf',
+    'arm.urdf',
+    'ur5e.urdf',
+    'my_arm.yaml',
+    'controller.yaml',
+    'tool.yaml',
+    'ur.yaml',
+}
 OTHERS = (
-    '. ', 'controller_node --autostart --ros-args', 'cp', 'dask', 'franka_bridge',
-    'noise_estimator_node --autostart --ros-args', 'pip install', 'python docs/',
-    'python ur_wrench.py', 'python3 -m venv', 'recorder_node --ros-args', 'ros2 launch',
-    'ros2 control', 'ros2 service call',
-    'ros2 param set /sim_node ', 'ros2 topic pub --once /sim_node/push',
-    'ros2 run robot_state_publisher', 'ros2 run tf2_ros', 'ssh', 'strict/bin/',
-    'tsid/bin/pip install')
+    '. ',
+    'controller_node --autostart --ros-args',
+    'cp',
+    'dask',
+    'franka_bridge',
+    'noise_estimator_node --autostart --ros-args',
+    'pip install',
+    'python docs/',
+    'python ur_wrench.py',
+    'python3 -m venv',
+    'recorder_node --ros-args',
+    'ros2 launch',
+    'ros2 control',
+    'ros2 service call',
+    'ros2 param set /sim_node ',
+    'ros2 topic pub --once /sim_node/push',
+    'ros2 run robot_state_publisher',
+    'ros2 run tf2_ros',
+    'ssh',
+    'strict/bin/',
+    'tsid/bin/pip install',
+)
 
 
 def blocks(document, language):
     """Return the blocks of a language in a document: line, text."""
     text = document.read_text(encoding='utf-8')
-    return [(text[:match.start()].count('\n') + 1, match[1]) for match in re.finditer(
-        rf'^```{language}\n(.*?)^```$', text, re.MULTILINE | re.DOTALL)]
+    return [
+        (text[: match.start()].count('\n') + 1, match[1])
+        for match in re.finditer(
+            rf'^```{language}\n(.*?)^```$', text, re.MULTILINE | re.DOTALL
+        )
+    ]
 
 
 def lines_of(block):
@@ -66,7 +100,11 @@ def known_commands():
     known = {}
     for name, command in typer.main.get_command(app).commands.items():
         inner = getattr(command, 'commands', None)
-        known |= {f'{name} {key}': x for key, x in inner.items()} if inner else {name: command}
+        known |= (
+            {f'{name} {key}': x for key, x in inner.items()}
+            if inner
+            else {name: command}
+        )
     return known
 
 
@@ -76,28 +114,44 @@ def parse(words):
         assert words[1] in ('--help', '--version', '--install-completion')
         return
     size = 2 if words[1] == 'topic' else 1
-    name = ' '.join(words[1:1 + size])
+    name = ' '.join(words[1 : 1 + size])
     for word in set(words[2:]) - YOURS:
         if re.fullmatch(r'[\w./-]+\.(yaml|urdf|json)|config/[\w./-]+', word):
             assert (ROOT / word).exists() or word.startswith('runs/'), word
-    values = known_commands()[name].make_context(name, list(words[1 + size:])).params
+    values = known_commands()[name].make_context(name, list(words[1 + size :])).params
     if name == 'study' and values['name']:
         select(read_study(values['name']), read_choices(values['settings'] or ()))
-    if 'scenario' in values and not values.get('external') and values['robot'] not in YOURS and (
-            has_urdf(values['robot'] or 'puma')):
-        RunOptions(**{field.name: values[field.name] for field in fields(RunOptions)
-                      if field.name in values}).setup()
+    if (
+        'scenario' in values
+        and not values.get('external')
+        and values['robot'] not in YOURS
+        and (has_urdf(values['robot'] or 'puma'))
+    ):
+        RunOptions(
+            **{
+                field.name: values[field.name]
+                for field in fields(RunOptions)
+                if field.name in values
+            }
+        ).setup()
 
 
 def make(words):
     makefile = (ROOT / 'Makefile').read_text(encoding='utf-8')
     for target in words[1:]:
-        assert '=' in target or re.search(rf'^{target}:', makefile, re.MULTILINE), target
+        assert '=' in target or re.search(rf'^{target}:', makefile, re.MULTILINE), (
+            target
+        )
 
 
-@pytest.mark.parametrize('words', [
-    pytest.param(words, id=f'{where} {" ".join(words)}')
-    for document in DOCUMENTS for where, words in commands(document)])
+@pytest.mark.parametrize(
+    'words',
+    [
+        pytest.param(words, id=f'{where} {" ".join(words)}')
+        for document in DOCUMENTS
+        for where, words in commands(document)
+    ],
+)
 def test_command_is_one_that_there_is(words):
     if words[0] in ('multicontact', 'make'):
         {'multicontact': parse, 'make': make}[words[0]](words)
@@ -120,16 +174,30 @@ def test_command_that_the_wheels_lack_says_where_it_is_from(document):
 @pytest.mark.parametrize('document', DOCUMENTS, ids=lambda path: path.name)
 def test_options_in_the_text_are_those_of_commands(document):
     """Of `command --option` that command's, of `--option` alone those of any."""
-    known = {name: {option for x in command.params for option in x.opts} | {'--help'}
-             for name, command in known_commands().items()}
-    every = set().union(*known.values(), {
-        '--version', '--install-completion', '--autostart', '--ros-args', '--params-file'})
+    known = {
+        name: {option for x in command.params for option in x.opts} | {'--help'}
+        for name, command in known_commands().items()
+    }
+    every = set().union(
+        *known.values(),
+        {
+            '--version',
+            '--install-completion',
+            '--autostart',
+            '--ros-args',
+            '--params-file',
+        },
+    )
     for span in re.findall(r'(?<!`)`([^`]+)`(?!`)', prose(document)):
         words = span.split()
         if words[0] == 'make':
             make(shlex.split(span))
         elif words[0] == 'multicontact' and words[1:2] != ['COMMAND']:
-            name = ' '.join(words[1:3]) if words[1:2] == ['topic'] else ' '.join(words[1:2])
+            name = (
+                ' '.join(words[1:3])
+                if words[1:2] == ['topic']
+                else ' '.join(words[1:2])
+            )
             assert name in known or not name or name.startswith('-'), span
             words = [name, *words[2:]]
         if words[0] in known or words[0].startswith('--'):
@@ -137,9 +205,14 @@ def test_options_in_the_text_are_those_of_commands(document):
             assert asked <= known.get(words[0], every), span
 
 
-@pytest.mark.parametrize('program', [
-    pytest.param(text, id=f'{document.name}:{line}')
-    for document in DOCUMENTS for line, text in blocks(document, 'python')])
+@pytest.mark.parametrize(
+    'program',
+    [
+        pytest.param(text, id=f'{document.name}:{line}')
+        for document in DOCUMENTS
+        for line, text in blocks(document, 'python')
+    ],
+)
 def test_program_names_what_there_is(program):
     """It compiles, its imports are there, and the client's methods take what they are given."""
     for node in ast.walk(ast.parse(program)):
@@ -147,7 +220,8 @@ def test_program_names_what_there_is(program):
             exec(compile(ast.Module([node], []), 'imports', 'exec'), {})
         elif isinstance(node, ast.Call) and ast.unparse(node.func).startswith('arm.'):
             inspect.signature(getattr(MultiContactClient, node.func.attr)).bind(
-                None, *node.args, **{x.arg: x.value for x in node.keywords})
+                None, *node.args, **{x.arg: x.value for x in node.keywords}
+            )
         elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == 'state':
             assert node.attr in ArmState.__dataclass_fields__, node.attr
 
@@ -155,15 +229,23 @@ def test_program_names_what_there_is(program):
 # It would install, change the shell, wait for a browser, or start a graph; instead of the graph's
 # there is a bag of the first run.
 NOT_FOLLOWED = (
-    'make', '. ', 'multicontact view', 'multicontact run', 'multicontact report runs/graph')
+    'make',
+    '. ',
+    'multicontact view',
+    'multicontact run',
+    'multicontact report runs/graph',
+)
 
 
 def forces_of(run):
     """Yield messages of the measured forces of a run."""
     for time, forces in zip(run.data.time[::10], run.data.alpha_meas[::10]):
         stamp = round(time * 1e9)
-        yield topics.MEASURED_FORCES, stamp, messages.joint_state_message(
-            stamp, run.data.contact_names, effort=forces)
+        yield (
+            topics.MEASURED_FORCES,
+            stamp,
+            messages.joint_state_message(stamp, run.data.contact_names, effort=forces),
+        )
 
 
 def outline(text):
@@ -177,7 +259,9 @@ def test_tutorial_can_be_followed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     text = TUTORIAL.read_text(encoding='utf-8')
     output, followed = '', 0
-    for language, block in re.findall(r'^```(\w+)\n(.*?)^```$', text, re.MULTILINE | re.DOTALL):
+    for language, block in re.findall(
+        r'^```(\w+)\n(.*?)^```$', text, re.MULTILINE | re.DOTALL
+    ):
         capsys.readouterr()
         if language == 'python':
             exec(compile(block, str(TUTORIAL), 'exec'), {'__name__': '__main__'})

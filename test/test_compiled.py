@@ -12,12 +12,14 @@ from ros_graph import ROOT
 
 HEAD = 'from multicontact_control.compiled import compiled\n'
 CALLER = HEAD + (
-    'from multicontact_control.inner import inner\n@compiled\ndef outer(x): return inner(x)\n')
+    'from multicontact_control.inner import inner\n@compiled\ndef outer(x): return inner(x)\n'
+)
 INNER = HEAD + '@compiled\ndef inner(x): return x + {}\n'
 RUN = (
     'from multicontact_control import compiled\n'
     'from multicontact_control.outer import outer\n'
-    'print(outer(1.0), compiled.compiled_here())')
+    'print(outer(1.0), compiled.compiled_here())'
+)
 
 
 def write_kernels(folder, number):
@@ -33,10 +35,17 @@ def write_kernels(folder, number):
 
 def run(folder, **environment):
     """Return the value of the caller, and how many kernels were compiled."""
-    variables = {name: value for name, value in os.environ.items() if name != 'NUMBA_CACHE_DIR'}
+    variables = {
+        name: value for name, value in os.environ.items() if name != 'NUMBA_CACHE_DIR'
+    }
     done = subprocess.run(
-        [sys.executable, '-c', RUN], cwd=folder, capture_output=True, text=True, check=False,
-        env={**variables, 'PYTHONPATH': str(folder), **environment})
+        [sys.executable, '-c', RUN],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**variables, 'PYTHONPATH': str(folder), **environment},
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout.split()
 
@@ -54,7 +63,10 @@ def test_installation_that_cannot_be_written_is_compiled_once(tmp_path):
     (write_kernels(tmp_path, 1.0) / '__pycache__').write_text('')
     for variable in ('NUMBA_CACHE_DIR', 'XDG_CACHE_HOME'):
         environment = {'XDG_CACHE_HOME': '', variable: str(tmp_path / variable)}
-        assert [run(tmp_path, **environment) for _ in range(2)] == [['2.0', '2'], ['2.0', '0']]
+        assert [run(tmp_path, **environment) for _ in range(2)] == [
+            ['2.0', '2'],
+            ['2.0', '0'],
+        ]
         assert any((tmp_path / variable).rglob('*.nbi'))
 
 
@@ -62,11 +74,28 @@ def test_installation_that_cannot_be_written_is_compiled_once(tmp_path):
 def test_command_compiles_nothing_after_the_compile_step(tmp_path):
     ensure_compiled()
     done = subprocess.run(
-        [sys.executable, '-m', 'multicontact_control.cli', 'simulate', '--plant', 'rigid',
-         '--bare', '--noise-estimator', 'sage_husa', '--scenario', 'quick', '--duration', '3',
-         '--out', str(tmp_path)],
-        capture_output=True, text=True, cwd=tmp_path.parent,
-        env={**os.environ, 'PYTHONPATH': str(ROOT)})
+        [
+            sys.executable,
+            '-m',
+            'multicontact_control.cli',
+            'simulate',
+            '--plant',
+            'rigid',
+            '--bare',
+            '--noise-estimator',
+            'sage_husa',
+            '--scenario',
+            'quick',
+            '--duration',
+            '3',
+            '--out',
+            str(tmp_path),
+        ],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path.parent,
+        env={**os.environ, 'PYTHONPATH': str(ROOT)},
+    )
     assert done.returncode == 0, done.stderr
     summary = json.loads((tmp_path / 'summary.json').read_text(encoding='utf-8'))
     assert summary['timing']['kernels_compiled'] == 0

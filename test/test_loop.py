@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 H, PERIOD = 0.002, 2_000_000
-ORIGIN = 86_400 * 10 ** 9  # where the stamps start
+ORIGIN = 86_400 * 10**9  # where the stamps start
 REST = np.zeros(6)
 EFFORT = np.array([1.0, 29.0, 7.0, 0.5, 0.5, 0.1])
 BARE = pytest.mark.parametrize('supervised', [True, False])
@@ -33,12 +33,17 @@ class Bench:
     def __init__(self, *, supervised=True, **changes):
         self.config = still_config(**changes)
         self.loop = ControlLoop(
-            self.config, None, CommandLimits(), config_dir(), supervised=supervised)
-        self.timing = SampleTiming(self.config.rate, supervised=supervised, patience=1.5)
+            self.config, None, CommandLimits(), config_dir(), supervised=supervised
+        )
+        self.timing = SampleTiming(
+            self.config.rate, supervised=supervised, patience=1.5
+        )
         self.state = self.loop.supervisor.controller.robot.update(HOME, REST)
         self.weight = weight_reading(
-            self.state.sensor_pose.rotation_world, self.config.tool,
-            np.array(self.config.robot.gravity_world))
+            self.state.sensor_pose.rotation_world,
+            self.config.tool,
+            np.array(self.config.robot.gravity_world),
+        )
         self.random = np.random.default_rng(0)
         self.k, self.push = 0, np.zeros(6)
 
@@ -53,8 +58,9 @@ class Bench:
         """Answer samples, after a change of them if there is one; return the last torque."""
         for _ in range(n):
             self.timing.add(JointInput(self.stamp, q.copy(), qd, effort))
-            self.timing.add(WrenchInput(
-                self.stamp, self.wrench() if wrench is None else wrench))
+            self.timing.add(
+                WrenchInput(self.stamp, self.wrench() if wrench is None else wrench)
+            )
             action, inputs = self.timing.what_now(self.stamp)
             assert action is Action.STEP
             torque = self.loop.step(change(inputs) if change else inputs)
@@ -95,8 +101,10 @@ class Bench:
 
     def assert_refused(self, match, *commands):
         """Check that commands are refused; by default a force, a hold."""
-        for command in commands or (lambda: self.loop.set_forces({'table': 5.0}),
-                                    lambda: self.loop.hold(True)):
+        for command in commands or (
+            lambda: self.loop.set_forces({'table': 5.0}),
+            lambda: self.loop.hold(True),
+        ):
             with pytest.raises(CommandError, match=match):
                 command()
 
@@ -130,7 +138,9 @@ def test_loop_seeks_holds_and_releases_a_commanded_force_and_forgets_it_at_a_res
 
 @BARE
 @pytest.mark.parametrize('effort', [EFFORT, None, np.full(6, np.nan), np.zeros(6)])
-def test_first_command_is_the_measured_effort_or_gravity_compensation(effort, supervised):
+def test_first_command_is_the_measured_effort_or_gravity_compensation(
+    effort, supervised
+):
     torque = Bench(supervised=supervised).step(effort=effort)
     expected = EFFORT if effort is EFFORT else Bench().state.gravity
     np.testing.assert_allclose(torque, expected, rtol=0.0, atol=1e-9)
@@ -141,11 +151,15 @@ def test_reconfigure_repeats_the_last_command_and_a_refusal_changes_nothing():
     make_contact(bench)
     before = bench.step()
     known = bench.loop.supervisor.controller.laws['observer'].copy()
-    config = still_config(force={'time_constant': 0.05}, motion={'natural_frequency': 15.0})
+    config = still_config(
+        force={'time_constant': 0.05}, motion={'natural_frequency': 15.0}
+    )
     bench.loop.reconfigure(config)
     assert bench.loop.config is config
     new = bench.loop.supervisor.controller.laws['observer']
-    slower, faster = (observers['design']['feedback'][:, 0] for observers in (new, known))
+    slower, faster = (
+        observers['design']['feedback'][:, 0] for observers in (new, known)
+    )
     assert known['x_est'][0].any() and (slower < faster).all()
     for name in ('x_est', 'P', 'running'):
         np.testing.assert_array_equal(known[name], new[name])
@@ -163,7 +177,9 @@ def test_tool_of_an_impossible_mass_or_in_a_push_test_is_refused():
     with pytest.raises(ConfigError, match='tool.mass: expected above 4.419 kg, got 4'):
         bench.loop.reconfigure(other)
     bench.loop.push_test(PushTestConfig())
-    bench.assert_refused('^tool: wait: .*push test', lambda: bench.loop.reconfigure(other))
+    bench.assert_refused(
+        '^tool: wait: .*push test', lambda: bench.loop.reconfigure(other)
+    )
 
 
 @pytest.mark.parametrize('required', [True, False])
@@ -177,7 +193,9 @@ def test_push_test_without_pushes_can_be_cancelled(required, ticks):
         bench.loop.push_test(config)
         bench.step(ticks)
         bench.assert_refused('~/push_test: pass it first')
-    assert ('repeat it, or cancel it' in bench.loop.push_gate.instruction) is (ticks == 600)
+    assert ('repeat it, or cancel it' in bench.loop.push_gate.instruction) is (
+        ticks == 600
+    )
     text = bench.loop.cancel_push_test()
     assert (text == 'push test cancelled') is not required
     bench.step(5)
@@ -198,40 +216,70 @@ def test_push_test_with_a_verdict_on_the_sensor_cannot_be_cancelled():
 
 
 @BARE
-@pytest.mark.parametrize('kind', ['gravity_compensation', 'zero_torque', 'hold_position'])
+@pytest.mark.parametrize(
+    'kind', ['gravity_compensation', 'zero_torque', 'hold_position']
+)
 def test_stop_leads_from_the_last_command_to_the_declared_behaviour(kind, supervised):
     """A joint that is pushed away is braked, and pulled back if the posture is held."""
-    bench = Bench(supervised=supervised, safe_behaviour=kind, transition={'blend_time': 0.05})
+    bench = Bench(
+        supervised=supervised, safe_behaviour=kind, transition={'blend_time': 0.05}
+    )
     last = bench.step(effort=EFFORT)
     torques = [bench.loop.stop(), *(bench.step() for _ in range(400))]
     np.testing.assert_array_equal(torques[0], last)
     rate = bench.config.transition.torque_rate
     assert np.abs(np.diff(torques, axis=0)).max() <= rate * H * (1.0 + 1e-9)
     zero = kind == 'zero_torque'
-    np.testing.assert_allclose(torques[-1], 0.0 if zero else bench.state.gravity, atol=1e-9)
+    np.testing.assert_allclose(
+        torques[-1], 0.0 if zero else bench.state.gravity, atol=1e-9
+    )
     if not supervised:  # which takes no velocity from a change of the position
         sixth = np.eye(6)[5]
-        assert (bench.step(q=HOME + 0.05 * sixth)[5] < -0.1) == (kind == 'hold_position')
+        assert (bench.step(q=HOME + 0.05 * sixth)[5] < -0.1) == (
+            kind == 'hold_position'
+        )
         assert (bench.step(qd=sixth)[5] < -0.1) != zero
 
 
 def put(source, **values):
     """Return a step whose sample has other values in one reading."""
-    return lambda bench: bench.step(change=lambda inputs: inputs._replace(
-        **{source: getattr(inputs, source)._replace(**values)}))
+    return lambda bench: bench.step(
+        change=lambda inputs: inputs._replace(
+            **{source: getattr(inputs, source)._replace(**values)}
+        )
+    )
 
 
 FAULTS = {
     'no sample': (Bench.step_without, 'float', 'joints_stale', 0),
-    'no joints': (lambda bench: bench.step_half(joints=False), 'float', 'joints_stale', 1),
+    'no joints': (
+        lambda bench: bench.step_half(joints=False),
+        'float',
+        'joints_stale',
+        1,
+    ),
     'no wrench': (Bench.step_half, 'hold', 'wrench_stale', 12),
-    'no variance': (lambda bench: bench.step(
-        change=lambda inputs: inputs._replace(variance=None)), 'inflate', 'variance_stale', 3),
+    'no variance': (
+        lambda bench: bench.step(change=lambda inputs: inputs._replace(variance=None)),
+        'inflate',
+        'variance_stale',
+        3,
+    ),
     'joints NaN': (put('joints', q=np.full(6, np.nan)), 'float', 'joints_invalid', 1),
-    'wrench NaN': (put('wrench', wrench=np.full(6, np.nan)), 'hold', 'wrench_invalid', 12),
+    'wrench NaN': (
+        put('wrench', wrench=np.full(6, np.nan)),
+        'hold',
+        'wrench_invalid',
+        12,
+    ),
     'wrench saturated': (
-        put('wrench', wrench=100.0 * np.eye(6)[0]), 'hold', 'wrench_saturated', 1),
-    'wrench frozen': (put('wrench', wrench=np.ones(6)), 'hold', 'wrench_frozen', 3)}
+        put('wrench', wrench=100.0 * np.eye(6)[0]),
+        'hold',
+        'wrench_saturated',
+        1,
+    ),
+    'wrench frozen': (put('wrench', wrench=np.ones(6)), 'hold', 'wrench_frozen', 3),
+}
 
 
 @pytest.mark.parametrize('fault', FAULTS)
@@ -254,38 +302,59 @@ def test_fault_is_bridged_and_reacted_to_and_recovery_has_no_jump(fault):
 
 
 NUMBERS = st.lists(st.one_of(st.floats(), st.floats(-10, 10)), max_size=7) | st.lists(
-    st.floats(), min_size=6, max_size=6)
+    st.floats(), min_size=6, max_size=6
+)
 SIX = st.lists(st.floats(-7, 7), min_size=6, max_size=6)
 STAMP = st.floats()
 TICK = st.builds(
-    TickInputs, STAMP, st.none() | st.builds(JointInput, STAMP, NUMBERS, NUMBERS, NUMBERS),
+    TickInputs,
+    STAMP,
+    st.none() | st.builds(JointInput, STAMP, NUMBERS, NUMBERS, NUMBERS),
     st.none() | st.builds(WrenchInput, STAMP, NUMBERS),
-    st.none() | st.builds(VarianceInput, STAMP, NUMBERS))
+    st.none() | st.builds(VarianceInput, STAMP, NUMBERS),
+)
 FUZZED = Bench(collision={'threshold': [30.0] * 6})
 
 
 @settings(max_examples=250)
-@given(q=st.just(HOME) | SIX, qd=st.just(REST) | SIX, force=SIX, kept=st.integers(0, 15),
-       cases=st.lists(TICK, max_size=8), warm=st.integers(0, 5))
+@given(
+    q=st.just(HOME) | SIX,
+    qd=st.just(REST) | SIX,
+    force=SIX,
+    kept=st.integers(0, 15),
+    cases=st.lists(TICK, max_size=8),
+    warm=st.integers(0, 5),
+)
 def test_loop_commands_finite_torques_within_limits_for_any_input(
-        q, qd, force, kept, cases, warm):
+    q, qd, force, kept, cases, warm
+):
     """Singular postures, beyond the stops, faster than allowed; readings of any numbers."""
     loop, config, torques = FUZZED.loop, FUZZED.config, []
     loop.restart()
     for k, case in enumerate([None] * warm + cases + [None] * 3):
         time = k * H
         inputs = TickInputs(
-            time, JointInput(time, np.array(q) + time * np.array(qd), np.array(qd)),
+            time,
+            JointInput(time, np.array(q) + time * np.array(qd), np.array(qd)),
             WrenchInput(time, FUZZED.wrench() + 10.0 * np.array(force)),
-            VarianceInput(time - H, np.full(2, 0.6)))
+            VarianceInput(time - H, np.full(2, 0.6)),
+        )
         if case is not None:  # some parts are right
-            inputs = TickInputs(*(good if kept >> i & 1 else bad
-                                  for i, (good, bad) in enumerate(zip(inputs, case))))
+            inputs = TickInputs(
+                *(
+                    good if kept >> i & 1 else bad
+                    for i, (good, bad) in enumerate(zip(inputs, case))
+                )
+            )
         torques.append(loop.step(inputs))
         output = loop.output
-        for values in (output.contacts['alpha_meas'], output.answer['alpha_est'],
-                       output.answer['alpha_des'], *output.pose,
-                       *output.pose_des):
+        for values in (
+            output.contacts['alpha_meas'],
+            output.answer['alpha_est'],
+            output.answer['alpha_des'],
+            *output.pose,
+            *output.pose_des,
+        ):
             assert np.isfinite(values).all()
     assert np.isfinite(torques).all()
     assert (np.abs(torques) <= config.torque_limit).all()
@@ -301,7 +370,9 @@ def test_events_are_at_the_time_of_their_samples_when_a_simulator_has_paused():
         bench.step_without()
     bench.step(500)
     assert bench.loop.time == pytest.approx((bench.k - 1 + 500) * H, abs=2 * H)
-    events = [(round(time / H), what.split(' ')[0]) for time, what in bench.loop.events.events]
+    events = [
+        (round(time / H), what.split(' ')[0]) for time, what in bench.loop.events.events
+    ]
     reacting = [(tick, reaction) for tick, reaction in events if reaction != 'none']
     assert reacting[0][0] == paused - 1  # of the last sample before the pause
     tick, reaction = events[-1]
@@ -342,9 +413,16 @@ def test_tare_needs_recent_readings_of_a_good_sensor_on_an_arm_at_rest():
     bench.assert_refused('got frozen', tare)
 
 
-@pytest.mark.parametrize(('changes', 'message'), [
-    ({'sensor': {'require_push_test': True}}, '~/push_test: pass it first'),
-    ({'limits': {'workspace_lower': [-0.6, 0.2, 0.75]}}, 'has not begun .start_outside')])
+@pytest.mark.parametrize(
+    ('changes', 'message'),
+    [
+        ({'sensor': {'require_push_test': True}}, '~/push_test: pass it first'),
+        (
+            {'limits': {'workspace_lower': [-0.6, 0.2, 0.75]}},
+            'has not begun .start_outside',
+        ),
+    ],
+)
 def test_commands_are_refused_before_control_begins(changes, message):
     bench = Bench(**changes)
     bench.step(10)
@@ -383,21 +461,30 @@ def test_stream_of_commands_does_not_seek_a_given_up_contact_again():
 
 @BARE
 def test_variances_are_bounded_alike_with_and_without_a_supervisor(supervised):
-    bench = Bench(supervised=supervised, noise_variance={'smallest': 0.5, 'largest': 50.0})
+    bench = Bench(
+        supervised=supervised, noise_variance={'smallest': 0.5, 'largest': 50.0}
+    )
     used = bench.loop.supervisor.controller.contacts['noise_variance']
 
     def change(inputs):
-        return inputs._replace(variance=VarianceInput(inputs.time, np.array([0.01, 1e4])))
+        return inputs._replace(
+            variance=VarianceInput(inputs.time, np.array([0.01, 1e4]))
+        )
 
     bench.step(3, change=change)
     assert used.tolist() == [0.5, 50.0]
 
 
-@pytest.mark.parametrize(('part', 'cause', 'reaction'), [
-    ('task.ask', 'law_ZeroDivisionError', 'hold'),
-    ('inputs.validate', 'internal_ZeroDivisionError', 'float')])
+@pytest.mark.parametrize(
+    ('part', 'cause', 'reaction'),
+    [
+        ('task.ask', 'law_ZeroDivisionError', 'hold'),
+        ('inputs.validate', 'internal_ZeroDivisionError', 'float'),
+    ],
+)
 def test_exception_is_told_in_words_and_logged_once_with_its_traceback(
-        monkeypatch, caplog, part, cause, reaction):
+    monkeypatch, caplog, part, cause, reaction
+):
     bench = Bench()
     bench.step(5)
     owner, _, name = part.partition('.')
@@ -415,7 +502,7 @@ def test_exception_is_told_in_words_and_logged_once_with_its_traceback(
     bench.step(20)
     text = 'ZeroDivisionError: the mass of nothing'
     assert text in bench.loop.supervisor.findings
-    record, = caplog.records
+    (record,) = caplog.records
     assert record.getMessage() == f'{cause}: {text}'
     assert 'in broken' in caplog.text and 'Traceback' in caplog.text
 
@@ -427,16 +514,20 @@ def test_law_that_has_no_answer_says_why_in_the_findings(caplog):
     bench.step()
     assert bench.loop.status.causes == ('law_ContactGeometryError',)
     assert bench.loop.supervisor.findings[0].startswith(
-        'ContactGeometryError: N: expected independent columns, got normals and contact points')
-    record, = caplog.records
+        'ContactGeometryError: N: expected independent columns, got normals and contact points'
+    )
+    (record,) = caplog.records
     assert 'expected independent columns' in record.getMessage()
     assert 'Traceback' not in caplog.text
 
 
 def test_singular_arm_says_why_in_the_findings(monkeypatch):
-    monkeypatch.setattr('multicontact_control.control.controller.SINGULAR_MOBILITY', 0.0)
+    monkeypatch.setattr(
+        'multicontact_control.control.controller.SINGULAR_MOBILITY', 0.0
+    )
     bench = Bench(limits={'workspace_lower': [], 'workspace_upper': []})
     bench.step(q=np.zeros(6))
     assert 'law_SingularTaskError' in bench.loop.status.causes
     assert bench.loop.supervisor.findings[0].startswith(
-        'SingularTaskError: J M^-1 J^T: expected a condition number below')
+        'SingularTaskError: J M^-1 J^T: expected a condition number below'
+    )

@@ -12,12 +12,17 @@ import pytest
 SHARE = Path('share', 'multicontact_control', 'config')
 
 
-def test_config_dir_is_the_checkouts_or_in_a_prefix_or_in_an_ament_prefix(monkeypatch, tmp_path):
+def test_config_dir_is_the_checkouts_or_in_a_prefix_or_in_an_ament_prefix(
+    monkeypatch, tmp_path
+):
     monkeypatch.setattr(sys, 'prefix', str(tmp_path / 'environment'))
     monkeypatch.setenv('AMENT_PREFIX_PATH', f'{tmp_path}/nothing:{tmp_path}/workspace')
     (tmp_path / 'checkout/config').mkdir(parents=True)
     (tmp_path / 'checkout/package.xml').touch()
-    assert config_dir(tmp_path / 'checkout/multicontact_control') == tmp_path / 'checkout/config'
+    assert (
+        config_dir(tmp_path / 'checkout/multicontact_control')
+        == tmp_path / 'checkout/config'
+    )
     package = tmp_path / 'prefix/lib/python3.11/site-packages/multicontact_control'
     # A folder of that name beside an installed package is no checkout's.
     (package.parent / 'config').mkdir(parents=True)

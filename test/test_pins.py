@@ -3,7 +3,16 @@
 import json
 
 import numpy as np
-from pins import differences, FILE, SETUPS, STUDIES, study, SUMMARIES, summary, trajectory
+from pins import (
+    differences,
+    FILE,
+    SETUPS,
+    STUDIES,
+    study,
+    SUMMARIES,
+    summary,
+    trajectory,
+)
 import pytest
 
 PINNED = json.loads(FILE.read_text())
@@ -16,7 +25,8 @@ def test_trajectory_is_pinned(name):
     pinned, now = PINNED['trajectories'][name], trajectory(name)
     if pinned['sha256'] != now['sha256']:
         np.testing.assert_allclose(
-            now['torque_share'], pinned['torque_share'], rtol=0.0, atol=1e-6)
+            now['torque_share'], pinned['torque_share'], rtol=0.0, atol=1e-6
+        )
 
 
 @pytest.mark.slow

@@ -51,7 +51,11 @@ def test_no_compiled_function_takes_or_returns_anything():
                 continue
             if 'compiled' not in map(ast.unparse, node.decorator_list):
                 continue
-            types = [argument.annotation for argument in node.args.args] + [node.returns]
-            if any(re.search(r'\bAny\b', ast.unparse(annotation)) for annotation in types):
+            types = [argument.annotation for argument in node.args.args] + [
+                node.returns
+            ]
+            if any(
+                re.search(r'\bAny\b', ast.unparse(annotation)) for annotation in types
+            ):
                 unknown.append(f'{path}: {node.name}')
     assert unknown == []

@@ -5,7 +5,9 @@ import importlib.util
 import pytest
 from ros_graph import ROOT
 
-spec = importlib.util.spec_from_file_location('make_reference', ROOT / 'docs/make_reference.py')
+spec = importlib.util.spec_from_file_location(
+    'make_reference', ROOT / 'docs/make_reference.py'
+)
 reference = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(reference)
 

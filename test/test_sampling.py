@@ -31,7 +31,9 @@ def sample(timing, stamp, now=0, **options):
 
 
 @pytest.mark.parametrize('joints_first', [True, False])
-def test_pairing_gives_each_pair_once_in_either_order_and_never_mixes_stamps(joints_first):
+def test_pairing_gives_each_pair_once_in_either_order_and_never_mixes_stamps(
+    joints_first,
+):
     timing = timing_of()
     for stamp in (1, 2, 3):
         first, second = (joints, wrench) if joints_first else (wrench, joints)
@@ -55,8 +57,11 @@ def test_pairing_gives_each_pair_once_in_either_order_and_never_mixes_stamps(joi
 def test_pairing_takes_sensors_that_are_read_at_another_time_of_the_period(offset):
     """Each pair once, at the stamp of the joints, and never with a reading a period away."""
     timing = timing_of(pair_tolerance=0.5)
-    sent = [(k * PERIOD + late, kind) for k in range(1, 8)
-            for kind, late in ((joints, 0), (wrench, offset))]
+    sent = [
+        (k * PERIOD + late, kind)
+        for k in range(1, 8)
+        for kind, late in ((joints, 0), (wrench, offset))
+    ]
     for stamp, kind in sorted(sent, key=lambda each: each[0]):
         timing.add(kind(stamp))
         action, inputs = timing.what_now(0)
@@ -70,7 +75,12 @@ def test_late_half_of_an_answered_sample_is_not_paired_with_the_next():
     sample(timing, 0)
     timing.add(joints(PERIOD))
     action, inputs = timing.late(timing.due)
-    assert (action, inputs.time, inputs.joints.stamp, inputs.wrench.stamp) == (HALF, H, H, 0.0)
+    assert (action, inputs.time, inputs.joints.stamp, inputs.wrench.stamp) == (
+        HALF,
+        H,
+        H,
+        0.0,
+    )
     assert timing.due == 2.5 * PERIOD  # on the grid of the samples
     timing.add(wrench(PERIOD + 50_000))
     assert timing.what_now(0).action is WAIT and timing.late(timing.due).action is WAIT
@@ -89,32 +99,44 @@ def test_time_is_counted_on_and_does_not_go_back_when_late_samples_come():
     assert [x.action for x in decisions] == [WAIT, WAIT, WITHOUT, WITHOUT]
     assert [x.inputs.time for x in decisions[2:]] == pytest.approx([2 * H, 3 * H])
     assert timing.answered_stamp == 3 * PERIOD
-    times = [sample(timing, k * PERIOD, (3 + k) * PERIOD).inputs.time for k in (1, 2, 3)]
+    times = [
+        sample(timing, k * PERIOD, (3 + k) * PERIOD).inputs.time for k in (1, 2, 3)
+    ]
     assert times == pytest.approx([4 * H, 5 * H, 6 * H])
     own = [(x.inputs.time - x.inputs.ahead) / H for x in decisions[2:]]
     assert own == pytest.approx([0.0, 0.0], abs=1e-9)
     times = [timing.late(round(x * PERIOD)).inputs.time for x in (56.9, 57.5)]
-    assert times == pytest.approx([56 * H, 57 * H])  # what was slept through counts once
+    assert times == pytest.approx(
+        [56 * H, 57 * H]
+    )  # what was slept through counts once
     assert sample(timing, 66 * PERIOD).action is STEP
     assert timing.skipped == 62
-    assert sample(timing, 1_800_000 * PERIOD).action is STEP and timing.skipped == 62  # set ahead
+    assert (
+        sample(timing, 1_800_000 * PERIOD).action is STEP and timing.skipped == 62
+    )  # set ahead
     timing.restart()
     assert timing.due == 0
-    assert sample(timing, 2 ** 31 * 10 ** 9).inputs.time == 0.0
+    assert sample(timing, 2**31 * 10**9).inputs.time == 0.0
 
 
-@pytest.mark.parametrize('options', [
-    {'patience': 0.0}, {'patience': 1.5, 'supervised': False},
-    {'patience': 1.5, 'lockstep': True}])
+@pytest.mark.parametrize(
+    'options',
+    [
+        {'patience': 0.0},
+        {'patience': 1.5, 'supervised': False},
+        {'patience': 1.5, 'lockstep': True},
+    ],
+)
 def test_sample_is_waited_for_without_end_in_lockstep_and_without_supervisor(options):
     timing = timing_of(**options)
     assert sample(timing, 0).action is STEP
-    assert timing.due == 0 and timing.late(10 ** 12).action is WAIT
+    assert timing.due == 0 and timing.late(10**12).action is WAIT
 
 
 @pytest.mark.parametrize('options', [{}, {'supervised': False}, {'lockstep': True}])
 def test_repeated_sample_gets_its_command_again_and_an_older_one_is_refused_or_starts_anew(
-        options):
+    options,
+):
     """A supervisor takes two in order for a clock that was set back."""
     timing = timing_of(**options)
     sample(timing, 100 * PERIOD)
@@ -124,7 +146,11 @@ def test_repeated_sample_gets_its_command_again_and_an_older_one_is_refused_or_s
         assert (action, inputs.time, timing.tick) == (ANEW, 0.0, 0)
     else:
         assert [sample(timing, k * PERIOD).action for k in (90, 80, 103, 50)] == [
-            REFUSE, REFUSE, STEP, REFUSE]
+            REFUSE,
+            REFUSE,
+            STEP,
+            REFUSE,
+        ]
         action, inputs = sample(timing, 51 * PERIOD)
         assert (action, inputs.time) == (STEP, pytest.approx(-49 * H))
 
@@ -133,7 +159,9 @@ def test_lockstep_waits_for_the_variance_of_the_sample_before_but_not_in_the_saf
     timing = timing_of(lockstep=True)
     assert sample(timing, 0).action is STEP
     assert sample(timing, PERIOD).action is WAIT
-    assert sample(timing, PERIOD).action is SHOW  # the estimator has missed the last tick
+    assert (
+        sample(timing, PERIOD).action is SHOW
+    )  # the estimator has missed the last tick
     timing.add_variance(PERIOD, np.ones(2))  # of no sample so far
     assert timing.what_now(0).action is WAIT and timing.variance is None
     timing.add_variance(0, np.ones(2))
@@ -165,8 +193,12 @@ def test_other_half_of_a_sample_that_comes_again_is_no_older_sample():
 
 
 @pytest.mark.parametrize('apart', [0, 600_000])
-@pytest.mark.parametrize('options', [{'patience': 1.5}, {'patience': 0.0}, {'supervised': False}])
-def test_simulator_that_waits_is_answered_whatever_is_lost_late_or_doubled(options, apart):
+@pytest.mark.parametrize(
+    'options', [{'patience': 1.5}, {'patience': 0.0}, {'supervised': False}]
+)
+def test_simulator_that_waits_is_answered_whatever_is_lost_late_or_doubled(
+    options, apart
+):
     """100 stalls of 0.05 to 10 s, with messages lost, doubled and late before each."""
     for seed in range(10):
         random = np.random.default_rng(seed)

@@ -20,7 +20,8 @@ def test_tick_allocates_nothing_but_what_hands_over_its_arguments(preset):
         loop.advance()
     assert loop.control.output.answer['active'].all()
     arrays = len(inspect.signature(check_inputs).parameters) + (
-        len(inspect.signature(tick).parameters) - 1)  # but for the stages
+        len(inspect.signature(tick).parameters) - 1
+    )  # but for the stages
     _nrt_python.memsys_enable_stats()
     for _ in range(20):
         inputs = loop.inputs()

@@ -50,7 +50,9 @@ class Exchange:
 
     def _publish(self):
         self._published = self._now
-        self._samples.send(self._now, WrenchInput(self._stamp + self._apart, np.zeros(6)))
+        self._samples.send(
+            self._now, WrenchInput(self._stamp + self._apart, np.zeros(6))
+        )
         self._samples.send(self._now, JointInput(self._stamp, np.zeros(2), np.zeros(2)))
 
     def _simulate(self):

@@ -28,23 +28,42 @@ Press a simulated or a real arm on several surfaces at once. Try first:
   multicontact view runs/latest           replay the latest run
   multicontact --help                     all commands"""
 FOLDERS = {  # of config/, by the option or argument that takes a name from it
-    'robot': 'robots', 'scenario': 'scenarios', 'preset': 'presets', 'name': 'studies'}
-COMMANDS = (run, simulate, view, report, study, identify, calibrate, push_test, new_robot, design)
+    'robot': 'robots',
+    'scenario': 'scenarios',
+    'preset': 'presets',
+    'name': 'studies',
+}
+COMMANDS = (
+    run,
+    simulate,
+    view,
+    report,
+    study,
+    identify,
+    calibrate,
+    push_test,
+    new_robot,
+    design,
+)
 WITH_ARGUMENTS = (report, study, identify, new_robot, design)  # at least one
 
 app = typer.Typer(
-    pretty_exceptions_enable=False, rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     context_settings={'help_option_names': ['-h', '--help']},
     help='Press a torque-controlled arm on several surfaces at once, with a commanded force at '
-         'each contact (Park, Cortesão and Khatib, ICRA 2004).',
+    'each contact (Park, Cortesão and Khatib, ICRA 2004).',
     epilog='Exit code 0: done; 1: failed; 2: bad input; 128 + n: ended by signal n. What a '
-           'command adds to that is in its help: multicontact COMMAND --help.')
+    'command adds to that is in its help: multicontact COMMAND --help.',
+)
 
 
 @app.callback(invoke_without_command=True)
 def _root(
     context: typer.Context,
-    version: Annotated[bool, typer.Option('--version', help='Print the version.')] = False,
+    version: Annotated[
+        bool, typer.Option('--version', help='Print the version.')
+    ] = False,
 ) -> None:
     if version:
         typer.echo(f'multicontact {__version__}')
@@ -89,19 +108,32 @@ class Command(TyperCommand):
         for each in self.params:
             if options.is_given(ctx, each.name):
                 name = str(each.name)
-                spelled = each.opts[0] if each.param_type_name == 'option' else str(each.metavar)
-                names |= dict.fromkeys((name, name.removesuffix('s'), spelled.lower()), spelled)
+                spelled = (
+                    each.opts[0]
+                    if each.param_type_name == 'option'
+                    else str(each.metavar)
+                )
+                names |= dict.fromkeys(
+                    (name, name.removesuffix('s'), spelled.lower()), spelled
+                )
         return ConfigError.of(
-            x if x.source else x.moved(names.get(x.field, '')) for x in error.errors)
+            x if x.source else x.moved(names.get(x.field, '')) for x in error.errors
+        )
 
 
 for function in COMMANDS:
     # Click keeps the lines of a paragraph after a backspace, which a raw docstring spells.
-    app.command(cls=Command, no_args_is_help=function in WITH_ARGUMENTS,
-                help=(getdoc(function) or '').replace(r'\b', '\b'))(function)
+    app.command(
+        cls=Command,
+        no_args_is_help=function in WITH_ARGUMENTS,
+        help=(getdoc(function) or '').replace(r'\b', '\b'),
+    )(function)
 app.command('compile', cls=Command, hidden=True)(compile_kernels)
-topic = typer.Typer(help='List, print or time the topics of a running graph.',
-                    no_args_is_help=True, rich_markup_mode=None)
+topic = typer.Typer(
+    help='List, print or time the topics of a running graph.',
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
 topic.command('list', cls=Command)(list_topics)
 topic.command('echo', cls=Command)(echo)
 topic.command('hz', cls=Command)(rate)
@@ -111,7 +143,9 @@ app.add_typer(topic, name='topic')
 def main() -> None:
     """Run the command line."""
     if sys.getfilesystemencoding() != 'utf-8' and os.environ.get('PYTHONUTF8') != '1':
-        os.environ['PYTHONUTF8'] = '1'  # start anew with UTF-8 in a locale of another encoding
+        os.environ['PYTHONUTF8'] = (
+            '1'  # start anew with UTF-8 in a locale of another encoding
+        )
         os.execv(sys.executable, sys.orig_argv)
     limit_threads()
     app(prog_name='multicontact')

@@ -11,17 +11,25 @@ import typer
 
 def design(
     law: Annotated[Law, typer.Argument(metavar='LAW', help='Force law.')],
-    stiffness: Annotated[tuple[float, float], typer.Option(
-        metavar='SOFTEST STIFFEST', help='Range of the surfaces [N/m].')] = (1000.0, 10000.0),
-    input_delay: Annotated[float, typer.Option(
-        help='T_d, from commanded to acting input [s].')] = 0.006,
-    noise: Annotated[float, typer.Option(
-        help='R, the variance of the force noise, for which aob and lqg are designed '
-        '[N^2].')] = 0.6,
+    stiffness: Annotated[
+        tuple[float, float],
+        typer.Option(metavar='SOFTEST STIFFEST', help='Range of the surfaces [N/m].'),
+    ] = (1000.0, 10000.0),
+    input_delay: Annotated[
+        float, typer.Option(help='T_d, from commanded to acting input [s].')
+    ] = 0.006,
+    noise: Annotated[
+        float,
+        typer.Option(
+            help='R, the variance of the force noise, for which aob and lqg are designed '
+            '[N^2].'
+        ),
+    ] = 0.6,
     damping_rate: Annotated[float, typer.Option(help='K_2 [1/s].')] = 100.0,
     rate: Annotated[float, typer.Option(help='Control rate [Hz].', min=1.0)] = 500.0,
-    out: Annotated[Path | None, typer.Option(
-        help='Parameter file to write, for --preset.')] = None,
+    out: Annotated[
+        Path | None, typer.Option(help='Parameter file to write, for --preset.')
+    ] = None,
 ) -> None:
     """
     Find the fastest stable gains of a force law.
@@ -33,8 +41,14 @@ def design(
     from multicontact_control.experiment import law_report
 
     result = law_report.design_for_range(
-        law, input_delay=input_delay, softest=stiffness[0], stiffest=stiffness[1],
-        noise_variance=noise, damping_rate=damping_rate, period=1.0 / rate)
+        law,
+        input_delay=input_delay,
+        softest=stiffness[0],
+        stiffest=stiffness[1],
+        noise_variance=noise,
+        damping_rate=damping_rate,
+        period=1.0 / rate,
+    )
     typer.echo(law_report.show_design(result))
     if out is not None:
         law_report.write_design(result, out)

@@ -11,13 +11,26 @@ import typer
 
 def report(
     context: typer.Context,
-    runs: Annotated[list[Path], typer.Argument(
-        metavar='RUN', help='Folders of `run` or `simulate`, bag folders, or .mcap files.')],
-    claims: Annotated[bool, typer.Option(
-        '--claims', help='Judge the claims of the paper by other scenarios, too.')] = False,
-    out: Annotated[Path | None, typer.Option(
-        help='Folder for report.html and the figures; the first run, or beside the first '
-        'recording, if not given.')] = None,
+    runs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar='RUN',
+            help='Folders of `run` or `simulate`, bag folders, or .mcap files.',
+        ),
+    ],
+    claims: Annotated[
+        bool,
+        typer.Option(
+            '--claims', help='Judge the claims of the paper by other scenarios, too.'
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help='Folder for report.html and the figures; the first run, or beside the first '
+            'recording, if not given.'
+        ),
+    ] = None,
     controller: options.ControllerFiles = None,
     namespace: options.Namespace = None,
 ) -> None:
@@ -32,30 +45,48 @@ def report(
     from multicontact_control.experiment.display import print_claims
     from multicontact_control.experiment.judge import verdict_text
     from multicontact_control.experiment.report import write_report
-    from multicontact_control.experiment.results import is_whole_run, load, report_folder
+    from multicontact_control.experiment.results import (
+        is_whole_run,
+        load,
+        report_folder,
+    )
     from rich.console import Console
 
     if all(map(is_whole_run, runs)):
-        options.refuse_options(context, ('controller', 'namespace'),
-                               'with runs of this package, which know their own')
+        options.refuse_options(
+            context,
+            ('controller', 'namespace'),
+            'with runs of this package, which know their own',
+        )
     loaded = [load(path, controller or (), namespace) for path in runs]
     paths = write_report(loaded, out or report_folder(runs[0]), claims=claims)
     for run in loaded:
         quality = run.summary.get('quality')  # which an older version did not write
-        for line in (verdict_text(run.summary), quality, *run.summary.get('remarks', ())):
+        for line in (
+            verdict_text(run.summary),
+            quality,
+            *run.summary.get('remarks', ()),
+        ):
             if line:
                 typer.echo(f'{run.folder}: {line}')
         said = claims_of(run.data, run.setup, run.summary, asked=claims)
         if said:
-            print_claims(Console(highlight=False, soft_wrap=True), [
-                claim._asdict() for claim in said])
+            print_claims(
+                Console(highlight=False, soft_wrap=True),
+                [claim._asdict() for claim in said],
+            )
     typer.echo(f'report in {paths[0]}, {len(paths) - 1} figures')
 
 
 def identify(
-    run: Annotated[Path, typer.Argument(
-        metavar='RUN', help='Folder of `run` or `simulate`, or a bag (folder or .mcap file) with '
-        '--controller.')],
+    run: Annotated[
+        Path,
+        typer.Argument(
+            metavar='RUN',
+            help='Folder of `run` or `simulate`, or a bag (folder or .mcap file) with '
+            '--controller.',
+        ),
+    ],
     controller: options.ControllerFiles = None,
 ) -> None:
     """
@@ -65,7 +96,10 @@ def identify(
     others, inertia of the tool, noise of the sensor, and the delay from a commanded torque to the
     motion, each with its standard error.
     """
-    from multicontact_control.experiment.contact_identification import identify_contacts, show
+    from multicontact_control.experiment.contact_identification import (
+        identify_contacts,
+        show,
+    )
     from multicontact_control.experiment.results import load
 
     loaded = load(run, controller or ())

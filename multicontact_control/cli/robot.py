@@ -14,15 +14,27 @@ import typer
 def new_robot(
     urdf: Annotated[Path, typer.Argument(metavar='URDF', help="The vendor's URDF.")],
     tip: Annotated[str, typer.Option(help='Link that touches.')],
-    sensor: Annotated[str, typer.Option(
-        help='Link that carries the wrist sensor; all beyond it is the tool.')],
-    out: Annotated[Path | None, typer.Option(
-        help='Robot file to write; NAME.yaml of NAME.urdf if not given.')] = None,
-    controller: Annotated[Path, typer.Option(
-        help="Parameter file of the arm's controller to write.")] = Path('controller.yaml'),
-    lock: Annotated[list[str] | None, typer.Option(
-        metavar='JOINT=POSITION', help='A joint that is no part of the arm, e.g. of a mobile base '
-        'or gripper, and where it stays [rad or m]; may be repeated.')] = None,
+    sensor: Annotated[
+        str,
+        typer.Option(
+            help='Link that carries the wrist sensor; all beyond it is the tool.'
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(help='Robot file to write; NAME.yaml of NAME.urdf if not given.'),
+    ] = None,
+    controller: Annotated[
+        Path, typer.Option(help="Parameter file of the arm's controller to write.")
+    ] = Path('controller.yaml'),
+    lock: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='JOINT=POSITION',
+            help='A joint that is no part of the arm, e.g. of a mobile base '
+            'or gripper, and where it stays [rad or m]; may be repeated.',
+        ),
+    ] = None,
     overwrite: options.Overwrite = False,
 ) -> None:
     """
@@ -40,24 +52,39 @@ def new_robot(
 
     for text in write(urdf, sensor, tip, target, controller, lock or ()):
         typer.echo(text)
-    typer.echo(f'written to {target}; try: multicontact simulate --robot {target} '
-               '--scenario one_contact')
-    typer.echo(f'and to {controller}, for the arm itself: multicontact run --external '
-               f'--controller {controller}')
+    typer.echo(
+        f'written to {target}; try: multicontact simulate --robot {target} '
+        '--scenario one_contact'
+    )
+    typer.echo(
+        f'and to {controller}, for the arm itself: multicontact run --external '
+        f'--controller {controller}'
+    )
 
 
 def calibrate(
-    context: typer.Context, controller: options.ControllerFiles = None,
-    from_bag: Annotated[Path | None, typer.Option(
-        metavar='BAG', help='Take the rests from a recording of joint_states and '
-        'ft_sensor/wrench: 4 or more of 1.5 s that tilt the tool differently.')] = None,
-    tilt: Annotated[float, typer.Option(
-        help='Tilt of the tool to each side [deg].', min=5.0, max=90.0)] = 25.0,
-    move_time: Annotated[float, typer.Option(
-        help='Time from pose to pose [s].', min=0.1)] = 3.0,
-    domain_id: options.DomainId = None, namespace: options.Namespace = None,
-    out: Annotated[Path, typer.Option(
-        help='Folder for tool.yaml, which is replaced.')] = Path('.'),
+    context: typer.Context,
+    controller: options.ControllerFiles = None,
+    from_bag: Annotated[
+        Path | None,
+        typer.Option(
+            metavar='BAG',
+            help='Take the rests from a recording of joint_states and '
+            'ft_sensor/wrench: 4 or more of 1.5 s that tilt the tool differently.',
+        ),
+    ] = None,
+    tilt: Annotated[
+        float,
+        typer.Option(help='Tilt of the tool to each side [deg].', min=5.0, max=90.0),
+    ] = 25.0,
+    move_time: Annotated[
+        float, typer.Option(help='Time from pose to pose [s].', min=0.1)
+    ] = 3.0,
+    domain_id: options.DomainId = None,
+    namespace: options.Namespace = None,
+    out: Annotated[
+        Path, typer.Option(help='Folder for tool.yaml, which is replaced.')
+    ] = Path('.'),
 ) -> None:
     """
     Weigh the tool, and find the bias of the wrist sensor.
@@ -72,17 +99,25 @@ def calibrate(
     files = controller or ()
     if from_bag is None:
         result = weighing.weigh_running(
-            files, namespace=namespace or '', domain_id=domain_id, tilt=math.radians(tilt),
-            move_time=move_time, tell=typer.echo)
+            files,
+            namespace=namespace or '',
+            domain_id=domain_id,
+            tilt=math.radians(tilt),
+            move_time=move_time,
+            tell=typer.echo,
+        )
     else:
-        options.refuse_options(context, ('tilt', 'move_time', 'domain_id'), 'with --from-bag')
+        options.refuse_options(
+            context, ('tilt', 'move_time', 'domain_id'), 'with --from-bag'
+        )
         result = weighing.weigh_recording(from_bag, files, namespace, typer.echo)
     path = weighing.write_tool(out, result)
     typer.echo('\n'.join([*weighing.describe(result), f'written to {path}']))
 
 
 def push_test(
-    domain_id: options.DomainId = None, namespace: options.Namespace = None,
+    domain_id: options.DomainId = None,
+    namespace: options.Namespace = None,
 ) -> None:
     """
     Prove sign, frame and scale of the wrist sensor by pushes.

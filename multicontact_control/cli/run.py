@@ -11,31 +11,67 @@ from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.graph.node_process import prepare_nodes
 import typer
 
-OF_THE_PLANT = ('robot', 'plant', 'seed', 'commanded', 'speed', 'free_running', 'engine')
+OF_THE_PLANT = (
+    'robot',
+    'plant',
+    'seed',
+    'commanded',
+    'speed',
+    'free_running',
+    'engine',
+)
 # A run knows its arm, other recordings do not.
 OF_THE_ARM = ('scenario', 'robot', 'plant', 'preset', 'settings')
 
 
 @options.flattened
 def run(
-    context: typer.Context, chosen: options.RunOptions,
-    commanded: Annotated[bool, typer.Option(
-        '--commanded', help='The simulated arm obeys the command topics instead of a scenario. '
-        'Ends after --duration, or with Ctrl-C.')] = False,
-    speed: Annotated[float, typer.Option(
-        min=0.0, max=100.0, help='Largest real-time factor; 0 for as fast as it goes. The torques '
-        'are those of `simulate`, bit for bit, at any speed.')] = 1.0,
-    free_running: Annotated[bool, typer.Option(
-        '--free-running', help='The simulated arm does not wait for commands, as a robot does; '
-        'missed deadlines are counted.')] = False,
-    external: Annotated[bool, typer.Option(
-        '--external', help='Your own robot or simulator is behind the topics; the controller '
-        'obeys the command topics, or a --scenario. Needs --controller.')] = False,
+    context: typer.Context,
+    chosen: options.RunOptions,
+    commanded: Annotated[
+        bool,
+        typer.Option(
+            '--commanded',
+            help='The simulated arm obeys the command topics instead of a scenario. '
+            'Ends after --duration, or with Ctrl-C.',
+        ),
+    ] = False,
+    speed: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=100.0,
+            help='Largest real-time factor; 0 for as fast as it goes. The torques '
+            'are those of `simulate`, bit for bit, at any speed.',
+        ),
+    ] = 1.0,
+    free_running: Annotated[
+        bool,
+        typer.Option(
+            '--free-running',
+            help='The simulated arm does not wait for commands, as a robot does; '
+            'missed deadlines are counted.',
+        ),
+    ] = False,
+    external: Annotated[
+        bool,
+        typer.Option(
+            '--external',
+            help='Your own robot or simulator is behind the topics; the controller '
+            'obeys the command topics, or a --scenario. Needs --controller.',
+        ),
+    ] = False,
     controller: options.ControllerFiles = None,
-    domain_id: options.DomainId = None, namespace: options.Namespace = None,
-    realtime: Annotated[bool, typer.Option(
-        '--realtime', help='Ask for SCHED_FIFO and locked memory for the controlling nodes, which '
-        'warn of what is not granted.')] = False,
+    domain_id: options.DomainId = None,
+    namespace: options.Namespace = None,
+    realtime: Annotated[
+        bool,
+        typer.Option(
+            '--realtime',
+            help='Ask for SCHED_FIFO and locked memory for the controlling nodes, which '
+            'warn of what is not granted.',
+        ),
+    ] = False,
 ) -> None:
     """
     Run a scenario on the ROS 2 graph, and record it.
@@ -60,8 +96,11 @@ def run(
     else:
         options.refuse_options(context, ['controller'], 'without --external')
         if commanded and any(x.startswith('scenario.') for x in chosen.settings or ()):
-            raise ConfigError('--set scenario', hint='leave it out with --commanded, which plays '
-                              'no scenario; --duration sets the length')
+            raise ConfigError(
+                '--set scenario',
+                hint='leave it out with --commanded, which plays '
+                'no scenario; --duration sets the length',
+            )
         setup = chosen.setup(nodes=True)
         if commanded:
             setup = setup.commanded_over_topics()
@@ -69,12 +108,21 @@ def run(
     from multicontact_control.experiment.results import run_folder
     from multicontact_control.experiment.run import run_on_graph
 
-    with run_folder(chosen.out, setup.scenario.name, overwrite=chosen.overwrite,
-                    now=datetime.now()) as folder:
+    with run_folder(
+        chosen.out, setup.scenario.name, overwrite=chosen.overwrite, now=datetime.now()
+    ) as folder:
         summary, interrupted = run_on_graph(
-            setup, folder, endless=commanded and chosen.duration is None, external=robot,
-            supervised=not chosen.bare, free_running=free_running, speed=speed,
-            domain_id=domain_id, namespace=namespace, realtime=realtime)
+            setup,
+            folder,
+            endless=commanded and chosen.duration is None,
+            external=robot,
+            supervised=not chosen.bare,
+            free_running=free_running,
+            speed=speed,
+            domain_id=domain_id,
+            namespace=namespace,
+            realtime=realtime,
+        )
     if interrupted is not None:
         raise typer.Exit(options.EXIT_SIGNAL + interrupted)
     end_by_verdict(summary)
@@ -93,8 +141,9 @@ def simulate(chosen: options.RunOptions) -> None:
     from multicontact_control.experiment.results import run_folder
     from multicontact_control.experiment.run import run_simulate
 
-    with run_folder(chosen.out, setup.scenario.name, overwrite=chosen.overwrite,
-                    now=datetime.now()) as folder:
+    with run_folder(
+        chosen.out, setup.scenario.name, overwrite=chosen.overwrite, now=datetime.now()
+    ) as folder:
         summary = run_simulate(setup, folder, supervised=not chosen.bare)
     end_by_verdict(summary)
 
@@ -107,15 +156,28 @@ def end_by_verdict(summary: dict[str, Any] | None) -> None:
 
 @options.flattened
 def view(
-    context: typer.Context, chosen: options.SetupOptions,
-    recording: Annotated[Path | None, typer.Argument(
-        metavar='RUN', help='Folder of `run` or `simulate`, or a bag, to replay.')] = None,
-    graph: Annotated[bool, typer.Option(
-        '--graph', help='Join the ROS 2 graph that runs, instead of starting one.')] = False,
-    namespace: options.Namespace = None, domain_id: options.DomainId = None,
-    port: Annotated[int, typer.Option(
-        help='Port, or the next one that is free.', min=1, max=65535)] = 8080,
-    open_browser: Annotated[bool, typer.Option('--open', help='Open the browser.')] = False,
+    context: typer.Context,
+    chosen: options.SetupOptions,
+    recording: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar='RUN', help='Folder of `run` or `simulate`, or a bag, to replay.'
+        ),
+    ] = None,
+    graph: Annotated[
+        bool,
+        typer.Option(
+            '--graph', help='Join the ROS 2 graph that runs, instead of starting one.'
+        ),
+    ] = False,
+    namespace: options.Namespace = None,
+    domain_id: options.DomainId = None,
+    port: Annotated[
+        int, typer.Option(help='Port, or the next one that is free.', min=1, max=65535)
+    ] = 8080,
+    open_browser: Annotated[
+        bool, typer.Option('--open', help='Open the browser.')
+    ] = False,
 ) -> None:
     """
     See and steer the arm and its contact forces in the browser.
@@ -130,13 +192,22 @@ def view(
 
         options.refuse_options(context, ('seed', 'engine'), 'with a recording')
         if run_of(recording)[1]:
-            options.refuse_options(context, OF_THE_ARM, 'with a run, which knows its own')
+            options.refuse_options(
+                context, OF_THE_ARM, 'with a run, which knows its own'
+            )
     setup = chosen.setup(nodes=not graph and recording is None)
     # Only now: bad input is refused before viser is loaded.
     from multicontact_control.view.run import run_view
 
     ended = run_view(
-        setup, typer.echo, recording=recording, graph=graph, namespace=namespace,
-        domain_id=domain_id, port=port, open_browser=open_browser)
+        setup,
+        typer.echo,
+        recording=recording,
+        graph=graph,
+        namespace=namespace,
+        domain_id=domain_id,
+        port=port,
+        open_browser=open_browser,
+    )
     if ended:
         raise RunError(ended)

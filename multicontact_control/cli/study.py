@@ -11,32 +11,69 @@ import typer
 
 
 def study(
-    name: Annotated[str, typer.Argument(
-        metavar='STUDY', help='One of the studies below, or a YAML file.')],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar='STUDY', help='One of the studies below, or a YAML file.'
+        ),
+    ],
     robot: options.Robot = '',
-    plants: Annotated[str, typer.Option(
-        help="Plants, with commas between: names, ROBOT/PLANT, or paths; the study's own if not "
-        'given.')] = '',
-    seeds: Annotated[int | None, typer.Option(
-        min=1, help="How many seeds, from the study's first one on; the study's own if not "
-        'given.')] = None,
-    settings: Annotated[list[str] | None, typer.Option(
-        '--set', metavar='FACTOR=VALUES', help='Values, or labels, with commas between, of a '
-        'factor of the study, or of a parameter that becomes one; may be repeated.')] = None,
-    law: Annotated[options.Law | None, typer.Option(
-        help='Force law whose gains the study `tune` tries.')] = None,
-    quick: Annotated[bool, typer.Option(
-        '--quick', help='The reduced form of the study, with one seed.')] = False,
-    jobs: Annotated[int, typer.Option(
-        min=0, help='Jobs at once on this machine; 0 for every core.')] = 0,
-    dask: Annotated[str, typer.Option(
-        metavar='ADDRESS', help='Run on the workers of this Dask scheduler instead, e.g. '
-        'tcp://host:8786. They need this package in the same version.')] = '',
-    out: Annotated[Path | None, typer.Option(
-        help='Folder for the results, runs/<name of the study> if not given. What is finished '
-        'there is not run again.')] = None,
-    dry_run: Annotated[bool, typer.Option(
-        '--dry-run', help='List the factors, and how much of the study is finished.')] = False,
+    plants: Annotated[
+        str,
+        typer.Option(
+            help="Plants, with commas between: names, ROBOT/PLANT, or paths; the study's own if not "
+            'given.'
+        ),
+    ] = '',
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="How many seeds, from the study's first one on; the study's own if not "
+            'given.',
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            '--set',
+            metavar='FACTOR=VALUES',
+            help='Values, or labels, with commas between, of a '
+            'factor of the study, or of a parameter that becomes one; may be repeated.',
+        ),
+    ] = None,
+    law: Annotated[
+        options.Law | None,
+        typer.Option(help='Force law whose gains the study `tune` tries.'),
+    ] = None,
+    quick: Annotated[
+        bool,
+        typer.Option('--quick', help='The reduced form of the study, with one seed.'),
+    ] = False,
+    jobs: Annotated[
+        int, typer.Option(min=0, help='Jobs at once on this machine; 0 for every core.')
+    ] = 0,
+    dask: Annotated[
+        str,
+        typer.Option(
+            metavar='ADDRESS',
+            help='Run on the workers of this Dask scheduler instead, e.g. '
+            'tcp://host:8786. They need this package in the same version.',
+        ),
+    ] = '',
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help='Folder for the results, runs/<name of the study> if not given. What is finished '
+            'there is not run again.'
+        ),
+    ] = None,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            '--dry-run', help='List the factors, and how much of the study is finished.'
+        ),
+    ] = False,
     overwrite: options.Overwrite = False,
 ) -> None:
     r"""
@@ -66,7 +103,8 @@ def study(
 
     texts = [*([f'plant={plants}'] if plants else []), *(settings or ())]
     config, choices = check_all(
-        lambda: files.read_study(name), lambda: files.read_choices(texts))
+        lambda: files.read_study(name), lambda: files.read_choices(texts)
+    )
     if law and config.kind != 'tune':
         raise ConfigError('--law', hint='leave it out: only the study tune has it')
     if robot and any('robot' in part.factors for part in config.parts.values()):
@@ -75,8 +113,15 @@ def study(
     short = {'seed': [first], **config.quick} if quick else {}
     if seeds:
         short['seed'] = range(first, first + seeds)
-    one = study_of(files.select(
-        config.model_copy(update={'law': law or ''}), {**short, **choices}, robot=robot))
-    results = run_study(one, out, jobs=jobs, dask=dask, dry_run=dry_run, overwrite=overwrite)
+    one = study_of(
+        files.select(
+            config.model_copy(update={'law': law or ''}),
+            {**short, **choices},
+            robot=robot,
+        )
+    )
+    results = run_study(
+        one, out, jobs=jobs, dask=dask, dry_run=dry_run, overwrite=overwrite
+    )
     if config.truth == 'safe' and results and not results.frame[config.truth].all():
         raise typer.Exit(options.EXIT_FAILED)

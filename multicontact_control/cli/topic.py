@@ -22,13 +22,18 @@ POLL_PERIOD = 0.005  # s
 LINE_PERIOD = 1.0  # s
 DEPTH = 100  # messages that wait, of a fifth of a second at 500 Hz
 
-Topic = Annotated[str, typer.Argument(metavar='TOPIC', help='E.g. /contact_forces/measured.')]
-Timeout = Annotated[float, typer.Option(help='Longest wait for a publisher [s].', min=0.0)]
+Topic = Annotated[
+    str, typer.Argument(metavar='TOPIC', help='E.g. /contact_forces/measured.')
+]
+Timeout = Annotated[
+    float, typer.Option(help='Longest wait for a publisher [s].', min=0.0)
+]
 
 
 def list_topics(
-    wait: Annotated[float, typer.Option(
-        help='How long to wait for nodes to answer [s].', min=0.0)] = 1.0,
+    wait: Annotated[
+        float, typer.Option(help='How long to wait for nodes to answer [s].', min=0.0)
+    ] = 1.0,
     domain_id: DomainId = None,
 ) -> None:
     """List the topics of a running graph with their types."""
@@ -43,10 +48,14 @@ def list_topics(
 
 def echo(
     topic: Topic,
-    field: Annotated[str, typer.Option(
-        help='Show only this field, e.g. `effort` or `header.stamp`.')] = '',
-    once: Annotated[bool, typer.Option('--once', help='End after one message.')] = False,
-    timeout: Timeout = 5.0, domain_id: DomainId = None,
+    field: Annotated[
+        str, typer.Option(help='Show only this field, e.g. `effort` or `header.stamp`.')
+    ] = '',
+    once: Annotated[
+        bool, typer.Option('--once', help='End after one message.')
+    ] = False,
+    timeout: Timeout = 5.0,
+    domain_id: DomainId = None,
 ) -> None:
     """Print the messages of a topic as YAML documents, until Ctrl-C."""
     from multicontact_control.nodes import graph
@@ -67,7 +76,8 @@ def echo(
 def rate(
     topic: Topic,
     once: Annotated[bool, typer.Option('--once', help='End after one line.')] = False,
-    timeout: Timeout = 5.0, domain_id: DomainId = None,
+    timeout: Timeout = 5.0,
+    domain_id: DomainId = None,
 ) -> None:
     """Print how often messages of a topic arrive, a line each second, until Ctrl-C."""
     from multicontact_control.nodes import graph
@@ -95,13 +105,18 @@ def describe_rate(arrivals: Sequence[int]) -> str:
     if len(arrivals) < 2:
         return 'no two messages within a second'
     apart = [1e-6 * (late - early) for early, late in pairwise(arrivals)]  # ms
-    return (f'{1e3 / fmean(apart):.1f} Hz: {min(apart):.2f} to {max(apart):.2f} ms apart, '
-            f'standard deviation {pstdev(apart):.2f} ms, {len(arrivals)} messages')
+    return (
+        f'{1e3 / fmean(apart):.1f} Hz: {min(apart):.2f} to {max(apart):.2f} ms apart, '
+        f'standard deviation {pstdev(apart):.2f} ms, {len(arrivals)} messages'
+    )
 
 
 @contextmanager
 def _subscribed(
-    topic: str, timeout: float, domain_id: int | None, stop: Sized,
+    topic: str,
+    timeout: float,
+    domain_id: int | None,
+    stop: Sized,
 ) -> Iterator[tuple[Any, Any]]:
     """Yield the type of a topic's messages, and a subscription as its publisher offers it."""
     from multicontact_control.nodes import graph
@@ -113,17 +128,32 @@ def _subscribed(
     with GuestNode(NODE, domain_id) as guest:
         while not (publishers := guest.node.get_publishers_info_by_topic(name)):
             if stop or time.monotonic() > end:
-                raise RunError(f'{name}: expected a publisher within {timeout:g} s, got none '
-                               '(`multicontact topic list` shows the topics)')
+                raise RunError(
+                    f'{name}: expected a publisher within {timeout:g} s, got none '
+                    '(`multicontact topic list` shows the topics)'
+                )
             time.sleep(POLL_PERIOD)
         package, _, kind = publishers[0].topic_type.partition('/msg/')
         try:
             message = getattr(import_module(f'{package}.msg'), kind)
         except (ImportError, AttributeError):
-            raise RunError(f'{package}/msg/{kind}: this message type is not installed') from None
+            raise RunError(
+                f'{package}/msg/{kind}: this message type is not installed'
+            ) from None
         offered = publishers[0].qos_profile
-        yield message, guest.node.create_subscription(message, name, graph.ignore, QoSProfile(
-            depth=DEPTH, reliability=offered.reliability, durability=offered.durability))
+        yield (
+            message,
+            guest.node.create_subscription(
+                message,
+                name,
+                graph.ignore,
+                QoSProfile(
+                    depth=DEPTH,
+                    reliability=offered.reliability,
+                    durability=offered.durability,
+                ),
+            ),
+        )
 
 
 def document(message: Any, field: str = '') -> str:
@@ -133,7 +163,10 @@ def document(message: Any, field: str = '') -> str:
         known = list(value) if isinstance(value, dict) else []
         if name not in known:
             raise ConfigError(
-                '--field', f'one of {", ".join(known) or "no further fields"}', f"'{name}'")
+                '--field',
+                f'one of {", ".join(known) or "no further fields"}',
+                f"'{name}'",
+            )
         value = value[name]
     text = yaml.safe_dump(value, allow_unicode=True, width=sys.maxsize, sort_keys=False)
     return text.removesuffix('...\n') + '---'
@@ -142,7 +175,10 @@ def document(message: Any, field: str = '') -> str:
 def _plain(value: Any) -> Any:
     """Return a message, or a value of a field, as YAML has it."""
     if hasattr(value, 'get_fields_and_field_types'):
-        return {name: _plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
+        return {
+            name: _plain(getattr(value, name))
+            for name in value.get_fields_and_field_types()
+        }
     if hasattr(value, 'tolist'):  # of numpy, or an array
         return value.tolist()
     if isinstance(value, list):

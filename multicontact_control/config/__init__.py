@@ -17,11 +17,30 @@ from multicontact_control.config.base import (
     Vector3,
 )
 from multicontact_control.config.controller import ControllerConfig, MAX_DELAY_PERIODS
-from multicontact_control.config.force import FedForward, ForceConfig, NoiseEstimatorConfig
+from multicontact_control.config.force import (
+    FedForward,
+    ForceConfig,
+    NoiseEstimatorConfig,
+)
 from multicontact_control.config.robot import RobotConfig, ToolConfig
 from multicontact_control.config.supervision import LimitsConfig
 
 __all__ = [
-    'Config', 'ControllerConfig', 'FedForward', 'ForceConfig', 'LimitsConfig',
-    'MAX_DELAY_PERIODS', 'NoiseEstimatorConfig', 'RobotConfig', 'ToolConfig', 'UnitVector3',
-    'Vector', 'Vector3', 'merge', 'parameter', 'read_parameters', 'read_yaml', 'validate']
+    'Config',
+    'ControllerConfig',
+    'FedForward',
+    'ForceConfig',
+    'LimitsConfig',
+    'MAX_DELAY_PERIODS',
+    'NoiseEstimatorConfig',
+    'RobotConfig',
+    'ToolConfig',
+    'UnitVector3',
+    'Vector',
+    'Vector3',
+    'merge',
+    'parameter',
+    'read_parameters',
+    'read_yaml',
+    'validate',
+]

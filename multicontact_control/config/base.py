@@ -26,7 +26,8 @@ LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # ten times as fast
 # What pydantic puts around what it expects: the way it came there, and what it got.
 PHRASES = re.compile(
     '^(Value error, (expected )?|Input should be |[A-Z][a-z]+ should have )'
-    r'|( after validation)?, (not|unable|got a number) .*$')
+    r'|( after validation)?, (not|unable|got a number) .*$'
+)
 MAPPING = 'a mapping of keys to values'
 KINDS = {'model_type': MAPPING, 'dict_type': MAPPING, 'tuple_type': 'a list of values'}
 
@@ -35,7 +36,8 @@ def _unit_length(vector: tuple[float, float, float]) -> tuple[float, float, floa
     norm = math.sqrt(sum(x * x for x in vector))
     if not abs(norm - 1.0) <= UNIT_NORM_TOLERANCE:
         raise ValueError(
-            f'expected a vector of unit length (within {UNIT_NORM_TOLERANCE}), length {norm:.6g}')
+            f'expected a vector of unit length (within {UNIT_NORM_TOLERANCE}), length {norm:.6g}'
+        )
     x, y, z = (component / norm for component in vector)
     return (x, y, z)
 
@@ -50,7 +52,12 @@ UnitVector3 = Annotated[Vector3, AfterValidator(_unit_length)]
 
 
 def parameter(
-    default: Any, description: str, *, unit: str = '', live: bool = False, **bounds: Any,
+    default: Any,
+    description: str,
+    *,
+    unit: str = '',
+    live: bool = False,
+    **bounds: Any,
 ) -> Any:
     """
     Declare one tunable value as a pydantic field; a default of ``...`` makes it required.
@@ -59,14 +66,19 @@ def parameter(
     runs. Bounds are those of pydantic: ``gt``, ``ge``, ``lt``, ``le``, ``min_length``...
     """
     return Field(
-        default, description=description, json_schema_extra={'unit': unit, 'live': live}, **bounds)
+        default,
+        description=description,
+        json_schema_extra={'unit': unit, 'live': live},
+        **bounds,
+    )
 
 
 class Config(BaseModel):
     """Base of every configuration: frozen; unknown keys, infinity and NaN are errors."""
 
     model_config = ConfigDict(
-        extra='forbid', frozen=True, validate_default=True, allow_inf_nan=False)
+        extra='forbid', frozen=True, validate_default=True, allow_inf_nan=False
+    )
 
     def _misfits(self) -> Iterator[ConfigError]:
         """Yield an error for everything that does not fit together."""
@@ -83,7 +95,9 @@ class Config(BaseModel):
         return self
 
 
-def validate(model: type[ModelT], values: Mapping[str, Any], source: str = '') -> ModelT:
+def validate(
+    model: type[ModelT], values: Mapping[str, Any], source: str = ''
+) -> ModelT:
     """
     Build a configuration from nested plain values, as a YAML file gives them.
 
@@ -94,7 +108,9 @@ def validate(model: type[ModelT], values: Mapping[str, Any], source: str = '') -
     try:
         config = model.model_validate(values, context=misfits)
     except ValidationError as error:
-        fields = [_field_error(detail, model) for detail in error.errors(include_url=False)]
+        fields = [
+            _field_error(detail, model) for detail in error.errors(include_url=False)
+        ]
         raise ConfigError.of([*fields, *misfits], source) from None
     if misfits:
         raise ConfigError.of(misfits, source)
@@ -105,8 +121,11 @@ def _field_error(detail: Mapping[str, Any], model: type[Config]) -> ConfigError:
     location, kind = detail['loc'], detail['type']
     field = '.'.join(map(str, location)) or model.__name__
     if kind == 'extra_forbidden':
-        return ConfigError(field, f'a known key ({_known_keys(model, location)})',
-                           f"unknown key '{location[-1]}'")
+        return ConfigError(
+            field,
+            f'a known key ({_known_keys(model, location)})',
+            f"unknown key '{location[-1]}'",
+        )
     if kind == 'missing':
         return ConfigError(field, 'a value', 'nothing')
     expected = KINDS.get(kind, PHRASES.sub('', detail['msg']))
@@ -145,7 +164,9 @@ def read_parameters(path: Path) -> dict[str, Any]:
     """Read a ROS 2 parameter file with one section; ConfigError for any other file."""
     sections = dict(_sections(read_yaml(path)))
     if len(sections) != 1 or None in sections.values():
-        raise ConfigError(str(path), "one node key holding 'ros__parameters'", [*sections])
+        raise ConfigError(
+            str(path), "one node key holding 'ros__parameters'", [*sections]
+        )
     return next(iter(sections.values()))
 
 
@@ -155,7 +176,9 @@ def _sections(data: Mapping[str, Any], place: str = '') -> Iterator[tuple[str, A
         if isinstance(entry, dict) and entry and 'ros__parameters' not in entry:
             yield from _sections(entry, f'{place}{key}/')
         else:
-            parameters = entry['ros__parameters'] if isinstance(entry, dict) and entry else None
+            parameters = (
+                entry['ros__parameters'] if isinstance(entry, dict) and entry else None
+            )
             yield f'{place}{key}', parameters if isinstance(parameters, dict) else None
 
 
@@ -173,8 +196,11 @@ def _holds(parameters: Mapping[str, Any], name: str) -> bool:
     if name in parameters:
         return True
     return any(
-        isinstance(inner, Mapping) and name.startswith(f'{key}.')
-        and _holds(inner, name.removeprefix(f'{key}.')) for key, inner in parameters.items())
+        isinstance(inner, Mapping)
+        and name.startswith(f'{key}.')
+        and _holds(inner, name.removeprefix(f'{key}.'))
+        for key, inner in parameters.items()
+    )
 
 
 def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -189,8 +215,14 @@ def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str
         name = key.rpartition('/')[2]
         if parameters is None or name not in nodes or name in by_node:
             raise ConfigError(
-                f'{path}: {key}', f"a section of {', '.join(nodes)} holding 'ros__parameters'",
-                'none' if parameters is None else f"'{name}' again" if name in by_node else name)
+                f'{path}: {key}',
+                f"a section of {', '.join(nodes)} holding 'ros__parameters'",
+                'none'
+                if parameters is None
+                else f"'{name}' again"
+                if name in by_node
+                else name,
+            )
         by_node[name] = parameters
     return by_node
 

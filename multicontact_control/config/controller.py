@@ -13,9 +13,19 @@ from multicontact_control.config.base import (
     PositiveVector,
     Vector,
 )
-from multicontact_control.config.contact import Column, ContactConfig, FORCE, KINDS, SUFFIXES
+from multicontact_control.config.contact import (
+    Column,
+    ContactConfig,
+    FORCE,
+    KINDS,
+    SUFFIXES,
+)
 from multicontact_control.config.force import ForceConfig, LawName, VarianceBoundsConfig
-from multicontact_control.config.robot import RobotConfig, SensorFrontEndConfig, ToolConfig
+from multicontact_control.config.robot import (
+    RobotConfig,
+    SensorFrontEndConfig,
+    ToolConfig,
+)
 from multicontact_control.config.supervision import (
     CollisionConfig,
     ContactStateConfig,
@@ -27,50 +37,91 @@ from multicontact_control.errors import ConfigError, counted
 MAX_DELAY_PERIODS = 10
 FASTEST_MOMENTUM = 0.4  # bandwidth per rate: the residual is a mean over some samples
 PER_JOINT = (
-    'torque_limit', 'limits.joint_lower', 'limits.joint_speed', 'limits.torque_rate',
-    'collision.threshold', 'friction.coulomb', 'friction.viscous', 'robot.armature',
-    'posture.joints')
+    'torque_limit',
+    'limits.joint_lower',
+    'limits.joint_speed',
+    'limits.torque_rate',
+    'collision.threshold',
+    'friction.coulomb',
+    'friction.viscous',
+    'robot.armature',
+    'posture.joints',
+)
 
 
 class MotionConfig(Config):
     """The PD motion law (P04 sec. 3.1, 5.2)."""
 
     natural_frequency: float = parameter(
-        30.0, 'Natural frequency of the motion loop.', unit='rad/s', live=True, gt=0.0, le=200.0)
+        30.0,
+        'Natural frequency of the motion loop.',
+        unit='rad/s',
+        live=True,
+        gt=0.0,
+        le=200.0,
+    )
     damping_ratio: float = parameter(
-        1.0, 'Damping ratio of the motion loop.', live=True, gt=0.0, le=5.0)
+        1.0, 'Damping ratio of the motion loop.', live=True, gt=0.0, le=5.0
+    )
 
 
 class PostureConfig(Config):
     """Motion of the joints that the operational point does not see, of an arm with more than 6."""
 
     natural_frequency: float = parameter(
-        5.0, 'Natural frequency, critically damped; 0 for nullspace_damping alone.', unit='rad/s',
-        live=True, ge=0.0, le=50.0)
+        5.0,
+        'Natural frequency, critically damped; 0 for nullspace_damping alone.',
+        unit='rad/s',
+        live=True,
+        ge=0.0,
+        le=50.0,
+    )
     joints: Vector = parameter(
-        (), 'The posture; empty for the one the arm starts in.', unit='rad')
+        (), 'The posture; empty for the one the arm starts in.', unit='rad'
+    )
 
 
 class FrictionConfig(Config):
     """Compensation of the joints' friction, which the paper's model does not have."""
 
     coulomb: NonNegativeVector = parameter(
-        (), 'Coulomb friction added per joint, along its motion; empty for none.', unit='N m')
+        (),
+        'Coulomb friction added per joint, along its motion; empty for none.',
+        unit='N m',
+    )
     viscous: NonNegativeVector = parameter(
-        (), 'Viscous friction added per joint; empty for none.', unit='N m s/rad')
+        (), 'Viscous friction added per joint; empty for none.', unit='N m s/rad'
+    )
     speed: float = parameter(
-        0.02, 'Coulomb friction goes with tanh(v / speed).', unit='rad/s', live=True, gt=0.0)
+        0.02,
+        'Coulomb friction goes with tanh(v / speed).',
+        unit='rad/s',
+        live=True,
+        gt=0.0,
+    )
 
 
 class TransitionConfig(Config):
     """Torque from one law to another: at a start, a stop and a live change."""
 
     blend_time: float = parameter(
-        0.2, 'Shortest fade of the difference of two laws.', unit='s', live=True, ge=0.0, le=10.0)
+        0.2,
+        'Shortest fade of the difference of two laws.',
+        unit='s',
+        live=True,
+        ge=0.0,
+        le=10.0,
+    )
     torque_rate: float = parameter(
-        100.0, 'Largest rate at which it fades, in any joint.', unit='N m/s', live=True, gt=0.0)
+        100.0,
+        'Largest rate at which it fades, in any joint.',
+        unit='N m/s',
+        live=True,
+        gt=0.0,
+    )
     slew_time: float = parameter(
-        0.2, 'Time of a change of `tool`.', unit='s', live=True, ge=0.0, le=10.0)
+        0.2, 'Time of a change of `tool`.', unit='s', live=True, ge=0.0, le=10.0
+    )
 
 
 class ControllerConfig(Config):
@@ -85,90 +136,140 @@ class ControllerConfig(Config):
     force: ForceConfig = ForceConfig()
     friction: FrictionConfig = FrictionConfig()
     transition: TransitionConfig = TransitionConfig()
-    safe_behaviour: Literal['gravity_compensation', 'zero_torque', 'hold_position'] = parameter(
-        'gravity_compensation', 'Command after a deactivation, the first with damping.', live=True)
+    safe_behaviour: Literal['gravity_compensation', 'zero_torque', 'hold_position'] = (
+        parameter(
+            'gravity_compensation',
+            'Command after a deactivation, the first with damping.',
+            live=True,
+        )
+    )
     contact_names: tuple[str, ...] = parameter(
-        ..., 'Contacts in the order of every contact vector.', min_length=1)
+        ..., 'Contacts in the order of every contact vector.', min_length=1
+    )
     contacts: dict[str, ContactConfig]
     contact_state: ContactStateConfig = ContactStateConfig()
     limits: LimitsConfig = LimitsConfig()
     watchdog: WatchdogConfig = WatchdogConfig()
     collision: CollisionConfig = CollisionConfig()
     wrench_input: Literal['raw', 'filtered', 'momentum'] = parameter(
-        'raw', 'Which wrench feeds the loop: ft_sensor/wrench, ft_sensor/wrench_filtered, or '
-        'that of the joint torques, for an arm without a wrist sensor.')
+        'raw',
+        'Which wrench feeds the loop: ft_sensor/wrench, ft_sensor/wrench_filtered, or '
+        'that of the joint torques, for an arm without a wrist sensor.',
+    )
     initial_noise_variance: float = parameter(
-        0.6, 'R until an estimate arrives.', unit='N^2', gt=0.0)
+        0.6, 'R until an estimate arrives.', unit='N^2', gt=0.0
+    )
     noise_variance: VarianceBoundsConfig = VarianceBoundsConfig()
     torque_limit: PositiveVector = parameter(
-        (), 'Largest commanded torque per joint; empty for none.', unit='N m')
+        (), 'Largest commanded torque per joint; empty for none.', unit='N m'
+    )
     nullspace_damping: float = parameter(
-        2.0, 'Least joint damping in the null space, of redundant arms and at singularities.',
-        unit='1/s', ge=0.0)
+        2.0,
+        'Least joint damping in the null space, of redundant arms and at singularities.',
+        unit='1/s',
+        ge=0.0,
+    )
 
     def _misfits(self) -> Iterator[ConfigError]:
         joints = len(self.robot.joint_names)
         for name in PER_JOINT:
             count = len(attrgetter(name)(self))
             if count not in (0, joints):
-                yield ConfigError(name, f'{counted(joints, "values")}, one per joint', count)
+                yield ConfigError(
+                    name, f'{counted(joints, "values")}, one per joint', count
+                )
         for name in ('sensor.frozen_ticks', 'watchdog.frozen_joint_ticks'):
             if attrgetter(name)(self) == 1:
                 yield ConfigError(name, '0, or at least 2', 1)
         names = self.contact_names
         if len(self.contacts.keys() & set(names)) < len(names):
             known = ', '.join(sorted(self.contacts))
-            yield ConfigError('contact_names', f'distinct names among {known}', list(names))
+            yield ConfigError(
+                'contact_names', f'distinct names among {known}', list(names)
+            )
         else:
             yield from self._law_misfits()
         momentum = self.wrench_input == 'momentum'
         if momentum == bool(self.robot.sensor_frame):
-            yield ConfigError('robot.sensor_frame', 'a link of the robot with a wrist sensor, and '
-                              'empty with wrench_input momentum', f"'{self.robot.sensor_frame}'")
+            yield ConfigError(
+                'robot.sensor_frame',
+                'a link of the robot with a wrist sensor, and '
+                'empty with wrench_input momentum',
+                f"'{self.robot.sensor_frame}'",
+            )
         if momentum and self.sensor.require_push_test:
-            yield ConfigError('sensor.require_push_test', 'false without a wrist sensor', True)
+            yield ConfigError(
+                'sensor.require_push_test', 'false without a wrist sensor', True
+            )
         bounds, initial = self.noise_variance, self.initial_noise_variance
         if not bounds.smallest <= initial <= bounds.largest:
-            yield ConfigError('initial_noise_variance', f'{bounds.smallest:g} to '
-                              f'{bounds.largest:g} N^2 (noise_variance)', initial)
+            yield ConfigError(
+                'initial_noise_variance',
+                f'{bounds.smallest:g} to {bounds.largest:g} N^2 (noise_variance)',
+                initial,
+            )
         yield from self._delay_misfits()
 
     def _law_misfits(self) -> Iterator[ConfigError]:
         force, adaptive = self.force, self.force.stiffness == 'adaptive'
         others = sorted({self.law_of(name) for name in self.contact_names} - {'aob'})
         # What needs contacts that do not move each other, as N alpha* (eq. 30) lets them.
-        decoupled = [f'the law {law}' for law in others] + ['adaptive stiffness'] * adaptive
+        decoupled = [f'the law {law}' for law in others] + [
+            'adaptive stiffness'
+        ] * adaptive
         for name in self.contact_names:
             contact = self.contacts[name]
             decoupled += [f'the {contact.type} {name}'] * (contact.type != 'point')
-            decoupled += [f'contacts.{name}.{field}' for field in (
-                'surface_speed', 'surface_speed_limit') if getattr(contact, field)]
+            decoupled += [
+                f'contacts.{name}.{field}'
+                for field in ('surface_speed', 'surface_speed_limit')
+                if getattr(contact, field)
+            ]
             if contact.normal_turn_rate and not contact.friction_std:
                 yield ConfigError(
-                    f'contacts.{name}.friction_std', 'above 0 N with normal_turn_rate', 0.0)
+                    f'contacts.{name}.friction_std',
+                    'above 0 N with normal_turn_rate',
+                    0.0,
+                )
             if contact.surface_speed_limit and self.law_of(name) != 'aob':
                 # The estimate takes the rate of the force from the observer.
-                yield ConfigError(f'contacts.{name}.surface_speed_limit',
-                                  '0 m/s unless force.law is aob', contact.surface_speed_limit)
+                yield ConfigError(
+                    f'contacts.{name}.surface_speed_limit',
+                    '0 m/s unless force.law is aob',
+                    contact.surface_speed_limit,
+                )
         if decoupled and force.allocation != 'decoupled':
             yield ConfigError(
-                'force.allocation', f'decoupled with {", ".join(decoupled)}', force.allocation)
+                'force.allocation',
+                f'decoupled with {", ".join(decoupled)}',
+                force.allocation,
+            )
         if adaptive and (others or not force.active_state_order):
-            yield ConfigError('force.stiffness', 'configured unless every law is aob, with an '
-                              'active state', force.stiffness)
+            yield ConfigError(
+                'force.stiffness',
+                'configured unless every law is aob, with an active state',
+                force.stiffness,
+            )
         if adaptive and not force.damping_rate:
-            yield ConfigError('force.damping_rate', 'above 0 with adaptive stiffness', 0.0)
+            yield ConfigError(
+                'force.damping_rate', 'above 0 with adaptive stiffness', 0.0
+            )
 
     def _delay_misfits(self) -> Iterator[ConfigError]:
         sensor, nyquist = self.sensor, 0.5 * self.rate
         if sensor.filter_order and sensor.filter_cutoff >= nyquist:
-            yield ConfigError('sensor.filter_cutoff', f'below {nyquist:g} Hz, half the rate',
-                              sensor.filter_cutoff)
+            yield ConfigError(
+                'sensor.filter_cutoff',
+                f'below {nyquist:g} Hz, half the rate',
+                sensor.filter_cutoff,
+            )
         elif self.loop_delay * self.rate > MAX_DELAY_PERIODS + 1e-9:
             yield ConfigError(
-                'force.input_delay', f'at most {MAX_DELAY_PERIODS / self.rate:g} s with the delay '
+                'force.input_delay',
+                f'at most {MAX_DELAY_PERIODS / self.rate:g} s with the delay '
                 'of sensor.filter_cutoff and, by momentum, 1 / collision.bandwidth',
-                f'{self.loop_delay:.4g} s')
+                f'{self.loop_delay:.4g} s',
+            )
 
     @property
     def loop_delay(self) -> float:
@@ -178,7 +279,9 @@ class ControllerConfig(Config):
     @property
     def measuring_delay(self) -> float:
         """Delay of the low-pass of the wrench and, by momentum, of its observer [s]."""
-        observed = 1.0 / self.momentum_bandwidth if self.wrench_input == 'momentum' else 0.0
+        observed = (
+            1.0 / self.momentum_bandwidth if self.wrench_input == 'momentum' else 0.0
+        )
         return self.sensor.filter_delay(self.rate) + observed
 
     @property
@@ -189,11 +292,17 @@ class ControllerConfig(Config):
             contact, leader = self.contacts[name], len(columns)
             halves = (0.0, contact.half_length, contact.half_width)
             couple = contact.couple_stiffness or 1.0 / 3.0 * contact.stiffness
-            columns += [Column(
-                name=name + SUFFIXES[kind], contact=name, kind=kind, leader=leader,
-                stiffness=contact.stiffness if kind == FORCE else couple,
-                half_length=halves[kind])
-                for kind in KINDS[contact.type]]
+            columns += [
+                Column(
+                    name=name + SUFFIXES[kind],
+                    contact=name,
+                    kind=kind,
+                    leader=leader,
+                    stiffness=contact.stiffness if kind == FORCE else couple,
+                    half_length=halves[kind],
+                )
+                for kind in KINDS[contact.type]
+            ]
         return tuple(columns)
 
     @property

@@ -13,35 +13,52 @@ class RobotConfig(Config):
     """The robot's model, and the names of its joints and frames."""
 
     urdf: str = parameter(
-        ..., 'URDF of the arm with its tool: a path, or a path relative to the parameter file '
-        'that it stands in.')
+        ...,
+        'URDF of the arm with its tool: a path, or a path relative to the parameter file '
+        'that it stands in.',
+    )
     joint_names: tuple[str, ...] = parameter(
-        ..., 'Joints in the order of every joint vector.', min_length=1)
+        ..., 'Joints in the order of every joint vector.', min_length=1
+    )
     locked_joints: tuple[str, ...] = parameter(
-        (), 'Joints of the URDF that do not move, e.g. the fingers of a gripper.')
+        (), 'Joints of the URDF that do not move, e.g. the fingers of a gripper.'
+    )
     locked_positions: Vector = parameter(
-        (), 'Position of each of them; empty for 0.', unit='rad or m')
+        (), 'Position of each of them; empty for 0.', unit='rad or m'
+    )
     armature: Vector = parameter(
-        (), 'Rotor inertia seen at each joint; empty for none.', unit='kg m^2')
+        (), 'Rotor inertia seen at each joint; empty for none.', unit='kg m^2'
+    )
     operational_frame: str = parameter(
-        ..., 'URDF link that carries the operational point and its axes.')
+        ..., 'URDF link that carries the operational point and its axes.'
+    )
     sensor_frame: str = parameter(
-        ..., 'URDF link in whose frame the wrist sensor reads, carried by the same joint as '
-        'operational_frame; empty for an arm without one.')
+        ...,
+        'URDF link in whose frame the wrist sensor reads, carried by the same joint as '
+        'operational_frame; empty for an arm without one.',
+    )
     gravity_world: Vector3 = parameter((0.0, 0.0, -9.81), 'Gravity.', unit='m/s^2')
     adds_gravity: bool = parameter(
-        False, 'Whether the drives add the torque that holds the arm against gravity: commands '
-        'and measured efforts are then without it.')
+        False,
+        'Whether the drives add the torque that holds the arm against gravity: commands '
+        'and measured efforts are then without it.',
+    )
     adds_tool_gravity: bool = parameter(
-        True, "Whether that torque carries `tool`, too, as the arm's own controller knows of it.")
+        True,
+        "Whether that torque carries `tool`, too, as the arm's own controller knows of it.",
+    )
     measures_torque: bool = parameter(
-        True, 'Whether the effort in joint_states is a torque, and not a motor current.')
+        True, 'Whether the effort in joint_states is a torque, and not a motor current.'
+    )
 
     def _misfits(self) -> Iterator[ConfigError]:
         count, positions = len(self.locked_joints), len(self.locked_positions)
         if positions not in (0, count):
-            yield ConfigError('robot.locked_positions', counted(count, 'values')
-                              + ', one per locked joint, or none', positions)
+            yield ConfigError(
+                'robot.locked_positions',
+                counted(count, 'values') + ', one per locked joint, or none',
+                positions,
+            )
 
     @property
     def locked(self) -> dict[str, float]:
@@ -53,35 +70,63 @@ class RobotConfig(Config):
 class ToolConfig(Config):
     """The load of the wrist sensor, whose weight is subtracted from the readings."""
 
-    mass: float = parameter(0.0, 'Mass beyond the sensor.', unit='kg', live=True, ge=0.0)
+    mass: float = parameter(
+        0.0, 'Mass beyond the sensor.', unit='kg', live=True, ge=0.0
+    )
     com_sensor: Vector3 = parameter(
-        (0.0, 0.0, 0.0), 'Its centre, in the sensor frame.', unit='m', live=True)
+        (0.0, 0.0, 0.0), 'Its centre, in the sensor frame.', unit='m', live=True
+    )
     bias_sensor: Vector = parameter(
-        (0.0,) * 6, 'Reading without load, force first, subtracted from every reading.',
-        unit='N, N m', live=True, min_length=6, max_length=6)
+        (0.0,) * 6,
+        'Reading without load, force first, subtracted from every reading.',
+        unit='N, N m',
+        live=True,
+        min_length=6,
+        max_length=6,
+    )
 
 
 class SensorFrontEndConfig(Config):
     """The wrist sensor: its low-pass, its noise, and its faults."""
 
     filter_order: int = parameter(
-        0, 'Order of the low-pass on the readings: 0 for none, 1, or 2 (Butterworth).', ge=0, le=2)
+        0,
+        'Order of the low-pass on the readings: 0 for none, 1, or 2 (Butterworth).',
+        ge=0,
+        le=2,
+    )
     filter_cutoff: float = parameter(
-        125.0, 'Its cut-off; its delay is added to force.input_delay.', unit='Hz', gt=0.0)
+        125.0,
+        'Its cut-off; its delay is added to force.input_delay.',
+        unit='Hz',
+        gt=0.0,
+    )
     full_scale: Vector = parameter(
-        (), 'Largest reading of each axis, force first, saturated from 99 % on; empty if unknown.',
-        unit='N, N m')
+        (),
+        'Largest reading of each axis, force first, saturated from 99 % on; empty if unknown.',
+        unit='N, N m',
+    )
     force_noise_std: float = parameter(
-        0.05, 'Noise of a force axis: the weight of a reading with contacts.*.friction_std, and '
-        'what contacts that lie close together are lost in.', unit='N', gt=0.0)
+        0.05,
+        'Noise of a force axis: the weight of a reading with contacts.*.friction_std, and '
+        'what contacts that lie close together are lost in.',
+        unit='N',
+        gt=0.0,
+    )
     torque_noise_std: float = parameter(
-        0.004, 'The same of a torque axis.', unit='N m', gt=0.0)
+        0.004, 'The same of a torque axis.', unit='N m', gt=0.0
+    )
     frozen_ticks: int = parameter(
-        3, 'Identical readings in a row that mean a frozen sensor; 0 for a sensor that repeats '
-        'itself: its steps are above its noise, or it is slower than the controller.', ge=0)
+        3,
+        'Identical readings in a row that mean a frozen sensor; 0 for a sensor that repeats '
+        'itself: its steps are above its noise, or it is slower than the controller.',
+        ge=0,
+    )
     require_push_test: bool = parameter(
-        True, 'Whether force control stays disabled until a push test has proved sign, frame '
-        'and scale of the sensor; false in a simulation.')
+        True,
+        'Whether force control stays disabled until a push test has proved sign, frame '
+        'and scale of the sensor; false in a simulation.',
+    )
 
     def _misfits(self) -> Iterator[ConfigError]:
         scales = list(self.full_scale)
@@ -111,4 +156,4 @@ class SensorFrontEndConfig(Config):
         K = math.tan(math.pi * self.filter_cutoff / rate)
         if self.filter_order == 1:
             return math.sqrt(K / (1.0 + K))
-        return math.sqrt((K ** 4 + (K - K ** 3) / math.sqrt(2.0)) / (1.0 + K ** 4))
+        return math.sqrt((K**4 + (K - K**3) / math.sqrt(2.0)) / (1.0 + K**4))

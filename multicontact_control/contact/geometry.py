@@ -15,12 +15,17 @@ from multicontact_control.records import Contact, Records
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-SMALLEST_SINGULAR_VALUE = 1e-6  # of N with points of length 1; below it columns are dependent
+SMALLEST_SINGULAR_VALUE = (
+    1e-6  # of N with points of length 1; below it columns are dependent
+)
 LEVERED = 1.05  # N that 1 N of friction is read as, from which on a lever is to blame
-NORMAL_TIME = 0.06  # s, in which an estimated normal turns; 0.03 s swings on rough surfaces
+NORMAL_TIME = (
+    0.06  # s, in which an estimated normal turns; 0.03 s swings on rough surfaces
+)
 SURFACE_SPEED_TIME = 0.05  # s, time constant of an estimated speed of a surface
 ORIENTATIONS = Rotation.from_rotvec(
-    [[0.0, 0.0, 0.0], [0.7, -0.4, 0.3], [-0.2, 1.1, 0.5]]).as_matrix()  # any, but not special
+    [[0.0, 0.0, 0.0], [0.7, -0.4, 0.3], [-0.2, 1.1, 0.5]]
+).as_matrix()  # any, but not special
 
 
 @compiled
@@ -40,7 +45,10 @@ def fill_normal_space(contacts: Records[Contact], rotation: Matrix) -> None:
             contact.N[:3] = contact.normal
             contact.N[3:] = cross(rotated(rotation, config.point), contact.normal)
             continue
-        normal, direction = contacts[config.leader].normal, rotated(rotation, config.direction)
+        normal, direction = (
+            contacts[config.leader].normal,
+            rotated(rotation, config.direction),
+        )
         contact.N[:3] = 0.0
         if config.kind == ACROSS:
             contact.N[3:] = across(direction, normal)
@@ -51,7 +59,9 @@ def fill_normal_space(contacts: Records[Contact], rotation: Matrix) -> None:
 
 def normal_space(contacts: Records[Contact], rotation_world: Matrix) -> Matrix:
     """Fill in and return N of records of `CONTACT`, world axes, shape (6, r) (P04 eq. 5)."""
-    fill_normal_space(contacts, np.array(rotation_world))  # what is read-only is another type
+    fill_normal_space(
+        contacts, np.array(rotation_world)
+    )  # what is read-only is another type
     N: Matrix = contacts['N'].T.copy()
     return N
 
@@ -72,12 +82,19 @@ def check_columns(names: Sequence[str], contacts: Records[Contact]) -> None:
     copies = contacts.copy()
     reach = max(float(np.abs(contacts['config']['point']).max()), 1e-3)
     units = np.repeat([1.0, 1.0 / reach], 3)  # so that moments count as forces do
-    if not any(np.linalg.matrix_rank(
-            normal_space(copies, turn) * units[:, None], SMALLEST_SINGULAR_VALUE) == len(contacts)
-            for turn in ORIENTATIONS):
+    if not any(
+        np.linalg.matrix_rank(
+            normal_space(copies, turn) * units[:, None], SMALLEST_SINGULAR_VALUE
+        )
+        == len(contacts)
+        for turn in ORIENTATIONS
+    ):
         raise ConfigError(
-            'contacts', 'forces none of which the others could have made (independent columns of '
-            'N, P04 eq. 5)', f'{", ".join(names)}, which depend on each other')
+            'contacts',
+            'forces none of which the others could have made (independent columns of '
+            'N, P04 eq. 5)',
+            f'{", ".join(names)}, which depend on each other',
+        )
 
 
 def friction_coupling(contacts: Records[Contact], rotation_world: Matrix) -> Matrix:
@@ -94,7 +111,9 @@ def friction_coupling(contacts: Records[Contact], rotation_world: Matrix) -> Mat
             continue
         across = np.eye(3) - np.outer(contact['normal'], contact['normal'])
         moments = np.cross(rotation_world @ contact['config']['point'], across.T).T
-        coupling[:, j] = np.linalg.norm(N_inverse @ np.vstack([across, moments]), axis=1)
+        coupling[:, j] = np.linalg.norm(
+            N_inverse @ np.vstack([across, moments]), axis=1
+        )
     return coupling
 
 
@@ -116,7 +135,9 @@ def placed_way(way: Vector, columns: Matrix) -> Vector:
     placed = np.zeros(6)
     forces = columns[:, :3].any(axis=1)
     for part, directions in (
-            (slice(0, 3), columns[forces, :3].T), (slice(3, 6), columns[~forces, 3:].T)):
+        (slice(0, 3), columns[forces, :3].T),
+        (slice(3, 6), columns[~forces, 3:].T),
+    ):
         placed[part] = directions @ (np.linalg.pinv(directions) @ way[part])
     return placed
 
@@ -142,15 +163,22 @@ def place_columns(config: ControllerConfig, columns: Records[Contact]) -> None:
             known['surface_speed'] = contact.surface_speed
             known['surface_gain'] = config.period / (SURFACE_SPEED_TIME + config.period)
             limit = known['surface_speed_limit'] = contact.surface_speed_limit
-            record['surface_speed_est'] = np.clip(record['surface_speed_est'], -limit, limit)
+            record['surface_speed_est'] = np.clip(
+                record['surface_speed_est'], -limit, limit
+            )
             known['friction_coefficient'] = contact.friction_coefficient
             known['friction_std'] = contact.friction_std
-            known['torsion_std'] = 0.0 if contact.type == 'point' else (
-                contact.friction_std * contact.half_length)
+            known['torsion_std'] = (
+                0.0
+                if contact.type == 'point'
+                else (contact.friction_std * contact.half_length)
+            )
 
 
 def misread_friction(
-    config: ControllerConfig, columns: Records[Contact], rotation_world: Matrix,
+    config: ControllerConfig,
+    columns: Records[Contact],
+    rotation_world: Matrix,
 ) -> list[tuple[str, str, float]]:
     """
     Return where a lever turns friction into more than itself.
@@ -160,21 +188,37 @@ def misread_friction(
     """
     coupling = friction_coupling(columns.copy(), rotation_world)
     names, contacts = config.column_names, config.contacts
-    return [(names[j], names[i], float(coupling[i, j]))
-            for j in config.leaders for i in range(len(names))
-            if coupling[i, j] > LEVERED and not (
-                contacts[names[j]].friction_std or contacts[names[j]].friction_coefficient)]
+    return [
+        (names[j], names[i], float(coupling[i, j]))
+        for j in config.leaders
+        for i in range(len(names))
+        if coupling[i, j] > LEVERED
+        and not (
+            contacts[names[j]].friction_std or contacts[names[j]].friction_coefficient
+        )
+    ]
 
 
-def offset_shares(config: ControllerConfig, centres: Mapping[str, float]) -> dict[str, float]:
+def offset_shares(
+    config: ControllerConfig, centres: Mapping[str, float]
+) -> dict[str, float]:
     """
     Return couples, relative to the normal force, for centres of pressure by the couple's name [m].
 
     A name that is not that of a couple, or a number that is not finite, is a CommandError.
     """
-    halves = {column.name: column.half_length for column in config.columns if column.half_length}
+    halves = {
+        column.name: column.half_length
+        for column in config.columns
+        if column.half_length
+    }
     for name, centre in centres.items():
         if name not in halves or not math.isfinite(centre):
-            raise CommandError('centre of pressure', f'a finite one of {", ".join(halves)}'
-                               if halves else 'an edge or plane', f"'{name}': {centre:g} m")
+            raise CommandError(
+                'centre of pressure',
+                f'a finite one of {", ".join(halves)}'
+                if halves
+                else 'an edge or plane',
+                f"'{name}': {centre:g} m",
+            )
     return {name: centre / halves[name] for name, centre in centres.items()}

@@ -19,7 +19,10 @@ SMALLEST_PIVOT = 1e-6
 
 @compiled
 def factorise_contacts(
-    contacts: Records[Contact], everyone: bool, rows: Matrix, weighted_rows: Matrix,
+    contacts: Records[Contact],
+    everyone: bool,
+    rows: Matrix,
+    weighted_rows: Matrix,
     factor: Matrix,
 ) -> bool:
     """
@@ -44,8 +47,13 @@ def factorise_contacts(
 
 @compiled
 def compose_acceleration(
-    rows: Matrix, weighted_rows: Matrix, weighted_factor: Matrix, f_t: Vector, f_c: Vector,
-    beta: Vector, acceleration: Vector,
+    rows: Matrix,
+    weighted_rows: Matrix,
+    weighted_factor: Matrix,
+    f_t: Vector,
+    f_c: Vector,
+    beta: Vector,
+    acceleration: Vector,
 ) -> None:
     """
     Fill in Omega_m f_t* + Omega_c f_c* (P04 eq. 27).

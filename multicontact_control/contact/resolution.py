@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 SPREAD = 4.0
 # Where the tool may be turned, evenly: axes along those of the world first, as most tools are.
 TURNS = np.concatenate(
-    [Rotation.create_group(name).as_matrix() for name in ('O', 'I')])  # of cube and icosahedron
+    [Rotation.create_group(name).as_matrix() for name in ('O', 'I')]
+)  # of cube and icosahedron
 
 
 class Resolution(NamedTuple):
@@ -39,7 +40,9 @@ class Resolution(NamedTuple):
 
 
 def force_noise(
-    controls: Records[Control], contacts: Records[Contact], readings: Vector,
+    controls: Records[Control],
+    contacts: Records[Contact],
+    readings: Vector,
 ) -> Vector:
     """
     Return the standard deviation of every force and couple by the sensor's noise, (r,) [N].
@@ -68,7 +71,9 @@ def force_noise(
 
 
 def resolutions(
-    config: ControllerConfig, controls: Records[Control], contacts: Records[Contact],
+    config: ControllerConfig,
+    controls: Records[Control],
+    contacts: Records[Contact],
 ) -> tuple[Resolution, ...]:
     """
     Return how well the contacts are told apart where the arm is; see `force_noise`.
@@ -81,13 +86,18 @@ def resolutions(
     found = []
     for column, deviation in zip(config.columns, noise.tolist()):
         field = 'smallest_force' if column.half_length else 'contact_threshold'
-        found.append(Resolution(
-            column.name, deviation, getattr(state, field), f'contact_state.{field}'))
+        found.append(
+            Resolution(
+                column.name, deviation, getattr(state, field), f'contact_state.{field}'
+            )
+        )
     return tuple(found)
 
 
 def check_resolution(
-    config: ControllerConfig, controls: Records[Control], contacts: Records[Contact],
+    config: ControllerConfig,
+    controls: Records[Control],
+    contacts: Records[Contact],
 ) -> tuple[Resolution, ...]:
     """
     Refuse contacts whose forces are lost in the sensor's noise however the tool is turned.
@@ -129,7 +139,10 @@ def _too_noisy(found: Sequence[Resolution]) -> Iterator[ConfigError]:
         lost = [each for each in found if each.field == field and not each.suffices]
         if lost:
             yield ConfigError(
-                'contacts', f'forces whose noise is at most {lost[0].bound / SPREAD:.3g} N, '
-                f'1/{SPREAD:g} of {field}', ', '.join(map(str, lost)),
+                'contacts',
+                f'forces whose noise is at most {lost[0].bound / SPREAD:.3g} N, '
+                f'1/{SPREAD:g} of {field}',
+                ', '.join(map(str, lost)),
                 hint='place the contacts farther apart, or with other normals; the noise is that '
-                'of sensor.force_noise_std and sensor.torque_noise_std')
+                'of sensor.force_noise_std and sensor.torque_noise_std',
+            )

@@ -16,7 +16,9 @@ from multicontact_control.config.contact import FORCE
 from multicontact_control.records import Contact, Frame, Records
 import numpy as np
 
-SLIDING_SPEED = 0.03  # m/s, from which on sliding has a direction; above that of approaches
+SLIDING_SPEED = (
+    0.03  # m/s, from which on sliding has a direction; above that of approaches
+)
 PRESSED = 3.0  # N, from which on the direction of a force is
 STEEP = 0.32  # squared sine of 34 degrees to the surface as told, up to which it is slid along
 
@@ -36,10 +38,14 @@ def follow_surfaces(frame: Frame, contacts: Records[Contact]) -> None:
         if limit > 0.0:
             seen = 0.0
             if contact.answer.active:
-                seen = dot(contact.N, frame.twist) - config.surface_speed - (
-                    contact.answer.alpha_rate_est / contact.stiffness)
+                seen = (
+                    dot(contact.N, frame.twist)
+                    - config.surface_speed
+                    - (contact.answer.alpha_rate_est / contact.stiffness)
+                )
             speed = contact.surface_speed_est + config.surface_gain * (
-                seen - contact.surface_speed_est)
+                seen - contact.surface_speed_est
+            )
             contact.surface_speed_est = min(max(speed, -limit), limit)
         if config.kind == FORCE and config.turn_limit > 0.0 and contact.answer.active:
             follow_normal(frame, contact)
@@ -63,7 +69,7 @@ def follow_normal(frame: Frame, contact: Contact) -> None:
     if squared_speed < SLIDING_SPEED * SLIDING_SPEED:
         return
     steep = dot(velocity, config.normal)
-    if steep * steep > max(STEEP, 1.0 - config.smallest_cosine ** 2) * squared_speed:
+    if steep * steep > max(STEEP, 1.0 - config.smallest_cosine**2) * squared_speed:
         return
     force = combined(contact.alpha_meas, normal, 1.0, contact.friction)
     seen = combined(1.0, force, -dot(force, velocity) / squared_speed, velocity)
@@ -82,4 +88,5 @@ def follow_normal(frame: Frame, contact: Contact) -> None:
         side = combined(1.0, normal, -cosine, config.normal)
         sine = np.sqrt(1.0 - config.smallest_cosine * config.smallest_cosine)
         normal[:] = combined(
-            config.smallest_cosine, config.normal, sine / length(side), side)
+            config.smallest_cosine, config.normal, sine / length(side), side
+        )

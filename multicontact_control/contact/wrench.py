@@ -67,7 +67,9 @@ class ContactSpace(Record, Protocol):
 CONTACT_SPACE = record_dtype(ContactSpace)
 
 
-SLIP_SPEED = 0.01  # m/s, v_s: the sliding speed at which 71 % of the friction is expected
+SLIP_SPEED = (
+    0.01  # m/s, v_s: the sliding speed at which 71 % of the friction is expected
+)
 
 
 @compiled
@@ -94,7 +96,9 @@ def operational_wrench(control: Control, wrench: Vector) -> None:
 
 
 @compiled
-def measure_contacts(control: Control, contacts: Records[Contact], space: ContactSpace) -> bool:
+def measure_contacts(
+    control: Control, contacts: Records[Contact], space: ContactSpace
+) -> bool:
     """
     Work out the contact forces; return whether the columns of N are independent.
 
@@ -131,13 +135,18 @@ def measure_contacts(control: Control, contacts: Records[Contact], space: Contac
             if contact.config.friction_std > 0.0:
                 fill_friction(law, frame, contact, axis, column)
                 solve_lower(space.root, column)
-                contact.friction[axis] += contact.config.friction_std ** 2 * dot(column, wrench)
+                contact.friction[axis] += contact.config.friction_std**2 * dot(
+                    column, wrench
+                )
     return True
 
 
 @compiled
 def expect_friction(
-    frame: Frame, contacts: Records[Contact], friction: Matrix, rows: Matrix,
+    frame: Frame,
+    contacts: Records[Contact],
+    friction: Matrix,
+    rows: Matrix,
 ) -> None:
     """
     Add the friction that 1 N along the normal is expected to come with.
@@ -153,14 +162,17 @@ def expect_friction(
         point = rotated(frame.rotation, contact.config.point)
         velocity = across(velocity_at(frame.twist, point), contact.normal)
         share = contact.config.friction_coefficient / np.sqrt(
-            dot(velocity, velocity) + SLIP_SPEED ** 2)
+            dot(velocity, velocity) + SLIP_SPEED**2
+        )
         add_scaled(friction[i], share, velocity)
         add(rows[i, :3], friction[i])
         add(rows[i, 3:], cross(point, friction[i]))
 
 
 @compiled
-def allow_for_friction(control: Control, contacts: Records[Contact], space: ContactSpace) -> None:
+def allow_for_friction(
+    control: Control, contacts: Records[Contact], space: ContactSpace
+) -> None:
     """
     Weigh a wrench and the columns of N by what besides the normal forces may be in it.
 
@@ -182,7 +194,9 @@ def allow_for_friction(control: Control, contacts: Records[Contact], space: Cont
         if contact.config.friction_std <= 0.0:
             continue
         for axis in range(4):  # three of the force, then the torque about the normal
-            std = contact.config.friction_std if axis < 3 else contact.config.torsion_std
+            std = (
+                contact.config.friction_std if axis < 3 else contact.config.torsion_std
+            )
             fill_friction(law, frame, contact, axis, friction)
             for j in range(6):
                 for k in range(6):
@@ -196,7 +210,9 @@ def allow_for_friction(control: Control, contacts: Records[Contact], space: Cont
 
 
 @compiled
-def fill_friction(law: Law, frame: Frame, contact: Contact, axis: int, column: Vector) -> None:
+def fill_friction(
+    law: Law, frame: Frame, contact: Contact, axis: int, column: Vector
+) -> None:
     """
     Fill in the wrench at the sensor, over its noise, of 1 N of friction along a world axis.
 
@@ -234,17 +250,24 @@ def tool_between(before: ToolConfig, after: ToolConfig, share: float) -> ToolCon
     """Return what is a share of the way between: linear in mass, first moment and bias."""
     if share >= 1.0:
         return after
-    old, new = (np.array((tool.mass, *tool.mass * np.array(tool.com_sensor), *tool.bias_sensor))
-                for tool in (before, after))
+    old, new = (
+        np.array((tool.mass, *tool.mass * np.array(tool.com_sensor), *tool.bias_sensor))
+        for tool in (before, after)
+    )
     mass, *numbers = (old + share * (new - old)).tolist()
     return ToolConfig(
-        mass=mass, com_sensor=tuple(moment / mass if mass else 0.0 for moment in numbers[:3]),
-        bias_sensor=tuple(numbers[3:]))
+        mass=mass,
+        com_sensor=tuple(moment / mass if mass else 0.0 for moment in numbers[:3]),
+        bias_sensor=tuple(numbers[3:]),
+    )
 
 
 def contact_wrench(
-    wrench_sensor: Vector, sensor_pose: tuple[Vector, Matrix], position_world: Vector,
-    tool: ToolConfig, gravity_world: Vector,
+    wrench_sensor: Vector,
+    sensor_pose: tuple[Vector, Matrix],
+    position_world: Vector,
+    tool: ToolConfig,
+    gravity_world: Vector,
 ) -> Vector:
     """
     Return the wrench the robot exerts on the environment; see `operational_wrench`.

@@ -53,10 +53,17 @@ RELEASE = 0.5  # share of its threshold that a residual must fall below to count
 # What a residual may follow: tanh(v / v_0), v [rad/s], dv/dt [rad/s^2], J_i^T f [N m].
 REGRESSORS = DIRECTION, SPEED, ACCELERATION, WRENCH = range(4)
 FADING_TIME = 1.0  # s, time constant of what is summed up of them
-REST_TIME, LEARNING_TIME = 0.2, 0.5  # s at rest and in motion, after which no more is learnt
+REST_TIME, LEARNING_TIME = (
+    0.2,
+    0.5,
+)  # s at rest and in motion, after which no more is learnt
 PRIOR_TIME = 0.01  # s of motion without friction that each joint has behind it
-CALM_SHARE, CALM_TIME = 0.25, 0.1  # of its threshold, and s: a residual below is over by then
+CALM_SHARE, CALM_TIME = (
+    0.25,
+    0.1,
+)  # of its threshold, and s: a residual below is over by then
 UNPROVEN_THRESHOLD = 3.0  # N m, least threshold of a joint until it has moved that long
+
 
 class ArmSpace(Record, Protocol):
     """What `see_arm` works in; one."""
@@ -80,7 +87,10 @@ ARM_SPACE = record_dtype(ArmSpace)
 
 @compiled
 def observe_momentum(
-    control: Control, joints: Records[Joint], mass_matrix: Matrix, jacobian: Matrix,
+    control: Control,
+    joints: Records[Joint],
+    mass_matrix: Matrix,
+    jacobian: Matrix,
     space: ArmSpace,
 ) -> bool:
     """
@@ -105,8 +115,11 @@ def observe_momentum(
             operational_wrench(control, wrench)
             # Of what the sensor feels, the arm's model has the tool's inertia already.
             change = between(momentum.com_velocity, velocity)
-            inertia = (-tool.mass * change[0] / elapsed, -tool.mass * change[1] / elapsed,
-                       -tool.mass * change[2] / elapsed)
+            inertia = (
+                -tool.mass * change[0] / elapsed,
+                -tool.mass * change[1] / elapsed,
+                -tool.mass * change[2] / elapsed,
+            )
             add(wrench[:3], inertia)
             add(wrench[3:], cross(lever, inertia))
         for i in range(n):
@@ -114,7 +127,8 @@ def observe_momentum(
             space.inertial[i] = 0.0
             for j in range(n):
                 space.inertial[i] += mass_matrix[min(i, j), max(i, j)] * (
-                    joints[j].velocity - joints[j].watch.last_velocity)
+                    joints[j].velocity - joints[j].watch.last_velocity
+                )
             space.inertial[i] /= elapsed
         share, touched = 1.0 - np.exp(-momentum.config.bandwidth * elapsed), False
         factor = 1.0
@@ -123,18 +137,26 @@ def observe_momentum(
         for i in range(n):
             joint, watch = joints[i], joints[i].watch
             direction = np.tanh(joint.velocity / control.law.friction_speed)
-            unexplained = watch.effort - space.inertial[i] - (
-                0.5 * (joint.bias_torque + watch.last_bias))
+            unexplained = (
+                watch.effort
+                - space.inertial[i]
+                - (0.5 * (joint.bias_torque + watch.last_bias))
+            )
             unexplained -= joint.config.coulomb * direction
             unexplained -= joint.config.viscous * joint.velocity
             unexplained -= space.felt[i]
-            if np.isfinite(unexplained) and not watch.unwatched:  # the other joints go on
+            if (
+                np.isfinite(unexplained) and not watch.unwatched
+            ):  # the other joints go on
                 watch.residual += share * (unexplained - watch.residual)
                 dynamic_share = momentum.config.dynamic_share
                 watch.slack += share * (
-                    dynamic_share * abs(space.inertial[i]) + watch.doubt - watch.slack)
+                    dynamic_share * abs(space.inertial[i]) + watch.doubt - watch.slack
+                )
                 acceleration = (joint.velocity - watch.last_velocity) / elapsed
-                learn_friction(momentum, joint, share, direction, acceleration, space.felt[i])
+                learn_friction(
+                    momentum, joint, share, direction, acceleration, space.felt[i]
+                )
             limit = watch.threshold + watch.slack
             touched = touched or abs(watch.residual) > factor * limit
         momentum.collided = touched
@@ -144,7 +166,11 @@ def observe_momentum(
 
 @compiled
 def learn_friction(
-    momentum: Momentum, joint: Joint, share: float, direction: float, acceleration: float,
+    momentum: Momentum,
+    joint: Joint,
+    share: float,
+    direction: float,
+    acceleration: float,
     felt: float,
 ) -> None:
     """
@@ -155,14 +181,15 @@ def learn_friction(
     """
     elapsed, config, watch = momentum.elapsed, joint.config, joint.watch
     evidence = watch.evidence
-    moving = direction ** 2 * elapsed
+    moving = direction**2 * elapsed
     if evidence.rested < REST_TIME:
         evidence.rested += elapsed
-        evidence.at_rest += (elapsed - moving) / evidence.rested * (
-            watch.residual - evidence.at_rest)
+        evidence.at_rest += (
+            (elapsed - moving) / evidence.rested * (watch.residual - evidence.at_rest)
+        )
     beyond = watch.residual - evidence.at_rest
     fading = np.exp(-elapsed / FADING_TIME)
-    evidence.power = fading * evidence.power + elapsed * beyond ** 2
+    evidence.power = fading * evidence.power + elapsed * beyond**2
     for k, value in enumerate((direction, joint.velocity, acceleration, felt)):
         value = evidence.regressor[k] + share * (value - evidence.regressor[k])
         evidence.regressor[k] = value
@@ -172,18 +199,21 @@ def learn_friction(
         evidence.moved += moving
         weight = moving / (evidence.moved + PRIOR_TIME)
         evidence.friction += weight * (beyond * np.sign(direction) - evidence.friction)
-        evidence.mean_square += weight * (beyond ** 2 - evidence.mean_square)
+        evidence.mean_square += weight * (beyond**2 - evidence.mean_square)
     if config.learnt_limit > 0.0:
         least = config.least_threshold
         if evidence.moved < LEARNING_TIME:
             least = max(least, min(UNPROVEN_THRESHOLD, config.learnt_limit))
         # Of what touches the arm, which grows, the deviation is near the mean.
         learnt = evidence.friction - np.sqrt(
-            max(evidence.mean_square - evidence.friction ** 2, 0.0))
+            max(evidence.mean_square - evidence.friction**2, 0.0)
+        )
         if learnt > config.learnt_limit:
             learnt = config.learnt_limit
         # No number, as after an impossible effort, is no friction.
-        watch.threshold = least + (learnt if learnt > config.allowance else config.allowance)
+        watch.threshold = least + (
+            learnt if learnt > config.allowance else config.allowance
+        )
 
 
 @compiled
@@ -214,7 +244,10 @@ def follow_touch(momentum: Momentum, joints: Records[Joint]) -> bool:
 
 @compiled
 def wrench_of_residual(
-    control: Control, joints: Records[Joint], mass_matrix: Matrix, jacobian: Matrix,
+    control: Control,
+    joints: Records[Joint],
+    mass_matrix: Matrix,
+    jacobian: Matrix,
     space: ArmSpace,
 ) -> None:
     """
@@ -224,7 +257,8 @@ def wrench_of_residual(
     """
     n, inertia, rotation = joints.shape[0], space.inertia, control.frame.sensor_rotation
     damping, _ = mobility_and_inertia(
-        mass_matrix, jacobian, control.law.singular_mobility, inertia)
+        mass_matrix, jacobian, control.law.singular_mobility, inertia
+    )
     if damping < 0.0:
         return
     reduced = space.reduced[:n]
@@ -239,9 +273,19 @@ def wrench_of_residual(
 
 @compiled
 def see_arm(
-    q: Vector, velocity: Vector, mass_matrix: Matrix, bias_torque: Vector, jacobian: Matrix,
-    position: Vector, rotation: Matrix, sensor_position: Vector, sensor_rotation: Matrix,
-    joints: Records[Joint], control: Control, contacts: Records[Contact], space: ArmSpace,
+    q: Vector,
+    velocity: Vector,
+    mass_matrix: Matrix,
+    bias_torque: Vector,
+    jacobian: Matrix,
+    position: Vector,
+    rotation: Matrix,
+    sensor_position: Vector,
+    sensor_rotation: Matrix,
+    joints: Records[Joint],
+    control: Control,
+    contacts: Records[Contact],
+    space: ArmSpace,
 ) -> int:
     """
     Take in all that is known of a sample before anything is asked for.
@@ -284,8 +328,9 @@ def see_arm(
     frame.sensor_rotation[:] = sensor_rotation
     multiply(jacobian, velocity, frame.twist)
     speed, turn = frame.twist[:3], frame.twist[3:]
-    if dot(speed, speed) > frame.config.speed_limit ** 2 or (
-            dot(turn, turn) > frame.config.turn_limit ** 2):
+    if dot(speed, speed) > frame.config.speed_limit**2 or (
+        dot(turn, turn) > frame.config.turn_limit**2
+    ):
         flags |= OPERATIONAL_SPEED
     if control.momentum.config.bandwidth > 0.0:
         if observe_momentum(control, joints, mass_matrix, jacobian, space):
@@ -327,7 +372,10 @@ class ArmState:
     """
 
     def __init__(
-        self, robot: RobotModel, controls: Records[Control], contacts: Records[Contact],
+        self,
+        robot: RobotModel,
+        controls: Records[Control],
+        contacts: Records[Contact],
     ) -> None:
         self.robot = robot
         self.motion: Matrix = np.zeros((2, robot.joint_count))
@@ -353,6 +401,15 @@ class ArmState:
         """Take in what has been written into `motion`; return whether the model is `finite`."""
         terms = self.robot.compute(self.q, self.velocity)
         self.flags = see_arm(
-            self.q, self.velocity, terms.mass_matrix, terms.bias_torque, terms.jacobian,
-            *terms.placements, self.joints, self.controls[0], self.contacts, self._space)
+            self.q,
+            self.velocity,
+            terms.mass_matrix,
+            terms.bias_torque,
+            terms.jacobian,
+            *terms.placements,
+            self.joints,
+            self.controls[0],
+            self.contacts,
+            self._space,
+        )
         return self.finite

@@ -16,8 +16,18 @@ from multicontact_control.control.law import control_law, LAW_SPACE, LawSpace
 from multicontact_control.dynamics.operational_space import MAX_CONDITION, STOP_MARGIN
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
-from multicontact_control.errors import ConfigError, ContactGeometryError, SingularTaskError
-from multicontact_control.flags import AMBIGUOUS, DEPENDENT, NO_NUMBERS, SINGULAR, TORQUE
+from multicontact_control.errors import (
+    ConfigError,
+    ContactGeometryError,
+    SingularTaskError,
+)
+from multicontact_control.flags import (
+    AMBIGUOUS,
+    DEPENDENT,
+    NO_NUMBERS,
+    SINGULAR,
+    TORQUE,
+)
 from multicontact_control.force.force_law import (
     act_beyond,
     continue_laws,
@@ -38,7 +48,9 @@ from multicontact_control.records import (
 )
 import numpy as np
 
-STOP_RATIO = 4.0  # frequency by which joints are kept off their stops, over the posture's
+STOP_RATIO = (
+    4.0  # frequency by which joints are kept off their stops, over the posture's
+)
 SINGULAR_MOBILITY = 0.004  # 1/kg, eigenvalue of J M^-1 J^T up to which Lambda is damped
 LEAST_TASK_SHARE = 0.5  # of the task at a torque limit; the rest is cut joint by joint
 
@@ -63,7 +75,9 @@ class ControlOutput(NamedTuple):
         """Return the same for contacts that no law controls."""
         contacts = np.frombuffer(self.memory, CONTACT, offset=CONTROL.itemsize).copy()
         contacts['answer'] = 0
-        return self._replace(memory=self.memory[:CONTROL.itemsize] + contacts.tobytes())
+        return self._replace(
+            memory=self.memory[: CONTROL.itemsize] + contacts.tobytes()
+        )
 
     @property
     def pose(self) -> Pose:
@@ -140,9 +154,11 @@ class Controller:
         count = len(config.columns)
         self.robot = robot
         # In one piece, so that an answer is one copy.
-        self.memory = np.zeros(CONTROL.itemsize + count * CONTACT.itemsize, dtype=np.uint8)
-        self.controls: Records[Control] = self.memory[:CONTROL.itemsize].view(CONTROL)
-        self.contacts: Records[Contact] = self.memory[CONTROL.itemsize:].view(CONTACT)
+        self.memory = np.zeros(
+            CONTROL.itemsize + count * CONTACT.itemsize, dtype=np.uint8
+        )
+        self.controls: Records[Control] = self.memory[: CONTROL.itemsize].view(CONTROL)
+        self.contacts: Records[Contact] = self.memory[CONTROL.itemsize :].view(CONTACT)
         self.controls['measured'] = True
         self.controls['task']['rotation'] = np.eye(3)
         place_columns(config, self.contacts)
@@ -166,7 +182,9 @@ class Controller:
         before = getattr(self, 'config', None)
         self.config = config
         self.controls['law'] = law_record(config)
-        self.controls['momentum']['config']['is_input'] = config.wrench_input == 'momentum'
+        self.controls['momentum']['config']['is_input'] = (
+            config.wrench_input == 'momentum'
+        )
         if before is None:
             self._in_urdf = self.next_tool = config.tool
             self._carry(config.tool)
@@ -186,15 +204,21 @@ class Controller:
         """Take a tool off the readings (by momentum they are without it), and bear its weight."""
         self.tool, felt = tool, self.config.wrench_input != 'momentum'
         self.controls['tool'] = tool_record(
-            tool if felt else ToolConfig(), np.array(self.config.robot.gravity_world))
+            tool if felt else ToolConfig(), np.array(self.config.robot.gravity_world)
+        )
         self.robot.carry(tool, self._in_urdf)
 
     def change_tool(self) -> None:
         """Go a tick on from one tool to the next: weight, inertia and bias together."""
         self._slewed += 1
         elapsed = self._slewed * self.config.period
-        self._carry(tool_between(self._last_tool, self.next_tool, quintic(
-            elapsed, self.config.transition.slew_time)[0]))
+        self._carry(
+            tool_between(
+                self._last_tool,
+                self.next_tool,
+                quintic(elapsed, self.config.transition.slew_time)[0],
+            )
+        )
 
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
@@ -218,13 +242,20 @@ class Controller:
         for name in ('rate', 'robot', 'contact_names', 'column_names'):
             if getattr(config, name) != getattr(self.config, name):
                 raise ConfigError(
-                    name, f'{getattr(self.config, name)}', getattr(config, name),
-                    hint='it cannot change while the controller is in use')
+                    name,
+                    f'{getattr(self.config, name)}',
+                    getattr(config, name),
+                    hint='it cannot change while the controller is in use',
+                )
         mass = self.robot.last_mass
         if mass + config.tool.mass <= self._in_urdf.mass:
-            raise ConfigError('tool.mass', f'above {self._in_urdf.mass - mass:.4g} kg',
-                              config.tool.mass, hint='the last link of the URDF weighs '
-                              f'{mass:.4g} kg, with the {self._in_urdf.mass:.4g} kg of its tool')
+            raise ConfigError(
+                'tool.mass',
+                f'above {self._in_urdf.mass - mass:.4g} kg',
+                config.tool.mass,
+                hint='the last link of the URDF weighs '
+                f'{mass:.4g} kg, with the {self._in_urdf.mass:.4g} kg of its tool',
+            )
         columns = self.contacts.copy()
         place_columns(config, columns)
         check_columns(config.column_names, columns)  # normals may be others
@@ -254,8 +285,10 @@ class Controller:
         self.laws[:] = make_force_laws(self.config)
         joints = self.arm.joints['config']
         joints['posture'] = np.clip(  # what lies beyond a stop would be fought over
-            self.config.posture.joints or self.arm.q, joints['lower'] + STOP_MARGIN,
-            joints['upper'] - STOP_MARGIN)
+            self.config.posture.joints or self.arm.q,
+            joints['lower'] + STOP_MARGIN,
+            joints['upper'] - STOP_MARGIN,
+        )
         self.started = True
         position, rotation = self.arm.pose
         return Pose(position.copy(), rotation.copy())
@@ -281,15 +314,25 @@ class Controller:
             self.refuse()
         terms = self.robot.terms
         found = control_law(
-            self.controls[0], self.arm.joints, terms.mass_matrix, terms.jacobian,
-            terms.jacobian_rate, self.contacts, self.laws, self._space)
+            self.controls[0],
+            self.arm.joints,
+            terms.mass_matrix,
+            terms.jacobian,
+            terms.jacobian_rate,
+            self.contacts,
+            self.laws,
+            self._space,
+        )
         if found & (SINGULAR | DEPENDENT):
             self.refuse(found)
         return bool(found & TORQUE)
 
     def own_weight(self) -> Vector:
         """Return the torque by which drives with `adds_gravity` carry the arm, (n,) [N m]."""
-        with_tool, own = self.config.robot.adds_tool_gravity, self.robot.terms.gravity.copy()
+        with_tool, own = (
+            self.config.robot.adds_tool_gravity,
+            self.robot.terms.gravity.copy(),
+        )
         return own if with_tool else own - self.robot.load_torque(self.tool)
 
     def account_for(self, torque: Vector) -> None:
@@ -310,7 +353,8 @@ class Controller:
         unlimited = self.arm.joints['answer']['unlimited']
         beyond = answer['alpha_fed'] - answer['alpha_est']
         twist_rate = terms.jacobian @ np.linalg.solve(
-            M, torque - unlimited + terms.jacobian.T @ (N @ beyond))
+            M, torque - unlimited + terms.jacobian.T @ (N @ beyond)
+        )
         act_beyond(self.laws, active, N.T @ twist_rate)
 
     def refuse(self, found: int = DEPENDENT) -> NoReturn:
@@ -318,17 +362,21 @@ class Controller:
         if not self.arm.finite:
             raise SingularTaskError(
                 "the arm's dynamics: expected finite numbers, got others at joint positions "
-                f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}')
+                f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}'
+            )
         if found & DEPENDENT:
             raise ContactGeometryError(
                 'N: expected independent columns, got normals and contact points of '
-                f'{", ".join(self.config.column_names)} that depend on each other')
+                f'{", ".join(self.config.column_names)} that depend on each other'
+            )
         state = self.robot.update(self.arm.q, self.arm.velocity)
         eigenvalues = np.linalg.eigvalsh(
-            state.jacobian @ np.linalg.solve(state.mass_matrix, state.jacobian.T))
+            state.jacobian @ np.linalg.solve(state.mass_matrix, state.jacobian.T)
+        )
         raise SingularTaskError(
             f'J M^-1 J^T: expected a condition number below {MAX_CONDITION:g}, got eigenvalues '
-            f'from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}')
+            f'from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}'
+        )
 
 
 def law_record(config: ControllerConfig) -> Records[Law]:
@@ -336,7 +384,7 @@ def law_record(config: ControllerConfig) -> Records[Law]:
     motion, force = config.motion, config.force
     frequency = motion.natural_frequency
     law = np.zeros(1, dtype=LAW)
-    law['k_p'] = frequency ** 2
+    law['k_p'] = frequency**2
     law['k_v'] = 2.0 * motion.damping_ratio * frequency
     law['K_2'] = force.damping_rate
     law['friction_speed'] = config.friction.speed
@@ -344,14 +392,15 @@ def law_record(config: ControllerConfig) -> Records[Law]:
     if len(config.robot.joint_names) > 6:  # which have no null space
         w = config.posture.natural_frequency
         law['nullspace_damping'] = max(config.nullspace_damping, 2.0 * w)
-        law['posture_stiffness'], law['stop_stiffness'] = w ** 2, (STOP_RATIO * w) ** 2
+        law['posture_stiffness'], law['stop_stiffness'] = w**2, (STOP_RATIO * w) ** 2
     law['least_share'] = LEAST_TASK_SHARE
     law['singular_mobility'] = SINGULAR_MOBILITY
     law['inertia_metric'] = force.projection == 'inertia'
     law['decoupled'] = force.allocation == 'decoupled'
     law['separated'] = any(
         config.contacts[name].friction_std or config.contacts[name].friction_coefficient
-        for name in config.contact_names)
+        for name in config.contact_names
+    )
     law['period'] = config.period
     law['force_noise'] = config.sensor.force_noise_std
     law['torque_noise'] = config.sensor.torque_noise_std

@@ -13,7 +13,10 @@ from multicontact_control.algebra import (
 )
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.contact.projections import compose_acceleration, factorise_contacts
+from multicontact_control.contact.projections import (
+    compose_acceleration,
+    factorise_contacts,
+)
 from multicontact_control.contact.surfaces import follow_surfaces
 from multicontact_control.dynamics.operational_space import (
     add_nullspace_torque,
@@ -117,8 +120,14 @@ def drive_coordinates(rows: Matrix, inputs: Vector) -> None:
 
 @compiled
 def force_law(
-    law: Law, rows: Matrix, factor: Matrix, twist: Vector, contacts: Records[Contact],
-    inputs: Vector, alpha_star: Vector, f_c: Vector,
+    law: Law,
+    rows: Matrix,
+    factor: Matrix,
+    twist: Vector,
+    contacts: Records[Contact],
+    inputs: Vector,
+    alpha_star: Vector,
+    f_c: Vector,
 ) -> None:
     """
     Fill in f_c*, the acceleration that serves the force loops with damping K_2 (P04 eq. 30).
@@ -139,7 +148,9 @@ def force_law(
         solve_cholesky(factor, alpha_star)
     for i in range(inputs.shape[0]):
         if law.decoupled and contacts[i].answer.active:
-            alpha_star[i] -= contacts[i].config.surface_speed + contacts[i].surface_speed_est
+            alpha_star[i] -= (
+                contacts[i].config.surface_speed + contacts[i].surface_speed_est
+            )
         alpha_star[i] = inputs[i] - law.K_2 * alpha_star[i]
     if law.decoupled:
         solve_cholesky(factor, alpha_star)
@@ -199,8 +210,14 @@ def finish_torque(law: Law, joints: Records[Joint]) -> bool:
 
 @compiled
 def control_law(
-    control: Control, joints: Records[Joint], mass_matrix: Matrix, jacobian: Matrix,
-    jacobian_rate: Matrix, contacts: Records[Contact], laws: Records[ForceLaw], space: LawSpace,
+    control: Control,
+    joints: Records[Joint],
+    mass_matrix: Matrix,
+    jacobian: Matrix,
+    jacobian_rate: Matrix,
+    contacts: Records[Contact],
+    laws: Records[ForceLaw],
+    space: LawSpace,
 ) -> int:
     """
     Work out the joint torque of one tick.
@@ -230,11 +247,15 @@ def control_law(
     law, frame, task = control.law, control.frame, control.task
     n, count, inertia = joints.shape[0], contacts.shape[0], space.inertia
     damping, frame.mobility = mobility_and_inertia(
-        mass_matrix, jacobian, law.singular_mobility, inertia)
+        mass_matrix, jacobian, law.singular_mobility, inertia
+    )
     if damping < 0.0:
         return SINGULAR
     rows, weighted_rows = space.rows[:count], space.weighted_rows[:count]
-    factor, weighted_factor = space.factor[:count, :count], space.weighted_factor[:count, :count]
+    factor, weighted_factor = (
+        space.factor[:count, :count],
+        space.weighted_factor[:count, :count],
+    )
     inputs, alpha_star = space.inputs[:count], space.alpha_star[:count]
     for i in range(count):
         multiply(inertia.mobility, contacts[i].N, space.along)
@@ -245,8 +266,10 @@ def control_law(
         weighted_rows[i] = rows[i]
         if law.inertia_metric:
             multiply(inertia.mobility, rows[i], weighted_rows[i])
-    if not (factorise_contacts(contacts, False, rows, rows, factor) and factorise_contacts(
-            contacts, False, rows, weighted_rows, weighted_factor)):
+    if not (
+        factorise_contacts(contacts, False, rows, rows, factor)
+        and factorise_contacts(contacts, False, rows, weighted_rows, weighted_factor)
+    ):
         return DEPENDENT
     motion_law(law, task, frame, space.f_t)
     answer_forces(laws, contacts, control, inputs, space.forces)
@@ -255,8 +278,15 @@ def control_law(
     force_law(law, rows, factor, frame.twist, contacts, inputs, alpha_star, space.f_c)
     follow_surfaces(frame, contacts)
     acceleration = space.acceleration
-    compose_acceleration(rows, weighted_rows, weighted_factor, space.f_t, space.f_c,
-                         space.beta[:count], acceleration)
+    compose_acceleration(
+        rows,
+        weighted_rows,
+        weighted_factor,
+        space.f_t,
+        space.f_c,
+        space.beta[:count],
+        acceleration,
+    )
     reduced = space.reduced[:n]  # mu + p = Lambda (J M^-1 (C v + g) - dJ/dt v)
     for j in range(n):
         reduced[j] = joints[j].bias_torque
@@ -281,5 +311,13 @@ def control_law(
             joints[j].answer.priority += jacobian[i, j] * held[i]
     if n > 6 or damping > 0.0:
         add_nullspace_torque(
-            joints, mass_matrix, jacobian, inertia, law, reduced, space.pull[:n], space.along)
+            joints,
+            mass_matrix,
+            jacobian,
+            inertia,
+            law,
+            reduced,
+            space.pull[:n],
+            space.along,
+        )
     return TORQUE if finish_torque(law, joints) else 0

@@ -23,8 +23,13 @@ import numpy as np
 STILL = np.zeros(6)  # twist and acceleration
 STILL.flags.writeable = False
 STAMP_TOLERANCE = 1e-9  # s
-LARGEST_SINE = 0.5  # of a scenario's motion to a surface that is pressed: some are tilted
-QUINTIC_SPEED, QUINTIC_ACCELERATION = 15.0 / 8.0, 10.0 / math.sqrt(3.0)  # peaks of b' and b''
+LARGEST_SINE = (
+    0.5  # of a scenario's motion to a surface that is pressed: some are tilted
+)
+QUINTIC_SPEED, QUINTIC_ACCELERATION = (
+    15.0 / 8.0,
+    10.0 / math.sqrt(3.0),
+)  # peaks of b' and b''
 
 
 class Task(NamedTuple):
@@ -82,8 +87,11 @@ class ApproachConfig(Config):
     speed: float = parameter(0.02, 'Approach speed.', unit='m/s', gt=0.0, le=0.25)
     ramp_time: float = parameter(0.5, 'Time to reach that speed.', unit='s', gt=0.0)
     contact_threshold: float = parameter(
-        1.5, 'Measured force that counts as contact.', unit='N', gt=0.0)
-    preload: float = parameter(2.0, 'Desired force from contact to first step.', unit='N', gt=0.0)
+        1.5, 'Measured force that counts as contact.', unit='N', gt=0.0
+    )
+    preload: float = parameter(
+        2.0, 'Desired force from contact to first step.', unit='N', gt=0.0
+    )
 
 
 class ForceStepConfig(Config):
@@ -91,17 +99,22 @@ class ForceStepConfig(Config):
 
     time: float = parameter(..., 'When.', unit='s', ge=0.0)
     forces: dict[str, float] = parameter(
-        ..., 'Desired force per contact, and couple of an edge or plane.', unit='N')
+        ..., 'Desired force per contact, and couple of an edge or plane.', unit='N'
+    )
 
 
 class SineConfig(Config):
     """A sinusoid along one direction, blended in."""
 
     start_time: float = parameter(..., 'When the motion starts.', unit='s', ge=0.0)
-    direction_world: UnitVector3 = parameter((1.0, 0.0, 0.0), 'Unit direction, world axes.')
+    direction_world: UnitVector3 = parameter(
+        (1.0, 0.0, 0.0), 'Unit direction, world axes.'
+    )
     amplitude: float = parameter(0.15, 'Amplitude.', unit='m', ge=0.0)
     period: float = parameter(8.0, 'Period.', unit='s', gt=0.0)
-    blend_time: float = parameter(2.0, 'Duration of the quintic blend-in.', unit='s', gt=0.0)
+    blend_time: float = parameter(
+        2.0, 'Duration of the quintic blend-in.', unit='s', gt=0.0
+    )
 
 
 class ReferenceConfig(Config):
@@ -121,11 +134,14 @@ def shortest_duration(change: Vector, limits: LimitsConfig) -> float:
     """Return the least time of a `quintic` over a way, shape (6,) [m, rad], within limits [s]."""
     durations = [0.0]
     for part, speed, acceleration in (
-            (change[:3], limits.operational_speed, limits.operational_acceleration),
-            (change[3:], limits.operational_turn, limits.operational_turn_acceleration)):
+        (change[:3], limits.operational_speed, limits.operational_acceleration),
+        (change[3:], limits.operational_turn, limits.operational_turn_acceleration),
+    ):
         way = float(np.linalg.norm(part))
-        durations += [QUINTIC_SPEED * way / speed,
-                      math.sqrt(QUINTIC_ACCELERATION * way / acceleration)]
+        durations += [
+            QUINTIC_SPEED * way / speed,
+            math.sqrt(QUINTIC_ACCELERATION * way / acceleration),
+        ]
     return max(durations)
 
 
@@ -138,8 +154,11 @@ def sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:
     sine, cosine = math.sin(w * tau), math.cos(w * tau)
     b, db, ddb = quintic(tau, config.blend_time)
     A = config.amplitude
-    return (A * b * sine, A * (db * sine + b * w * cosine),
-            A * (ddb * sine + 2.0 * db * w * cosine - b * w * w * sine))
+    return (
+        A * b * sine,
+        A * (db * sine + b * w * cosine),
+        A * (ddb * sine + 2.0 * db * w * cosine - b * w * w * sine),
+    )
 
 
 class ScenarioTask:
@@ -166,7 +185,10 @@ class ScenarioTask:
     """
 
     def __init__(
-        self, config: ReferenceConfig, rate: float, names: Sequence[str],
+        self,
+        config: ReferenceConfig,
+        rate: float,
+        names: Sequence[str],
         leader_of: Sequence[int] | None = None,
     ) -> None:
         self._approach = approach = config.approach
@@ -176,20 +198,30 @@ class ScenarioTask:
             self._direction[:3] = config.motion.direction_world
         self._line = self._direction[:3]
         self.contact_state: Mapping[str, float] = {
-            'approach_speed': approach.speed, 'approach_ramp_time': approach.ramp_time,
-            'contact_threshold': approach.contact_threshold, 'preload': approach.preload}
-        self._leader_of = np.array(range(len(names)) if leader_of is None else leader_of)
+            'approach_speed': approach.speed,
+            'approach_ramp_time': approach.ramp_time,
+            'contact_threshold': approach.contact_threshold,
+            'preload': approach.preload,
+        }
+        self._leader_of = np.array(
+            range(len(names)) if leader_of is None else leader_of
+        )
         leads = self._leader_of == np.arange(len(names))
         forces = dict(zip(names, np.where(leads, approach.preload, 0.0)))
         rows = [list(forces.values())]
         for index, step in enumerate(config.force_steps):
             if unknown := set(step.forces) - set(names):
-                raise ConfigError(f'reference.force_steps.{index}.forces',
-                                  f'contacts among {", ".join(names)}', f"'{min(unknown)}'")
+                raise ConfigError(
+                    f'reference.force_steps.{index}.forces',
+                    f'contacts among {", ".join(names)}',
+                    f"'{min(unknown)}'",
+                )
             forces |= step.forces
             rows.append(list(forces.values()))
         self.forces: Matrix = np.array(rows)
-        self._wanted_after_step = [((row > 0.0)[self._leader_of], row) for row in self.forces]
+        self._wanted_after_step = [
+            ((row > 0.0)[self._leader_of], row) for row in self.forces
+        ]
         self._nothing_wanted = np.zeros(len(names), dtype=bool), np.zeros(len(names))
         self._step_times = [step.time for step in config.force_steps]
 
@@ -205,22 +237,33 @@ class ScenarioTask:
         """Refuse a motion into or away from surfaces that are pressed meanwhile: ConfigError."""
         steps_before = bisect_right(self._step_times, motion.start_time)
         rows = self.forces[steps_before:]  # those in force at its start, and later
-        pressed = [name for name, i in zip(config.contact_names, config.leaders)
-                   if (rows[:, i] > 0.0).any()]
-        normals = np.array([config.contacts[name].normal_world for name in pressed]).reshape(-1, 3)
+        pressed = [
+            name
+            for name, i in zip(config.contact_names, config.leaders)
+            if (rows[:, i] > 0.0).any()
+        ]
+        normals = np.array(
+            [config.contacts[name].normal_world for name in pressed]
+        ).reshape(-1, 3)
         direction = np.array(motion.direction_world)
         along = float(np.linalg.norm(np.linalg.pinv(normals) @ (normals @ direction)))
         if along > LARGEST_SINE:
             raise ConfigError(
                 'reference.motion.direction_world',
                 f'at most {math.degrees(math.asin(LARGEST_SINE)):.0f} degrees out of the surfaces '
-                f'of {", ".join(pressed)}, which are pressed then', f'{direction.tolist()}, '
+                f'of {", ".join(pressed)}, which are pressed then',
+                f'{direction.tolist()}, '
                 f'{math.degrees(math.asin(min(along, 1.0))):.0f} degrees out of them',
-                hint='a motion has no effect along the normal of a contact')
+                hint='a motion has no effect along the normal of a contact',
+            )
 
     def start(self, pose: Pose, normals_world: Matrix) -> None:
         """Begin from a pose at rest; see `TaskSource.start`."""
-        self._pose, self._normals, self._position = pose, normals_world, pose.position_world
+        self._pose, self._normals, self._position = (
+            pose,
+            normals_world,
+            pose.position_world,
+        )
         self._touched: Mask = np.zeros(len(normals_world), dtype=bool)
         self.seeks = True
         self._advance = np.zeros(len(normals_world))
@@ -249,7 +292,12 @@ class ScenarioTask:
             else:
                 twist, acceleration = twist + speed, acceleration + rate
         return Task(
-            Pose(position, self._pose.rotation_world), twist, acceleration, active, alpha_des)
+            Pose(position, self._pose.rotation_world),
+            twist,
+            acceleration,
+            active,
+            alpha_des,
+        )
 
     def _seek(self, since: float, alpha_meas: Vector) -> tuple[Vector, Vector]:
         """Go on to the surfaces that are not touched; return twist and acceleration."""
@@ -282,23 +330,31 @@ class CommandedTask:
     contact_state: Mapping[str, float] = {}
     seeks = False
 
-    def __init__(self, names: Sequence[str], leader_of: Sequence[int] | None = None) -> None:
+    def __init__(
+        self, names: Sequence[str], leader_of: Sequence[int] | None = None
+    ) -> None:
         self._names = tuple(names)
-        self._leader_of = np.array(range(len(names)) if leader_of is None else leader_of)
+        self._leader_of = np.array(
+            range(len(names)) if leader_of is None else leader_of
+        )
         self.start(None, np.empty((0, 3)))
 
     def start(self, pose: Pose | None, normals_world: Matrix) -> None:
         """Forget all commands, and begin from a pose at rest; see `TaskSource.start`."""
         self.pose = pose
         self._twist = self._acceleration = STILL
-        self._lasting = self._until = math.inf  # of these two [s]; NaN until the next tick
+        self._lasting = self._until = (
+            math.inf
+        )  # of these two [s]; NaN until the next tick
         self._alpha_des = np.zeros(len(self._names))
         self._active: Mask = np.zeros(len(self._names), dtype=bool)
         self._shares = np.full(len(self._names), math.nan)
         self._task: Task | None = None
 
     def set_forces(
-        self, forces: Mapping[str, float], shares: Mapping[str, float] | None = None,
+        self,
+        forces: Mapping[str, float],
+        shares: Mapping[str, float] | None = None,
     ) -> bool:
         """
         Command forces and couples by name [N], the others stay; return whether any is new.
@@ -327,11 +383,17 @@ class CommandedTask:
     @property
     def shares(self) -> dict[str, float]:
         """Couples that follow the force of their contact, relative to it, by name."""
-        return {name: share for name, share in zip(self._names, self._shares.tolist())
-                if not math.isnan(share)}
+        return {
+            name: share
+            for name, share in zip(self._names, self._shares.tolist())
+            if not math.isnan(share)
+        }
 
     def set_motion(
-        self, motion: MotionReading, taken_normals: Matrix, lasting: float = math.inf,
+        self,
+        motion: MotionReading,
+        taken_normals: Matrix,
+        lasting: float = math.inf,
     ) -> None:
         """
         Command a pose, and a twist and acceleration that count for so long [s].
@@ -339,7 +401,9 @@ class CommandedTask:
         Along `taken_normals`, shape (k, 3), of the contacts that are sought or held, these place
         the tip: the command has no effect, now or later.
         """
-        position, quaternion, twist, acceleration = (np.array(x, dtype=float) for x in motion)
+        position, quaternion, twist, acceleration = (
+            np.array(x, dtype=float) for x in motion
+        )
         if len(taken_normals) and self.pose is not None:
             N = taken_normals.T
             across = np.eye(3) - N @ np.linalg.pinv(N)
@@ -363,5 +427,10 @@ class CommandedTask:
             if self.pose is None:
                 raise ConfigError('reference', 'start() before task()', 'task()')
             self._task = Task(
-                self.pose, self._twist, self._acceleration, self._active, self._alpha_des)
+                self.pose,
+                self._twist,
+                self._acceleration,
+                self._active,
+                self._alpha_des,
+            )
         return self._task

@@ -17,7 +17,9 @@ from multicontact_control.diagnosis.friction import UNDECLARED
 from multicontact_control.records import Evidence, Joint, Momentum, Records
 import numpy as np
 
-EXPLAINED = 0.7  # share of the residual's power, from which on what it follows is its cause
+EXPLAINED = (
+    0.7  # share of the residual's power, from which on what it follows is its cause
+)
 # Share of the time at rest in which all is learnt, from which on a residual may have grown later;
 # share of it that was there at rest, above which it has not.
 RESTED_SHARE, AT_REST_SHARE = 0.5, 0.5
@@ -27,17 +29,17 @@ NEAR_OPPOSITE, OTHER_UNIT = 0.2, 1.5
 # What to say of a residual that follows one of `REGRESSORS`.
 FOLLOWED = {
     DIRECTION: UNDECLARED,
-    SPEED:
-        'is {} N m s/rad times the speed: check friction.viscous and the scale of the velocities',
-    ACCELERATION:
-        'is {} kg m^2 times the acceleration: check robot.armature and the scale of the effort',
-    WRENCH:
-        'follows the wrench, of which the torques show {} times: check its sign, unit and frame '
-        '(robot.sensor_frame), and the scale of the effort'}
+    SPEED: 'is {} N m s/rad times the speed: check friction.viscous and the scale of the velocities',
+    ACCELERATION: 'is {} kg m^2 times the acceleration: check robot.armature and the scale of the effort',
+    WRENCH: 'follows the wrench, of which the torques show {} times: check its sign, unit and frame '
+    '(robot.sensor_frame), and the scale of the effort',
+}
 
 
 @np.errstate(all='ignore')  # of impossible efforts
-def explain_collision(joints: Records[Joint], momentum: Momentum, names: Sequence[str]) -> str:
+def explain_collision(
+    joints: Records[Joint], momentum: Momentum, names: Sequence[str]
+) -> str:
     """
     Return what speaks for which cause of a collision, from the records of the observer.
 
@@ -66,9 +68,11 @@ def explain_collision(joints: Records[Joint], momentum: Momentum, names: Sequenc
     followed = _explain_motion(residual[worst], evidence)
     if followed:
         return f'{name}: the residual {followed}'
-    return (f'the residual grew in {", ".join(loaded)}: something touches the arm at or before '
-            f'the link that {loaded[-1]} moves; if not, check robot.armature and the effort of '
-            f'{name}, the frame of the wrench, and that no other node commands the arm')
+    return (
+        f'the residual grew in {", ".join(loaded)}: something touches the arm at or before '
+        f'the link that {loaded[-1]} moves; if not, check robot.armature and the effort of '
+        f'{name}, the frame of the wrench, and that no other node commands the arm'
+    )
 
 
 def _explain_motion(residual: float, evidence: Evidence) -> str:
@@ -96,12 +100,16 @@ def _explain_rest(residual: Vector, gravity: Vector, loaded: int) -> str:
     """Return what residuals of an arm at rest, shape (n,) [N m], speak for; `loaded` count."""
     product, square = residual @ gravity, gravity @ gravity
     factor = product / square
-    is_multiple = product ** 2 > MULTIPLE * square * (residual @ residual)
+    is_multiple = product**2 > MULTIPLE * square * (residual @ residual)
     is_wrong = abs(factor + 1.0) < NEAR_OPPOSITE or abs(factor) > OTHER_UNIT
     if is_multiple and is_wrong:
-        return (f', {factor:.2g} times the torque of gravity: check unit and sign of the effort, '
-                'and whether it lacks gravity (robot.adds_gravity)')
+        return (
+            f', {factor:.2g} times the torque of gravity: check unit and sign of the effort, '
+            'and whether it lacks gravity (robot.adds_gravity)'
+        )
     if loaded == 1:
         return ', in this joint alone: check scale, sign and offset of its effort'
-    return (': check the masses of tool and links, sign and offset of the wrench, the offsets of '
-            'the effort, and that no other node commands the arm')
+    return (
+        ': check the masses of tool and links, sign and offset of the wrench, the offsets of '
+        'the effort, and that no other node commands the arm'
+    )

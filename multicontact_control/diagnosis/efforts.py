@@ -8,7 +8,8 @@ from multicontact_control.config import ControllerConfig
 
 
 def explain_unwatched(
-    config: ControllerConfig, unheard_joints: Mapping[str, Sequence[int]],
+    config: ControllerConfig,
+    unheard_joints: Mapping[str, Sequence[int]],
 ) -> str:
     """
     Return whose measured torques are of no use, and what that leads to; empty if none are due.

@@ -12,15 +12,21 @@ from multicontact_control.diagnosis.gravity import explain_gravity
 from multicontact_control.diagnosis.late_wrench import explain_lag
 from multicontact_control.diagnosis.sensor_axes import explain_axes
 from multicontact_control.diagnosis.velocities import explain_velocities
-from multicontact_control.supervision.checks import COLLISION, CONTRADICTED, WRONG_WRENCH
+from multicontact_control.supervision.checks import (
+    COLLISION,
+    CONTRADICTED,
+    WRONG_WRENCH,
+)
 from multicontact_control.supervision.contact_task import ContactTask
 from multicontact_control.supervision.inputs import Inputs
 import numpy as np
 
 STRAY_TORQUE = 0.5  # N m at the operational point that is worth a report
 STANDING_SPEED = 0.01  # rad/s, of every joint, below which an arm stands
-DOUBTED = ('Held by estimates from the positions until ten readings of such joints in motion '
-           'agree, or an operator resumes control (~/retry)')
+DOUBTED = (
+    'Held by estimates from the positions until ten readings of such joints in motion '
+    'agree, or an operator resumes control (~/retry)'
+)
 
 
 class Explanations:
@@ -32,7 +38,12 @@ class Explanations:
     """
 
     def __init__(
-        self, controller: Controller, inputs: Inputs, task: ContactTask, *, guarded: bool,
+        self,
+        controller: Controller,
+        inputs: Inputs,
+        task: ContactTask,
+        *,
+        guarded: bool,
     ) -> None:
         self._controller, self._inputs, self._task = controller, inputs, task
         self._guarded = guarded
@@ -60,7 +71,10 @@ class Explanations:
         residual = self._sensor_axes()
         if not residual:
             residual = explain_collision(
-                self._joints, self._control['momentum'], self._controller.config.robot.joint_names)
+                self._joints,
+                self._control['momentum'],
+                self._controller.config.robot.joint_names,
+            )
         stray = self.stray_force()
         return f'{residual}; {stray}' if stray else residual
 
@@ -68,7 +82,9 @@ class Explanations:
         """Return what the newest positions say against the velocities."""
         config = self._controller.config
         states, doubt = self._inputs.history
-        return explain_velocities(states, doubt, config.robot.joint_names, config.period)
+        return explain_velocities(
+            states, doubt, config.robot.joint_names, config.period
+        )
 
     def comes_of_velocities(self, causes: tuple[str, ...]) -> bool:
         """Return whether a collision is what the law made of velocities that are wrong."""
@@ -81,14 +97,19 @@ class Explanations:
             return ''
         control = self._control
         return explain_axes(
-            self._joints, control['momentum'], self._controller.robot.terms.jacobian,
-            control['frame']['sensor_rotation'], control['tool']['weight'])
+            self._joints,
+            control['momentum'],
+            self._controller.robot.terms.jacobian,
+            control['frame']['sensor_rotation'],
+            control['tool']['weight'],
+        )
 
     @property
     def _wrench_is_read(self) -> bool:
         """Whether the wrench is of this sample and of a sensor."""
         return bool(self._control['measured']) and (
-            self._controller.config.wrench_input != 'momentum')
+            self._controller.config.wrench_input != 'momentum'
+        )
 
     def gravity(self, causes: tuple[str, ...]) -> str:
         """Return what says that gravity is another, where a collision has led to a pause."""
@@ -124,8 +145,10 @@ class Explanations:
         smallest = self._controller.config.contact_state.smallest_force
         if force <= smallest and torque <= STRAY_TORQUE:
             return ''
-        return (f'{force:.1f} N and {torque:.2g} N m while no contact is commanded: if nothing '
-                'touches the tool, bias or tool weight (tare or calibrate)')
+        return (
+            f'{force:.1f} N and {torque:.2g} N m while no contact is commanded: if nothing '
+            'touches the tool, bias or tool weight (tare or calibrate)'
+        )
 
     def lag(self) -> str:
         """Return what says that the wrench comes late, once a collision has passed."""

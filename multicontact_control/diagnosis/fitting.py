@@ -7,7 +7,9 @@ from typing import Any
 from multicontact_control.arrays import Matrix, Vector
 import numpy as np
 
-SMALLEST_SHARE = 0.03  # of the largest singular value, below which a direction is left free
+SMALLEST_SHARE = (
+    0.03  # of the largest singular value, below which a direction is left free
+)
 
 
 def fit_over_joints(shares: Matrix, torques: Matrix, thresholds: Vector) -> Matrix:
@@ -33,5 +35,6 @@ def fit_over_joints(shares: Matrix, torques: Matrix, thresholds: Vector) -> Matr
     weighted_shares = shares * weights[:, None]
     weighted_torques = (torques.T * weights).T
     solution: Any = np.linalg.lstsq(
-        weighted_shares, weighted_torques, rcond=SMALLEST_SHARE)[0]
+        weighted_shares, weighted_torques, rcond=SMALLEST_SHARE
+    )[0]
     return solution

@@ -9,13 +9,18 @@ import numpy as np
 
 SMALLEST_MASS = 0.2  # kg; a lighter tool does not tell it
 SMALLEST_LEAN = 0.5  # m/s^2 by which gravity leans, at least
-SAME_SIDE = 0.9  # cosine of the angle between the leans that tool and arm show, at least
+SAME_SIDE = (
+    0.9  # cosine of the angle between the leans that tool and arm show, at least
+)
 SAME_STRENGTH = 0.05  # share of its strength that may be missing or too much
 
 
 @np.errstate(all='ignore')  # of impossible efforts
 def explain_gravity(
-    joints: Records[Joint], shares: Matrix, force_world: Vector, mass: float,
+    joints: Records[Joint],
+    shares: Matrix,
+    force_world: Vector,
+    mass: float,
     gravity_world: Vector,
 ) -> str:
     """
@@ -59,5 +64,7 @@ def explain_gravity(
         return ''
     angle = np.degrees(np.arctan2(size_read, true_gravity @ down))
     x, y, z = true_gravity
-    return (f'arm and tool weigh as if gravity were [{x:.1f}, {y:.1f}, {z:.1f}] m/s^2, '
-            f'{angle:.0f} deg off robot.gravity_world: check how the base is mounted')
+    return (
+        f'arm and tool weigh as if gravity were [{x:.1f}, {y:.1f}, {z:.1f}] m/s^2, '
+        f'{angle:.0f} deg off robot.gravity_world: check how the base is mounted'
+    )

@@ -29,5 +29,7 @@ def explain_lag(joints: Records[Joint]) -> str:
     likeness = lag * (areas @ changes) / (areas @ areas)
     if lag < LEAST_LAG or likeness < LIKENESS:
         return ''
-    return (f'the wrench reads what the torques have shown about {1e3 * lag:.0f} ms before: check '
-            'what delays or filters it on its way, and what its stamps are of')
+    return (
+        f'the wrench reads what the torques have shown about {1e3 * lag:.0f} ms before: check '
+        'what delays or filters it on its way, and what its stamps are of'
+    )

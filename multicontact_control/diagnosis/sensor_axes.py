@@ -27,12 +27,17 @@ def all_exchanges() -> Matrix:
 
 
 EXCHANGES = all_exchanges()
-EXCHANGED = (EXCHANGES != np.eye(3)).any(axis=2).sum(axis=1)  # how many axes are others in each
+EXCHANGED = (
+    (EXCHANGES != np.eye(3)).any(axis=2).sum(axis=1)
+)  # how many axes are others in each
 
 
 @np.errstate(all='ignore')  # of impossible efforts
 def explain_axes(
-    joints: Records[Joint], momentum: Momentum, jacobian: Matrix, rotation_world: Matrix,
+    joints: Records[Joint],
+    momentum: Momentum,
+    jacobian: Matrix,
+    rotation_world: Matrix,
     weight: Vector,
 ) -> str:
     """
@@ -52,7 +57,9 @@ def explain_axes(
         Of what hangs on the sensor, m g, world axes, shape (3,) [N].
 
     """
-    read, shown = _forces_at_the_sensor(joints, momentum, jacobian, rotation_world, weight)
+    read, shown = _forces_at_the_sensor(
+        joints, momentum, jacobian, rotation_world, weight
+    )
     size = np.linalg.norm(shown)
     if not size > LEAST_FORCE or not np.linalg.norm(read - shown) > UNLIKE * size:
         return ''
@@ -70,13 +77,18 @@ def explain_axes(
     if not told:
         return ''
     x, y, z = shown
-    return (f'the wrench sensor reads [{read[0]:.1f}, {read[1]:.1f}, {read[2]:.1f}] N where the '
-            f'torques show [{x:.1f}, {y:.1f}, {z:.1f}] N: {", ".join(told)}; check '
-            'robot.sensor_frame and the axes of its driver')
+    return (
+        f'the wrench sensor reads [{read[0]:.1f}, {read[1]:.1f}, {read[2]:.1f}] N where the '
+        f'torques show [{x:.1f}, {y:.1f}, {z:.1f}] N: {", ".join(told)}; check '
+        'robot.sensor_frame and the axes of its driver'
+    )
 
 
 def _forces_at_the_sensor(
-    joints: Records[Joint], momentum: Momentum, jacobian: Matrix, rotation_world: Matrix,
+    joints: Records[Joint],
+    momentum: Momentum,
+    jacobian: Matrix,
+    rotation_world: Matrix,
     weight: Vector,
 ) -> tuple[Vector, Vector]:
     """Return the force that is read and the one that the torques show, sensor axes [N]."""
@@ -87,4 +99,6 @@ def _forces_at_the_sensor(
     torques = np.column_stack([felt, felt + watch['residual']]) / settled
     wrenches = fit_over_joints(jacobian.T, torques, watch['threshold'])
     read_world, shown_world = wrenches[:3].T
-    return rotation_world.T @ (read_world - weight), rotation_world.T @ (shown_world - weight)
+    return rotation_world.T @ (read_world - weight), rotation_world.T @ (
+        shown_world - weight
+    )

@@ -8,18 +8,28 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.supervision.velocities import OFFSET
 import numpy as np
 
-UNITS = {'degrees per second': 180.0 / np.pi, 'revolutions per minute': 30.0 / np.pi,
-         'revolutions per second': 0.5 / np.pi}  # over rad/s
+UNITS = {
+    'degrees per second': 180.0 / np.pi,
+    'revolutions per minute': 30.0 / np.pi,
+    'revolutions per second': 0.5 / np.pi,
+}  # over rad/s
 FEWEST, SLOWEST = 8, 0.01  # joint states, and rad/s, that say something
-SAME_AS_POSITION = 1e-3  # of the largest position, by which a velocity may differ from it
-CORRELATED = 0.8  # square of the correlation from which on two velocities differ by a factor
+SAME_AS_POSITION = (
+    1e-3  # of the largest position, by which a velocity may differ from it
+)
+CORRELATED = (
+    0.8  # square of the correlation from which on two velocities differ by a factor
+)
 RIGHT = 2.5  # factor by which a velocity may seem wrong
 SIMILAR = 0.25  # difference from a factor or an offset, relative to it
 LEAST_POWER = 1e-12  # rad^2/s^2, so that nothing is divided by 0
 
 
 def explain_velocities(
-    states: Matrix, doubt: Vector, names: Sequence[str], period: float,
+    states: Matrix,
+    doubt: Vector,
+    names: Sequence[str],
+    period: float,
 ) -> str:
     """
     Return what positions say against the velocities of the joint whose doubt is largest.
@@ -48,7 +58,9 @@ def explain_velocities(
     fault = _explain_numbers(position, velocity)
     if not fault:
         rate = np.diff(position) / period
-        mean_velocity = 0.5 * (velocity[1:] + velocity[:-1])  # as the rate is, of a period
+        mean_velocity = 0.5 * (
+            velocity[1:] + velocity[:-1]
+        )  # as the rate is, of a period
         fault = _explain_rate(mean_velocity, rate, doubted=doubt[joint] > 1.0)
     if not fault:
         return ''
@@ -73,17 +85,23 @@ def _explain_rate(velocity: Vector, rate: Vector, *, doubted: bool) -> str:
     if max(np.abs(rate).max(), np.abs(velocity).max()) < SLOWEST:
         return ''
     power, rate_power, common = velocity @ velocity, rate @ rate, velocity @ rate
-    if common ** 2 >= CORRELATED * (power * rate_power):
-        ratio = np.copysign(np.sqrt(power / max(float(rate_power), LEAST_POWER)), common)
+    if common**2 >= CORRELATED * (power * rate_power):
+        ratio = np.copysign(
+            np.sqrt(power / max(float(rate_power), LEAST_POWER)), common
+        )
         if not 1.0 / RIGHT < ratio < RIGHT:
             return f'is {_name_factor(float(ratio))}'
     if not doubted:
         return ''
     error = velocity - rate
     if np.std(error) < SIMILAR * abs(np.mean(error)):
-        return f'is {np.mean(error):.3g} rad/s beyond the rate of its position: an offset?'
-    return (f'is up to {np.abs(error).max():.3g} rad/s off the rate of its position: a delay, a '
-            'low-pass, or that of another joint?')
+        return (
+            f'is {np.mean(error):.3g} rad/s beyond the rate of its position: an offset?'
+        )
+    return (
+        f'is up to {np.abs(error).max():.3g} rad/s off the rate of its position: a delay, a '
+        'low-pass, or that of another joint?'
+    )
 
 
 def _name_factor(ratio: float) -> str:

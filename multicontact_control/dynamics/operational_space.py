@@ -31,6 +31,7 @@ from multicontact_control.records import (
 MAX_CONDITION = 1e8  # of Lambda^-1, from which on a posture is singular
 STOP_MARGIN = 0.1  # rad, from how far before its stop on a joint is pushed away from it
 
+
 class InertiaSpace(Record, Protocol):
     """What `mobility_and_inertia` fills in; the first n rows and columns are used. One."""
 
@@ -51,7 +52,10 @@ INERTIA_SPACE = record_dtype(InertiaSpace)
 
 @compiled
 def mobility_and_inertia(
-    mass_matrix: Matrix, jacobian: Matrix, singular_mobility: float, space: InertiaSpace,
+    mass_matrix: Matrix,
+    jacobian: Matrix,
+    singular_mobility: float,
+    space: InertiaSpace,
 ) -> tuple[float, float]:
     """
     Work out Lambda = (J M^-1 J^T)^-1 (P04 eq. 23) and what leads to it.
@@ -103,7 +107,9 @@ def mobility_and_inertia(
         damping = 0.5 * singular_mobility * (1.0 - smallest / singular_mobility) ** 2
         for i in range(6):
             mobility[i, i] += damping
-    if not (smallest + damping) * MAX_CONDITION > largest + damping:  # or it is not a number
+    if (
+        not (smallest + damping) * MAX_CONDITION > largest + damping
+    ):  # or it is not a number
         return -1.0, smallest
     invert(mobility, space.factor, space.root, space.Lambda)
     return damping, smallest
@@ -111,7 +117,11 @@ def mobility_and_inertia(
 
 @compiled
 def mobility_gradient(
-    jacobian: Matrix, L: Matrix, Y: Matrix, direction: Vector, joint_rates: Vector,
+    jacobian: Matrix,
+    L: Matrix,
+    Y: Matrix,
+    direction: Vector,
+    joint_rates: Vector,
     gradient: Vector,
 ) -> None:
     """
@@ -143,8 +153,14 @@ def mobility_gradient(
 
 @compiled
 def add_nullspace_torque(
-    joints: Records[Joint], mass_matrix: Matrix, jacobian: Matrix, inertia: InertiaSpace, law: Law,
-    free: Vector, pull: Vector, acceleration: Vector,
+    joints: Records[Joint],
+    mass_matrix: Matrix,
+    jacobian: Matrix,
+    inertia: InertiaSpace,
+    law: Law,
+    free: Vector,
+    pull: Vector,
+    acceleration: Vector,
 ) -> None:
     """
     Give the motion that the operational point does not see a posture, off the stops, and damp it.
@@ -163,7 +179,8 @@ def add_nullspace_torque(
         below = max(STOP_MARGIN - (joint.q - joint.config.lower), 0.0)
         above = max(STOP_MARGIN - (joint.config.upper - joint.q), 0.0)
         push = law.stop_stiffness * below * below / STOP_MARGIN - (
-            law.stop_stiffness * above * above / STOP_MARGIN)
+            law.stop_stiffness * above * above / STOP_MARGIN
+        )
         pull[j] = law.posture_stiffness * (joint.config.posture - joint.q) + push
     for i in range(n):
         momentum = 0.0
@@ -178,4 +195,6 @@ def add_nullspace_torque(
     multiply(inertia.Y[:n].T, free, acceleration)
     for j in range(n):
         for i in range(6):
-            joints[j].answer.torque -= jacobian[i, j] * dot(inertia.Lambda[i], acceleration)
+            joints[j].answer.torque -= jacobian[i, j] * dot(
+                inertia.Lambda[i], acceleration
+            )

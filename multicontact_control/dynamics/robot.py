@@ -77,16 +77,24 @@ class RobotModel:
         if names != list(config.joint_names):
             others = [name for name in names if name not in config.joint_names]
             raise ConfigError(
-                'robot.joint_names', f"the robot's joints {names}" + (
-                    f', or {others} in robot.locked_joints' if others else ''),
-                list(config.joint_names))
+                'robot.joint_names',
+                f"the robot's joints {names}"
+                + (f', or {others} in robot.locked_joints' if others else ''),
+                list(config.joint_names),
+            )
         if len(names) > MAX_JOINTS:
-            raise ConfigError('robot.joint_names', f'at most {MAX_JOINTS} joints', len(names),
-                              hint='lock others: robot.locked_joints')
+            raise ConfigError(
+                'robot.joint_names',
+                f'at most {MAX_JOINTS} joints',
+                len(names),
+                hint='lock others: robot.locked_joints',
+            )
         if config.armature:
             self._model.armature = np.array(config.armature)
         self._model.gravity.linear = np.array(config.gravity_world)
-        self._frame = self._frame_id('robot.operational_frame', config.operational_frame)
+        self._frame = self._frame_id(
+            'robot.operational_frame', config.operational_frame
+        )
         self._sensor = self._frame
         if config.sensor_frame:
             self._sensor = self._frame_id('robot.sensor_frame', config.sensor_frame)
@@ -97,11 +105,21 @@ class RobotModel:
         data = self._data = self._model.createData()
         frame, sensor = data.oMf[self._frame], data.oMf[self._sensor]
         self.terms = Terms(  # pinocchio's memory, so that nothing needs to be copied
-            mass_matrix=data.M, bias_torque=data.nle, gravity=data.g,
+            mass_matrix=data.M,
+            bias_torque=data.nle,
+            gravity=data.g,
             jacobian=np.zeros((6, self._model.nv)),
-            jacobian_rate=np.zeros((6, self._model.nv)), placements=(
-                frame.translation, frame.rotation, sensor.translation, sensor.rotation))
-        self.turning: Mask = np.array(['ModelR' in x.shortname() for x in self._model.joints[1:]])
+            jacobian_rate=np.zeros((6, self._model.nv)),
+            placements=(
+                frame.translation,
+                frame.rotation,
+                sensor.translation,
+                sensor.rotation,
+            ),
+        )
+        self.turning: Mask = np.array(
+            ['ModelR' in x.shortname() for x in self._model.joints[1:]]
+        )
 
     @property
     def joint_count(self) -> int:
@@ -121,29 +139,39 @@ class RobotModel:
 
     def _require_felt(self, config: RobotConfig) -> None:
         """Refuse contacts that the wrist sensor cannot feel: those of a link before it."""
-        joints = [self._model.names[self._model.frames[frame].parentJoint]
-                  for frame in (self._frame, self._sensor)]
+        joints = [
+            self._model.names[self._model.frames[frame].parentJoint]
+            for frame in (self._frame, self._sensor)
+        ]
         if joints[0] != joints[1]:
             raise ConfigError(
-                'robot.operational_frame', f'a link that is carried by {joints[1]}, as the wrist '
+                'robot.operational_frame',
+                f'a link that is carried by {joints[1]}, as the wrist '
                 f"sensor on '{config.sensor_frame}' is, which feels nothing else",
-                f"'{config.operational_frame}', carried by {joints[0]}")
+                f"'{config.operational_frame}', carried by {joints[0]}",
+            )
 
     def _frame_id(self, field: str, name: str) -> int:
         bodies = [f.name for f in self._model.frames if f.type == pin.FrameType.BODY]
         if name not in bodies:
-            raise ConfigError(field, f'a link of the robot among {", ".join(bodies)}', f"'{name}'")
+            raise ConfigError(
+                field, f'a link of the robot among {", ".join(bodies)}', f"'{name}'"
+            )
         return int(self._model.getFrameId(name, pin.FrameType.BODY))
 
     def compute(self, q: Vector, v: Vector) -> Terms:
         """Return `terms` at positions [rad] and velocities [rad/s], valid until the next call."""
         model, data, terms = self._model, self._data, self.terms
-        pin.computeAllTerms(model, data, q, v)  # M, C v + g, and what the Jacobians need
+        pin.computeAllTerms(
+            model, data, q, v
+        )  # M, C v + g, and what the Jacobians need
         pin.updateFramePlacements(model, data)
         terms.jacobian = pin.getFrameJacobian(
-            model, data, self._frame, pin.LOCAL_WORLD_ALIGNED)
+            model, data, self._frame, pin.LOCAL_WORLD_ALIGNED
+        )
         terms.jacobian_rate = pin.getFrameJacobianTimeVariation(
-            model, data, self._frame, pin.LOCAL_WORLD_ALIGNED)
+            model, data, self._frame, pin.LOCAL_WORLD_ALIGNED
+        )
         return terms
 
     def update(self, q: Vector, v: Vector) -> RobotState:
@@ -154,17 +182,24 @@ class RobotModel:
         upper, gravity = np.triu(terms.mass_matrix), terms.gravity.copy()
         jacobian = np.ascontiguousarray(terms.jacobian)
         return RobotState(
-            mass_matrix=upper + np.triu(upper, 1).T, coriolis=terms.bias_torque - gravity,
-            gravity=gravity, jacobian=jacobian, jacobian_drift=terms.jacobian_rate @ v,
-            pose=_pose(data.oMf[self._frame]), twist_world=jacobian @ v, velocity=v.copy(),
-            sensor_pose=_pose(data.oMf[self._sensor]))
+            mass_matrix=upper + np.triu(upper, 1).T,
+            coriolis=terms.bias_torque - gravity,
+            gravity=gravity,
+            jacobian=jacobian,
+            jacobian_drift=terms.jacobian_rate @ v,
+            pose=_pose(data.oMf[self._frame]),
+            twist_world=jacobian @ v,
+            velocity=v.copy(),
+            sensor_pose=_pose(data.oMf[self._sensor]),
+        )
 
     def load_torque(self, load: ToolConfig) -> Vector:
         """Return what a load adds to g(q) where `compute` was called last, shape (n,) [N m]."""
         weight = load.mass * self._model.gravity.linear
         lever = self._data.oMf[self._sensor].rotation @ np.array(load.com_sensor)
         jacobian = pin.getFrameJacobian(
-            self._model, self._data, self._sensor, pin.LOCAL_WORLD_ALIGNED)
+            self._model, self._data, self._sensor, pin.LOCAL_WORLD_ALIGNED
+        )
         torque: Vector = -jacobian.T @ np.concatenate([weight, np.cross(lever, weight)])
         return torque
 
@@ -181,18 +216,24 @@ class RobotModel:
         for axis in np.eye(3):
             model.gravity.linear = axis
             columns.append(
-                pin.computeGeneralizedGravity(model, data, q) - self.load_torque(load))
+                pin.computeGeneralizedGravity(model, data, q) - self.load_torque(load)
+            )
         model.gravity.linear = known
         return np.array(columns).T
 
     def carry(self, load: ToolConfig, in_urdf: ToolConfig) -> None:
         """Let the model carry a point mass on the sensor in place of one that its URDF has."""
-        parameters = self._body.toDynamicParameters()  # linear in mass, first and second moments
+        parameters = (
+            self._body.toDynamicParameters()
+        )  # linear in mass, first and second moments
         for sign, each in ((1.0, load), (-1.0, in_urdf)):
             body = pin.Inertia(each.mass, np.array(each.com_sensor), np.zeros((3, 3)))
             parameters += sign * self._mount.placement.act(body).toDynamicParameters()
         self._model.inertias[self._mount.parentJoint] = (
-            self._body if load == in_urdf else pin.Inertia.FromDynamicParameters(parameters))
+            self._body
+            if load == in_urdf
+            else pin.Inertia.FromDynamicParameters(parameters)
+        )
 
     def link_poses(self, q: Vector, links: Sequence[str]) -> list[Pose]:
         """Return where links are at positions, shape (n,) [rad]; ConfigError for others."""
@@ -202,7 +243,8 @@ class RobotModel:
 
 
 def load_model(
-    urdf: Path | str, locked_joints: Mapping[str, float] | None = None,
+    urdf: Path | str,
+    locked_joints: Mapping[str, float] | None = None,
     warnings: list[str] | None = None,
 ) -> pin.Model:
     """
@@ -232,21 +274,30 @@ def load_model(
     source = str(urdf) if isinstance(urdf, Path) else 'text'
     locked = dict(locked_joints or {})
     try:
-        text = urdf.read_bytes() if isinstance(urdf, Path) else urdf  # which has its encoding
+        text = (
+            urdf.read_bytes() if isinstance(urdf, Path) else urdf
+        )  # which has its encoding
         root = _read_root(text, source)
         _remove_shapes(root)
         _refuse_followers(root, locked)
         axes, endless = _complete(root)
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding='unicode'))
     except OSError as error:
-        raise ConfigError('robot.urdf', 'a readable URDF file',
-                          f'{source} ({error.strerror})') from None
+        raise ConfigError(
+            'robot.urdf', 'a readable URDF file', f'{source} ({error.strerror})'
+        ) from None
     except (ValueError, RuntimeError) as error:
-        reason = str(error).strip().splitlines()[-1] if str(error).strip() else 'not a URDF'
-        raise ConfigError('robot.urdf', 'a valid URDF', f'{source} ({reason})') from None
+        reason = (
+            str(error).strip().splitlines()[-1] if str(error).strip() else 'not a URDF'
+        )
+        raise ConfigError(
+            'robot.urdf', 'a valid URDF', f'{source} ({reason})'
+        ) from None
     names = list(model.names)[1:]
     if unknown := [name for name in locked if name not in names]:
-        raise ConfigError('robot.locked_joints', f'joints among {", ".join(names)}', unknown)
+        raise ConfigError(
+            'robot.locked_joints', f'joints among {", ".join(names)}', unknown
+        )
     if locked:
         model = _locked(model, locked)
     if model.nq != model.nv:
@@ -254,7 +305,9 @@ def load_model(
     for name in endless - set(locked):
         at = model.joints[model.getJointId(name)].idx_q
         model.lowerPositionLimit[at], model.upperPositionLimit[at] = -np.inf, np.inf
-    (warnings if warnings is not None else []).extend(model_check.judge(_findings(model, axes)))
+    (warnings if warnings is not None else []).extend(
+        model_check.judge(_findings(model, axes))
+    )
     return model
 
 
@@ -303,7 +356,8 @@ def followers(root: ElementTree.Element) -> dict[str, Follower]:
                 numbers[key] = float(text)
             except ValueError:
                 raise ConfigError(
-                    f'robot.urdf.{name}.mimic.{key}', 'a number', f"'{text}'") from None
+                    f'robot.urdf.{name}.mimic.{key}', 'a number', f"'{text}'"
+                ) from None
         found[name] = Follower(leader=mimic.get('joint', ''), **numbers)
     return found
 
@@ -313,10 +367,14 @@ def _refuse_followers(root: ElementTree.Element, locked: Mapping[str, float]) ->
     errors = []
     for name, follower in followers(root).items():
         if name not in locked:
-            errors.append(ConfigError(
-                f'robot.urdf.{name}.mimic', 'joints with a motor of their own',
-                f'{name} follows {follower.leader}, no motor of its own',
-                hint='list it in robot.locked_joints if it is no part of the arm'))
+            errors.append(
+                ConfigError(
+                    f'robot.urdf.{name}.mimic',
+                    'joints with a motor of their own',
+                    f'{name} follows {follower.leader}, no motor of its own',
+                    hint='list it in robot.locked_joints if it is no part of the arm',
+                )
+            )
     if errors:
         raise ConfigError.of(errors)
 
@@ -332,9 +390,14 @@ def _complete(root: ElementTree.Element) -> tuple[dict[str, Vector], set[str]]:
     for joint in root.findall('joint'):
         for mimic in joint.findall('mimic'):
             joint.remove(mimic)
-        name, axis, limit = joint.get('name', ''), joint.find('axis'), joint.find('limit')
+        name, axis, limit = (
+            joint.get('name', ''),
+            joint.find('axis'),
+            joint.find('limit'),
+        )
         axes[name] = np.array(
-            ('1 0 0' if axis is None else axis.get('xyz', '1 0 0')).split(), dtype=float)
+            ('1 0 0' if axis is None else axis.get('xyz', '1 0 0')).split(), dtype=float
+        )
         if limit is None:
             limit = ElementTree.SubElement(joint, 'limit')
         for missing in {'effort', 'velocity'} - set(limit.keys()):
@@ -353,47 +416,84 @@ def _locked(model: pin.Model, locked: Mapping[str, float]) -> pin.Model:
         joint = model.joints[model.getJointId(name)]
         if joint.nq != 1:
             raise ConfigError(
-                'robot.locked_joints', 'joints with one coordinate each', f"'{name}'")
+                'robot.locked_joints', 'joints with one coordinate each', f"'{name}'"
+            )
         posture[joint.idx_q] = position
     # Pinocchio looks joints up among all frames, where a link may have the same name.
     for frame in model.frames:
-        frame.name = f' {frame.name}' if frame.type == pin.FrameType.BODY else frame.name
-    reduced = pin.buildReducedModel(model, [model.getJointId(name) for name in locked], posture)
+        frame.name = (
+            f' {frame.name}' if frame.type == pin.FrameType.BODY else frame.name
+        )
+    reduced = pin.buildReducedModel(
+        model, [model.getJointId(name) for name in locked], posture
+    )
     for frame in reduced.frames:
         frame.name = frame.name.strip()
     return reduced
 
 
-def _findings(model: pin.Model, axes: Mapping[str, Vector]) -> Iterator[model_check.Finding]:
+def _findings(
+    model: pin.Model, axes: Mapping[str, Vector]
+) -> Iterator[model_check.Finding]:
     """Yield what is wrong with the joints of an arm and with what they carry."""
-    offsets = [float(np.linalg.norm(each.translation)) for each in model.jointPlacements]
+    offsets = [
+        float(np.linalg.norm(each.translation)) for each in model.jointPlacements
+    ]
     for joint, body in enumerate(model.inertias[1:], start=1):
         name = model.names[joint]
-        yield from model_check.check_joint(name, axes[name], *(limit[joint - 1] for limit in (
-            model.lowerPositionLimit, model.upperPositionLimit)))
+        yield from model_check.check_joint(
+            name,
+            axes[name],
+            *(
+                limit[joint - 1]
+                for limit in (model.lowerPositionLimit, model.upperPositionLimit)
+            ),
+        )
         frames = [frame for frame in model.frames if frame.parentJoint == joint]
-        fixed = [frame for frame in frames if frame.inertia.mass]  # to the link of the joint
+        fixed = [
+            frame for frame in frames if frame.inertia.mass
+        ]  # to the link of the joint
         parts = [frame.inertia.mass for frame in fixed]
-        after = [offsets[i] for i, parent in enumerate(model.parents) if parent == joint]
+        after = [
+            offsets[i] for i, parent in enumerate(model.parents) if parent == joint
+        ]
         if body.mass or min(after, default=1.0) > CROSS:
-            length = max(offsets[joint], *(after or offsets), *(
-                float(np.linalg.norm(frame.placement.translation)) for frame in frames))
+            length = max(
+                offsets[joint],
+                *(after or offsets),
+                *(
+                    float(np.linalg.norm(frame.placement.translation))
+                    for frame in frames
+                ),
+            )
             yield from model_check.check_body(
-                '+'.join(frame.name for frame in (frames[1], *fixed)), length, body.mass,
-                min(body.mass - sum(parts), *parts, 0.0), body.lever, body.inertia)
+                '+'.join(frame.name for frame in (frames[1], *fixed)),
+                length,
+                body.mass,
+                min(body.mass - sum(parts), *parts, 0.0),
+                body.lever,
+                body.inertia,
+            )
 
 
 def check_torques(
-    model: pin.Model, limit: Vector, adds_gravity: bool = False,
+    model: pin.Model,
+    limit: Vector,
+    adds_gravity: bool = False,
 ) -> tuple[str, ...]:
     """Return what is suspicious of torque limits [N m]; ConfigError if the arm cannot be held."""
     data, gravity = model.createData(), largest_gravity(model)
-    inertia = np.min([np.diag(pin.crba(model, data, q)) for q in _postures(model)], axis=0)
+    inertia = np.min(
+        [np.diag(pin.crba(model, data, q)) for q in _postures(model)], axis=0
+    )
     heaviest = max(range(model.njoints), key=lambda joint: model.inertias[joint].mass)
     heavy = f'{model.inertias[heaviest].mass:.4g} kg on {model.names[heaviest]}'
     figures = zip(list(model.names)[1:], (not adds_gravity) * gravity, inertia, limit)
     return model_check.judge(
-        finding for each in figures for finding in model_check.check_torque(*each, heavy))
+        finding
+        for each in figures
+        for finding in model_check.check_torque(*each, heavy)
+    )
 
 
 def largest_gravity(model: pin.Model) -> Vector:

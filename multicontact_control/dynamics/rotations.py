@@ -44,13 +44,18 @@ def rotation_vector(rotation_des: Matrix, rotation: Matrix) -> Triple:
 
     The result is in [rad], the orientations are of shape (3, 3).
     """
-    error = (rotated(rotation, rotation_des[0]), rotated(rotation, rotation_des[1]),
-             rotated(rotation, rotation_des[2]))
+    error = (
+        rotated(rotation, rotation_des[0]),
+        rotated(rotation, rotation_des[1]),
+        rotated(rotation, rotation_des[2]),
+    )
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = error
     vector = (0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy))  # its skew part
     cosine = 0.5 * (xx + yy + zz - 1.0)
     sine = length(vector)
-    if cosine < -0.99:  # near half a turn the skew part vanishes and no longer names the axis
+    if (
+        cosine < -0.99
+    ):  # near half a turn the skew part vanishes and no longer names the axis
         x, y, z, w = quaternion_of(error)
         sine = length((x, y, z))
         angle = 2.0 * np.arctan2(sine, abs(w))
@@ -78,10 +83,14 @@ class Pose(NamedTuple):
     def way_to(self, goal: Pose) -> Vector:
         """Return displacement and rotation vector to another pose, world axes, (6,) [m, rad]."""
         turn = Rotation.from_matrix(goal.rotation_world @ self.rotation_world.T)
-        return np.concatenate([goal.position_world - self.position_world, turn.as_rotvec()])
+        return np.concatenate(
+            [goal.position_world - self.position_world, turn.as_rotvec()]
+        )
 
     @classmethod
     def from_quaternion(cls, position_world: Vector, quaternion_xyzw: Vector) -> Pose:
         """Build a pose from a position [m] and a quaternion, scalar last, of any length > 0."""
-        return cls(np.asarray(position_world, dtype=float),
-                   Rotation.from_quat(quaternion_xyzw).as_matrix())
+        return cls(
+            np.asarray(position_world, dtype=float),
+            Rotation.from_quat(quaternion_xyzw).as_matrix(),
+        )

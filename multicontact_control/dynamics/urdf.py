@@ -44,10 +44,15 @@ def _parse(text: str | bytes) -> ElementTree.Element:
     try:
         decoded = content.decode(SUPERSETS.get(name.lower(), name))
     except LookupError:
-        raise ConfigError('urdf', 'an encoding that is known, e.g. UTF-8', name) from None
+        raise ConfigError(
+            'urdf', 'an encoding that is known, e.g. UTF-8', name
+        ) from None
     except UnicodeDecodeError as error:
-        raise ConfigError('urdf', f'text in {name}, as its first line says',
-                          f'something else at byte {error.start}') from None
+        raise ConfigError(
+            'urdf',
+            f'text in {name}, as its first line says',
+            f'something else at byte {error.start}',
+        ) from None
     return ElementTree.fromstring(decoded)
 
 
@@ -59,8 +64,11 @@ def _refuse_ignored_turns(root: ElementTree.Element) -> None:
     for element in (*root.findall('link'), *root.findall('joint')):
         if any('quat_xyzw' in origin.attrib for origin in element.iter('origin')):
             raise ConfigError(
-                f'urdf.{element.get("name")}.origin', 'rpy, in version 1.0', 'quat_xyzw',
-                hint='version="1.1" in the element `robot` makes it count')
+                f'urdf.{element.get("name")}.origin',
+                'rpy, in version 1.0',
+                'quat_xyzw',
+                hint='version="1.1" in the element `robot` makes it count',
+            )
 
 
 def ends_of(joint: ElementTree.Element) -> tuple[str, str]:
@@ -79,13 +87,21 @@ def check_tree(root: ElementTree.Element) -> None:
         parent, child = ends_of(joint)
         for end, link in (('parent', parent), ('child', child)):
             if link not in links:
-                raise ConfigError(f'urdf.{name}.{end}', 'a link of the URDF', f"'{link}'")
+                raise ConfigError(
+                    f'urdf.{name}.{end}', 'a link of the URDF', f"'{link}'"
+                )
         carriers[child].append(name)
     for link, joints in carriers.items():
         if len(joints) > 1:
-            raise ConfigError('urdf', 'one parent of each link',
-                              f'{link}, which is the child of {" and ".join(joints)}')
+            raise ConfigError(
+                'urdf',
+                'one parent of each link',
+                f'{link}, which is the child of {" and ".join(joints)}',
+            )
     bases = [link for link in links if link not in carriers]
     if len(bases) != 1:
-        raise ConfigError('urdf', 'one link that no joint carries, the base',
-                          ', '.join(bases) or 'none')
+        raise ConfigError(
+            'urdf',
+            'one link that no joint carries, the base',
+            ', '.join(bases) or 'none',
+        )

@@ -22,31 +22,51 @@ from numpy.typing import NDArray
 import zstandard
 
 WIDTH = 200  # characters of the topics that a line names
-METADATA = 'metadata.yaml'  # of rosbag2: which files a recording has, and how many messages
+METADATA = (
+    'metadata.yaml'  # of rosbag2: which files a recording has, and how many messages
+)
 JOINT_STATE, WRENCH, POSE = (
-    'sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped',
-    'geometry_msgs/msg/PoseStamped')
+    'sensor_msgs/msg/JointState',
+    'geometry_msgs/msg/WrenchStamped',
+    'geometry_msgs/msg/PoseStamped',
+)
 MARKERS = 'visualization_msgs/msg/MarkerArray'
 STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'
 # The numbers of a message of a type by field and name.
 READERS: dict[str, Callable[[Any], dict[tuple[str, str], float]]] = {
     JOINT_STATE: lambda message: {
-        (field, name): number for field in ('position', 'velocity', 'effort')
-        for name, number in zip(message.name, getattr(message, field))},
+        (field, name): number
+        for field in ('position', 'velocity', 'effort')
+        for name, number in zip(message.name, getattr(message, field))
+    },
     WRENCH: lambda message: {
         ('wrench', f'{part}.{axis}'): getattr(getattr(message.wrench, part), axis)
-        for part in ('force', 'torque') for axis in 'xyz'},
+        for part in ('force', 'torque')
+        for axis in 'xyz'
+    },
     POSE: lambda message: {
-        (field, axis): getattr(part, axis) for field, part, axes in (
+        (field, axis): getattr(part, axis)
+        for field, part, axes in (
             ('point', message.pose.position, 'xyz'),
-            ('quaternion', message.pose.orientation, 'xyzw')) for axis in axes},
+            ('quaternion', message.pose.orientation, 'xyzw'),
+        )
+        for axis in axes
+    },
     MARKERS: lambda message: {
         (axis, marker.ns.rpartition('/')[2]): getattr(marker.pose.position, axis)
-        for axis in 'xyz' for marker in message.markers},
+        for axis in 'xyz'
+        for marker in message.markers
+    },
     # Of the controller: the forces that it obeys, e.g. `table 10, board 5`, and no stamp.
     STATUS: lambda message: {
-        ('effort', name): float(force) for value in message.values if value.key == 'forces'
-        for each in value.value.split(', ') if each for name, force in [each.rsplit(' ', 1)]}}
+        ('effort', name): float(force)
+        for value in message.values
+        if value.key == 'forces'
+        for each in value.value.split(', ')
+        if each
+        for name, force in [each.rsplit(' ', 1)]
+    },
+}
 
 
 class BagColumns:
@@ -57,15 +77,25 @@ class BagColumns:
         self._stamps, self._published = array('q'), array('Q')
         # Rows and numbers of the messages with the same fields and names: several nodes may share
         # a topic. A number takes 8 bytes.
-        self._parts: dict[tuple[tuple[str, str], ...], tuple[array[int], array[float]]] = {}
+        self._parts: dict[
+            tuple[tuple[str, str], ...], tuple[array[int], array[float]]
+        ] = {}
 
     def take(self, message: Any, published: int) -> None:
         """Add a message that was sent at a time [ns since the epoch], or nothing if it fails."""
         first = message.markers[0] if self._type == MARKERS else message
         content = READERS[self._type](message)
         numbers = array('d', content.values())
-        stamps = array('q', [published if self._type == STATUS else (
-            first.header.stamp.sec * 1_000_000_000 + first.header.stamp.nanosec)])
+        stamps = array(
+            'q',
+            [
+                published
+                if self._type == STATUS
+                else (
+                    first.header.stamp.sec * 1_000_000_000 + first.header.stamp.nanosec
+                )
+            ],
+        )
         rows, kept = self._parts.setdefault(tuple(content), (array('q'), array('d')))
         rows.append(len(self))
         kept.extend(numbers)
@@ -89,7 +119,9 @@ class BagColumns:
     @property
     def names(self) -> tuple[str, ...]:
         """Names in the first message that has any."""
-        return tuple(dict.fromkeys(name for _, name in next(filter(None, self._parts), ())))
+        return tuple(
+            dict.fromkeys(name for _, name in next(filter(None, self._parts), ()))
+        )
 
     def values(self, field: str, names: Sequence[str] = ()) -> Matrix:
         """
@@ -97,7 +129,9 @@ class BagColumns:
 
         `names` are the order of the columns, by default that of the first message.
         """
-        names = names or [name for label, name in next(iter(self._parts)) if label == field]
+        names = names or [
+            name for label, name in next(iter(self._parts)) if label == field
+        ]
         result = np.full((len(self), len(names)), np.nan)
         for labels, (rows, numbers) in self._parts.items():
             block = np.asarray(numbers).reshape(len(rows), len(labels))
@@ -140,21 +174,29 @@ def read_metadata(folder: Path) -> Listed | None:
         return None
     try:
         content = read_yaml(path)['rosbag2_bagfile_information']
-        return Listed(tuple(content['relative_file_paths']), int(content['message_count']))
+        return Listed(
+            tuple(content['relative_file_paths']), int(content['message_count'])
+        )
     except (KeyError, TypeError, ValueError):
-        raise ConfigError(str(path), 'relative_file_paths and message_count of rosbag2') from None
+        raise ConfigError(
+            str(path), 'relative_file_paths and message_count of rosbag2'
+        ) from None
 
 
 def mcap_files(path: Path) -> list[Path]:
     """Return the MCAP files of a recording, or that file, also those compressed as a whole."""
     files = [path] if path.is_file() else sorted(path.glob('*.mcap*'))
     # rosbag2 counts bag_0, bag_1, ..., bag_10.
-    return sorted((file for file in files if re.search(r'\.mcap(\.zstd?)?$', file.name)),
-                  key=lambda file: [int(part) for part in re.findall(r'\d+', file.name)])
+    return sorted(
+        (file for file in files if re.search(r'\.mcap(\.zstd?)?$', file.name)),
+        key=lambda file: [int(part) for part in re.findall(r'\d+', file.name)],
+    )
 
 
 def read_messages(
-    path: Path, types: Mapping[str, str], namespace: str | None = None,
+    path: Path,
+    types: Mapping[str, str],
+    namespace: str | None = None,
 ) -> BagMessages:
     """
     Read the messages of some topics of an MCAP file or a folder, as far as the files go.
@@ -183,12 +225,16 @@ def read_messages(
             continue
         kind, key = types[place[2]], (place[1] or '', place[2])
         if schema is None or schema.name != kind:
-            unreadable[name] = f'expected {kind}, got {schema.name if schema else "no type"}'
+            unreadable[name] = (
+                f'expected {kind}, got {schema.name if schema else "no type"}'
+            )
             continue
         taken = columns.get(key) or BagColumns(kind)
         try:
             taken.take(decode(), message.publish_time or message.log_time)
-        except Exception as error:  # whatever a message of another program makes of its decoder
+        except (
+            Exception
+        ) as error:  # whatever a message of another program makes of its decoder
             unreadable[name] = f'cannot be read: {error}'
         else:
             columns[key] = taken
@@ -196,14 +242,28 @@ def read_messages(
     lost, begin_lost, end_lost = _compare_with_metadata(path, count, last_cut_off)
     return BagMessages(
         {topic: taken for (space, topic), taken in columns.items() if space == chosen},
-        tuple(sorted(name for name in names if not (
-            (place := suffix.fullmatch(name)) and (place[1] or '', place[2]) in columns))),
-        cut_off, tuple(f'{name}: {why}' for name, why in unreadable.items()),
-        lost, begin_lost, end_lost)
+        tuple(
+            sorted(
+                name
+                for name in names
+                if not (
+                    (place := suffix.fullmatch(name))
+                    and (place[1] or '', place[2]) in columns
+                )
+            )
+        ),
+        cut_off,
+        tuple(f'{name}: {why}' for name, why in unreadable.items()),
+        lost,
+        begin_lost,
+        end_lost,
+    )
 
 
 def _compare_with_metadata(
-    path: Path, count: int, last_cut_off: bool,
+    path: Path,
+    count: int,
+    last_cut_off: bool,
 ) -> tuple[tuple[str, ...], bool, bool]:
     """
     Return what a recording of `count` messages lacks, in words, and whether its begin or its end.
@@ -233,7 +293,9 @@ def _records(path: Path) -> Iterator[tuple[Any, Any, Any, Callable[[], Any]] | N
     files = mcap_files(path)
     if not files:
         hint = '`ros2 bag convert` makes MCAP of a database' * any(path.glob('*.db3*'))
-        raise ConfigError(str(path), 'a run, an .mcap file or a folder with one', hint=hint)
+        raise ConfigError(
+            str(path), 'a run, an .mcap file or a folder with one', hint=hint
+        )
     for file in files:
         try:
             stream: Any = file.open('rb')
@@ -241,10 +303,19 @@ def _records(path: Path) -> Iterator[tuple[Any, Any, Any, Callable[[], Any]] | N
             raise RunError(f'{file}: {error.strerror}') from None
         with stream:
             # mcap's seeking reader would hold all messages before it hands out the first.
-            reader = NonSeekingReader(stream if file.suffix == '.mcap' else BufferedReader(
-                zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)))
+            reader = NonSeekingReader(
+                stream
+                if file.suffix == '.mcap'
+                else BufferedReader(
+                    zstandard.ZstdDecompressor().stream_reader(
+                        stream, read_across_frames=True
+                    )
+                )
+            )
             messages = reader.iter_messages(log_time_order=False)
-            factory = DecoderFactory()  # each file of a recording numbers its types anew
+            factory = (
+                DecoderFactory()
+            )  # each file of a recording numbers its types anew
             while True:
                 try:
                     record = next(messages, None)
@@ -262,7 +333,9 @@ def _decoded(factory: DecoderFactory, schema: Any, channel: Any, record: Any) ->
     if decode is None:
         raise ValueError(f'{channel.message_encoding} with {schema.encoding}')
     data = record.data
-    return decode(zstandard.decompress(data) if data[:4] == zstandard.FRAME_HEADER else data)
+    return decode(
+        zstandard.decompress(data) if data[:4] == zstandard.FRAME_HEADER else data
+    )
 
 
 def _namespace(path: Path, spaces: Sequence[str], namespace: str | None) -> str:
@@ -271,6 +344,8 @@ def _namespace(path: Path, spaces: Sequence[str], namespace: str | None) -> str:
     known = {space for space in spaces if spaces.count(space) > 1} or set(spaces)
     if namespace is None and len(known) > 1:
         names = ', '.join(f"'{space}'" for space in sorted(known))
-        raise RunError(f'{path}: expected the topics of one graph, got the namespaces {names}; '
-                       '--namespace chooses one')
+        raise RunError(
+            f'{path}: expected the topics of one graph, got the namespaces {names}; '
+            '--namespace chooses one'
+        )
     return known.pop() if namespace is None and known else (namespace or '').strip('/')

@@ -8,10 +8,22 @@ from dataclasses import dataclass
 
 from multicontact_control.arrays import Vector
 from multicontact_control.control.controller import ControlOutput
-from multicontact_control.errors import ContactGeometryError, RunError, SingularTaskError
-from multicontact_control.experiment.recording import empty_run_data, OF_STIFFNESS, RunData
+from multicontact_control.errors import (
+    ContactGeometryError,
+    RunError,
+    SingularTaskError,
+)
+from multicontact_control.experiment.recording import (
+    empty_run_data,
+    OF_STIFFNESS,
+    RunData,
+)
 from multicontact_control.experiment.scenario import Setup
-from multicontact_control.force.noise import Innovation, make_noise_estimator, NoiseEstimator
+from multicontact_control.force.noise import (
+    Innovation,
+    make_noise_estimator,
+    NoiseEstimator,
+)
 from multicontact_control.loop import ControlLoop
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import (
@@ -45,29 +57,45 @@ class ClosedLoop:
     """
 
     def __init__(
-        self, setup: Setup, *, supervised: bool = True, commanded: bool = False,
+        self,
+        setup: Setup,
+        *,
+        supervised: bool = True,
+        commanded: bool = False,
     ) -> None:
         self.setup = setup
         config = setup.controller
         self.control = ControlLoop(
-            config, None if commanded else setup.reference(), CommandLimits(), setup.urdf_dir,
-            supervised=supervised)
+            config,
+            None if commanded else setup.reference(),
+            CommandLimits(),
+            setup.urdf_dir,
+            supervised=supervised,
+        )
         self._estimator = make_noise_estimator(setup.noise_estimator)
         self.plant = Plant(setup.plant, rate=config.rate, seed=setup.seed)
-        self._delay = ActuatorDelay(setup.plant.actuator_delay_ticks, self.plant.initial_torque)
+        self._delay = ActuatorDelay(
+            setup.plant.actuator_delay_ticks, self.plant.initial_torque
+        )
         # The sample that is answered next, or has been and not acted on.
         self.tick = 0
         self.sample: Sample = self.plant.reset()
         # The newest R, shape (r,) [N^2], and torque, shape (n,) [N m].
-        self.variance: Vector = np.full(len(config.columns), config.initial_noise_variance)
+        self.variance: Vector = np.full(
+            len(config.columns), config.initial_noise_variance
+        )
         self.command: Vector = self.plant.initial_torque
-        self.history: deque[TickInputs] = deque(maxlen=HISTORY)  # of `inputs`, newest last
+        self.history: deque[TickInputs] = deque(
+            maxlen=HISTORY
+        )  # of `inputs`, newest last
 
     @property
     def status(self) -> SupervisorStatus:
         """Return the supervisor's status of the newest answer; RunError if there is none."""
         if self.control.status is None:
-            raise RunError('closed loop: expected a supervisor that has answered, got none')
+            raise RunError(
+                'closed loop: expected a supervisor that has answered, got none'
+            )
         return self.control.status
 
     def inputs(self) -> TickInputs:
@@ -75,9 +103,11 @@ class ClosedLoop:
         h, k, sample = self.setup.controller.period, self.tick, self.sample
         wrench = getattr(sample, self.setup.controller.wrench_series)
         return TickInputs(
-            time=k * h, joints=JointInput(k * h, sample.q, sample.qd, effort=sample.effort),
+            time=k * h,
+            joints=JointInput(k * h, sample.q, sample.qd, effort=sample.effort),
             wrench=WrenchInput(k * h, wrench),
-            variance=VarianceInput((k - 1) * h, self.variance) if k else None)
+            variance=VarianceInput((k - 1) * h, self.variance) if k else None,
+        )
 
     def answer(self, corrupt: Corruption | None = None) -> ControlOutput:
         """
@@ -92,7 +122,9 @@ class ClosedLoop:
         self.command = self.control.step(inputs if corrupt is None else corrupt(inputs))
         output = self.control.output
         if output is None:
-            raise RunError('closed loop: expected a controller at work, got its safe behaviour')
+            raise RunError(
+                'closed loop: expected a controller at work, got its safe behaviour'
+            )
         self.variance = estimate_variance(self._estimator, output)
         return output
 
@@ -116,9 +148,14 @@ class ClosedLoop:
 def estimate_variance(estimator: NoiseEstimator, output: ControlOutput) -> Vector:
     """Return what an estimator makes of an answer: the R of the next tick, shape (r,) [N^2]."""
     answer = output.answer
-    return estimator.update(output.contacts['alpha_meas'], Innovation(
-        answer['innovation'], answer['prior_variance'], answer['variance_used'])
-        if estimator.uses_innovation else None)
+    return estimator.update(
+        output.contacts['alpha_meas'],
+        Innovation(
+            answer['innovation'], answer['prior_variance'], answer['variance_used']
+        )
+        if estimator.uses_innovation
+        else None,
+    )
 
 
 @dataclass(frozen=True)
@@ -127,12 +164,17 @@ class LoopResult:
 
     data: RunData
     ended_early: str = ''  # why, if it did
-    events: tuple[tuple[float, str], ...] = ()  # of the supervisor: time [s] and what changed
+    events: tuple[
+        tuple[float, str], ...
+    ] = ()  # of the supervisor: time [s] and what changed
 
 
 def run_in_process(
-    setup: Setup, on_progress: Callable[[float, Vector], None] | None = None, *,
-    supervised: bool = False, disturb: Callable[[ClosedLoop], None] | None = None,
+    setup: Setup,
+    on_progress: Callable[[float, Vector], None] | None = None,
+    *,
+    supervised: bool = False,
+    disturb: Callable[[ClosedLoop], None] | None = None,
 ) -> LoopResult:
     """
     Run a scenario as fast as it goes, up to where the arm can no longer be controlled.
@@ -149,12 +191,19 @@ def run_in_process(
                 disturb(loop)
             try:
                 output = loop.answer()
-            except (SingularTaskError, ContactGeometryError, np.linalg.LinAlgError) as error:
+            except (
+                SingularTaskError,
+                ContactGeometryError,
+                np.linalg.LinAlgError,
+            ) as error:
                 ended_early, done = f'tick {k}: {error}', k
                 break
             _record(data, loop, output)
             if not np.isfinite(output.torque).all():
-                ended_early, done = f'tick {k}: the commanded torque is not finite', k + 1
+                ended_early, done = (
+                    f'tick {k}: the commanded torque is not finite',
+                    k + 1,
+                )
                 break
             if k + 1 < setup.ticks:
                 loop.act()
@@ -162,7 +211,9 @@ def run_in_process(
                 on_progress(data.time[k], output.contacts['alpha_meas'])
     finally:
         loop.close()
-    return LoopResult(data.part(0, done), ended_early, tuple(loop.control.events.events))
+    return LoopResult(
+        data.part(0, done), ended_early, tuple(loop.control.events.events)
+    )
 
 
 def _record(data: RunData, loop: ClosedLoop, output: ControlOutput) -> None:

@@ -23,8 +23,10 @@ from multicontact_control.compiled import cache_folder, HERE
 import numpy as np
 from rich.console import Console
 
-NO_FOLDER = ('warning: no folder can be written for compiled kernels, so every process compiles '
-             'its own (a minute each): set NUMBA_CACHE_DIR to one that can')
+NO_FOLDER = (
+    'warning: no folder can be written for compiled kernels, so every process compiles '
+    'its own (a minute each): set NUMBA_CACHE_DIR to one that can'
+)
 LOCK_FILE = 'compiling.lock'
 TICKS = 3
 BESIDE = f'from {__name__} import compile_beside; compile_beside()'
@@ -44,20 +46,31 @@ def ensure_compiled() -> int:
     if folder is None:
         console.print(NO_FOLDER, style='yellow')
         return 0
-    with (folder / LOCK_FILE).open('w') as lock:  # the system frees it when this process ends
-        console.print('compiling the numerical kernels, once (half a minute on two cores), into '
-                      f'{folder}')
+    with (folder / LOCK_FILE).open(
+        'w'
+    ) as lock:  # the system frees it when this process ends
+        console.print(
+            'compiling the numerical kernels, once (half a minute on two cores), into '
+            f'{folder}'
+        )
         fcntl.flock(lock, fcntl.LOCK_EX)
         if _marker(folder).is_file():
             return 0
         places = [str(HERE.parent), os.environ.get('PYTHONPATH', '')]
-        with Popen([sys.executable, '-c', BESIDE], stdout=DEVNULL, stderr=PIPE, text=True,
-                   env={**os.environ, 'PYTHONPATH': os.pathsep.join(places)}) as beside:
+        with Popen(
+            [sys.executable, '-c', BESIDE],
+            stdout=DEVNULL,
+            stderr=PIPE,
+            text=True,
+            env={**os.environ, 'PYTHONPATH': os.pathsep.join(places)},
+        ) as beside:
             _compile_law()
             _, errors = beside.communicate()
         if beside.returncode:
-            console.print(f'warning: the second compiler failed, one goes on:\n{errors}',
-                          style='yellow')
+            console.print(
+                f'warning: the second compiler failed, one goes on:\n{errors}',
+                style='yellow',
+            )
         _call_all()
         _marker(folder).touch()
     alike = folder.parent.glob(f'{folder.name.rpartition("-")[0]}-*')
@@ -68,8 +81,13 @@ def ensure_compiled() -> int:
 
 def _marker(folder: Path) -> Path:
     """Return the file that says that all is compiled, for these libraries and this processor."""
-    parts = [version('numba'), version('llvmlite'), sys.version, llvm.get_host_cpu_name(),
-             llvm.get_host_cpu_features().flatten()]
+    parts = [
+        version('numba'),
+        version('llvmlite'),
+        sys.version,
+        llvm.get_host_cpu_name(),
+        llvm.get_host_cpu_features().flatten(),
+    ]
     return folder / f'complete-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}'
 
 
@@ -131,18 +149,35 @@ def _call_all() -> None:
 
     quick = resolve('quick')
     for estimator in ESTIMATORS:
-        make_noise_estimator(quick.noise_estimator.model_copy(update={'estimator': estimator}))
-    configs = [resolve('quick', preset=name).controller for name in ('adaptive', 'laws/dob')]
+        make_noise_estimator(
+            quick.noise_estimator.model_copy(update={'estimator': estimator})
+        )
+    configs = [
+        resolve('quick', preset=name).controller for name in ('adaptive', 'laws/dob')
+    ]
     laws = [make_force_laws(config) for config in (configs[0], *configs)]
     laws[0]['observer']['running'] = True
     for new, old in zip(laws[1:], laws):
         continue_laws(new, old)
     find_stiffness(
-        laws[1][0]['stiffness'], 0.0, 0.0, 0.0, 0.0, np.zeros(1, dtype=FIT_SPACE)[0])
+        laws[1][0]['stiffness'], 0.0, 0.0, 0.0, 0.0, np.zeros(1, dtype=FIT_SPACE)[0]
+    )
     friction_of_others(np.zeros(1, dtype=FRAME)[0], np.zeros(2, dtype=CONTACT), 0)
     for plant, friction, supervised in (
-            ('flexible', 0.25, True), ('flexible', 0.25, False), ('rigid', 0.0, False),
-            ('rigid', 0.25, False)):
-        setup = resolve('quick', plant=plant, plant_overrides={'joint_friction_scale': friction})
-        run_in_process(replace(setup, scenario=setup.scenario.model_copy(
-            update={'duration': TICKS * setup.controller.period})), supervised=supervised)
+        ('flexible', 0.25, True),
+        ('flexible', 0.25, False),
+        ('rigid', 0.0, False),
+        ('rigid', 0.25, False),
+    ):
+        setup = resolve(
+            'quick', plant=plant, plant_overrides={'joint_friction_scale': friction}
+        )
+        run_in_process(
+            replace(
+                setup,
+                scenario=setup.scenario.model_copy(
+                    update={'duration': TICKS * setup.controller.period}
+                ),
+            ),
+            supervised=supervised,
+        )

@@ -36,8 +36,12 @@ LEAST_SAMPLES = 50
 APART = 0.1  # s, between the samples of two steps
 SIGNALS = ('way', 'rate', 'friction', 'force')  # z, v, w and alpha of a `STIFFNESS_FIT`
 # Of the unknowns: the largest values, with 0 as the least.
-LARGEST = {'stiffness_n_m': math.inf, 'damping_n_s_m': math.inf, 'tool_mass_kg': math.inf,
-           'friction': stiffness.LARGEST_FRICTION}
+LARGEST = {
+    'stiffness_n_m': math.inf,
+    'damping_n_s_m': math.inf,
+    'tool_mass_kg': math.inf,
+    'friction': stiffness.LARGEST_FRICTION,
+}
 # Of the variance found from n changes, relative to its square, times n: 5.44 for the median of
 # independent ones; of white noise neighbouring changes have a value in common.
 SCATTER = 6.6
@@ -45,9 +49,11 @@ SCATTER = 6.6
 TEXTS = {
     'stiffness_n_m': ('stiffness', 'N/m', 1.0, 0),
     'damping_n_s_m': ('damping', 'N s/m', 1.0, 1),
-    'friction': ('friction of the others', '', 1.0, 3), 'tool_mass_kg': ('tool', 'kg', 1.0, 3),
+    'friction': ('friction of the others', '', 1.0, 3),
+    'tool_mass_kg': ('tool', 'kg', 1.0, 3),
     'noise_variance_n2': ('noise variance at rest', 'N^2', 1.0, 5),
-    'delay_s': ('delay', 'ms', 1e3, 2)}
+    'delay_s': ('delay', 'ms', 1e3, 2),
+}
 
 
 class ContactSignals(NamedTuple):
@@ -73,22 +79,34 @@ def identify_contacts(data: RunData, setup: Setup) -> dict[str, dict[str, Any]]:
     """
     config = setup.controller
     if not config.robot.urdf:
-        raise ConfigError('--controller', 'the parameter file of the controller, for a recording '
-                          'that is no folder of `multicontact run` or `simulate`', 'none')
+        raise ConfigError(
+            '--controller',
+            'the parameter file of the controller, for a recording '
+            'that is no folder of `multicontact run` or `simulate`',
+            'none',
+        )
     if config.wrench_input == 'momentum':
-        raise ConfigError('wrench_input', 'raw or filtered: the forces of a wrist sensor',
-                          config.wrench_input)
+        raise ConfigError(
+            'wrench_input',
+            'raw or filtered: the forces of a wrist sensor',
+            config.wrench_input,
+        )
     signals = contact_signals(data, config, setup.urdf_dir)
-    contacts = {name: _identify(signal, config.period) for name, signal in signals.items()}
+    contacts = {
+        name: _identify(signal, config.period) for name, signal in signals.items()
+    }
     if all(contact['stiffness_n_m'] is None for contact in contacts.values()):
         raise RunError(
             'identify: expected joint states, wrenches and commanded torques of one stamp during '
-            'force steps on contacts that are felt, got none')
+            'force steps on contacts that are felt, got none'
+        )
     return contacts
 
 
 def contact_signals(
-    data: RunData, config: ControllerConfig, base_dir: Path,
+    data: RunData,
+    config: ControllerConfig,
+    base_dir: Path,
 ) -> dict[str, ContactSignals]:
     """Return the signals of every contact's normal force."""
     names = config.column_names
@@ -98,14 +116,25 @@ def contact_signals(
     signals = np.full((len(ContactSignals._fields), len(names), data.ticks), np.nan)
     signals[1] = np.nan_to_num(data.alpha_des.T)
     for k in range(data.ticks):
-        if not np.isfinite([*data.q[k], *data.qd[k], *wrench[k], *data.torque[k]]).all():
+        if not np.isfinite(
+            [*data.q[k], *data.qd[k], *wrench[k], *data.torque[k]]
+        ).all():
             continue
         controller.take(data.q[k], data.qd[k], wrench[k])
-        twist, levers = frame['twist'], contacts['config']['point'] @ frame['rotation'].T
-        signals[0, :, k], signals[2, :, k] = contacts['alpha_meas'], contacts['N'] @ twist
-        signals[3, :, k] = np.linalg.norm(twist[:3] + np.cross(twist[3:], levers), axis=1)
+        twist, levers = (
+            frame['twist'],
+            contacts['config']['point'] @ frame['rotation'].T,
+        )
+        signals[0, :, k], signals[2, :, k] = (
+            contacts['alpha_meas'],
+            contacts['N'] @ twist,
+        )
+        signals[3, :, k] = np.linalg.norm(
+            twist[:3] + np.cross(twist[3:], levers), axis=1
+        )
         signals[4, :, k] = [
-            stiffness.friction_of_others(frame, contacts, i) for i in range(len(names))]
+            stiffness.friction_of_others(frame, contacts, i) for i in range(len(names))
+        ]
         signals[5:, :, k] = _reactions(controller, data.torque[k])
     return {names[i]: ContactSignals(*signals[:, i]) for i in config.leaders}
 
@@ -123,15 +152,20 @@ def _reactions(controller: Controller, torque: Vector) -> Matrix:
 
 def _identify(signal: ContactSignals, h: float) -> dict[str, Any]:
     filtered, accepted = _band_passed(signal, h)
-    return {'samples': int(accepted.sum()), **_fit(filtered, accepted, h),
-            'noise_variance_n2': noise_at_rest(signal), 'delay_s': _delay(signal, accepted, h)}
+    return {
+        'samples': int(accepted.sum()),
+        **_fit(filtered, accepted, h),
+        'noise_variance_n2': noise_at_rest(signal),
+        'delay_s': _delay(signal, accepted, h),
+    }
 
 
 def _fit(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
     """Return the unknowns with their errors, and what share they explain; None if too little."""
     z, v, w, y, a = filtered[accepted].T
     columns = np.column_stack(
-        [z, v, a] + ([w] if np.abs(w).max(initial=0.0) > stiffness.STEP else []))
+        [z, v, a] + ([w] if np.abs(w).max(initial=0.0) > stiffness.STEP else [])
+    )
     count = columns.shape[1]
     scale = np.linalg.norm(columns, axis=0)
     if len(y) < LEAST_SAMPLES or np.linalg.matrix_rank(columns / scale, 1e-6) < count:
@@ -139,21 +173,34 @@ def _fit(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
 
     def solve(kept: Any) -> Vector:
         largest = np.array(list(LARGEST.values()))[:count] * scale
-        return np.asarray(lsq_linear(columns[kept] / scale, y[kept], (0.0, largest)).x / scale)
+        return np.asarray(
+            lsq_linear(columns[kept] / scale, y[kept], (0.0, largest)).x / scale
+        )
 
     values = solve(slice(None))
     left = y - columns @ values
-    scatter = stiffness.CORRELATION * float(left @ left) / max(len(y) - count, 1) * np.diag(
-        np.linalg.inv((columns / scale).T @ (columns / scale))) / scale ** 2
+    scatter = (
+        stiffness.CORRELATION
+        * float(left @ left)
+        / max(len(y) - count, 1)
+        * np.diag(np.linalg.inv((columns / scale).T @ (columns / scale)))
+        / scale**2
+    )
     ends = np.flatnonzero(np.diff(np.flatnonzero(accepted)) > APART / h) + 1
     steps = np.split(np.arange(len(y)), ends)
-    without = [solve(np.delete(np.arange(len(y)), step)) for step in steps if len(steps) > 1]
+    without = [
+        solve(np.delete(np.arange(len(y)), step)) for step in steps if len(steps) > 1
+    ]
     of_model = (len(steps) - 1) * np.var(without, axis=0) if without else math.inf
     estimates: dict[str, Any] = {
         name: {'value': float(value), 'std': float(error)}
-        for name, value, error in zip(LARGEST, values, np.sqrt(scatter + of_model))}
-    return dict.fromkeys(LARGEST) | estimates | {
-        'explained': 1.0 - float(left @ left) / float(y @ y)}
+        for name, value, error in zip(LARGEST, values, np.sqrt(scatter + of_model))
+    }
+    return (
+        dict.fromkeys(LARGEST)
+        | estimates
+        | {'explained': 1.0 - float(left @ left) / float(y @ y)}
+    )
 
 
 def _band_passed(signal: ContactSignals, h: float) -> tuple[Matrix, Mask]:
@@ -195,7 +242,9 @@ def _delay(signal: ContactSignals, accepted: Mask, h: float) -> dict[str, float]
     times = np.flatnonzero(accepted[1:-1]) + 1
     if len(times) < LEAST_SAMPLES:
         return None
-    measured = (signal.speed[times + 1] - signal.speed[times]) / h + signal.resisted[times]
+    measured = (signal.speed[times + 1] - signal.speed[times]) / h + signal.resisted[
+        times
+    ]
     times, measured = times[np.isfinite(measured)], measured[np.isfinite(measured)]
     known = np.flatnonzero(np.isfinite(signal.commanded))
 
@@ -204,29 +253,49 @@ def _delay(signal: ContactSignals, accepted: Mask, h: float) -> dict[str, float]
         return float(linregress(shifted, measured).rvalue ** 2)
 
     delays = np.arange(0.0, LONGEST_DELAY, DELAY_STEP)
-    left = len(times) * measured.var() * (1.0 - np.array([explained(delay) for delay in delays]))
+    left = (
+        len(times)
+        * measured.var()
+        * (1.0 - np.array([explained(delay) for delay in delays]))
+    )
     best = int(np.argmin(left))
     if not 0 < best < len(delays) - 1:
         return None
     near = slice(max(best - 5, 0), best + 6)
     curvature = np.polyfit(delays[near] - delays[best], left[near], 2)[0]
     variance = stiffness.CORRELATION * left[best] / len(times)
-    return {'value': float(delays[best]),
-            'std': math.sqrt(variance / curvature) if curvature > 0.0 else math.inf}
+    return {
+        'value': float(delays[best]),
+        'std': math.sqrt(variance / curvature) if curvature > 0.0 else math.inf,
+    }
 
 
 def show(contacts: Mapping[str, Mapping[str, Any]]) -> str:
     """Return what was identified as lines of text."""
     lines = []
     for name, contact in contacts.items():
-        share = '' if contact['explained'] is None else (
-            f', {100.0 * contact["explained"]:.1f} % explained')
+        share = (
+            ''
+            if contact['explained'] is None
+            else (f', {100.0 * contact["explained"]:.1f} % explained')
+        )
         lines.append(f'{name}: {counted(contact["samples"], "samples")}{share}')
         for key, (text, unit, scale, digits) in TEXTS.items():
             value = contact[key]
-            lines.append(f'  {text}: not known from this recording' if value is None else (
-                f'  {text}: {scale * value["value"]:.{digits}f} +- '
-                f'{scale * value["std"]:.{digits}f} {unit}').rstrip().replace(
-                    '+- inf', '+- unknown (one step only)'))
-    return '\n'.join([*lines, 'stiffness and damping are those of surface and arm in series, as '
-                      'the force loop feels them'])
+            lines.append(
+                f'  {text}: not known from this recording'
+                if value is None
+                else (
+                    f'  {text}: {scale * value["value"]:.{digits}f} +- '
+                    f'{scale * value["std"]:.{digits}f} {unit}'
+                )
+                .rstrip()
+                .replace('+- inf', '+- unknown (one step only)')
+            )
+    return '\n'.join(
+        [
+            *lines,
+            'stiffness and damping are those of surface and arm in series, as '
+            'the force loop feels them',
+        ]
+    )

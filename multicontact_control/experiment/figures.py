@@ -58,20 +58,67 @@ def run_figures(data: RunData, setup: Setup) -> list[RunFigure]:
     run = RunMetrics(data, setup)
     stiffness = np.where(data.stiffness_est > 0.0, data.stiffness_est, np.nan)
     drawn = [
-        *(_force(data, i, truth) for i, truth in enumerate(run.truth)), _motion(data, run),
-        RunFigure('fig6_noise_variance', 'Noise variance R found on-line', [Panel('R [N²]', [
-            Trace(_variance_label(run, i), data.noise_variance[:, i], COLOURS[i % len(COLOURS)])
-            for i in range(len(data.contact_names))], logarithmic=True)]),
-        RunFigure('stiffness', 'Stiffness found on-line', [Panel(f'{name} [N/m]', (
-            Trace('model in use', data.stiffness[:, i], COMMANDED, dashed=True),
-            Trace('estimated', stiffness[:, i], ESTIMATED),
-            Trace('with 2 standard errors', stiffness[:, i] + 2.0 * data.stiffness_std[:, i],
-                  TRUE, faint=True)), logarithmic=True)
-            for i, name in enumerate(data.contact_names)])]
+        *(_force(data, i, truth) for i, truth in enumerate(run.truth)),
+        _motion(data, run),
+        RunFigure(
+            'fig6_noise_variance',
+            'Noise variance R found on-line',
+            [
+                Panel(
+                    'R [N²]',
+                    [
+                        Trace(
+                            _variance_label(run, i),
+                            data.noise_variance[:, i],
+                            COLOURS[i % len(COLOURS)],
+                        )
+                        for i in range(len(data.contact_names))
+                    ],
+                    logarithmic=True,
+                )
+            ],
+        ),
+        RunFigure(
+            'stiffness',
+            'Stiffness found on-line',
+            [
+                Panel(
+                    f'{name} [N/m]',
+                    (
+                        Trace(
+                            'model in use', data.stiffness[:, i], COMMANDED, dashed=True
+                        ),
+                        Trace('estimated', stiffness[:, i], ESTIMATED),
+                        Trace(
+                            'with 2 standard errors',
+                            stiffness[:, i] + 2.0 * data.stiffness_std[:, i],
+                            TRUE,
+                            faint=True,
+                        ),
+                    ),
+                    logarithmic=True,
+                )
+                for i, name in enumerate(data.contact_names)
+            ],
+        ),
+    ]
     # What was not recorded is not drawn.
-    figures = [each._replace(panels=[panel._replace(traces=known) for panel in each.panels if (
-        known := [trace for trace in panel.traces if np.isfinite(trace.values).any()])])
-        for each in drawn]
+    figures = [
+        each._replace(
+            panels=[
+                panel._replace(traces=known)
+                for panel in each.panels
+                if (
+                    known := [
+                        trace
+                        for trace in panel.traces
+                        if np.isfinite(trace.values).any()
+                    ]
+                )
+            ]
+        )
+        for each in drawn
+    ]
     return [each for each in figures if each.panels]
 
 
@@ -81,20 +128,35 @@ def _force(data: RunData, i: int, truth: bool) -> RunFigure:
     commanded = Trace('commanded', data.alpha_des[:, i], COMMANDED, dashed=True)
     label = 'force [N]' if truth else f'force [N], {NO_TRUTH}'
     return RunFigure(
-        re.sub(r'[^\w.-]', '_', f'fig{number}_force_{name}'), f'Contact force: {name}', (
-            Panel(label, (Trace('measured', data.alpha_meas[:, i]), commanded),
-                  least=LEAST_FORCE),
-            Panel(label, (Trace('true', data.alpha_true[:, i], TRUE, faint=True),
-                          Trace('estimated', data.alpha_est[:, i], ESTIMATED), commanded),
-                  least=LEAST_FORCE)))
+        re.sub(r'[^\w.-]', '_', f'fig{number}_force_{name}'),
+        f'Contact force: {name}',
+        (
+            Panel(
+                label,
+                (Trace('measured', data.alpha_meas[:, i]), commanded),
+                least=LEAST_FORCE,
+            ),
+            Panel(
+                label,
+                (
+                    Trace('true', data.alpha_true[:, i], TRUE, faint=True),
+                    Trace('estimated', data.alpha_est[:, i], ESTIMATED),
+                    commanded,
+                ),
+                least=LEAST_FORCE,
+            ),
+        ),
+    )
 
 
 def _variance_label(run: RunMetrics, i: int) -> str:
     """Return whose R a curve is, its medians, and the greatest from the motion's start on."""
     name, summary = run.data.contact_names[i], run.contact_summary(i)
-    medians = [f'{median:.3g} {words}' for window, words in (
-        ('rest', 'at rest'), ('moving', 'moving'))
-        if (median := summary[window]['noise_variance_median_n2']) is not None]
+    medians = [
+        f'{median:.3g} {words}'
+        for window, words in (('rest', 'at rest'), ('moving', 'moving'))
+        if (median := summary[window]['noise_variance_median_n2']) is not None
+    ]
     label = f'{name}: median {", ".join(medians)}' if medians else name
     started = run.data.noise_variance[_in_motion(run), i]
     if np.isfinite(started).any():
@@ -115,23 +177,43 @@ def _motion(data: RunData, run: RunMetrics) -> RunFigure:
     known = under_load[np.isfinite(under_load).all(axis=1)]
     axis = int(np.argmax(np.ptp(known, axis=0))) if len(known) else 0
     travelled, desired = 1e3 * data.position[:, axis], 1e3 * data.position_des[:, axis]
-    return RunFigure('fig5_motion', f'Position of the wrist along {"xyz"[axis]}', (
-        Panel(f'{"xyz"[axis]} [mm]', (
-            Trace('commanded', desired, COMMANDED, broad=True),
-            Trace('measured', travelled, ESTIMATED)), least=LEAST_MOTION),
-        Panel('error [mm]', (Trace('error', travelled - desired, TRUE),), least=LEAST_ERROR)))
+    return RunFigure(
+        'fig5_motion',
+        f'Position of the wrist along {"xyz"[axis]}',
+        (
+            Panel(
+                f'{"xyz"[axis]} [mm]',
+                (
+                    Trace('commanded', desired, COMMANDED, broad=True),
+                    Trace('measured', travelled, ESTIMATED),
+                ),
+                least=LEAST_MOTION,
+            ),
+            Panel(
+                'error [mm]',
+                (Trace('error', travelled - desired, TRUE),),
+                least=LEAST_ERROR,
+            ),
+        ),
+    )
 
 
 def interactive_figures(data: RunData, setup: Setup, number: int) -> str:
     """Return the figures of a run as HTML; `number` is that of the run on the page."""
     shaded = _judged(data, setup)
     return '\n'.join(
-        figure(f'run{number}-{drawn.file}', drawn.title, drawn.panels, data.time, shaded)
-        for drawn in run_figures(data, setup))
+        figure(
+            f'run{number}-{drawn.file}', drawn.title, drawn.panels, data.time, shaded
+        )
+        for drawn in run_figures(data, setup)
+    )
 
 
 def draw_figures(
-    data: RunData, setup: Setup, summary: Mapping[str, Any], folder: Path,
+    data: RunData,
+    setup: Setup,
+    summary: Mapping[str, Any],
+    folder: Path,
     formats: Sequence[str] = FORMATS,
 ) -> list[Path]:
     """Draw the figures of a run into a folder in some formats, titled with a bad verdict."""
@@ -145,8 +227,14 @@ def draw_figures(
         count = len(drawn.panels)
         sheet = Figure(figsize=(9.0, 6.0 if count > 1 else 4.5), layout='constrained')
         sheet.suptitle(f'{drawn.title}\n{title}', fontsize=10)
-        all_axes = np.atleast_1d(sheet.subplots(
-            count, 1, sharex=True, sharey=len({panel.label for panel in drawn.panels}) == 1))
+        all_axes = np.atleast_1d(
+            sheet.subplots(
+                count,
+                1,
+                sharex=True,
+                sharey=len({panel.label for panel in drawn.panels}) == 1,
+            )
+        )
         for panel, axes in zip(drawn.panels, all_axes):
             _draw_panel(axes, panel, data.time, shaded)
         all_axes[-1].set_xlabel('time [s]')
@@ -157,7 +245,9 @@ def draw_figures(
 
 
 def draw_side_by_side(
-    runs: Sequence[tuple[str, RunData, Setup]], folder: Path, formats: Sequence[str] = FORMATS,
+    runs: Sequence[tuple[str, RunData, Setup]],
+    folder: Path,
+    formats: Sequence[str] = FORMATS,
 ) -> list[Path]:
     """Draw the forces of named runs: all of a run, and its last step at rest."""
     count = max(len(data.contact_names) for _, data, _ in runs)
@@ -168,14 +258,34 @@ def draw_side_by_side(
         run, indices = RunMetrics(data, setup), range(len(data.contact_names))
         for i, axes in zip(indices, column):
             measured = _force(data, i, True).panels[0]
-            _draw_panel(axes, measured._replace(label=f'{data.contact_names[i]} [N]'), data.time)
-        last = max((step.time_s for i in indices for step in run.step_responses(i)), default=0.0)
+            _draw_panel(
+                axes, measured._replace(label=f'{data.contact_names[i]} [N]'), data.time
+            )
+        last = max(
+            (step.time_s for i in indices for step in run.step_responses(i)),
+            default=0.0,
+        )
         shown = run.between(last - STEP_SHOWN[0], last + STEP_SHOWN[1])
-        _draw_panel(column[count], Panel('force [N]', [
-            *(Trace(data.contact_names[i], run.force[shown, i], COLOURS[i % len(COLOURS)])
-              for i in indices),
-            Trace('commanded', data.alpha_des[shown, 0], COMMANDED, dashed=True)]),
-            1e3 * (data.time[shown] - last))
+        _draw_panel(
+            column[count],
+            Panel(
+                'force [N]',
+                [
+                    *(
+                        Trace(
+                            data.contact_names[i],
+                            run.force[shown, i],
+                            COLOURS[i % len(COLOURS)],
+                        )
+                        for i in indices
+                    ),
+                    Trace(
+                        'commanded', data.alpha_des[shown, 0], COMMANDED, dashed=True
+                    ),
+                ],
+            ),
+            1e3 * (data.time[shown] - last),
+        )
         column[count].set_xlabel('time after the last step at rest [ms]')
         column[count - 1].set_xlabel('time [s]')
     paths = [folder / f'side_by_side.{ending}' for ending in formats]
@@ -193,30 +303,52 @@ def _judged(data: RunData, setup: Setup) -> list[Span]:
     run = RunMetrics(data, setup)
     start = _in_motion(run) & ~run.windows.moving
     closing = np.ones(round(PAUSE * data.rate), dtype=bool)
-    return [(name, float(data.time[begin]), float(data.time[end - 1]))
-            for name, mask in (('rest', run.windows.rest), ('start', start),
-                               ('moving', run.windows.moving))
-            for begin, end in stretches(binary_closing(mask, closing) | mask)]
+    return [
+        (name, float(data.time[begin]), float(data.time[end - 1]))
+        for name, mask in (
+            ('rest', run.windows.rest),
+            ('start', start),
+            ('moving', run.windows.moving),
+        )
+        for begin, end in stretches(binary_closing(mask, closing) | mask)
+    ]
 
 
 def _draw_panel(
-    axes: Axes, panel: Panel, time: Vector, shaded: Sequence[Span] = (),
+    axes: Axes,
+    panel: Panel,
+    time: Vector,
+    shaded: Sequence[Span] = (),
 ) -> None:
     for name, start, end in shaded:
         axes.axvspan(start, end, color=WINDOWS[name], zorder=0)
         share = (end - start) / (time[-1] - time[0])
         if share > LEAST_LABELLED:
-            axes.annotate(name, (start, 1.0), xycoords=('data', 'axes fraction'), fontsize=7,
-                          va='top', color='#555555', xytext=(2, -2), textcoords='offset points',
-                          rotation=0.0 if share > LEAST_LEVEL else 90.0)
+            axes.annotate(
+                name,
+                (start, 1.0),
+                xycoords=('data', 'axes fraction'),
+                fontsize=7,
+                va='top',
+                color='#555555',
+                xytext=(2, -2),
+                textcoords='offset points',
+                rotation=0.0 if share > LEAST_LEVEL else 90.0,
+            )
     for trace in panel.traces:
         style: dict[str, Any] = {'linewidth': 0.7}
         if trace.faint:
             style |= {'alpha': 0.6, 'zorder': 1.5}
         if trace.broad:
             style = {'linewidth': 4.0, 'alpha': 0.3, 'zorder': 1.5}
-        axes.plot(time, trace.values, color=trace.colour, label=trace.label,
-                  linestyle='--' if trace.dashed else '-', **style)
+        axes.plot(
+            time,
+            trace.values,
+            color=trace.colour,
+            label=trace.label,
+            linestyle='--' if trace.dashed else '-',
+            **style,
+        )
     axes.set(ylabel=panel.label, yscale='log' if panel.logarithmic else 'linear')
     low, high = axes.get_ylim()
     more = max(panel.least - (high - low), 0.0) / 2.0
@@ -224,5 +356,11 @@ def _draw_panel(
     axes.grid(alpha=0.3)
     if len(panel.traces) > 1:  # above, where it covers nothing
         room = LEGEND_WIDTH // max(len(trace.label) for trace in panel.traces)
-        axes.legend(loc='lower right', bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1,
-                    ncols=max(1, min(room, len(panel.traces))), frameon=False, fontsize=8)
+        axes.legend(
+            loc='lower right',
+            bbox_to_anchor=(1.0, 1.0),
+            borderaxespad=0.1,
+            ncols=max(1, min(room, len(panel.traces))),
+            frameon=False,
+            fontsize=8,
+        )

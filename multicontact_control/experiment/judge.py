@@ -8,7 +8,11 @@ import math
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Mask
-from multicontact_control.experiment.metrics import RunMetrics, torque_limit, truth_lacking
+from multicontact_control.experiment.metrics import (
+    RunMetrics,
+    torque_limit,
+    truth_lacking,
+)
 from multicontact_control.experiment.oscillation import stretches
 from multicontact_control.experiment.recording import (
     Missing,
@@ -23,12 +27,25 @@ from multicontact_control.supervision.report import CAPACITY
 import numpy as np
 
 STABLE, POOR, HELD, NOT_STABLE, SILENT, UNJUDGED = (
-    'stable', 'poor', 'held by the supervisor', 'not stable', 'ended: robot silent', 'not judged')
-LOOP_IS_STABLE = {STABLE: True, POOR: True, HELD: False, NOT_STABLE: False}  # None of the others
+    'stable',
+    'poor',
+    'held by the supervisor',
+    'not stable',
+    'ended: robot silent',
+    'not judged',
+)
+LOOP_IS_STABLE = {
+    STABLE: True,
+    POOR: True,
+    HELD: False,
+    NOT_STABLE: False,
+}  # None of the others
 INTERRUPTED = 'interrupted by a signal'  # no failure of the run
 BY_MEASUREMENT = 'by the measured forces'
 
-LONGEST_LOSS = 0.1  # s, of contact or to saturation: five time constants of the designed loop
+LONGEST_LOSS = (
+    0.1  # s, of contact or to saturation: five time constants of the designed loop
+)
 LARGEST_GAP = 0.1  # share of samples without an answer that still lets a run be judged
 # A force is too large beyond 5 times its command and beyond half the force ceiling, at which the
 # supervisor leaves a contact. The second, an absolute one, is for touches: they go with speed,
@@ -48,15 +65,24 @@ SHORTEST_RISE, LONGEST_RISE = 0.6, 1.4  # of the design, of every step up
 DESIGNED_OVERSHOOT = 10.0  # %
 DESIGNED_ERROR = 0.02  # of the step, in the steady state
 DESIGNED_MOTION_ERROR = 0.005  # m rms
-LARGEST_HELD_SHARE = 0.05  # of the time under load, in which reactions replace the control law
-LEAST_JUDGED = 0.5  # of the time under load, for which every force is known in a stable run
+LARGEST_HELD_SHARE = (
+    0.05  # of the time under load, in which reactions replace the control law
+)
+LEAST_JUDGED = (
+    0.5  # of the time under load, for which every force is known in a stable run
+)
 
 # Modes of a run: the simulator waits; it does not; a robot of others; a recording.
 LOCKSTEP, REAL_TIME, EXTERNAL_RUN, RECORDED = (
-    'lockstep', 'free_running', 'external', 'recorded')
+    'lockstep',
+    'free_running',
+    'external',
+    'recorded',
+)
 WHOLE = tuple(contacts.NAMES[i] for i in (contacts.IMPACT, contacts.HOLDING))
 GONE = tuple(
-    contacts.NAMES[i] for i in (contacts.LOST, contacts.RETRACTING, contacts.GIVEN_UP))
+    contacts.NAMES[i] for i in (contacts.LOST, contacts.RETRACTING, contacts.GIVEN_UP)
+)
 LIMITS = tuple(LIMIT_NAMES.values())
 
 
@@ -76,8 +102,12 @@ def read_event(time: float, what: str) -> Event:
     reaction, reasons, states, *_ = what.split(' | ')
     names = reasons.split()
     return Event(
-        time, reaction, tuple(name for name in names if name not in LIMITS),
-        tuple(name for name in names if name in LIMITS), tuple(states.split(', ')))
+        time,
+        reaction,
+        tuple(name for name in names if name not in LIMITS),
+        tuple(name for name in names if name in LIMITS),
+        tuple(states.split(', ')),
+    )
 
 
 class Finding(NamedTuple):
@@ -94,7 +124,9 @@ class Verdict(NamedTuple):
     reasons: tuple[str, ...]  # of a run that is not judged, what was seen all the same
     judged: str  # which forces, over what time
     quality: str  # how good the answers to steps and the motion are
-    unstable_at: float | None  # of limits that were passed: the first that has a time [s], if any
+    unstable_at: (
+        float | None
+    )  # of limits that were passed: the first that has a time [s], if any
     unjudged: str = ''  # why it is not judged, if it is not
 
 
@@ -103,15 +135,22 @@ def verdict_text(summary: Mapping[str, Any]) -> str:
     name: str = summary['verdict']
     reasons = '; '.join(summary['instabilities'])
     if name == UNJUDGED:
-        return f"{name}: {summary['unjudged']}" + (f'; seen: {reasons}' if reasons else '')
+        return f'{name}: {summary["unjudged"]}' + (
+            f'; seen: {reasons}' if reasons else ''
+        )
     if summary['without_truth'] and name != SILENT:
         return f'{name} {BY_MEASUREMENT}: {reasons}'
     return f'{name}: {reasons}' if reasons else name
 
 
 def judge(
-    data: RunData, setup: Setup, *, mode: str = 'in_process', ended_early: str = '',
-    events: Sequence[tuple[float, str]] = (), missing: Sequence[Missing] = (),
+    data: RunData,
+    setup: Setup,
+    *,
+    mode: str = 'in_process',
+    ended_early: str = '',
+    events: Sequence[tuple[float, str]] = (),
+    missing: Sequence[Missing] = (),
 ) -> Verdict:
     """
     Judge a run; `mode` is that of ``summary.json``.
@@ -121,12 +160,21 @@ def judge(
     recording lacks.
     """
     run = RunMetrics(data, setup, missing)
-    passed, helped = _findings(run, mode, ended_early, missing), _interventions(run, events)
-    overshoots = {contact: step.overshoot_percent for i, contact in enumerate(data.contact_names)
-                  if (step := run.largest_step(i))}
+    passed, helped = (
+        _findings(run, mode, ended_early, missing),
+        _interventions(run, events),
+    )
+    overshoots = {
+        contact: step.overshoot_percent
+        for i, contact in enumerate(data.contact_names)
+        if (step := run.largest_step(i))
+    }
     error = run.motion_summary()['moving_position_rms_m']
-    far = [f'{contact}: overshoots its largest step by {percent:.0f} %'
-           for contact, percent in overshoots.items() if percent > LARGEST_OVERSHOOT]
+    far = [
+        f'{contact}: overshoots its largest step by {percent:.0f} %'
+        for contact, percent in overshoots.items()
+        if percent > LARGEST_OVERSHOOT
+    ]
     if error is not None and error > LARGEST_MOTION_ERROR:
         far.append(f'motion error of {1e3 * error:.0f} mm rms')
     silent = mode == EXTERNAL_RUN and ended_early not in ('', INTERRUPTED)
@@ -138,7 +186,11 @@ def judge(
     return Verdict(
         UNJUDGED if unjudged else name,
         (*(finding.text for finding in passed), *helped, *far),
-        _judged(run), _quality(run, error), min(times, default=None), unjudged)
+        _judged(run),
+        _quality(run, error),
+        min(times, default=None),
+        unjudged,
+    )
 
 
 def _judged(run: RunMetrics) -> str:
@@ -147,8 +199,14 @@ def _judged(run: RunMetrics) -> str:
     for name, known, forces in zip(run.data.contact_names, run.truth, run.pressing.T):
         if (forces > 0.0).any():
             names['true' if known else 'measured'].append(name)
-    parts = [f'{run.windows.loaded.sum() / run.data.rate:.3g} s under load', *(
-        f'{kind} force of {" and ".join(some)}' for kind, some in names.items() if some)]
+    parts = [
+        f'{run.windows.loaded.sum() / run.data.rate:.3g} s under load',
+        *(
+            f'{kind} force of {" and ".join(some)}'
+            for kind, some in names.items()
+            if some
+        ),
+    ]
     return ', '.join(parts)
 
 
@@ -180,8 +238,11 @@ def _step_qualities(run: RunMetrics) -> Iterator[tuple[str, bool]]:
         yield 'a step never settled', False
     else:
         yield f'settled within {max(settling):.2f} s', True
-    errors = [(abs(step.steady_error_n), abs(step.size_n)) for step in steps
-              if step.steady_error_n is not None]
+    errors = [
+        (abs(step.steady_error_n), abs(step.size_n))
+        for step in steps
+        if step.steady_error_n is not None
+    ]
     if errors:
         is_good = all(error <= DESIGNED_ERROR * size for error, size in errors)
         yield f'steady-state error at most {max(errors)[0]:.2f} N', is_good
@@ -238,54 +299,84 @@ def _doubt(run: RunMetrics, ended_early: str, missing: Sequence[Missing]) -> str
     for i, name in enumerate(run.data.contact_names):
         felt = run.known_share(i, run.force)
         if felt < LEAST_JUDGED:
-            return (f'{name}: its force could be judged for {100.0 * felt:.0f} % of the time '
-                    'under load')
+            return (
+                f'{name}: its force could be judged for {100.0 * felt:.0f} % of the time '
+                'under load'
+            )
         lost = run.windows.loaded & (run.pressing[:, i] > 0.0) & run.unknown(i)
         if lost.any():
-            gaps = [Missing(float(run.data.time[begin]), end / run.data.rate)
-                    for begin, end in stretches(lost)]
-            return f'{name}: {name_missing(gaps, "force")}; what is there passed no limit'
+            gaps = [
+                Missing(float(run.data.time[begin]), end / run.data.rate)
+                for begin, end in stretches(lost)
+            ]
+            return (
+                f'{name}: {name_missing(gaps, "force")}; what is there passed no limit'
+            )
     unknown = truth_lacking(run.without_truth(), run.data.contact_names)
     return f'{unknown}; {BY_MEASUREMENT} no limit was passed' if unknown else ''
 
 
 def _findings(
-    run: RunMetrics, mode: str, ended_early: str, missing: Sequence[Missing],
+    run: RunMetrics,
+    mode: str,
+    ended_early: str,
+    missing: Sequence[Missing],
 ) -> list[Finding]:
     """Return the limits that a run has passed, those of couples while their contact is pressed."""
     data, setup, interrupted = run.data, run.setup, ended_early == INTERRUPTED
-    passed = [Finding(ended_early, float(data.time[-1]))] if (
-        ended_early and not interrupted) else []
+    passed = (
+        [Finding(ended_early, float(data.time[-1]))]
+        if (ended_early and not interrupted)
+        else []
+    )
     series = (data.q, data.qd, data.torque, data.alpha_true, data.alpha_meas)
     infinite = np.any([np.isinf(values).any(axis=1) for values in series], axis=0)
     if infinite.any():
         passed.append(Finding('a number is not finite', _first(data, infinite)))
     saturated = np.abs(data.torque) >= 0.999999 * run.least_torque_limit
     of_drives = saturated & (run.least_torque_limit < torque_limit(setup))
-    passed += _lasting(data, 'torque saturated' + (
-        ' at the limit of the simulated drives' if of_drives.any() else ''),
-        stretches(np.asarray(saturated.any(axis=1))))
+    passed += _lasting(
+        data,
+        'torque saturated'
+        + (' at the limit of the simulated drives' if of_drives.any() else ''),
+        stretches(np.asarray(saturated.any(axis=1))),
+    )
     # Before the load a contact may still be sought.
     awaited = run.windows.loaded.any() and not (interrupted or missing)
     for i, name in enumerate(data.contact_names):
         desired, pressed = data.alpha_des[:, i], run.pressing[:, i] > 0.0
         idle = setup.commanded_by_topic and not pressed.any()
-        made = run.couples[i] or idle or (desired > 0.0).any() or not np.isfinite(desired).any()
+        made = (
+            run.couples[i]
+            or idle
+            or (desired > 0.0).any()
+            or not np.isfinite(desired).any()
+        )
         if made:
-            passed += [Finding(f'{name}: {text}', time)
-                       for text, time in _contact_findings(run, i, run.windows.loaded & pressed)]
+            passed += [
+                Finding(f'{name}: {text}', time)
+                for text, time in _contact_findings(
+                    run, i, run.windows.loaded & pressed
+                )
+            ]
         elif awaited:
             passed.append(Finding(f'{name}: no contact was made'))
-    silent = max(float(np.isnan(values[run.recorded]).any(axis=1).mean()) for values in series)
+    silent = max(
+        float(np.isnan(values[run.recorded]).any(axis=1).mean()) for values in series
+    )
     if mode in ('in_process', LOCKSTEP, REAL_TIME) and silent > LARGEST_GAP:
-        passed.append(Finding(f'{100.0 * silent:.1f} % of the samples were not answered'))
+        passed.append(
+            Finding(f'{100.0 * silent:.1f} % of the samples were not answered')
+        )
     return passed
 
 
 def _contact_findings(run: RunMetrics, i: int, loaded: Mask) -> list[Finding]:
     data, couple = run.data, run.couples[i]
     losses = run.losses(i, loaded)
-    passed = _lasting(data, 'contact lost at one end' if couple else 'contact lost', losses)
+    passed = _lasting(
+        data, 'contact lost at one end' if couple else 'contact lost', losses
+    )
     again = _again([float(data.time[begin]) for begin, _ in losses])
     # An end is near being lost wherever the centre of pressure is asked to be: noise will do.
     if again is not None and not couple:
@@ -294,9 +385,12 @@ def _contact_findings(run: RunMetrics, i: int, loaded: Mask) -> list[Finding]:
     if oscillating:
         worst = max(oscillating, key=lambda oscillation: oscillation.rms)
         total = sum(oscillation.duration for oscillation in oscillating)
-        passed.append(Finding(
-            f'oscillates at {worst.frequency:.0f} Hz with {worst.rms:.2g} N rms for {total:.1f} s',
-            oscillating[0].known))
+        passed.append(
+            Finding(
+                f'oscillates at {worst.frequency:.0f} Hz with {worst.rms:.2g} N rms for {total:.1f} s',
+                oscillating[0].known,
+            )
+        )
     force, command = run.force[:, i], run.command[:, i]
     # A couple may be of either sign; a pull is no pressure that is too large.
     size, asked = (np.abs(force), np.abs(command)) if couple else (force, command)
@@ -304,9 +398,13 @@ def _contact_findings(run: RunMetrics, i: int, loaded: Mask) -> list[Finding]:
     beyond = size > np.maximum(LARGEST_FORCE * asked, IMPACT_SHARE * ceiling)
     if beyond.any():
         worst_at = int(np.argmax(np.where(beyond, size, 0.0)))
-        passed.append(Finding(
-            f'{"couple" if couple else "force"} of {force[worst_at]:.0f} N at a command of '
-            f'{command[worst_at]:.3g} N', _first(data, beyond)))
+        passed.append(
+            Finding(
+                f'{"couple" if couple else "force"} of {force[worst_at]:.0f} N at a command of '
+                f'{command[worst_at]:.3g} N',
+                _first(data, beyond),
+            )
+        )
     return passed
 
 
@@ -326,16 +424,20 @@ def _interventions(run: RunMetrics, log: Sequence[tuple[float, str]]) -> list[st
             names.update(begun)
     helped = []
     if len(events) == CAPACITY:
-        helped.append(f'the supervisor changed something {CAPACITY} times or more: what it did '
-                      f'before {events[0].time:.3g} s is not known')
+        helped.append(
+            f'the supervisor changed something {CAPACITY} times or more: what it did '
+            f'before {events[0].time:.3g} s is not known'
+        )
     commonest = ', '.join(f'{name} {count}' for name, count in names.most_common(3))
     if _again(times) is not None:
         helped.append(
-            f'the supervisor stepped in {len(times)} times under load ({commonest})')
+            f'the supervisor stepped in {len(times)} times under load ({commonest})'
+        )
     share = float(held[loaded].mean())
     if share > LARGEST_HELD_SHARE:
         helped.append(
-            f'the supervisor held the arm for {100.0 * share:.0f} % of the time under load')
+            f'the supervisor held the arm for {100.0 * share:.0f} % of the time under load'
+        )
     return helped
 
 
@@ -345,7 +447,9 @@ def _begun(before: Event, event: Event) -> set[str]:
     if _replaces(event) and not _replaces(before):
         begun.update(event.causes or {event.reaction})
     states = zip(before.contact_states, event.contact_states)
-    return begun | {f'contact {now}' for was, now in states if was in WHOLE and now in GONE}
+    return begun | {
+        f'contact {now}' for was, now in states if was in WHOLE and now in GONE
+    }
 
 
 def _replaces(event: Event) -> bool:
@@ -355,8 +459,14 @@ def _replaces(event: Event) -> bool:
 
 def _again(times: Sequence[float]) -> float | None:
     """Return the first of some times at which more than 5 are within 10 s, None without any."""
-    return next((late for early, late in zip(times, times[AGAIN:])
-                 if late - early <= AGAIN_TIME), None)
+    return next(
+        (
+            late
+            for early, late in zip(times, times[AGAIN:])
+            if late - early <= AGAIN_TIME
+        ),
+        None,
+    )
 
 
 def _first(data: RunData, mask: Mask) -> float:
@@ -364,11 +474,17 @@ def _first(data: RunData, mask: Mask) -> float:
     return float(data.time[np.argmax(mask)])
 
 
-def _lasting(data: RunData, what: str, when: Sequence[tuple[int, int]]) -> list[Finding]:
+def _lasting(
+    data: RunData, what: str, when: Sequence[tuple[int, int]]
+) -> list[Finding]:
     """Return what lasted for more than 0.1 s, at most, and when it first had."""
     lasting = math.floor(LONGEST_LOSS * data.rate) + 1
     long = [(begin, end) for begin, end in when if end - begin >= lasting]
     if not long:
         return []
     longest = max(end - begin for begin, end in long) / data.rate
-    return [Finding(f'{what} for {longest:.2f} s', float(data.time[long[0][0] + lasting - 1]))]
+    return [
+        Finding(
+            f'{what} for {longest:.2f} s', float(data.time[long[0][0] + lasting - 1])
+        )
+    ]

@@ -18,7 +18,10 @@ from multicontact_control.force.observer import steady_gain
 import numpy as np
 import yaml
 
-NODES = {'controller': '/**/controller_node', 'noise_estimator': '/**/noise_estimator_node'}
+NODES = {
+    'controller': '/**/controller_node',
+    'noise_estimator': '/**/noise_estimator_node',
+}
 LOWEST, POINTS = 0.1, 4000  # rad/s, of the frequency response
 LONGEST_RISE = 5.0  # s
 READ = [0, 2]  # of a law's inputs: alpha, and the speed
@@ -27,10 +30,14 @@ SPEEDS = np.geomspace(8.0, 1.0 / 64.0, 73).tolist()  # of the usual gains
 GAIN_MARGIN = 2.0  # left on the stiffest surface
 # What makes a law s times as fast as it usually is: gains that s^exponent multiplies.
 FASTER: dict[str, dict[str, Any]] = {
-    'aob': {'time_constant': -1}, 'pi': {'pi': {'bandwidth': 1}},
+    'aob': {'time_constant': -1},
+    'pi': {'pi': {'bandwidth': 1}},
     'dob': {'dob': {'bandwidth': 1, 'observer_bandwidth': 1}},
-    'lqg': {'lqg': {'input_weight': -2}}, 'admittance': {'admittance': {'bandwidth': 1}},
-    'impedance': {'impedance': {'natural_frequency': 1}}, 'feedforward': {}}
+    'lqg': {'lqg': {'input_weight': -2}},
+    'admittance': {'admittance': {'bandwidth': 1}},
+    'impedance': {'impedance': {'natural_frequency': 1}},
+    'feedforward': {},
+}
 
 
 @dataclass(frozen=True)
@@ -58,10 +65,15 @@ def contact_loop(law: LinearLaw, model: LoopModel, ratio: float = 1.0) -> Matrix
     """
     real = replace(model, stiffness=ratio * model.stiffness)
     plant, rows = real.plant, _readings(real)
-    return np.block([
-        [plant.Phi + np.outer(plant.Gamma, law.D[0, READ] @ rows),
-         np.outer(plant.Gamma, law.C[0])],
-        [law.B[:, READ] @ rows, law.A]])
+    return np.block(
+        [
+            [
+                plant.Phi + np.outer(plant.Gamma, law.D[0, READ] @ rows),
+                np.outer(plant.Gamma, law.C[0]),
+            ],
+            [law.B[:, READ] @ rows, law.A],
+        ]
+    )
 
 
 def rise_time(law: LinearLaw, model: LoopModel) -> float:
@@ -81,19 +93,28 @@ def margins_of(law: LinearLaw, model: LoopModel) -> Margins:
     import control  # takes a second
 
     plant = control.ss(
-        model.plant.Phi, model.plant.Gamma[:, None], _readings(model), np.zeros((2, 1)),
-        model.period)
-    feedback = control.ss(law.A, law.B[:, READ], law.C[:1], law.D[:1, READ], model.period)
+        model.plant.Phi,
+        model.plant.Gamma[:, None],
+        _readings(model),
+        np.zeros((2, 1)),
+        model.period,
+    )
+    feedback = control.ss(
+        law.A, law.B[:, READ], law.C[:1], law.D[:1, READ], model.period
+    )
     frequencies = np.geomspace(LOWEST, math.pi / model.period, POINTS)
     response = control.frequency_response(-1.0 * feedback * plant, frequencies)
     gain, phase, _, _, crossover, _ = control.stability_margins(response)
     phase = math.radians(float(phase)) if np.isfinite(phase) else math.inf
     crossover = float(crossover) if np.isfinite(crossover) else 0.0
-    return Margins(float(gain), phase, phase / crossover if crossover else math.inf, crossover)
+    return Margins(
+        float(gain), phase, phase / crossover if crossover else math.inf, crossover
+    )
 
 
 def stable_ratios(law: LinearLaw, model: LoopModel) -> tuple[float, float]:
     """Return from which to which true over modelled stiffness a force law is stable."""
+
     def stable(ratio: float) -> bool:
         return spectral_radius(contact_loop(law, model, ratio)) < 1.0 + 1e-9
 
@@ -103,16 +124,21 @@ def stable_ratios(law: LinearLaw, model: LoopModel) -> tuple[float, float]:
 
 def _faster(exponents: Mapping[str, Any], usual: Any, speed: float) -> dict[str, Any]:
     """Return the gains of a law that is so many times as fast, with four digits."""
-    return {name: _faster(part, getattr(usual, name), speed) if isinstance(part, Mapping)
-            else float(f'{getattr(usual, name) * speed ** part:.4g}')
-            for name, part in exponents.items()}
+    return {
+        name: _faster(part, getattr(usual, name), speed)
+        if isinstance(part, Mapping)
+        else float(f'{getattr(usual, name) * speed**part:.4g}')
+        for name, part in exponents.items()
+    }
 
 
 @dataclass(frozen=True)
 class DesignedLaw:
     """Gains, and what they lead to."""
 
-    values: dict[str, Any]  # of `force` in a controller's configuration, beside the defaults
+    values: dict[
+        str, Any
+    ]  # of `force` in a controller's configuration, beside the defaults
     stiffness: float  # of the model [N/m]
     margins: Margins  # on the stiffest surface
     stiffest_ratio: float  # up to which the loop of the stiffest surface is stable
@@ -121,8 +147,14 @@ class DesignedLaw:
 
 
 def design_for_range(
-    name: str, *, input_delay: float, softest: float, stiffest: float, noise_variance: float,
-    damping_rate: float = 100.0, period: float = 0.002,
+    name: str,
+    *,
+    input_delay: float,
+    softest: float,
+    stiffest: float,
+    noise_variance: float,
+    damping_rate: float = 100.0,
+    period: float = 0.002,
 ) -> DesignedLaw:
     """
     Return the fastest gains with a gain margin of 2 and a period's delay left on every surface.
@@ -134,13 +166,17 @@ def design_for_range(
     given = {'law': name, 'damping_rate': damping_rate}
     usual = validate(ForceConfig, given)
     if not 0.0 < softest <= stiffest:
-        raise ConfigError('stiffness', 'softest and stiffest, above 0, in this order',
-                          f'{softest:g}, {stiffest:g}')
+        raise ConfigError(
+            'stiffness',
+            'softest and stiffest, above 0, in this order',
+            f'{softest:g}, {stiffest:g}',
+        )
     if not noise_variance > 0.0:
         raise ConfigError('noise_variance', 'a positive number', noise_variance)
     model, soft, stiff = (
         LoopModel(stiffness, damping_rate, input_delay, period)
-        for stiffness in (math.sqrt(softest * stiffest), softest, stiffest))
+        for stiffness in (math.sqrt(softest * stiffest), softest, stiffest)
+    )
     for speed in SPEEDS:
         values = _faster(FASTER[name], usual, speed)
         if name == 'lqg':
@@ -153,18 +189,29 @@ def design_for_range(
             continue  # before the frequency response, which takes ten times as long
         margins = margins_of(law, stiff)
         if margins.delay >= period:
-            return DesignedLaw({**given, 'input_delay': input_delay, **values}, model.stiffness,
-                               margins, high, rise_time(law, soft), rise_time(law, stiff))
+            return DesignedLaw(
+                {**given, 'input_delay': input_delay, **values},
+                model.stiffness,
+                margins,
+                high,
+                rise_time(law, soft),
+                rise_time(law, stiff),
+            )
     raise ConfigError(
-        'stiffness', f'a range that `{name}` can be stable on with a gain margin of '
-        f'{GAIN_MARGIN:g} and a period of delay left', f'{softest:g} to {stiffest:g} N/m')
+        'stiffness',
+        f'a range that `{name}` can be stable on with a gain margin of '
+        f'{GAIN_MARGIN:g} and a period of delay left',
+        f'{softest:g} to {stiffest:g} N/m',
+    )
 
 
 def show_design(design: DesignedLaw) -> str:
     """Return gains and margins as a few lines of text."""
     margins = design.margins
-    stiffest, softest = ('never' if math.isinf(time) else f'{1e3 * time:.0f} ms'
-                         for time in (design.rise_stiffest, design.rise_softest))
+    stiffest, softest = (
+        'never' if math.isinf(time) else f'{1e3 * time:.0f} ms'
+        for time in (design.rise_stiffest, design.rise_softest)
+    )
     return f"""{yaml.safe_dump({'force': design.values}, sort_keys=False).rstrip()}
 model: {_model(design)}
 on the stiffest surface:
@@ -177,17 +224,25 @@ on the stiffest surface:
 
 def _model(design: DesignedLaw) -> str:
     """Return the stiffness that the gains go with; contacts have names, which no law knows."""
-    return (f'{design.stiffness:.0f} N/m '
-            f"(--set 'controller.contacts.*.stiffness={design.stiffness:.0f}')")
+    return (
+        f'{design.stiffness:.0f} N/m '
+        f"(--set 'controller.contacts.*.stiffness={design.stiffness:.0f}')"
+    )
 
 
 def write_design(design: DesignedLaw, path: Path) -> None:
     """Write gains as a parameter file, as `--preset` takes it."""
-    write_preset({'controller': {'force': design.values}}, path,
-                 f'designed with a model of {_model(design)}, which is not in here')
+    write_preset(
+        {'controller': {'force': design.values}},
+        path,
+        f'designed with a model of {_model(design)}, which is not in here',
+    )
 
 
 def write_preset(sections: Mapping[str, Any], path: Path, what: str) -> None:
     """Write values of controller and noise estimator as a parameter file that `--preset` takes."""
     write_parameters(
-        path, {NODES[section]: values for section, values in sections.items()}, f'# {what}\n')
+        path,
+        {NODES[section]: values for section, values in sections.items()},
+        f'# {what}\n',
+    )

@@ -26,9 +26,13 @@ NO_TRUTH = 'no ground truth'
 ALL_OF_IT = 1.0 - 1e-6  # of a normal force, that presses at one end of its contact
 # Settled: the error is within this share of the command, after a push, or of the step ...
 BAND_OF_COMMAND = 0.05
-BAND_OF_NOISE = 3.0  # ... or this many standard deviations of the error before, if that is more,
+BAND_OF_NOISE = (
+    3.0  # ... or this many standard deviations of the error before, if that is more,
+)
 BAND_HELD = 0.1  # s, for this long
-MEDIAN_TO_DEVIATION = 1.0484  # of the size of differences of normal white noise to its own
+MEDIAN_TO_DEVIATION = (
+    1.0484  # of the size of differences of normal white noise to its own
+)
 LOOK_BACK = 1.0  # s, before a push or a step, from which its noise is taken
 LASTING = 0.5  # s; a push this long is to be controlled out while it lasts
 
@@ -46,7 +50,9 @@ class StepResponse(NamedTuple):
 
     time_s: float
     size_n: float
-    rise_63_s: float | None  # from command to force beyond 63 % of the step; None: never
+    rise_63_s: (
+        float | None
+    )  # from command to force beyond 63 % of the step; None: never
     overshoot_percent: float  # of the step
     # From command until the force stays within a band around the command; None: not in its time.
     settling_s: float | None
@@ -58,14 +64,19 @@ class RunMetrics:
     """A run with what is judged of it: forces, the task's commands, windows."""
 
     def __init__(
-        self, data: RunData, setup: Setup, missing: Sequence[Missing] = (),
+        self,
+        data: RunData,
+        setup: Setup,
+        missing: Sequence[Missing] = (),
     ) -> None:
         self.data, self.setup = data, setup
         self.recorded = data.recorded()
         end = data.ticks / data.rate
         # A recording that lost its end has no say in what came of the last step.
         self.lost_from = end if any(each.end > end for each in missing) else math.inf
-        self.leaders = list(setup.controller.leader_of)  # of each column the contact's force
+        self.leaders = list(
+            setup.controller.leader_of
+        )  # of each column the contact's force
         self.couples = [leader != i for i, leader in enumerate(self.leaders)]
         motion = setup.scenario.reference.motion
         self.motion_start = motion.start_time if motion else math.inf  # s
@@ -89,12 +100,15 @@ class RunMetrics:
             return Windows(
                 rest=(data.time >= last_step + SETTLE_AFTER_STEP) & (data.time < start),
                 moving=data.time >= start + SETTLE_AFTER_START,
-                loaded=data.time >= min(steps, default=math.inf))
+                loaded=data.time >= min(steps, default=math.inf),
+            )
         command = np.nan_to_num(data.command)
         loaded = np.asarray((command > 0.0).any(axis=1))
         change = np.diff(data.position_des, axis=0, prepend=data.position_des[:1])
         moving = np.linalg.norm(change, axis=1) * data.rate > MOVING
-        changed = (np.diff(command, axis=0, prepend=np.nan) != 0.0).any(axis=1)  # at first, too
+        changed = (np.diff(command, axis=0, prepend=np.nan) != 0.0).any(
+            axis=1
+        )  # at first, too
         places = np.arange(data.ticks)
         last = np.maximum.accumulate(np.where(changed | moving, places, 0))
         calm = places - last >= SETTLE_AFTER_STEP * data.rate
@@ -116,8 +130,11 @@ class RunMetrics:
     @cached_property
     def command(self) -> Matrix:
         """Return the forces asked for by the scenario or over topics, shape (m, r) [N]."""
-        return self.data.command if self.setup.commanded_by_topic else (
-            self.setup.commanded(self.data.time))
+        return (
+            self.data.command
+            if self.setup.commanded_by_topic
+            else (self.setup.commanded(self.data.time))
+        )
 
     @cached_property
     def pressing(self) -> Matrix:
@@ -127,8 +144,13 @@ class RunMetrics:
     @cached_property
     def truth(self) -> Mask:
         """Return of which contacts the true force is known for 0.9 of the load."""
-        return np.array([self.known_share(i, self.data.alpha_true) >= LEAST_TRUTH
-                         for i in range(len(self.leaders))], dtype=bool)
+        return np.array(
+            [
+                self.known_share(i, self.data.alpha_true) >= LEAST_TRUTH
+                for i in range(len(self.leaders))
+            ],
+            dtype=bool,
+        )
 
     @cached_property
     def force(self) -> Matrix:
@@ -149,7 +171,11 @@ class RunMetrics:
 
     def without_truth(self) -> list[str]:
         """Return the contacts whose true forces are not known."""
-        return [name for name, known in zip(self.data.contact_names, self.truth) if not known]
+        return [
+            name
+            for name, known in zip(self.data.contact_names, self.truth)
+            if not known
+        ]
 
     def between(self, start: float, end: float) -> Mask:
         """Return the samples from one time to another [s]."""
@@ -166,14 +192,20 @@ class RunMetrics:
     def next_unknown(self, i: int, time: float) -> float:
         """Return from when after a time on a contact's force is not known [s], or infinity."""
         unknown = self.unknown(i) & (self.data.time > time)
-        return float(self.data.time[np.argmax(unknown)]) if unknown.any() else self.lost_from
+        return (
+            float(self.data.time[np.argmax(unknown)])
+            if unknown.any()
+            else self.lost_from
+        )
 
     def next_event(self, time: float) -> float:
         """Return when the next push, or force step or motion of the scenario, begins [s]."""
         events = list(self.setup.plant.push_start) if self.setup.simulated else []
         if not self.setup.commanded_by_topic:
-            events += [self.motion_start, *(
-                step.time for step in self.setup.scenario.reference.force_steps)]
+            events += [
+                self.motion_start,
+                *(step.time for step in self.setup.scenario.reference.force_steps),
+            ]
         return min((event for event in events if event > time + 1e-9), default=math.inf)
 
     def step_responses(self, i: int) -> list[StepResponse]:
@@ -192,19 +224,27 @@ class RunMetrics:
             if known_until < min(until, start + SETTLE_AFTER_STEP):
                 continue
             window = (time >= start - 1e-9) & (time < min(until, known_until))
-            travelled = (self.force[window, i] - before) / ((after - before) or math.nan)
+            travelled = (self.force[window, i] - before) / (
+                (after - before) or math.nan
+            )
             if not np.isfinite(travelled).any():
                 continue
             beyond = np.flatnonzero(travelled > 0.63)
-            responses.append(StepResponse(
-                start, after - before,
-                float(time[window][beyond[0]] - start) if beyond.size else None,
-                100.0 * max(float(np.nanmax(travelled)) - 1.0, 0.0),
-                self._settling(i, window, after, abs(after - before)),
-                self._steady_error(i, window, after)))
+            responses.append(
+                StepResponse(
+                    start,
+                    after - before,
+                    float(time[window][beyond[0]] - start) if beyond.size else None,
+                    100.0 * max(float(np.nanmax(travelled)) - 1.0, 0.0),
+                    self._settling(i, window, after, abs(after - before)),
+                    self._steady_error(i, window, after),
+                )
+            )
         return responses
 
-    def _settling(self, i: int, window: Mask, command: float, size: float) -> float | None:
+    def _settling(
+        self, i: int, window: Mask, command: float, size: float
+    ) -> float | None:
         """Return after what time in the window of a step [N] a force stays near its command."""
         band = BAND_OF_COMMAND * size
         if not self.truth[i]:
@@ -223,7 +263,11 @@ class RunMetrics:
     def _steady_error(self, i: int, window: Mask, command: float) -> float | None:
         """Return the mean error of a force in a step's window, when it should have settled."""
         start = float(self.data.time[window][0])
-        late = window & self.between(start + SETTLE_AFTER_STEP, math.inf) & ~self.windows.moving
+        late = (
+            window
+            & self.between(start + SETTLE_AFTER_STEP, math.inf)
+            & ~self.windows.moving
+        )
         return value_in(late, self.force[:, i] - command)
 
     def _time_until_within(self, error: Vector, band: float) -> float | None:
@@ -257,7 +301,9 @@ class RunMetrics:
 
     def largest_step(self, i: int) -> StepResponse | None:
         """Return the answer of a contact to its largest step up, None without any."""
-        return max(self.step_responses(i), key=lambda response: response.size_n, default=None)
+        return max(
+            self.step_responses(i), key=lambda response: response.size_n, default=None
+        )
 
     def _steps(self, i: int) -> list[tuple[float, float, float]]:
         """Return when what force was asked of a contact at rest [s], from what to what [N]."""
@@ -265,18 +311,28 @@ class RunMetrics:
         if self.setup.commanded_by_topic:
             asked = np.nan_to_num(data.command[:, i])
             # From the preload, where a contact was made: until then nothing counts as asked for.
-            desired = np.where(np.isnan(data.alpha_des[:, i]), asked, data.alpha_des[:, i])
+            desired = np.where(
+                np.isnan(data.alpha_des[:, i]), asked, data.alpha_des[:, i]
+            )
             changes = np.concatenate([[False], np.diff(asked) != 0.0, [False]])
             # What a desired force passes on its way is no step.
             places = np.flatnonzero(changes[1:-1] & ~changes[:-2] & ~changes[2:]) + 1
             known = self.recorded[places - 1] & self.recorded[places]
-            return [(float(data.time[k]), float(desired[k - 1]), float(asked[k]))
-                    for k in places[known] if k < 2 or desired[k - 1] == desired[k - 2]]
+            return [
+                (float(data.time[k]), float(desired[k - 1]), float(asked[k]))
+                for k in places[known]
+                if k < 2 or desired[k - 1] == desired[k - 2]
+            ]
         reference, name = self.setup.scenario.reference, data.contact_names[i]
-        steps = [(step.time, step.forces[name]) for step in reference.force_steps
-                 if name in step.forces and step.time < min(self.motion_start, data.time[-1])]
-        before = [0.0 if self.couples[i] else reference.approach.preload,
-                  *(force for _, force in steps)]
+        steps = [
+            (step.time, step.forces[name])
+            for step in reference.force_steps
+            if name in step.forces and step.time < min(self.motion_start, data.time[-1])
+        ]
+        before = [
+            0.0 if self.couples[i] else reference.approach.preload,
+            *(force for _, force in steps),
+        ]
         return [(time, was, force) for was, (time, force) in zip(before, steps)]
 
     def losses(self, i: int, judged: Mask) -> list[tuple[int, int]]:
@@ -294,13 +350,20 @@ class RunMetrics:
             # The loss of the whole contact is that of the normal force.
             gone = ~gone & (np.abs(couple) >= ALL_OF_IT * force)
         least = LOSS_TIME * self.data.rate - 1e-9
-        return [(begin, end) for begin, end in oscillation.stretches(judged & gone)
-                if end - begin >= least]
+        return [
+            (begin, end)
+            for begin, end in oscillation.stretches(judged & gone)
+            if end - begin >= least
+        ]
 
     def lost_share(self, i: int, window: Mask) -> float | None:
         """Return in what share of a window a contact's force was 0 N; None for a couple."""
         force = self.force[:, i]
-        return None if self.couples[i] else value_in(window & np.isfinite(force), force <= 0.0)
+        return (
+            None
+            if self.couples[i]
+            else value_in(window & np.isfinite(force), force <= 0.0)
+        )
 
     def oscillations(self, i: int, judged: Mask) -> list[oscillation.Oscillation]:
         """Return where the force of a contact oscillates, among the samples `judged`."""
@@ -310,7 +373,8 @@ class RunMetrics:
             between = np.zeros(self.data.ticks, dtype=bool)
             between[begin:end] = True
             found += oscillation.oscillations(
-                self.error[:, i], self.pressing[:, i], judged & between, self.data.rate)
+                self.error[:, i], self.pressing[:, i], judged & between, self.data.rate
+            )
         return found
 
     def contact_summary(self, i: int) -> dict[str, Any]:
@@ -325,27 +389,39 @@ class RunMetrics:
             'step_steady_error_n': largest.steady_error_n if largest else None,
             **self._losses_summary(i),
             'steps': [response._asdict() for response in self.step_responses(i)],
-            **{name: self._window_summary(i, window & asked)
-               for name, window in (('rest', judged.rest), ('moving', judged.moving))}}
+            **{
+                name: self._window_summary(i, window & asked)
+                for name, window in (('rest', judged.rest), ('moving', judged.moving))
+            },
+        }
 
     def _losses_summary(self, i: int) -> dict[str, int | None]:
         """Return how often the force of a contact was 0 N under load, true or measured."""
         count = None
         if not self.couples[i]:
-            count = len(self.losses(i, self.windows.loaded & (self.pressing[:, i] > 0.0)))
-        return {'true_losses': count if self.truth[i] else None,
-                'measured_losses': None if self.truth[i] else count}
+            count = len(
+                self.losses(i, self.windows.loaded & (self.pressing[:, i] > 0.0))
+            )
+        return {
+            'true_losses': count if self.truth[i] else None,
+            'measured_losses': None if self.truth[i] else count,
+        }
 
     def _window_summary(self, i: int, window: Mask) -> dict[str, float | None]:
         error, known = rms_in(window, self.error[:, i]), self.truth[i]
         return {
             'true_error_rms_n': error if known else None,
             'estimate_error_rms_n': rms_in(
-                window, self.data.alpha_est[:, i] - self.force[:, i]) if known else None,
+                window, self.data.alpha_est[:, i] - self.force[:, i]
+            )
+            if known
+            else None,
             'measured_error_rms_n': None if known else error,
             'noise_variance_median_n2': value_in(
-                window, self.data.noise_variance[:, i], np.median),
-            'contact_loss_fraction': self.lost_share(i, window)}
+                window, self.data.noise_variance[:, i], np.median
+            ),
+            'contact_loss_fraction': self.lost_share(i, window),
+        }
 
     def motion_summary(self) -> dict[str, float | None]:
         """
@@ -355,20 +431,33 @@ class RunMetrics:
         of simulated surfaces, or those of the controller.
         """
         data, judged, config = self.data, self.windows, self.setup.controller
-        if not (judged.loaded.any() and config.robot.urdf):  # a recording tells no normals
-            return dict.fromkeys((
-                'position_rms_m', 'moving_position_rms_m', 'orientation_max_rad'))
+        if not (
+            judged.loaded.any() and config.robot.urdf
+        ):  # a recording tells no normals
+            return dict.fromkeys(
+                ('position_rms_m', 'moving_position_rms_m', 'orientation_max_rad')
+            )
         plant = self.setup.plant
-        normals = np.array([each.normal_world for each in (
-            (plant.surfaces[name] for name in plant.touched) if self.setup.simulated else
-            (config.contacts[name] for name in config.contact_names))])
+        normals = np.array(
+            [
+                each.normal_world
+                for each in (
+                    (plant.surfaces[name] for name in plant.touched)
+                    if self.setup.simulated
+                    else (config.contacts[name] for name in config.contact_names)
+                )
+            ]
+        )
         free = np.eye(3) - np.linalg.pinv(normals) @ normals
         error = np.linalg.norm((data.position - data.position_des) @ free, axis=1)
         cosine = np.abs((data.quaternion * data.quaternion_des).sum(axis=1))
-        return {'position_rms_m': rms_in(judged.loaded, error),
-                'moving_position_rms_m': rms_in(judged.moving, error),
-                'orientation_max_rad': value_in(
-                    judged.loaded, 2.0 * np.arccos(np.minimum(cosine, 1.0)), np.max)}
+        return {
+            'position_rms_m': rms_in(judged.loaded, error),
+            'moving_position_rms_m': rms_in(judged.moving, error),
+            'orientation_max_rad': value_in(
+                judged.loaded, 2.0 * np.arccos(np.minimum(cosine, 1.0)), np.max
+            ),
+        }
 
     @cached_property
     def least_torque_limit(self) -> Vector:
@@ -379,8 +468,13 @@ class RunMetrics:
     def torque_summary(self) -> dict[str, float | None]:
         """Return how much of the torque limits was used, None without any."""
         fraction: Matrix = np.abs(self.data.torque) / self.least_torque_limit
-        return {'max_fraction_of_limit': value_in(
-            np.isfinite(fraction) & np.isfinite(self.least_torque_limit), fraction, np.max)}
+        return {
+            'max_fraction_of_limit': value_in(
+                np.isfinite(fraction) & np.isfinite(self.least_torque_limit),
+                fraction,
+                np.max,
+            )
+        }
 
     def recoveries(self, i: int, unstable_at: float | None) -> list[dict[str, Any]]:
         """
@@ -397,23 +491,32 @@ class RunMetrics:
         for start, duration in self.pushes:
             lasting = duration >= LASTING
             from_time = start if lasting else start + duration
-            until = min(self.next_event(start), last + 1.0 / self.data.rate,
-                        start + duration if lasting else math.inf)
+            until = min(
+                self.next_event(start),
+                last + 1.0 / self.data.rate,
+                start + duration if lasting else math.inf,
+            )
             before = self.between(start - LOOK_BACK, start)
             judged = self.between(from_time, until)
             if not (before.any() and judged.any()):
                 continue
             if self.next_unknown(i, start - LOOK_BACK) < until:
                 continue
-            band = max(BAND_OF_COMMAND * float(command[judged][0]),
-                       BAND_OF_NOISE * float(np.std(error[before])))
+            band = max(
+                BAND_OF_COMMAND * float(command[judged][0]),
+                BAND_OF_NOISE * float(np.std(error[before])),
+            )
             settled = self._time_until_within(error[judged], band)
             # The end of a run that ended before its time takes no recovery back.
             lost = unstable_at is not None and unstable_at < min(until, last)
-            answers.append({
-                'duration': duration, 'moving': start >= self.motion_start,
-                'peak': float(np.nanmax(np.abs(error[self.between(start, until)]))),
-                'recovery': None if lost else settled})
+            answers.append(
+                {
+                    'duration': duration,
+                    'moving': start >= self.motion_start,
+                    'peak': float(np.nanmax(np.abs(error[self.between(start, until)]))),
+                    'recovery': None if lost else settled,
+                }
+            )
         return answers
 
 
@@ -421,8 +524,7 @@ def truth_lacking(without: Sequence[str], names: Collection[str]) -> str:
     """Return in words that of these of all contacts no true force is known; '' if of all."""
     if names and not without:
         return ''
-    return NO_TRUTH + (
-        f' of {", ".join(without)}' if len(without) < len(names) else '')
+    return NO_TRUTH + (f' of {", ".join(without)}' if len(without) < len(names) else '')
 
 
 def designed_rise(force: ForceConfig) -> float:
@@ -446,7 +548,9 @@ def torque_limit(setup: Setup) -> Vector:
 
 
 def value_in(
-    window: Mask, values: Any, statistic: Callable[[Any], Any] = np.mean,
+    window: Mask,
+    values: Any,
+    statistic: Callable[[Any], Any] = np.mean,
 ) -> float | None:
     """Return a statistic of a series within a window, None where nothing is known of it."""
     chosen = values[window]

@@ -24,13 +24,21 @@ WINDOW = 0.5  # s; five periods of the lowest frequency
 LOWEST = 10.0  # Hz, just above the poles of the designed loop (8 Hz), which follows its command
 LINE_WIDTH = 4.0  # Hz to either side: the main lobe of a Hann window of 0.5 s
 FLANK = 6.0  # Hz below a line, beyond that lobe
-CONTRAST = 4.0  # of noise whose power falls with frequency, at most 3 in 5 x 40 runs of 30 s
+CONTRAST = (
+    4.0  # of noise whose power falls with frequency, at most 3 in 5 x 40 runs of 30 s
+)
 LINE_SHARE = 0.5  # of the power from LOWEST up
 LARGEST_LINE = 0.025  # rms, of the command: 7 % from peak to peak
-LEAST_LINE = 0.1  # N rms; twice what the wrist sensor's noise is, so that it can be known of
+LEAST_LINE = (
+    0.1  # N rms; twice what the wrist sensor's noise is, so that it can be known of
+)
 STRETCH = 7  # windows, 2 s; at twice the modelled stiffness a step has rung out in 1 s
-EXCEPTIONS = 1  # windows of a stretch in which a supervisor may have broken the limit cycle
-LONGEST_BRIDGE = 0.01  # s of missing samples that are interpolated; a tenth of the slowest period
+EXCEPTIONS = (
+    1  # windows of a stretch in which a supervisor may have broken the limit cycle
+)
+LONGEST_BRIDGE = (
+    0.01  # s of missing samples that are interpolated; a tenth of the slowest period
+)
 
 
 class Oscillation(NamedTuple):
@@ -43,7 +51,10 @@ class Oscillation(NamedTuple):
 
 
 def oscillations(
-    error: Vector, command: Vector, judged: Mask, rate: float,
+    error: Vector,
+    command: Vector,
+    judged: Mask,
+    rate: float,
 ) -> list[Oscillation]:
     """
     Return where a force oscillates; see above.
@@ -55,28 +66,46 @@ def oscillations(
     known = bridged(error, rate)
     usable = judged & np.isfinite(known) & (command > 0.0)
     first = np.flatnonzero(judged)[0] if judged.any() else 0
-    starts = [start for start in range(first, len(error) - length + 1, length // 2)
-              if usable[start:start + length].all()]
+    starts = [
+        start
+        for start in range(first, len(error) - length + 1, length // 2)
+        if usable[start : start + length].all()
+    ]
     if len(starts) < STRETCH:
         return []
     index = np.array(starts)[:, None] + np.arange(length)
     limit = np.maximum(LARGEST_LINE * command[index].max(axis=1), LEAST_LINE)
-    frequencies, density = periodogram(known[index], rate, np.hanning(length), detrend='linear')
+    frequencies, density = periodogram(
+        known[index], rate, np.hanning(length), detrend='linear'
+    )
     power = density * frequencies[1]
-    oscillates, frequency, rms = np.array([
-        _line(frequencies, power[begin:begin + STRETCH], limit[begin:begin + STRETCH])
-        for begin in range(len(starts) - STRETCH + 1)]).T
+    oscillates, frequency, rms = np.array(
+        [
+            _line(
+                frequencies,
+                power[begin : begin + STRETCH],
+                limit[begin : begin + STRETCH],
+            )
+            for begin in range(len(starts) - STRETCH + 1)
+        ]
+    ).T
     episodes = []
     for begin, end in stretches(np.convolve(oscillates, np.ones(STRETCH)) > 0.0):
         inside = begin + np.flatnonzero(oscillates[begin:end])
-        episodes.append(Oscillation(
-            (starts[begin + STRETCH - 1] + length - 1) / rate,
-            (starts[end - 1] + length - starts[begin]) / rate,
-            float(np.median(frequency[inside])), float(np.median(rms[inside]))))
+        episodes.append(
+            Oscillation(
+                (starts[begin + STRETCH - 1] + length - 1) / rate,
+                (starts[end - 1] + length - starts[begin]) / rate,
+                float(np.median(frequency[inside])),
+                float(np.median(rms[inside])),
+            )
+        )
     return episodes
 
 
-def _line(frequencies: Vector, power: Matrix, limit: Vector) -> tuple[bool, float, float]:
+def _line(
+    frequencies: Vector, power: Matrix, limit: Vector
+) -> tuple[bool, float, float]:
     """Return of the line of seven windows whether it oscillates, frequency [Hz] and rms [N]."""
     band, mean = frequencies >= LOWEST, power.mean(axis=0)
     peak = int(np.argmax(np.where(band, mean, 0.0)))
@@ -84,8 +113,11 @@ def _line(frequencies: Vector, power: Matrix, limit: Vector) -> tuple[bool, floa
     line, all_of_it = ((power * part).sum(axis=1) for part in (near, near | band))
     strong = (line >= LINE_SHARE * all_of_it) & (np.sqrt(line) >= limit)
     stands_out = mean[peak] >= CONTRAST * mean[peak - round(FLANK / frequencies[1])]
-    return (bool(stands_out and strong.sum() >= STRETCH - EXCEPTIONS), float(frequencies[peak]),
-            float(np.sqrt(line.mean())))
+    return (
+        bool(stands_out and strong.sum() >= STRETCH - EXCEPTIONS),
+        float(frequencies[peak]),
+        float(np.sqrt(line.mean())),
+    )
 
 
 def bridged(values: Vector, rate: float) -> Vector:
@@ -104,5 +136,7 @@ def bridged(values: Vector, rate: float) -> Vector:
 
 def stretches(mask: Mask) -> list[tuple[int, int]]:
     """Return the first place of every run of True, and the place after its last."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    edges = np.flatnonzero(
+        np.diff(np.concatenate([[False], mask, [False]]).astype(int))
+    )
     return list(zip(edges[::2].tolist(), edges[1::2].tolist()))

@@ -21,14 +21,23 @@ import yaml
 T = TypeVar('T')
 
 ARGUMENTS = {  # of `resolve`, by section
-    'controller': 'controller', 'noise_estimator': 'noise_estimator', 'plant': 'plant_overrides',
-    'scenario': 'scenario_overrides'}
+    'controller': 'controller',
+    'noise_estimator': 'noise_estimator',
+    'plant': 'plant_overrides',
+    'scenario': 'scenario_overrides',
+}
 EVERY = '*'
 OF_THE_RUN = {  # parameters of nodes, and what sets them in a run
-    'supervised': 'give --bare', 'lockstep': 'give --free-running', 'speed': 'give --speed',
-    'reference_file': 'give --scenario', 'ticks': 'give --duration', 'seed': 'give --seed',
+    'supervised': 'give --bare',
+    'lockstep': 'give --free-running',
+    'speed': 'give --speed',
+    'reference_file': 'give --scenario',
+    'ticks': 'give --duration',
+    'seed': 'give --seed',
     'rate': 'set controller.rate and noise_estimator.rate',
-    'startup_peers': 'a run has its own', 'timing_file': 'a run has its own'}
+    'startup_peers': 'a run has its own',
+    'timing_file': 'a run has its own',
+}
 
 
 def read_settings(settings: Sequence[str]) -> dict[str, Any]:
@@ -37,13 +46,15 @@ def read_settings(settings: Sequence[str]) -> dict[str, Any]:
     for text in settings:
         key, sign, value = text.partition('=')
         if not sign or not key.strip():
-            raise ConfigError('--set', 'KEY=VALUE, e.g. plant.surfaces.*.stiffness=60000',
-                              f"'{text}'")
+            raise ConfigError(
+                '--set', 'KEY=VALUE, e.g. plant.surfaces.*.stiffness=60000', f"'{text}'"
+            )
         try:
             values[key.strip()] = yaml.safe_load(value)
         except yaml.YAMLError:
-            raise ConfigError(f'--set {key.strip()}', 'a value as in a YAML file',
-                              f"'{value}'") from None
+            raise ConfigError(
+                f'--set {key.strip()}', 'a value as in a YAML file', f"'{value}'"
+            ) from None
     return values
 
 
@@ -51,13 +62,18 @@ def paths_of(name: str, setup: Setup, field: str) -> list[tuple[str, ...]]:
     """Return the places of a parameter, several for a ``*``; ConfigError of a `field` if none."""
     section, *inner = name.split('.')
     if section not in ARGUMENTS or not inner:
-        raise ConfigError(field, f'a dotted name that begins with {", ".join(ARGUMENTS)}',
-                          f"'{name}'")
+        raise ConfigError(
+            field, f'a dotted name that begins with {", ".join(ARGUMENTS)}', f"'{name}'"
+        )
     if _is_foreign(name, setup):
         _refuse_of_node(section, inner[0], field)
     places: list[tuple[str, ...]] = [(section,)]
     for part in inner:
-        places = [(*place, key) for place in places for key in _keys(setup, place, part, field)]
+        places = [
+            (*place, key)
+            for place in places
+            for key in _keys(setup, place, part, field)
+        ]
     return places
 
 
@@ -79,12 +95,21 @@ def _refuse_of_node(section: str, parameter: str, field: str) -> None:
 def _keys(setup: Setup, place: tuple[str, ...], part: str, field: str) -> list[str]:
     """Return the keys at a place that a part of a name stands for."""
     value = _value_at(setup, place)
-    known = list(type(value).model_fields) if isinstance(value, BaseModel) else [
-        str(key) for key in value] if isinstance(value, Mapping) else []
+    known = (
+        list(type(value).model_fields)
+        if isinstance(value, BaseModel)
+        else [str(key) for key in value]
+        if isinstance(value, Mapping)
+        else []
+    )
     if not known:
-        raise ConfigError(field, f'a parameter; {".".join(place)} has no parts here', f"'{part}'")
+        raise ConfigError(
+            field, f'a parameter; {".".join(place)} has no parts here', f"'{part}'"
+        )
     if part not in (EVERY, *known):
-        raise ConfigError(field, f'{".".join(place)} and one of {", ".join(known)}', f"'{part}'")
+        raise ConfigError(
+            field, f'{".".join(place)} and one of {", ".join(known)}', f"'{part}'"
+        )
     return known if part == EVERY else [part]
 
 
@@ -100,16 +125,26 @@ def value_of(name: str, setup: Setup) -> Any:
     values = [_value_at(setup, place) for place in paths_of(name, setup, name)]
     if any(value != values[0] for value in values):
         return None
-    return values[0] if isinstance(values[0], (bool, int, float, str, NoneType)) else json.dumps(
-        values[0], separators=(',', ':'), default=lambda model: model.model_dump(mode='json'))
+    return (
+        values[0]
+        if isinstance(values[0], (bool, int, float, str, NoneType))
+        else json.dumps(
+            values[0],
+            separators=(',', ':'),
+            default=lambda model: model.model_dump(mode='json'),
+        )
+    )
 
 
 def unit_of(name: str, setup: Setup) -> str:
     """Return the unit that a parameter was declared with, empty if there is none."""
     *place, last = paths_of(name, setup, name)[0]
     model = _value_at(setup, tuple(place))
-    extra = type(model).model_fields[last].json_schema_extra if (
-        isinstance(model, BaseModel)) else None
+    extra = (
+        type(model).model_fields[last].json_schema_extra
+        if (isinstance(model, BaseModel))
+        else None
+    )
     return str(extra.get('unit', '')) if isinstance(extra, dict) else ''
 
 
@@ -131,12 +166,16 @@ def node_configs() -> dict[str, type[Config]]:
     from multicontact_control.nodes.graph import StartupConfig
     from sim_bridge.sim_node import SimNodeConfig
 
-    return {'controller': ControllerNodeConfig, 'noise_estimator': StartupConfig,
-            'plant': SimNodeConfig}
+    return {
+        'controller': ControllerNodeConfig,
+        'noise_estimator': StartupConfig,
+        'plant': SimNodeConfig,
+    }
 
 
 def split_off_nodes(
-    values: Mapping[str, Any], setup: Setup,
+    values: Mapping[str, Any],
+    setup: Setup,
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     """
     Return the values of a setup, and, nested by section, those that only a node knows.
@@ -166,12 +205,18 @@ def _is_foreign(name: str, setup: Setup) -> bool:
     """Return whether a dotted name is in a section of a setup that does not know it."""
     section, *inner = name.split('.')
     config = getattr(setup, section, None) if section in ARGUMENTS else None
-    return isinstance(config, BaseModel) and bool(inner) and (
-        inner[0] != EVERY and inner[0] not in type(config).model_fields)
+    return (
+        isinstance(config, BaseModel)
+        and bool(inner)
+        and (inner[0] != EVERY and inner[0] not in type(config).model_fields)
+    )
 
 
 def resolve_with(
-    resolver: Callable[..., T], arguments: Mapping[str, Any], settings: Sequence[str], *,
+    resolver: Callable[..., T],
+    arguments: Mapping[str, Any],
+    settings: Sequence[str],
+    *,
     nodes: bool = False,
 ) -> T:
     """
@@ -188,8 +233,12 @@ def resolve_with(
     if nodes:
         values, of_nodes = split_off_nodes(values, setup)
     nested = overrides_of(values, setup, '--set ')
-    again: Any = resolver(**{**arguments, **{
-        ARGUMENTS[section]: laid_over for section, laid_over in nested.items()}})
+    again: Any = resolver(
+        **{
+            **arguments,
+            **{ARGUMENTS[section]: laid_over for section, laid_over in nested.items()},
+        }
+    )
     if isinstance(again, External):
         again = again._replace(setup=replace(again.setup, nodes=of_nodes))
     else:

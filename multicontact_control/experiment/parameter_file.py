@@ -16,12 +16,17 @@ class _RosDumper(yaml.SafeDumper):
 
 
 _RosDumper.add_implicit_resolver(
-    'tag:yaml.org,2002:float', re.compile(r'([-+.\d][\w.+-]*|y|n|nan|inf(inity)?)$', re.I), None)
+    'tag:yaml.org,2002:float',
+    re.compile(r'([-+.\d][\w.+-]*|y|n|nan|inf(inity)?)$', re.I),
+    None,
+)
 
 
 def write_parameters(path: Path, nodes: Mapping[str, Any], head: str = '') -> None:
     """Replace a ROS 2 parameter file by the values of nodes, by name, below comments `head`."""
-    content = {name: {'ros__parameters': _ros_values(values)} for name, values in nodes.items()}
+    content = {
+        name: {'ros__parameters': _ros_values(values)} for name, values in nodes.items()
+    }
     write_text(path, head + yaml.dump(content, Dumper=_RosDumper, sort_keys=False))
 
 

@@ -7,11 +7,18 @@ from collections.abc import Callable
 from multicontact_control.errors import RunError
 from multicontact_control.sensor.push_test import CANCELLED, DISABLED, FAILED, PASSED
 
-OVER = (PASSED, FAILED, CANCELLED, DISABLED)  # how the texts of a test begin that is over
+OVER = (
+    PASSED,
+    FAILED,
+    CANCELLED,
+    DISABLED,
+)  # how the texts of a test begin that is over
 TIMEOUT = 10.0  # s, for an answer or a command of the controller
 
 
-def push_running(tell: Callable[[str], None], namespace: str, domain_id: int | None) -> bool:
+def push_running(
+    tell: Callable[[str], None], namespace: str, domain_id: int | None
+) -> bool:
     """
     Lead through the push test of a running controller; return whether it passed; RunError.
 
@@ -21,10 +28,16 @@ def push_running(tell: Callable[[str], None], namespace: str, domain_id: int | N
     from multicontact_control.nodes.link import ControllerLink
     from std_srvs.srv import Trigger
 
-    with ControllerLink((topics.EFFORT_COMMAND,), namespace=namespace, domain_id=domain_id,
-                        timeout=TIMEOUT) as link:
+    with ControllerLink(
+        (topics.EFFORT_COMMAND,),
+        namespace=namespace,
+        domain_id=domain_id,
+        timeout=TIMEOUT,
+    ) as link:
         if (state := link.state(topics.CONTROLLER)) != 'active':
-            raise RunError(f'{topics.CONTROLLER}: expected an active controller, got {state}')
+            raise RunError(
+                f'{topics.CONTROLLER}: expected an active controller, got {state}'
+            )
         text = link.ask('push_test', Trigger, Trigger.Request())
         tell(text)
         link.look()  # of before the test

@@ -32,20 +32,33 @@ SERIES: dict[str, dict[str, str]] = {
     'contact_forces/desired': {'alpha_des': 'effort'},
     'contact_forces/innovation': {'innovation': 'effort'},
     'contact_forces/stiffness': {
-        'stiffness_est': 'position', 'stiffness_std': 'velocity', 'stiffness': 'effort'},
+        'stiffness_est': 'position',
+        'stiffness_std': 'velocity',
+        'stiffness': 'effort',
+    },
     'contact_forces/stability_margin': {'margin': 'effort'},
     'contact_forces/noise_variance': {'noise_variance': 'effort'},
     'ground_truth/contact_forces': {'alpha_true': 'effort'},
     'operational_point/pose': {'position': 'point', 'quaternion': 'quaternion'},
     'operational_point/pose_desired': {
-        'position_des': 'point', 'quaternion_des': 'quaternion'}}
+        'position_des': 'point',
+        'quaternion_des': 'quaternion',
+    },
+}
 # Published only where the stiffness is found on-line.
 OPTIONAL = ('contact_forces/stiffness', 'contact_forces/stability_margin')
 SAMPLES, MEASURED, OBEYED = (
-    'joint_states', 'contact_forces/measured', 'controller_node/status')
+    'joint_states',
+    'contact_forces/measured',
+    'controller_node/status',
+)
 TYPES = dict.fromkeys(SERIES, bag.JOINT_STATE) | {
-    OBEYED: bag.STATUS, 'ft_sensor/wrench': bag.WRENCH, 'ft_sensor/wrench_filtered': bag.WRENCH,
-    'operational_point/pose': bag.POSE, 'operational_point/pose_desired': bag.POSE}
+    OBEYED: bag.STATUS,
+    'ft_sensor/wrench': bag.WRENCH,
+    'ft_sensor/wrench_filtered': bag.WRENCH,
+    'operational_point/pose': bag.POSE,
+    'operational_point/pose_desired': bag.POSE,
+}
 SPARSE = 20.0  # ticks per sample beyond which the stamps are no clock
 CUT_OFF = 'the recording is cut off'
 LONGEST_GAP = 0.1  # s without a sample, beyond which a recording lacks something
@@ -72,7 +85,9 @@ class RunData:
     alpha_est: Matrix
     alpha_rate_est: Matrix  # [N/s]
     alpha_des: Matrix
-    noise_variance: Matrix  # R from the samples up to k, used at k + 1, shape (m, r) [N^2]
+    noise_variance: (
+        Matrix  # R from the samples up to k, used at k + 1, shape (m, r) [N^2]
+    )
     # alpha_meas minus what the observers predicted, 0 where no force is controlled [N].
     innovation: Matrix
     # Of the observers' models, found on-line and its standard error, shape (m, r) [N/m], and how
@@ -105,13 +120,18 @@ class RunData:
 
     def trajectory_sha256(self) -> str:
         """Return the hash of the commanded torques as little-endian float64, tick by tick."""
-        return hashlib.sha256(np.ascontiguousarray(self.torque, dtype='<f8').tobytes()).hexdigest()
+        return hashlib.sha256(
+            np.ascontiguousarray(self.torque, dtype='<f8').tobytes()
+        ).hexdigest()
 
     def part(self, begin: int, end: int) -> RunData:
         """Return the samples from one up to another; time begins with the first of them."""
-        series: dict[str, Any] = {name: values[begin:end] for name, values in vars(self).items()
-                                  if isinstance(values, np.ndarray)}
-        return replace(self, **{**series, 'time': self.time[:end - begin]})
+        series: dict[str, Any] = {
+            name: values[begin:end]
+            for name, values in vars(self).items()
+            if isinstance(values, np.ndarray)
+        }
+        return replace(self, **{**series, 'time': self.time[: end - begin]})
 
     def save(self, folder: Path) -> None:
         """Write the series to ``samples.npz`` in a folder."""
@@ -125,10 +145,17 @@ class RunData:
             with np.load(path, allow_pickle=False) as data:
                 values = {f.name: data[f.name] for f in fields(cls)}
         except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
-            raise RunError(f'{path}: expected a recording of a run, got {error}') from None
-        return cls(**{**values, 'rate': float(values['rate']),
-                      'contact_names': tuple(map(str, values['contact_names'])),
-                      'joint_names': tuple(map(str, values['joint_names']))})
+            raise RunError(
+                f'{path}: expected a recording of a run, got {error}'
+            ) from None
+        return cls(
+            **{
+                **values,
+                'rate': float(values['rate']),
+                'contact_names': tuple(map(str, values['contact_names'])),
+                'joint_names': tuple(map(str, values['joint_names'])),
+            }
+        )
 
 
 def empty_run_data(ticks: int, controller: ControllerConfig) -> RunData:
@@ -137,15 +164,30 @@ def empty_run_data(ticks: int, controller: ControllerConfig) -> RunData:
     columns = {
         **dict.fromkeys(('q', 'qd', 'effort', 'torque'), len(joints)),
         **dict.fromkeys(('wrench', 'wrench_filtered'), 6),
-        **dict.fromkeys(('alpha_true', 'alpha_meas', 'alpha_est', 'alpha_rate_est', 'alpha_des',
-                         'noise_variance', 'innovation', *OF_STIFFNESS, 'command'),
-                        len(contacts)),
+        **dict.fromkeys(
+            (
+                'alpha_true',
+                'alpha_meas',
+                'alpha_est',
+                'alpha_rate_est',
+                'alpha_des',
+                'noise_variance',
+                'innovation',
+                *OF_STIFFNESS,
+                'command',
+            ),
+            len(contacts),
+        ),
         **dict.fromkeys(('position', 'position_des'), 3),
-        **dict.fromkeys(('quaternion', 'quaternion_des'), 4)}
+        **dict.fromkeys(('quaternion', 'quaternion_des'), 4),
+    }
     return RunData(
-        rate=controller.rate, contact_names=contacts, joint_names=joints,
+        rate=controller.rate,
+        contact_names=contacts,
+        joint_names=joints,
         time=np.arange(ticks) / controller.rate,
-        **{name: np.full((ticks, count), np.nan) for name, count in columns.items()})
+        **{name: np.full((ticks, count), np.nan) for name, count in columns.items()},
+    )
 
 
 class Missing(NamedTuple):
@@ -174,8 +216,11 @@ def name_missing(missing: Sequence[Missing], what: str = 'samples') -> str:
 def gaps_of(data: RunData) -> list[Missing]:
     """Return the stretches between samples in which more than 0.1 s were not recorded."""
     longest = LONGEST_GAP * data.rate
-    return [Missing(begin / data.rate, end / data.rate)
-            for begin, end in stretches(~data.recorded()) if end - begin > longest]
+    return [
+        Missing(begin / data.rate, end / data.rate)
+        for begin, end in stretches(~data.recorded())
+        if end - begin > longest
+    ]
 
 
 @dataclass(frozen=True)
@@ -196,7 +241,10 @@ class BagContent:
 
 
 def read_bag(
-    path: Path, controller: ControllerConfig, *, namespace: str | None = None,
+    path: Path,
+    controller: ControllerConfig,
+    *,
+    namespace: str | None = None,
     answered: bool = False,
 ) -> BagContent:
     """
@@ -214,19 +262,29 @@ def read_graph(path: Path, namespace: str | None = None) -> bag.BagMessages:
     """Read the messages of a graph of this package; RunError if there are none."""
     messages = bag.read_messages(path, TYPES, namespace)
     if not any(topic in SERIES for topic in messages.by_topic):
-        raise RunError(f'{path}: expected samples on joint_states, or another topic of the '
-                       f'controller, got {messages}')
+        raise RunError(
+            f'{path}: expected samples on joint_states, or another topic of the '
+            f'controller, got {messages}'
+        )
     return messages
 
 
 def sample_topic(messages: bag.BagMessages) -> str:
     """Return the topic that has a message for every sample."""
     there = [topic for topic in SERIES if topic in messages.by_topic]
-    return SAMPLES if SAMPLES in there else max(there, key=lambda x: len(messages.by_topic[x]))
+    return (
+        SAMPLES
+        if SAMPLES in there
+        else max(there, key=lambda x: len(messages.by_topic[x]))
+    )
 
 
 def content_of(
-    path: Path, messages: bag.BagMessages, controller: ControllerConfig, *, answered: bool = False,
+    path: Path,
+    messages: bag.BagMessages,
+    controller: ControllerConfig,
+    *,
+    answered: bool = False,
 ) -> BagContent:
     """Return the series of the messages that `read_graph` found; see `read_bag`."""
     topic = sample_topic(messages)
@@ -238,23 +296,36 @@ def content_of(
         raise RunError(
             f'{path}: {topic}: expected stamps {1e3 * controller.period:g} ms apart, got '
             f'{len(samples)} messages with {len(stamps)} stamps over '
-            f'{(int(stamps[-1]) - int(stamps[0])) * 1e-9:.3g} s')
+            f'{(int(stamps[-1]) - int(stamps[0])) * 1e-9:.3g} s'
+        )
     data = empty_run_data(count, controller)
     for name, columns in messages.by_topic.items():
-        names = () if TYPES[name] != bag.JOINT_STATE else (
-            data.joint_names if name.startswith('joint') else data.contact_names)
+        names = (
+            ()
+            if TYPES[name] != bag.JOINT_STATE
+            else (data.joint_names if name.startswith('joint') else data.contact_names)
+        )
         places = np.searchsorted(stamps, columns.stamps).clip(max=len(stamps) - 1)
         known = stamps[places] == columns.stamps
         for series, field in SERIES.get(name, {}).items():
-            getattr(data, series)[ticks[places[known]]] = columns.values(field, names)[known]
-    data = replace(data, command=_commands(
-        data, messages.by_topic.get(OBEYED), samples.published[::-1][newest], ticks))
+            getattr(data, series)[ticks[places[known]]] = columns.values(field, names)[
+                known
+            ]
+    data = replace(
+        data,
+        command=_commands(
+            data, messages.by_topic.get(OBEYED), samples.published[::-1][newest], ticks
+        ),
+    )
     begin, end = _answered(data) if answered else (0, count)
     part = data.part(begin, end)
     return BagContent(
-        part, tuple(x for x in SERIES if x not in messages.by_topic and x not in OPTIONAL),
-        _remarks(messages, data), int(stamps[0]) + round(begin / data.rate * 1e9),
-        _missing(messages, part))
+        part,
+        tuple(x for x in SERIES if x not in messages.by_topic and x not in OPTIONAL),
+        _remarks(messages, data),
+        int(stamps[0]) + round(begin / data.rate * 1e9),
+        _missing(messages, part),
+    )
 
 
 def _missing(messages: bag.BagMessages, data: RunData) -> tuple[Missing, ...]:
@@ -277,7 +348,9 @@ def _answered(data: RunData) -> tuple[int, int]:
 
 
 def _commands(
-    data: RunData, status: bag.BagColumns | None, published: NDArray[np.uint64],
+    data: RunData,
+    status: bag.BagColumns | None,
+    published: NDArray[np.uint64],
     ticks: NDArray[np.int64],
 ) -> Matrix:
     """Return what `~/status` says is obeyed from contact on, else what the controller aims at."""
@@ -288,7 +361,8 @@ def _commands(
     places = np.searchsorted(published[order], status.published)
     begins = np.append(ticks[order], data.ticks)[places]
     for i, (name, forces) in enumerate(
-            zip(data.contact_names, status.values('effort', data.contact_names).T)):
+        zip(data.contact_names, status.values('effort', data.contact_names).T)
+    ):
         desired, named = data.alpha_des[:, i], ~np.isnan(forces)
         if not named.any() or name.endswith((SUFFIXES[ALONG], SUFFIXES[ACROSS])):
             continue
@@ -300,15 +374,17 @@ def _commands(
         for begin, end in stretches(asked > 0.0):
             reached = np.flatnonzero(desired[begin:end] >= REACHED * asked[begin:end])
             if reached.size:
-                asked[begin:begin + reached[0]] = 0.0
+                asked[begin : begin + reached[0]] = 0.0
         command[:, i] = asked
     return command
 
 
 def _remarks(messages: bag.BagMessages, data: RunData) -> tuple[str, ...]:
     remarks = [*messages.unreadable, *messages.lost]
-    for topic, values, expected in ((SAMPLES, data.q, data.joint_names),
-                                    (MEASURED, data.alpha_meas, data.contact_names)):
+    for topic, values, expected in (
+        (SAMPLES, data.q, data.joint_names),
+        (MEASURED, data.alpha_meas, data.contact_names),
+    ):
         if topic in messages.by_topic and expected and not np.isfinite(values).any():
             names = ', '.join(messages.by_topic[topic].names) or 'none'
             remarks.append(f'{topic}: expected {", ".join(expected)}, got {names}')

@@ -35,7 +35,9 @@ Ending = tuple[dict[str, Any] | None, int | None]  # a summary, and a signal
 CONSOLE = Console(highlight=False, soft_wrap=True)
 
 
-def run_simulate(setup: Setup, folder: Path, *, supervised: bool = True) -> dict[str, Any]:
+def run_simulate(
+    setup: Setup, folder: Path, *, supervised: bool = True
+) -> dict[str, Any]:
     """
     Run a scenario in this process, leave its results in a folder, and return its summary.
 
@@ -45,16 +47,27 @@ def run_simulate(setup: Setup, folder: Path, *, supervised: bool = True) -> dict
     ensure_compiled()
     setup.write(folder / results.CONFIG_FOLDER)
     with progress_bar(
-            f'simulate {setup.scenario.name}', setup.scenario.duration, CONSOLE) as show:
-        result = run_in_process(setup, lambda time, alpha: show(
-            time, dict(zip(setup.controller.contact_names, alpha))), supervised=supervised)
+        f'simulate {setup.scenario.name}', setup.scenario.duration, CONSOLE
+    ) as show:
+        result = run_in_process(
+            setup,
+            lambda time, alpha: show(
+                time, dict(zip(setup.controller.contact_names, alpha))
+            ),
+            supervised=supervised,
+        )
         show(setup.scenario.duration, {})
     if not result.data.ticks:
         raise RunError(f'the run ended at once: {result.ended_early}')
     result.data.save(folder)
     summary = results.summarise(
-        result.data, setup, mode='in_process', timing={'kernels_compiled': compiled_here()},
-        ended_early=result.ended_early, events=result.events if supervised else None)
+        result.data,
+        setup,
+        mode='in_process',
+        timing={'kernels_compiled': compiled_here()},
+        ended_early=result.ended_early,
+        events=result.events if supervised else None,
+    )
     return _finish(result.data, setup, folder, summary)
 
 
@@ -62,14 +75,24 @@ def simulation_parameters(setup: Setup) -> dict[str, dict[str, Any]]:
     """Return the parameters of the nodes of a simulated graph that belong to no file."""
     from multicontact_control.experiment.graph.spec import CONTROLLER, ESTIMATOR, SIM
 
-    return {CONTROLLER: {'patience': SIMULATION_PATIENCE, **setup.node_parameters('controller')},
-            ESTIMATOR: setup.node_parameters('noise_estimator'),
-            SIM: setup.node_parameters('plant')}
+    return {
+        CONTROLLER: {
+            'patience': SIMULATION_PATIENCE,
+            **setup.node_parameters('controller'),
+        },
+        ESTIMATOR: setup.node_parameters('noise_estimator'),
+        SIM: setup.node_parameters('plant'),
+    }
 
 
 def run_on_graph(
-    setup: Setup, folder: Path, *, endless: bool = False, external: External | None = None,
-    supervised: bool = True, **options: Any,
+    setup: Setup,
+    folder: Path,
+    *,
+    endless: bool = False,
+    external: External | None = None,
+    supervised: bool = True,
+    **options: Any,
 ) -> Ending:
     """
     Run a scenario, or commands, on the ROS 2 graph, and leave recording and results in a folder.
@@ -94,26 +117,41 @@ def run_on_graph(
         setup = replace(setup, nodes={**setup.nodes, 'controller': of_node})
         parameters[CONTROLLER] = dotted(of_node)
         node = validate(ControllerNodeConfig, of_node, 'controller_node')
-        options |= {'domain_id': options.get('domain_id') or 0, 'robot': Robot(
-            setup.controller.robot.joint_names, setup.controller.wrench_input,
-            node.effort_output_topic, duration=external.duration)}
+        options |= {
+            'domain_id': options.get('domain_id') or 0,
+            'robot': Robot(
+                setup.controller.robot.joint_names,
+                setup.controller.wrench_input,
+                node.effort_output_topic,
+                duration=external.duration,
+            ),
+        }
     parameters[CONTROLLER]['supervised'] = supervised
     ensure_compiled()
     spec = GraphSpec(
-        out=folder, ticks=0 if endless else setup.ticks, rate=setup.controller.rate,
-        seed=setup.seed, parameter_files=setup.write(config),
+        out=folder,
+        ticks=0 if endless else setup.ticks,
+        rate=setup.controller.rate,
+        seed=setup.seed,
+        parameter_files=setup.write(config),
         reference_file=None if setup.commanded_by_topic else config / 'reference.yaml',
-        extra_parameters=parameters, **options)
+        extra_parameters=parameters,
+        **options,
+    )
     result = _show_graph(spec, setup)
     if not result.controlled:
-        CONSOLE.print('ended before any sample was answered: there is nothing to report')
+        CONSOLE.print(
+            'ended before any sample was answered: there is nothing to report'
+        )
         return None, next(iter(result.signals), None)
     try:
         if len(result.signals) > 1:
             raise KeyboardInterrupt
         return _report_graph(result, spec, setup)
     except (KeyboardInterrupt, SystemExit):
-        CONSOLE.print(f'report skipped; to write it: multicontact report {escape(str(folder))}')
+        CONSOLE.print(
+            f'report skipped; to write it: multicontact report {escape(str(folder))}'
+        )
         return None, signal.SIGINT
 
 
@@ -121,22 +159,39 @@ def _report_graph(result: GraphResult, spec: GraphSpec, setup: Setup) -> Ending:
     """Return the summary of a run on the graph, and the signal that ended it early."""
     from multicontact_control.experiment.graph.spec import CONTROLLER
 
-    content = read_bag(result.bag, setup.controller, namespace=spec.namespace,
-                       answered=spec.robot is not None)
+    content = read_bag(
+        result.bag,
+        setup.controller,
+        namespace=spec.namespace,
+        answered=spec.robot is not None,
+    )
     data = content.data
     interrupted = result.signals[0] if result.signals and spec.ticks else None
     if not spec.ticks:  # it lasts as long as it has, in the files, too
-        setup = replace(setup, scenario=setup.scenario.model_copy(
-            update={'duration': max(SHORTEST, data.ticks / data.rate)}))
+        setup = replace(
+            setup,
+            scenario=setup.scenario.model_copy(
+                update={'duration': max(SHORTEST, data.ticks / data.rate)}
+            ),
+        )
         setup.write(spec.out / results.CONFIG_FOLDER)
-    mode = judge.EXTERNAL_RUN if spec.robot else (
-        judge.REAL_TIME if spec.free_running else judge.LOCKSTEP)
+    mode = (
+        judge.EXTERNAL_RUN
+        if spec.robot
+        else (judge.REAL_TIME if spec.free_running else judge.LOCKSTEP)
+    )
     summary = results.summarise(
-        data, setup, mode=mode, timing=graph_timing(result.timing, content),
+        data,
+        setup,
+        mode=mode,
+        timing=graph_timing(result.timing, content),
         ended_early=result.ended or (judge.INTERRUPTED if interrupted else ''),
-        events=result.timing[CONTROLLER].get('events', []) if (
-            spec.extra_parameters[CONTROLLER]['supervised']) else None,
-        missing=content.missing, remarks=content.remarks)
+        events=result.timing[CONTROLLER].get('events', [])
+        if (spec.extra_parameters[CONTROLLER]['supervised'])
+        else None,
+        missing=content.missing,
+        remarks=content.remarks,
+    )
     return _finish(data, setup, spec.out, summary), interrupted
 
 
@@ -146,8 +201,9 @@ def _show_graph(spec: GraphSpec, setup: Setup) -> GraphResult:
 
     tell = partial(CONSOLE.print, markup=False)
     duration = setup.scenario.duration if spec.ticks else None
-    with progress_bar(f'run {setup.scenario.name}', duration, CONSOLE,
-                      'starting the nodes') as show:
+    with progress_bar(
+        f'run {setup.scenario.name}', duration, CONSOLE, 'starting the nodes'
+    ) as show:
         result = run_graph(spec, lambda progress: show(*progress), tell)
         if duration is not None and not result.signals:
             show(duration, {})
@@ -159,29 +215,41 @@ def _show_graph(spec: GraphSpec, setup: Setup) -> GraphResult:
 def refuse_push_test(setup: Setup) -> None:
     """Check that the scenario can begin without a push test; ConfigError if it cannot."""
     if setup.controller.sensor.require_push_test:
-        raise ConfigError('sensor.require_push_test',
-                          'false in a scenario, which begins without a push on the tool', True)
+        raise ConfigError(
+            'sensor.require_push_test',
+            'false in a scenario, which begins without a push on the tool',
+            True,
+        )
 
 
 def graph_timing(
-    timing: Mapping[str, Mapping[str, Any]], content: BagContent,
+    timing: Mapping[str, Mapping[str, Any]],
+    content: BagContent,
 ) -> dict[str, Any]:
     """Return the `timing` of ``summary.json`` from what the nodes and the bag say."""
     sim, data = timing.get('sim_node', {}), content.data
     result = {
         'lost_messages': timing.get('recorder_node', {}).get('lost'),
         'unanswered_samples': content.unanswered,
-        'kernels_compiled': sum(node.get('kernels_compiled', 0) for node in timing.values()),
-        'tick_us': timing.get('controller_node', {}).get('tick_us')}
+        'kernels_compiled': sum(
+            node.get('kernels_compiled', 0) for node in timing.values()
+        ),
+        'tick_us': timing.get('controller_node', {}).get('tick_us'),
+    }
     if sim:
-        result |= {name: sim[name] for name in (
-            'deadline_misses', 'latency_us', 'latency_histogram')}
-        result['realtime_factor'] = data.ticks / data.rate / sim['wall_s'] if (
-            sim['wall_s']) else None
+        result |= {
+            name: sim[name]
+            for name in ('deadline_misses', 'latency_us', 'latency_histogram')
+        }
+        result['realtime_factor'] = (
+            data.ticks / data.rate / sim['wall_s'] if (sim['wall_s']) else None
+        )
     return result
 
 
-def _finish(data: RunData, setup: Setup, folder: Path, summary: dict[str, Any]) -> dict[str, Any]:
+def _finish(
+    data: RunData, setup: Setup, folder: Path, summary: dict[str, Any]
+) -> dict[str, Any]:
     """Judge the claims, write figures and summary, show the table."""
     summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
     draw_figures(data, setup, summary, folder / results.FIGURE_FOLDER)

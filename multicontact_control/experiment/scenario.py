@@ -48,9 +48,12 @@ class ScenarioConfig(Config):
     description: str = parameter('', 'What it shows.')
     duration: float = parameter(..., 'Length of the run.', unit='s', ge=SHORTEST)
     reference: ReferenceConfig = ReferenceConfig()
-    controller: dict[str, Any] = parameter({}, 'Values laid over config/controller.yaml.')
+    controller: dict[str, Any] = parameter(
+        {}, 'Values laid over config/controller.yaml.'
+    )
     noise_estimator: dict[str, Any] = parameter(
-        {}, 'Values laid over config/noise_estimator.yaml.')
+        {}, 'Values laid over config/noise_estimator.yaml.'
+    )
     plant: dict[str, Any] = parameter({}, "Values laid over the plant preset's.")
 
 
@@ -85,7 +88,9 @@ class Setup:
 
     def commanded_over_topics(self) -> Setup:
         """Return the same arm and surfaces, for commands instead of the scenario's."""
-        scenario = self.scenario.model_copy(update={'name': COMMANDS, 'description': ''})
+        scenario = self.scenario.model_copy(
+            update={'name': COMMANDS, 'description': ''}
+        )
         return replace(self, scenario=scenario, commanded_by_topic=True)
 
     def reference(self) -> ScenarioTask:
@@ -96,7 +101,8 @@ class Setup:
         """Return the scenario's forces at some times [s], first its preload, shape (m, r) [N]."""
         steps = [step.time for step in self.scenario.reference.force_steps]
         commanded: Matrix = self.reference().forces[
-            np.searchsorted(steps, time + 1e-9, side='right')]
+            np.searchsorted(steps, time + 1e-9, side='right')
+        ]
         return commanded
 
     def write(self, folder: Path) -> dict[str, Path]:
@@ -110,33 +116,52 @@ class Setup:
         shutil.copyfile(self.urdf_dir / urdf, folder / urdf.name)
         robot = self.controller.robot.model_copy(update={'urdf': urdf.name})
         nodes: dict[str, tuple[str, Config]] = {
-            'controller_node': ('controller.yaml',
-                                self.controller.model_copy(update={'robot': robot})),
-            'noise_estimator_node': ('noise_estimator.yaml', self.noise_estimator)}
+            'controller_node': (
+                'controller.yaml',
+                self.controller.model_copy(update={'robot': robot}),
+            ),
+            'noise_estimator_node': ('noise_estimator.yaml', self.noise_estimator),
+        }
         if self.simulated:
             nodes['sim_node'] = ('plant.yaml', self.plant)
         for node, (name, config) in nodes.items():
-            write_parameters(folder / name, {f'/**/{node}': config.model_dump(mode='json')})
-        of_nodes = {f'/**/{node}': self.nodes[Path(name).stem] for node, (name, _) in nodes.items()
-                    if self.nodes.get(Path(name).stem)}
+            write_parameters(
+                folder / name, {f'/**/{node}': config.model_dump(mode='json')}
+            )
+        of_nodes = {
+            f'/**/{node}': self.nodes[Path(name).stem]
+            for node, (name, _) in nodes.items()
+            if self.nodes.get(Path(name).stem)
+        }
         if of_nodes:
             write_parameters(folder / NODES_FILE, of_nodes)
-        for name, config in (('reference.yaml', self.scenario.reference),
-                             ('scenario.yaml', self.scenario)):
-            write_text(folder / name, yaml.safe_dump(
-                config.model_dump(mode='json'), sort_keys=False))
+        for name, config in (
+            ('reference.yaml', self.scenario.reference),
+            ('scenario.yaml', self.scenario),
+        ):
+            write_text(
+                folder / name,
+                yaml.safe_dump(config.model_dump(mode='json'), sort_keys=False),
+            )
         return {node: folder / name for node, (name, _) in nodes.items()}
 
 
 def scenario_with(
-    values: Mapping[str, Any], overrides: Mapping[str, Any], duration: float | None, path: Path,
+    values: Mapping[str, Any],
+    overrides: Mapping[str, Any],
+    duration: float | None,
+    path: Path,
 ) -> ScenarioConfig:
     """Return the scenario of a file with values, and a length [s], laid over those in it."""
     if duration is not None:
         if 'duration' in overrides:
-            raise ConfigError('--duration', hint='give either this or --set scenario.duration')
+            raise ConfigError(
+                '--duration', hint='give either this or --set scenario.duration'
+            )
         if not SHORTEST <= duration <= UNTIL_STOPPED:
-            raise ConfigError('duration', f'{SHORTEST:g} to {UNTIL_STOPPED:g} s', duration)
+            raise ConfigError(
+                'duration', f'{SHORTEST:g} to {UNTIL_STOPPED:g} s', duration
+            )
         overrides = {**overrides, 'duration': duration}
     return validate(ScenarioConfig, merge(values, overrides), str(path))
 
@@ -167,22 +192,33 @@ def plant_source(name: str = '', robot: str = '') -> PlantSource:
     first, slash, last = name.rpartition('/')
     if slash and not robot:
         return plant_source(last, first)
-    raise ConfigError('plant', f'one of {", ".join(chosen.file.plants)}, or a path', f"'{name}'")
+    raise ConfigError(
+        'plant', f'one of {", ".join(chosen.file.plants)}, or a path', f"'{name}'"
+    )
 
 
 def preset_values(name: str) -> dict[str, dict[str, Any]]:
     """Return what a preset of config/presets, or a file, lays over controller and estimator."""
-    by_node = read_node_parameters(
-        named_file('preset', 'presets', name), PRESET_NODES) if name else {}
+    by_node = (
+        read_node_parameters(named_file('preset', 'presets', name), PRESET_NODES)
+        if name
+        else {}
+    )
     return {node.removesuffix('_node'): by_node.get(node, {}) for node in PRESET_NODES}
 
 
 def resolve(
-    scenario: str, *, plant: str = '', robot: str = '', seed: int = 0,
+    scenario: str,
+    *,
+    plant: str = '',
+    robot: str = '',
+    seed: int = 0,
     duration: float | None = None,
-    noise_estimator: dict[str, Any] | None = None, controller: dict[str, Any] | None = None,
+    noise_estimator: dict[str, Any] | None = None,
+    controller: dict[str, Any] | None = None,
     plant_overrides: dict[str, Any] | None = None,
-    scenario_overrides: dict[str, Any] | None = None, preset: str = '',
+    scenario_overrides: dict[str, Any] | None = None,
+    preset: str = '',
 ) -> Setup:
     """
     Read and check everything a run needs.
@@ -194,33 +230,66 @@ def resolve(
     """
     if not isinstance(seed, int) or seed < 0:
         raise ConfigError('seed', 'a whole number >= 0', seed)
-    path, source = named_file('scenario', 'scenarios', scenario), plant_source(plant, robot)
+    path, source = (
+        named_file('scenario', 'scenarios', scenario),
+        plant_source(plant, robot),
+    )
     config = scenario_with(read_yaml(path), scenario_overrides or {}, duration, path)
     laid_over = preset_values(preset)
     contacts = merge(config.controller, controller or {}).get('contact_names', ())
     # The estimator has the controller's bounds of R, as it has its contacts.
     bounds = merged(laid_over['controller'], config.controller, controller).get(
-        'noise_variance', {})
+        'noise_variance', {}
+    )
     special = source.robot.controller_special(source.plant) if source.plant else {}
     controller_config, estimator_config, plant_config = check_all(
-        lambda: validate(ControllerConfig, merged(
-            source.robot.controller_base(contacts), laid_over['controller'], special,
-            config.controller, controller), 'controller.yaml'),
-        lambda: validate(NoiseEstimatorConfig, merged(
-            read_parameters(config_dir() / 'noise_estimator.yaml'),
-            {'contact_names': source.robot.controller_base()['contact_names'],
-             'noise_variance': bounds},
-            laid_over['noise_estimator'], config.noise_estimator, noise_estimator),
-            'noise_estimator.yaml'),
-        lambda: validate(PlantConfig, merged(
-            {'torque_limit': source.robot.arm.torque_limit},
-            source.robot.plant_values(source.plant, contacts) if source.file is None else
-            {'robot': source.robot.name, **read_parameters(source.file)},
-            config.plant, plant_overrides),
-            f'plant {source.name}' if source.file is None else source.file.name))
+        lambda: validate(
+            ControllerConfig,
+            merged(
+                source.robot.controller_base(contacts),
+                laid_over['controller'],
+                special,
+                config.controller,
+                controller,
+            ),
+            'controller.yaml',
+        ),
+        lambda: validate(
+            NoiseEstimatorConfig,
+            merged(
+                read_parameters(config_dir() / 'noise_estimator.yaml'),
+                {
+                    'contact_names': source.robot.controller_base()['contact_names'],
+                    'noise_variance': bounds,
+                },
+                laid_over['noise_estimator'],
+                config.noise_estimator,
+                noise_estimator,
+            ),
+            'noise_estimator.yaml',
+        ),
+        lambda: validate(
+            PlantConfig,
+            merged(
+                {'torque_limit': source.robot.arm.torque_limit},
+                source.robot.plant_values(source.plant, contacts)
+                if source.file is None
+                else {'robot': source.robot.name, **read_parameters(source.file)},
+                config.plant,
+                plant_overrides,
+            ),
+            f'plant {source.name}' if source.file is None else source.file.name,
+        ),
+    )
     setup = Setup(
-        scenario=config, controller=controller_config, noise_estimator=estimator_config,
-        plant=plant_config, plant_name=source.name, seed=seed, urdf_dir=source.robot.urdf_dir())
+        scenario=config,
+        controller=controller_config,
+        noise_estimator=estimator_config,
+        plant=plant_config,
+        plant_name=source.name,
+        seed=seed,
+        urdf_dir=source.robot.urdf_dir(),
+    )
     urdf = setup.urdf_dir / setup.controller.robot.urdf
     if not urdf.is_file():
         raise ConfigError('controller.robot.urdf', 'a URDF file', urdf)
@@ -242,25 +311,41 @@ def check_together(setup: Setup, path: Path) -> None:
     for what, columns in contacts:
         if columns != names:
             raise ConfigError(
-                what, f"the controller's forces and couples {list(names)}", list(columns))
+                what,
+                f"the controller's forces and couples {list(names)}",
+                list(columns),
+            )
     if setup.noise_estimator.rate != setup.controller.rate:
-        raise ConfigError('noise_estimator.rate', f"the controller's {setup.controller.rate:g} Hz",
-                          f'{setup.noise_estimator.rate:g} Hz')
-    bounds, expected = setup.noise_estimator.noise_variance, setup.controller.noise_variance
+        raise ConfigError(
+            'noise_estimator.rate',
+            f"the controller's {setup.controller.rate:g} Hz",
+            f'{setup.noise_estimator.rate:g} Hz',
+        )
+    bounds, expected = (
+        setup.noise_estimator.noise_variance,
+        setup.controller.noise_variance,
+    )
     if bounds != expected:
         raise ConfigError(
             'noise_estimator.noise_variance',
             f"the controller's {expected.smallest:g} to {expected.largest:g} N^2",
-            f'{bounds.smallest:g} to {bounds.largest:g} N^2')
+            f'{bounds.smallest:g} to {bounds.largest:g} N^2',
+        )
     state = setup.controller.contact_state
     for index, step in enumerate(setup.scenario.reference.force_steps):
         for name, force in step.forces.items():
-            if name in setup.controller.contact_names and force != 0.0 and not (
-                    state.smallest_force <= force < state.force_ceiling):
+            if (
+                name in setup.controller.contact_names
+                and force != 0.0
+                and not (state.smallest_force <= force < state.force_ceiling)
+            ):
                 raise ConfigError(
                     f'reference.force_steps.{index}.forces.{name}',
                     f'0 or {state.smallest_force:g} to {state.force_ceiling:g} N '
-                    '(contact_state.smallest_force, .force_ceiling)', f'{force:g} N', str(path))
+                    '(contact_state.smallest_force, .force_ceiling)',
+                    f'{force:g} N',
+                    str(path),
+                )
     try:
         setup.reference()
     except ConfigError as error:
@@ -278,7 +363,9 @@ class ControllerFiles(NamedTuple):
 
     def config(self, overrides: Mapping[str, Any] | None = None) -> ControllerConfig:
         """Return the controller's configuration; ConfigError if it is not acceptable."""
-        return validate(ControllerConfig, merge(self.controller, overrides or {}), self.source)
+        return validate(
+            ControllerConfig, merge(self.controller, overrides or {}), self.source
+        )
 
 
 def read_controller_files(files: Sequence[Path]) -> ControllerFiles:
@@ -290,7 +377,9 @@ def read_controller_files(files: Sequence[Path]) -> ControllerFiles:
     ConfigError if there is none, or one is no parameter file or has a section of another node.
     """
     if not files:
-        raise ConfigError('--controller', 'the parameter file of your controller', 'none')
+        raise ConfigError(
+            '--controller', 'the parameter file of your controller', 'none'
+        )
     own = ControllerConfig.model_fields.keys()
     of_estimator = NoiseEstimatorConfig.model_fields.keys() - own
     given: dict[str, Any] = {}
@@ -300,18 +389,26 @@ def read_controller_files(files: Sequence[Path]) -> ControllerFiles:
         sections = read_node_parameters(path, (EVERY_NODE, *PRESET_NODES))
         # What both know, the rate and the contacts, the estimator gets from the controller's.
         shared = sections.get(EVERY_NODE, {})
-        section = merged({name: value for name, value in shared.items()
-                          if name not in of_estimator}, sections.get(CONTROLLER))
+        section = merged(
+            {name: value for name, value in shared.items() if name not in of_estimator},
+            sections.get(CONTROLLER),
+        )
         given = merge(given, section)
-        estimator = merged(estimator, {name: value for name, value in shared.items()
-                                       if name in of_estimator}, sections.get(ESTIMATOR))
+        estimator = merged(
+            estimator,
+            {name: value for name, value in shared.items() if name in of_estimator},
+            sections.get(ESTIMATOR),
+        )
         robot = section.get('robot')
         if isinstance(robot, Mapping) and 'urdf' in robot:
             urdf_dir = path.resolve().parent
     return ControllerFiles(
         {name: value for name, value in given.items() if name in own},
         {name: value for name, value in given.items() if name not in own},
-        estimator, urdf_dir, ', '.join(map(str, files)))
+        estimator,
+        urdf_dir,
+        ', '.join(map(str, files)),
+    )
 
 
 class External(NamedTuple):
@@ -323,9 +420,14 @@ class External(NamedTuple):
 
 
 def resolve_external(
-    files: Sequence[Path], *, scenario: str | None = None, duration: float | None = None,
-    preset: str = '', noise_estimator: dict[str, Any] | None = None,
-    controller: dict[str, Any] | None = None, scenario_overrides: dict[str, Any] | None = None,
+    files: Sequence[Path],
+    *,
+    scenario: str | None = None,
+    duration: float | None = None,
+    preset: str = '',
+    noise_estimator: dict[str, Any] | None = None,
+    controller: dict[str, Any] | None = None,
+    scenario_overrides: dict[str, Any] | None = None,
 ) -> External:
     """
     Read and check everything for a run on the user's own robot; ConfigError.
@@ -341,29 +443,58 @@ def resolve_external(
         path = named_file('scenario', 'scenarios', scenario)
         values = read_yaml(path)
     elif scenario_overrides:
-        raise ConfigError(f'--set scenario.{min(scenario_overrides)}',
-                          hint='name the --scenario that it changes; --duration sets the length')
+        raise ConfigError(
+            f'--set scenario.{min(scenario_overrides)}',
+            hint='name the --scenario that it changes; --duration sets the length',
+        )
     config = scenario_with(values, scenario_overrides or {}, duration, path)
     controller_config = read.config(
-        merged(laid_over['controller'], config.controller, controller))
-    estimator_config = validate(NoiseEstimatorConfig, merged(
-        read_parameters(config_dir() / 'noise_estimator.yaml'),
-        {'contact_names': list(controller_config.column_names), 'rate': controller_config.rate,
-         'noise_variance': controller_config.noise_variance.model_dump()},
-        read.estimator, laid_over['noise_estimator'], config.noise_estimator, noise_estimator),
-        'noise_estimator.yaml')
+        merged(laid_over['controller'], config.controller, controller)
+    )
+    estimator_config = validate(
+        NoiseEstimatorConfig,
+        merged(
+            read_parameters(config_dir() / 'noise_estimator.yaml'),
+            {
+                'contact_names': list(controller_config.column_names),
+                'rate': controller_config.rate,
+                'noise_variance': controller_config.noise_variance.model_dump(),
+            },
+            read.estimator,
+            laid_over['noise_estimator'],
+            config.noise_estimator,
+            noise_estimator,
+        ),
+        'noise_estimator.yaml',
+    )
     setup = Setup(
-        scenario=config, controller=controller_config, noise_estimator=estimator_config,
-        plant=NO_PLANT, plant_name=EXTERNAL, seed=0, urdf_dir=read.urdf_dir,
-        commanded_by_topic=scenario is None)
+        scenario=config,
+        controller=controller_config,
+        noise_estimator=estimator_config,
+        plant=NO_PLANT,
+        plant_name=EXTERNAL,
+        seed=0,
+        urdf_dir=read.urdf_dir,
+        commanded_by_topic=scenario is None,
+    )
     check_together(setup, path)
     RobotModel(controller_config.robot, read.urdf_dir)  # now, and not in a node's log
-    for name, instead in (('reference_file', 'give --scenario'), ('lockstep', 'set it to false')):
+    for name, instead in (
+        ('reference_file', 'give --scenario'),
+        ('lockstep', 'set it to false'),
+    ):
         if read.node.get(name):
-            raise ConfigError(name, got=read.node[name], source=read.source,
-                              hint=f'{instead} in an external run')
-    node = {name: value for name, value in read.node.items()
-            if name not in (*OF_THE_RUN, 'reference_file', 'lockstep')}
+            raise ConfigError(
+                name,
+                got=read.node[name],
+                source=read.source,
+                hint=f'{instead} in an external run',
+            )
+    node = {
+        name: value
+        for name, value in read.node.items()
+        if name not in (*OF_THE_RUN, 'reference_file', 'lockstep')
+    }
     return External(setup, node, duration if scenario is None else config.duration)
 
 
@@ -371,6 +502,9 @@ def dotted(values: Mapping[str, Any], start: str = '') -> dict[str, Any]:
     """Return nested parameters by their dotted names."""
     leaves: dict[str, Any] = {}
     for name, value in values.items():
-        leaves |= dotted(value, f'{start}{name}.') if isinstance(value, Mapping) else {
-            start + name: value}
+        leaves |= (
+            dotted(value, f'{start}{name}.')
+            if isinstance(value, Mapping)
+            else {start + name: value}
+        )
     return leaves

@@ -66,8 +66,11 @@ ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
 # these, which the drives are known to bear; and what of its square the integral has.
 SLOWEST_BOUND, FASTEST_BOUND, BOUND_SHARE = 60.0, 80.0, 0.125  # 1/s, 1/s, -
 BORNE_TIME = 0.05  # s, in which it is forgotten what a surface bears
-RATIOS = tuple(np.geomspace(1.0, 100.0, 9).tolist())  # where the loop's limit is looked for
+RATIOS = tuple(
+    np.geomspace(1.0, 100.0, 9).tolist()
+)  # where the loop's limit is looked for
 Gains = tuple[tuple[str, Any], ...]  # fields of `ForceConfig`, and their values
+
 
 class ForceLaw(Record, Protocol):
     """The force law of one contact, of which one part is at work."""
@@ -96,7 +99,9 @@ FORCE_SPACE = record_dtype(ForceSpace)
 
 def loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
     """Return what the force law of a contact of a stiffness [N/m] is designed for."""
-    return LoopModel(stiffness, config.force.damping_rate, config.loop_delay, config.period)
+    return LoopModel(
+        stiffness, config.force.damping_rate, config.loop_delay, config.period
+    )
 
 
 def gains_of(name: str, force: ForceConfig) -> Gains:
@@ -104,7 +109,9 @@ def gains_of(name: str, force: ForceConfig) -> Gains:
     return tuple((field, getattr(force, field)) for field in LAWS[name].reads)
 
 
-def design_law(name: str, force: ForceConfig, model: LoopModel) -> ObserverDesign | LinearLaw:
+def design_law(
+    name: str, force: ForceConfig, model: LoopModel
+) -> ObserverDesign | LinearLaw:
     """
     Return a force law of the registry; its arrays are not to be changed.
 
@@ -117,7 +124,9 @@ def design_law(name: str, force: ForceConfig, model: LoopModel) -> ObserverDesig
     return _design_of(name, gains_of(name, force), model)
 
 
-@lru_cache(maxsize=64)  # most contacts are alike, and most live changes are of other gains
+@lru_cache(
+    maxsize=64
+)  # most contacts are alike, and most live changes are of other gains
 def _design_of(name: str, gains: Gains, model: LoopModel) -> ObserverDesign | LinearLaw:
     # A design has what it says that it reads, and nothing that the key is without.
     force: Any = SimpleNamespace(**dict(gains))
@@ -137,7 +146,8 @@ def _designing(name: str) -> Iterator[None]:
             yield
     except (ArithmeticError, ValueError) as error:  # a LinAlgError is a ValueError
         raise ConfigError(
-            f'force.{name}', 'values that a law can be designed for', error) from None
+            f'force.{name}', 'values that a law can be designed for', error
+        ) from None
 
 
 def make_force_laws(config: ControllerConfig) -> Records[ForceLaw]:
@@ -151,10 +161,14 @@ def make_force_laws(config: ControllerConfig) -> Records[ForceLaw]:
     adaptive = force.stiffness == 'adaptive'
     limits = []
     if adaptive:
-        stiffnesses = np.geomspace(force.adaptive.lowest, force.adaptive.highest, LIMITS)
+        stiffnesses = np.geomspace(
+            force.adaptive.lowest, force.adaptive.highest, LIMITS
+        )
         gains = gains_of('aob', force)
-        limits = [largest_ratio(gains, loop_model(config, k), config.initial_noise_variance)
-                  for k in stiffnesses.tolist()]
+        limits = [
+            largest_ratio(gains, loop_model(config, k), config.initial_noise_variance)
+            for k in stiffnesses.tolist()
+        ]
     for law, column in zip(laws, config.columns):
         name = config.law_of(column.contact)
         stiffness = force.adaptive.highest if adaptive else column.stiffness
@@ -170,15 +184,24 @@ def make_force_laws(config: ControllerConfig) -> Records[ForceLaw]:
             of_observer = law['observer']['design']
             of_observer['Phi_c'] = of_observer['Phi_n']  # see `answer_forces`
             adopt_stiffness(
-                law['stiffness'], design.loop.plant, stiffness, force, period=config.period,
-                tool_mass=config.tool.mass, ratio_limits=limits)
+                law['stiffness'],
+                design.loop.plant,
+                stiffness,
+                force,
+                period=config.period,
+                tool_mass=config.tool.mass,
+                ratio_limits=limits,
+            )
             if column.kind != FORCE:
                 law['stiffness']['config']['share'] = (
-                    column.stiffness / config.columns[column.leader].stiffness)
+                    column.stiffness / config.columns[column.leader].stiffness
+                )
     return laws
 
 
-@lru_cache(maxsize=64)  # the first sample and a live change are not to wait for it once more
+@lru_cache(
+    maxsize=64
+)  # the first sample and a live change are not to wait for it once more
 def largest_ratio(gains: Gains, model: LoopModel, noise_variance: float) -> float:
     """
     Return how many times as stiff as its model a surface may be, with a constant R [N^2].
@@ -191,10 +214,19 @@ def largest_ratio(gains: Gains, model: LoopModel, noise_variance: float) -> floa
         law = steady_law(design, steady_gain(design, noise_variance))
 
         def stable(ratio: float) -> bool:
-            plant = LinearArmPlant(none, np.array([ratio * model.stiffness]), np.zeros(1), none,
-                                   model.input_delay)
-            return spectral_radius(
-                closed_loop(plant, law, model.damping_rate, model.period)) < 1.0
+            plant = LinearArmPlant(
+                none,
+                np.array([ratio * model.stiffness]),
+                np.zeros(1),
+                none,
+                model.input_delay,
+            )
+            return (
+                spectral_radius(
+                    closed_loop(plant, law, model.damping_rate, model.period)
+                )
+                < 1.0
+            )
 
         return min(last_stable(stable, RATIOS, 1e-2)[0], RATIOS[-1])
 
@@ -207,10 +239,11 @@ def continue_laws(laws: Records[ForceLaw], others: Records[ForceLaw]) -> None:
     and the disturbance that is compensated.
     """
     for i in range(len(laws)):
-        law, other = laws[i:i + 1], others[i:i + 1]
+        law, other = laws[i : i + 1], others[i : i + 1]
         taken, part = known(other[0]), 'linear' if law['is_linear'][0] else 'observer'
         same = law['kind'][0] == other['kind'][0] and (
-            law[part]['design']['states'][0] == other[part]['design']['states'][0])
+            law[part]['design']['states'][0] == other[part]['design']['states'][0]
+        )
         if law['is_linear'][0]:
             new, old = law['linear'], other['linear']
             if same:
@@ -220,18 +253,25 @@ def continue_laws(laws: Records[ForceLaw], others: Records[ForceLaw]) -> None:
                 new['alpha'], new['p_est'], new['running'] = *taken, True
                 start = new['design']
                 new['x'] = (
-                    start['start_force'] * taken[0] + start['start_disturbance'] * taken[1])
-        elif same and law['observer']['design']['order'][0] == (
-                other['observer']['design']['order'][0]):
+                    start['start_force'] * taken[0]
+                    + start['start_disturbance'] * taken[1]
+                )
+        elif (
+            same
+            and law['observer']['design']['order'][0]
+            == (other['observer']['design']['order'][0])
+        ):
             if law['stiffness']['config']['adaptive'][0]:
-                keep_stiffness(law[0], other[0])  # before the state, which is of that model
+                keep_stiffness(
+                    law[0], other[0]
+                )  # before the state, which is of that model
             continue_from(law['observer'], other['observer'])
         elif taken is not None:
             observer = law['observer'][0]
             observer['x_est'][0], p = taken
             design = observer['design']
             n, order = int(design['states']), int(design['order'])
-            observer['x_est'][n - order:n] = p
+            observer['x_est'][n - order : n] = p
             observer['P'][:n, :n] = design['P_0'] * np.eye(n)
             observer['running'] = True
             keep_at_rest(law['observer'])
@@ -310,7 +350,11 @@ def force_to_feed(law: ForceLaw, contact: Contact, K_2: float) -> float:
     to the other contacts.
     """
     if contact.guarded or law.fed == MEASURED:
-        return contact.alpha_meas if contact.config.kind != FORCE else max(contact.alpha_meas, 0.0)
+        return (
+            contact.alpha_meas
+            if contact.config.kind != FORCE
+            else max(contact.alpha_meas, 0.0)
+        )
     if law.fed == ESTIMATE:
         return contact.answer.alpha_est
     desired = contact.answer.alpha_des
@@ -324,7 +368,11 @@ def force_to_feed(law: ForceLaw, contact: Contact, K_2: float) -> float:
 
 @compiled
 def bound_speed(
-    contact: Contact, law: ForceLaw, control: Control, u: float, speed: float,
+    contact: Contact,
+    law: ForceLaw,
+    control: Control,
+    u: float,
+    speed: float,
 ) -> float:
     """
     Return u within what keeps the tip at `speed_bound` if nothing bears it [m/s^2].
@@ -343,7 +391,9 @@ def bound_speed(
     if u - damping + fed <= largest:
         contact.borne *= 1.0 - min(period / BORNE_TIME, 1.0)
         return u
-    contact.borne = max(contact.borne + BOUND_SHARE * rate * rate * slower * period, 0.0)
+    contact.borne = max(
+        contact.borne + BOUND_SHARE * rate * rate * slower * period, 0.0
+    )
     bounded = largest + damping - fed
     law.observer.command += bounded - u
     law.linear.extra += bounded - u
@@ -352,7 +402,10 @@ def bound_speed(
 
 @compiled
 def answer_forces(
-    laws: Records[ForceLaw], contacts: Records[Contact], control: Control, inputs: Vector,
+    laws: Records[ForceLaw],
+    contacts: Records[Contact],
+    control: Control,
+    inputs: Vector,
     space: ForceSpace,
 ) -> None:
     """
@@ -367,14 +420,19 @@ def answer_forces(
         answer.innovation = answer.prior_variance = answer.variance_used = 0.0
         # Of the contact point into the surface, as far as it is known how that moves itself.
         speed = dot(contact.N, control.frame.twist) - (
-            contact.config.surface_speed + contact.surface_speed_est)
-        if contact.borne > 0.0:  # what does not answer the motion says nothing of a surface
+            contact.config.surface_speed + contact.surface_speed_est
+        )
+        if (
+            contact.borne > 0.0
+        ):  # what does not answer the motion says nothing of a surface
             law.stiffness.felt = False
         elif law.stiffness.config.adaptive:
             learn_stiffness(laws, contacts, i, control, speed, space.fit)
         if not answer.active:
             law.observer.running = law.linear.running = False
-            answer.alpha_est = answer.alpha_rate_est = answer.alpha_fed = inputs[i] = 0.0
+            answer.alpha_est = answer.alpha_rate_est = answer.alpha_fed = inputs[i] = (
+                0.0
+            )
             continue
         stiffness, observer = law.stiffness, law.observer
         if law.is_linear:
@@ -383,14 +441,18 @@ def answer_forces(
         elif stiffness.config.adaptive:
             # The prediction is that of the open loop, under the input that was asked for.
             begins = not observer.running
-            observe(observer, contact, control.measured, stiffness.k * speed, space.observer)
+            observe(
+                observer, contact, control.measured, stiffness.k * speed, space.observer
+            )
             if begins:
                 stiffness.alpha_ref = contact.alpha_meas
                 if stiffness.config.share == 0.0:
                     stiffness.alpha_ref = max(contact.alpha_meas, 0.0)
             # No faster than the contact point may move into the surface.
             step = stiffness.k * APPROACH_LIMIT * stiffness.config.period
-            stiffness.alpha_ref += min(max(answer.alpha_des - stiffness.alpha_ref, -step), step)
+            stiffness.alpha_ref += min(
+                max(answer.alpha_des - stiffness.alpha_ref, -step), step
+            )
             u = command(observer, stiffness.alpha_ref)
             inputs[i] = observer.command = min(max(u, -INPUT_LIMIT), INPUT_LIMIT)
         else:

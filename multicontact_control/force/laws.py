@@ -10,8 +10,17 @@ from typing import Annotated, NamedTuple, Protocol
 from multicontact_control.arrays import Matrix, require_shape, Vector
 from multicontact_control.config import ForceConfig
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.observer import design_observer, ObserverDesign, steady_gain
-from multicontact_control.force.plant import delayed_plant, DelayedPlant, ForceLoop, place_poles
+from multicontact_control.force.observer import (
+    design_observer,
+    ObserverDesign,
+    steady_gain,
+)
+from multicontact_control.force.plant import (
+    delayed_plant,
+    DelayedPlant,
+    ForceLoop,
+    place_poles,
+)
 from multicontact_control.records import (
     MAX_STATES,
     Record,
@@ -23,6 +32,7 @@ from scipy.linalg import solve, solve_discrete_are
 
 INPUTS = ('alpha_meas', 'alpha_des', 'speed')  # y of a linear law, see `LinearLaw`
 OUTPUTS = ('of_u', 'of_alpha', 'of_p')
+
 
 class LinearRow(Record, Protocol):
     """What one state or output of a linear law has of its states and inputs: A or C, B or D."""
@@ -89,7 +99,9 @@ class LoopModel:
     @property
     def plant(self) -> DelayedPlant:
         """Return the delayed plant, discretised."""
-        return delayed_plant(self.stiffness, self.damping_rate, self.input_delay, self.period)
+        return delayed_plant(
+            self.stiffness, self.damping_rate, self.input_delay, self.period
+        )
 
 
 @dataclass(frozen=True)
@@ -116,8 +128,15 @@ class LinearLaw:
         n = self.A.shape[0]
         if n > MAX_STATES:
             raise ConfigError('force law', f'at most {MAX_STATES} states', n)
-        shapes = {'A': (n, n), 'B': (n, 3), 'C': (3, n), 'D': (3, 3), 'E': (n,),
-                  'start_force': (n,), 'start_disturbance': (n,)}
+        shapes = {
+            'A': (n, n),
+            'B': (n, 3),
+            'C': (3, n),
+            'D': (3, 3),
+            'E': (n,),
+            'start_force': (n,),
+            'start_disturbance': (n,),
+        }
         for name, shape in shapes.items():
             require_shape(name, getattr(self, name), shape)
 
@@ -146,8 +165,15 @@ class LinearLaw:
 
 
 def sampled(
-    A: Matrix, B: Matrix, C: Matrix, D: Matrix, period: float, *, E: Vector | None = None,
-    start_force: Vector | None = None, start_disturbance: Vector | None = None,
+    A: Matrix,
+    B: Matrix,
+    C: Matrix,
+    D: Matrix,
+    period: float,
+    *,
+    E: Vector | None = None,
+    start_force: Vector | None = None,
+    start_disturbance: Vector | None = None,
 ) -> LinearLaw:
     """
     Return the law dx/dt = A x + B y + E extra, discretised by the bilinear transformation.
@@ -163,18 +189,30 @@ def sampled(
     D_d = D + 0.5 * (C @ B_d)
     extra, force, disturbance = (
         np.zeros(len(A)) if vector is None else vector
-        for vector in (E, start_force, start_disturbance))
+        for vector in (E, start_force, start_disturbance)
+    )
     return LinearLaw(
-        A_d, B_d, C_d, D_d, period * extra, change @ force - 0.5 * period * B[:, 0],
-        change @ disturbance)
+        A_d,
+        B_d,
+        C_d,
+        D_d,
+        period * extra,
+        change @ force - 0.5 * period * B[:, 0],
+        change @ disturbance,
+    )
 
 
 def design_aob(model: LoopModel, config: ForceConfig) -> ObserverDesign:
     """Design the active observer (P04 eqs 34-37, 41)."""
-    loop = place_poles(model.plant, model.period, time_constant=config.time_constant,
-                       second_pole_ratio=config.second_pole_ratio)
+    loop = place_poles(
+        model.plant,
+        model.period,
+        time_constant=config.time_constant,
+        second_pole_ratio=config.second_pole_ratio,
+    )
     return design_observer(
-        loop, order=config.active_state_order, process_noise=config.process_noise)
+        loop, order=config.active_state_order, process_noise=config.process_noise
+    )
 
 
 def steady_law(observer: ObserverDesign, gain: Vector) -> LinearLaw:
@@ -199,9 +237,16 @@ def steady_law(observer: ObserverDesign, gain: Vector) -> LinearLaw:
     start_force, start_disturbance = np.zeros(n), np.zeros(n)
     start_force[0] = 1.0
     if observer.order:
-        start_disturbance[n - observer.order:] = 1.0
-    return LinearLaw(observer.Phi_c @ correction, B, outputs @ correction, D, observer.Gamma,
-                     start_force, start_disturbance)
+        start_disturbance[n - observer.order :] = 1.0
+    return LinearLaw(
+        observer.Phi_c @ correction,
+        B,
+        outputs @ correction,
+        D,
+        observer.Gamma,
+        start_force,
+        start_disturbance,
+    )
 
 
 def design_pi(model: LoopModel, config: ForceConfig) -> LinearLaw:
@@ -216,18 +261,25 @@ def design_pi(model: LoopModel, config: ForceConfig) -> LinearLaw:
     integral = gain * pi.integral_rate
     if not pi.filter_cutoff:  # int e dt alone
         return sampled(
-            np.zeros((1, 1)), np.array([[-integral, integral, 0.0]]),
+            np.zeros((1, 1)),
+            np.array([[-integral, integral, 0.0]]),
             np.array([[1.0], [0.0], [-1.0]]),
-            np.array([[-gain, gain, 0.0], [1.0, 0.0, 0.0], [0.0] * 3]), model.period,
-            E=np.array([pi.integral_rate]), start_disturbance=np.array([-1.0]))
+            np.array([[-gain, gain, 0.0], [1.0, 0.0, 0.0], [0.0] * 3]),
+            model.period,
+            E=np.array([pi.integral_rate]),
+            start_disturbance=np.array([-1.0]),
+        )
     cutoff = 2.0 * math.pi * pi.filter_cutoff
     return sampled(  # low-passed alpha, and K_i int e dt
         np.array([[-cutoff, 0.0], [-integral, 0.0]]),
         np.array([[cutoff, 0.0, 0.0], [0.0, integral, 0.0]]),
         np.array([[-gain, 1.0], [1.0, 0.0], [0.0, -1.0]]),
-        np.array([[0.0, gain, 0.0], [0.0] * 3, [0.0] * 3]), model.period,
-        E=np.array([0.0, pi.integral_rate]), start_force=np.array([1.0, 0.0]),
-        start_disturbance=np.array([0.0, -1.0]))
+        np.array([[0.0, gain, 0.0], [0.0] * 3, [0.0] * 3]),
+        model.period,
+        E=np.array([0.0, pi.integral_rate]),
+        start_force=np.array([1.0, 0.0]),
+        start_disturbance=np.array([0.0, -1.0]),
+    )
 
 
 def design_dob(model: LoopModel, config: ForceConfig) -> LinearLaw:
@@ -242,13 +294,16 @@ def design_dob(model: LoopModel, config: ForceConfig) -> LinearLaw:
     gain = values.bandwidth * K_2 / k
     delay = max(1, round(model.input_delay / h))
     # Q alpha, in controllable form; of it s (s + K_2) / k makes Q G_n^-1 alpha.
-    A = np.array([[0.0, 1.0], [-omega ** 2, -2.0 * omega]])
+    A = np.array([[0.0, 1.0], [-(omega**2), -2.0 * omega]])
     force = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     C, D = np.zeros((3, 2)), np.zeros((3, 3))
-    still = np.array([1.0 / omega ** 2, 0.0])  # of a filter whose input is constantly 1
-    C[2], D[2, 0] = omega ** 2 / k * np.array([-omega ** 2, K_2 - 2.0 * omega]), omega ** 2 / k
+    still = np.array([1.0 / omega**2, 0.0])  # of a filter whose input is constantly 1
+    C[2], D[2, 0] = (
+        omega**2 / k * np.array([-(omega**2), K_2 - 2.0 * omega]),
+        omega**2 / k,
+    )
     inverse = sampled(A, force, C, D, h, start_force=still)
-    C[2], D[2, 0] = [omega ** 2, 0.0], 0.0
+    C[2], D[2, 0] = [omega**2, 0.0], 0.0
     acted = sampled(A, force, C, D, h, start_force=still)  # Q u
     # States: of Q G_n^-1 alpha, of Q u, and u of the last periods, oldest first.
     n, line = 4 + delay, 4
@@ -258,7 +313,11 @@ def design_dob(model: LoopModel, config: ForceConfig) -> LinearLaw:
     A_all[2:4, 2:4], A_all[2:4, line] = acted.A, acted.B[:, 0]
     for j in range(line, n - 1):
         A_all[j, j + 1] = 1.0
-    C_all[2, :2], C_all[2, 2:4], C_all[2, line] = inverse.C[2], -acted.C[2], -acted.D[2, 0]
+    C_all[2, :2], C_all[2, 2:4], C_all[2, line] = (
+        inverse.C[2],
+        -acted.C[2],
+        -acted.D[2, 0],
+    )
     D_all[1, 0], D_all[2] = 1.0, inverse.D[2]
     C_all[0] = -C_all[2]
     D_all[0] = gain * np.array([-1.0, 1.0, 0.0]) - D_all[2]
@@ -282,7 +341,9 @@ def design_lqg(model: LoopModel, config: ForceConfig) -> LinearLaw:
     rho = config.lqg.input_weight
     S = solve_discrete_are(Phi, Gamma, weight, np.array([[rho]]))
     L = (Gamma.T @ S @ Phi / (rho + Gamma.T @ S @ Gamma))[0]
-    observer = design_observer(ForceLoop(model.plant, L), process_noise=config.process_noise)
+    observer = design_observer(
+        ForceLoop(model.plant, L), process_noise=config.process_noise
+    )
     return steady_law(observer, steady_gain(observer, config.lqg.noise_variance))
 
 
@@ -295,14 +356,20 @@ def design_admittance(model: LoopModel, config: ForceConfig) -> LinearLaw:
     values, K_2 = config.admittance, model.damping_rate
     compliance = values.bandwidth / model.stiffness  # 1 / D
     rate, integral = 1.0 / values.inertia_time, compliance * values.integral_rate
-    extra = values.integral_rate / max(K_2, 1.0)  # per input, so that a limit does not wind it up
+    extra = values.integral_rate / max(
+        K_2, 1.0
+    )  # per input, so that a limit does not wind it up
     return sampled(  # v, and K_i int e dt
         np.array([[-rate, 0.0], [0.0, 0.0]]),
-        np.array([[-rate * compliance, rate * compliance, 0.0], [-integral, integral, 0.0]]),
+        np.array(
+            [[-rate * compliance, rate * compliance, 0.0], [-integral, integral, 0.0]]
+        ),
         np.array([[K_2, K_2], [0.0, 0.0], [0.0, -K_2]]),
-        np.array([[0.0] * 3, [1.0, 0.0, 0.0], [0.0] * 3]), model.period,
+        np.array([[0.0] * 3, [1.0, 0.0, 0.0], [0.0] * 3]),
+        model.period,
         E=np.array([0.0, extra]),
-        start_disturbance=np.array([0.0, -1.0 / K_2 if K_2 else 0.0]))
+        start_disturbance=np.array([0.0, -1.0 / K_2 if K_2 else 0.0]),
+    )
 
 
 def design_impedance(model: LoopModel, config: ForceConfig) -> LinearLaw:
@@ -312,12 +379,15 @@ def design_impedance(model: LoopModel, config: ForceConfig) -> LinearLaw:
     At the touch z = alpha / k. Nothing integrates a force error away: the force is as exact as the
     stiffness k of the model and what is fed forward.
     """
-    spring = config.impedance.natural_frequency ** 2
+    spring = config.impedance.natural_frequency**2
     return sampled(
-        np.zeros((1, 1)), np.array([[0.0, 0.0, 1.0]]),
+        np.zeros((1, 1)),
+        np.array([[0.0, 0.0, 1.0]]),
         np.array([[-spring], [0.0], [0.0]]),
         np.array([[0.0, spring / model.stiffness, 0.0], [1.0, 0.0, 0.0], [0.0] * 3]),
-        model.period, start_force=np.array([1.0 / model.stiffness]))
+        model.period,
+        start_force=np.array([1.0 / model.stiffness]),
+    )
 
 
 def design_feedforward(model: LoopModel, config: ForceConfig) -> LinearLaw:
@@ -326,7 +396,8 @@ def design_feedforward(model: LoopModel, config: ForceConfig) -> LinearLaw:
     nothing[1, 0] = 1.0  # alpha_est = alpha
     none = np.zeros(0)
     return LinearLaw(
-        np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((3, 0)), nothing, none, none, none)
+        np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((3, 0)), nothing, none, none, none
+    )
 
 
 Design = Callable[[LoopModel, ForceConfig], ObserverDesign | LinearLaw]
@@ -336,15 +407,20 @@ class LawEntry(NamedTuple):
     """A force law of the registry."""
 
     design: Design
-    reads: tuple[str, ...]  # fields of `ForceConfig`: the design has these, and no others
+    reads: tuple[
+        str, ...
+    ]  # fields of `ForceConfig`: the design has these, and no others
 
 
 LAWS: Mapping[str, LawEntry] = {
-    'aob': LawEntry(design_aob, (
-        'time_constant', 'second_pole_ratio', 'active_state_order', 'process_noise')),
+    'aob': LawEntry(
+        design_aob,
+        ('time_constant', 'second_pole_ratio', 'active_state_order', 'process_noise'),
+    ),
     'pi': LawEntry(design_pi, ('pi',)),
     'dob': LawEntry(design_dob, ('dob',)),
     'lqg': LawEntry(design_lqg, ('lqg', 'process_noise')),
     'admittance': LawEntry(design_admittance, ('admittance',)),
     'impedance': LawEntry(design_impedance, ('impedance',)),
-    'feedforward': LawEntry(design_feedforward, ())}
+    'feedforward': LawEntry(design_feedforward, ()),
+}

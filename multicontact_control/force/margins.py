@@ -39,7 +39,11 @@ class LinearArmPlant:
 
 
 def closed_loop(
-    plant: LinearArmPlant, law: LinearLaw, damping_rate: float, period: float, *,
+    plant: LinearArmPlant,
+    law: LinearLaw,
+    damping_rate: float,
+    period: float,
+    *,
     fed_share: float = 0.0,
 ) -> Matrix:
     """
@@ -60,11 +64,17 @@ def closed_loop(
     """
     r, n = len(plant.stiffness), law.states
     zero, one = np.zeros((r, r)), np.eye(r)
-    force = np.hstack([np.diag(plant.stiffness), np.diag(plant.damping)])  # alpha of z and dz/dt
+    force = np.hstack(
+        [np.diag(plant.stiffness), np.diag(plant.damping)]
+    )  # alpha of z and dz/dt
     acceleration = -plant.mobility @ force
     acceleration[:, r:] -= plant.damping_rate * one
-    Phi, Gamma = delayed_hold(np.vstack([np.hstack([zero, one]), acceleration]),
-                              np.vstack([zero, one]), plant.delay, period)
+    Phi, Gamma = delayed_hold(
+        np.vstack([np.hstack([zero, one]), acceleration]),
+        np.vstack([zero, one]),
+        plant.delay,
+        period,
+    )
     real = len(Phi)  # states of the plant, with the inputs under way
     own = real + r  # where the states of the laws begin
     size = own + n * r
@@ -73,28 +83,31 @@ def closed_loop(
     for row, name in enumerate(('u', 'alpha_est')):
         output[name] = np.zeros((r, size))
         output[name][:, real:own] = law.D[row, 0] * one
-        output[name][:, r:2 * r] = law.D[row, 2] * one
-        output[name][:, own:] = np.kron(one, law.C[row:row + 1])
+        output[name][:, r : 2 * r] = law.D[row, 2] * one
+        output[name][:, own:] = np.kron(one, law.C[row : row + 1])
     answer = output['u'] + (1.0 - fed_share) * plant.mobility @ output['alpha_est']
-    answer[:, r:2 * r] -= damping_rate * one
+    answer[:, r : 2 * r] -= damping_rate * one
     loop = np.zeros((size, size))
     loop[:real] = Gamma @ answer
     loop[:real, :real] += Phi
-    motion = loop[:2 * r]
+    motion = loop[: 2 * r]
     loop[real:own] = force @ motion + plant.tool_inertia @ (
-        acceleration @ motion + _acting_input(plant, answer, real, period))
+        acceleration @ motion + _acting_input(plant, answer, real, period)
+    )
     loop[own:, real:own] = np.kron(one, law.B[:, :1])
-    loop[own:, r:2 * r] = np.kron(one, law.B[:, 2:3])
+    loop[own:, r : 2 * r] = np.kron(one, law.B[:, 2:3])
     loop[own:, own:] = np.kron(one, law.A)
     return loop
 
 
-def _acting_input(plant: LinearArmPlant, answer: Matrix, real: int, period: float) -> Matrix:
+def _acting_input(
+    plant: LinearArmPlant, answer: Matrix, real: int, period: float
+) -> Matrix:
     """Return, as rows, the inputs that act at the end of the period."""
     waiting, r = plant.delay / period, len(answer)
     whole = math.floor(waiting + 1e-9) == math.ceil(waiting - 1e-9)  # still the oldest
     first = (2 if whole else 3) * r
-    return np.eye(answer.shape[1])[first:first + r] if first < real else answer
+    return np.eye(answer.shape[1])[first : first + r] if first < real else answer
 
 
 def spectral_radius(matrix: Matrix) -> float:
@@ -103,7 +116,9 @@ def spectral_radius(matrix: Matrix) -> float:
 
 
 def last_stable(
-    stable: Callable[[float], bool], ratios: Sequence[float], tolerance: float,
+    stable: Callable[[float], bool],
+    ratios: Sequence[float],
+    tolerance: float,
 ) -> tuple[float, float]:
     """
     Return a stable and an unstable ratio next to each other, the first from below.

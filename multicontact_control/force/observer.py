@@ -22,6 +22,7 @@ from scipy.linalg import solve_discrete_are
 
 INITIAL_VARIANCE = 1e-3  # of every state
 
+
 class ObserverGains(Record, Protocol):
     """
     What an active observer works by. The first `states` rows and columns of matrices
@@ -92,7 +93,10 @@ class ObserverDesign:
 
 
 def design_observer(
-    loop: ForceLoop, *, order: int = 1, process_noise: float = 1e-3,
+    loop: ForceLoop,
+    *,
+    order: int = 1,
+    process_noise: float = 1e-3,
 ) -> ObserverDesign:
     """
     Design an active observer (P04 eqs 34-37, 41).
@@ -118,10 +122,16 @@ def design_observer(
         Phi_n[:n, n] = loop.plant.Gamma
         feedback[n] = 1.0
     Q = np.zeros(size)
-    Q[:n + min(order, 1)] = process_noise
+    Q[: n + min(order, 1)] = process_noise
     return ObserverDesign(
-        loop, order, Phi_n, Phi_c, np.concatenate([loop.plant.Gamma, np.zeros(order)]), feedback,
-        Q)
+        loop,
+        order,
+        Phi_n,
+        Phi_c,
+        np.concatenate([loop.plant.Gamma, np.zeros(order)]),
+        feedback,
+        Q,
+    )
 
 
 def steady_gain(observer: ObserverDesign, noise_variance: float) -> Vector:
@@ -133,7 +143,8 @@ def steady_gain(observer: ObserverDesign, noise_variance: float) -> Vector:
     C = np.zeros((observer.Q.shape[0], 1))
     C[0] = 1.0
     P_1 = solve_discrete_are(
-        observer.Phi_n.T, C, np.diag(observer.Q), np.array([[noise_variance]]))
+        observer.Phi_n.T, C, np.diag(observer.Q), np.array([[noise_variance]])
+    )
     gain: Vector = P_1[:, 0] / (P_1[0, 0] + noise_variance)
     return gain
 
@@ -155,7 +166,11 @@ def make_observers(designs: Sequence[ObserverDesign]) -> Records[Observer]:
     observers = np.zeros(len(designs), dtype=OBSERVER)
     for record, design in zip(observers['design'], designs):
         n = design.Gamma.shape[0]
-        record['states'], record['order'], record['P_0'] = n, design.order, INITIAL_VARIANCE
+        record['states'], record['order'], record['P_0'] = (
+            n,
+            design.order,
+            INITIAL_VARIANCE,
+        )
         for name in ('Phi_c', 'Phi_n'):
             record[name][:n, :n] = getattr(design, name)
         for name in ('Gamma', 'feedback', 'Q'):
@@ -173,7 +188,8 @@ def continue_from(observers: Records[Observer], others: Records[Observer]) -> No
         observers[name] = others[name]
     difference = _predicted_feedback(observers) - _predicted_feedback(others)
     observers['command'] = others['command'] + np.einsum(
-        'ij,ij->i', difference, others['x_est'])
+        'ij,ij->i', difference, others['x_est']
+    )
 
 
 def _predicted_feedback(observers: Records[Observer]) -> Matrix:
@@ -204,7 +220,13 @@ def predict(observer: Observer, space: ObserverSpace) -> None:
     `OBSERVER_SPACE`.
     """
     design, half = observer.design, space.half
-    n, Phi_c, Phi_n, Gamma, Q = design.states, design.Phi_c, design.Phi_n, design.Gamma, design.Q
+    n, Phi_c, Phi_n, Gamma, Q = (
+        design.states,
+        design.Phi_c,
+        design.Phi_n,
+        design.Gamma,
+        design.Q,
+    )
     P, x_est, x_1 = observer.P, observer.x_est, observer.x_1
     for i in range(n):
         total = Gamma[i] * observer.command
@@ -230,7 +252,10 @@ def predict(observer: Observer, space: ObserverSpace) -> None:
 
 @compiled
 def correct(
-    observer: Observer, innovation: float, noise_variance: float, space: ObserverSpace,
+    observer: Observer,
+    innovation: float,
+    noise_variance: float,
+    space: ObserverSpace,
 ) -> None:
     """
     Correct the prediction by the innovation.
@@ -249,7 +274,9 @@ def correct(
         covariance[i] = P[0, i] + tau * P[1, i]
     total_variance = covariance[0] + tau * covariance[1] + noise_variance
     for i in range(n):
-        observer.x_est[i] = observer.x_1[i] + covariance[i] / total_variance * innovation
+        observer.x_est[i] = (
+            observer.x_1[i] + covariance[i] / total_variance * innovation
+        )
     if tau != 0.0:
         for i in range(n):
             for j in range(i, n):
@@ -293,14 +320,18 @@ def continue_at(observers: Records[Observer], held: Mask, force: Vector) -> None
     for observer, is_held, alpha in zip(observers, held, force):
         if is_held:
             x_est, design = observer['x_est'], observer['design']
-            x_est[:design['states'] - design['order']] = 0.0
+            x_est[: design['states'] - design['order']] = 0.0
             x_est[0] = alpha
     keep_at_rest(observers)
 
 
 @compiled
 def observe(
-    observer: Observer, contact: Contact, measured: bool, rate: float, space: ObserverSpace,
+    observer: Observer,
+    contact: Contact,
+    measured: bool,
+    rate: float,
+    space: ObserverSpace,
 ) -> None:
     """
     Take the measured force of an active contact into its observer.

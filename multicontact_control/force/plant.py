@@ -29,7 +29,10 @@ class DelayedPlant:
 
 
 def delayed_plant(
-    stiffness: float, damping_rate: float, input_delay: float, period: float,
+    stiffness: float,
+    damping_rate: float,
+    input_delay: float,
+    period: float,
 ) -> DelayedPlant:
     """
     Discretise G(s) = k e^(-s T_d) / (s (s + K_2)) with a zero-order hold (P04 eqs 32-33).
@@ -48,8 +51,11 @@ def delayed_plant(
 
     """
     if not 0.0 <= input_delay <= MAX_DELAY_PERIODS * period * (1.0 + 1e-9):
-        raise ConfigError('input_delay', f'0 to {MAX_DELAY_PERIODS} periods '
-                          f'({MAX_DELAY_PERIODS * period:g} s)', f'{input_delay:g} s')
+        raise ConfigError(
+            'input_delay',
+            f'0 to {MAX_DELAY_PERIODS} periods ({MAX_DELAY_PERIODS * period:g} s)',
+            f'{input_delay:g} s',
+        )
     A = np.array([[0.0, 1.0], [0.0, -damping_rate]])
     B = np.array([[0.0], [stiffness]])
     Phi, Gamma = delayed_hold(A, B, input_delay, period)
@@ -57,7 +63,10 @@ def delayed_plant(
 
 
 def delayed_hold(
-    A: Matrix, B: Matrix, input_delay: float, period: float,
+    A: Matrix,
+    B: Matrix,
+    input_delay: float,
+    period: float,
 ) -> tuple[Matrix, Matrix]:
     """
     Discretise dx/dt = A x + B u(t - T_d), of shapes (n, n) and (n, r), with a zero-order hold.
@@ -78,16 +87,21 @@ def delayed_hold(
     moved = np.eye(n + d * r, n + (d + 1) * r, k=r)
     moved[:n] = 0.0
     moved[:n, :n] = Phi_h
-    moved[:n, n:n + r] = after @ early
+    moved[:n, n : n + r] = after @ early
     second = n + min(1, d) * r
-    moved[:n, second:second + r] += recent
-    return moved[:, :n + d * r], moved[:, n + d * r:]
+    moved[:n, second : second + r] += recent
+    return moved[:, : n + d * r], moved[:, n + d * r :]
 
 
 def _zero_order_hold(A: Matrix, B: Matrix, duration: float) -> tuple[Matrix, Matrix]:
     """Return exp(A t) and the integral of exp(A s) B over s from 0 to t."""
     n, r = B.shape
-    if B.shape == (2, 1) and A[0].tolist() == [0.0, 1.0] and A[1, 0] == 0.0 and B[0, 0] == 0.0:
+    if (
+        B.shape == (2, 1)
+        and A[0].tolist() == [0.0, 1.0]
+        and A[1, 0] == 0.0
+        and B[0, 0] == 0.0
+    ):
         return _damped_hold(float(B[1, 0]), -float(A[1, 1]), duration)
     augmented = np.zeros((n + r, n + r))
     augmented[:n] = np.hstack([A, B])
@@ -96,15 +110,20 @@ def _zero_order_hold(A: Matrix, B: Matrix, duration: float) -> tuple[Matrix, Mat
 
 
 def _damped_hold(
-    stiffness: float, damping_rate: float, duration: float,
+    stiffness: float,
+    damping_rate: float,
+    duration: float,
 ) -> tuple[Matrix, Matrix]:
     """Return the same for A = [[0, 1], [0, -K_2]], B = [[0], [k]], in closed form."""
     # A general matrix exponential may keep a control tick waiting for the threads of its BLAS.
     x = damping_rate * duration
     first = -math.expm1(-x) / x if x else 1.0  # (1 - e^-x) / x
     # (1 - first) / x, by its series where that would cancel
-    second = (1.0 - first) / x if x > SMALL_EXPONENT else sum(
-        (-x) ** n / math.factorial(n + 2) for n in range(10))
+    second = (
+        (1.0 - first) / x
+        if x > SMALL_EXPONENT
+        else sum((-x) ** n / math.factorial(n + 2) for n in range(10))
+    )
     Phi = np.array([[1.0, duration * first], [0.0, math.exp(-x)]])
     return Phi, stiffness * duration * np.array([[duration * second], [first]])
 
@@ -153,14 +172,20 @@ class ForceLoop:
 
 
 def place_poles(
-    plant: DelayedPlant, period: float, *, time_constant: float, second_pole_ratio: float = 1.0,
+    plant: DelayedPlant,
+    period: float,
+    *,
+    time_constant: float,
+    second_pole_ratio: float = 1.0,
 ) -> ForceLoop:
     """
     Place poles at exp(-h / tau) and exp(-h ratio / tau), those of the delay states at 0.
 
     h is the period and tau the time constant [s].
     """
-    poles = [math.exp(-period / time_constant),
-             math.exp(-period * second_pole_ratio / time_constant)]
+    poles = [
+        math.exp(-period / time_constant),
+        math.exp(-period * second_pole_ratio / time_constant),
+    ]
     poles += [0.0] * (len(plant.Gamma) - len(poles))
     return ForceLoop(plant, ackermann(plant.Phi, plant.Gamma, poles))

@@ -39,30 +39,48 @@ from multicontact_control.records import (
 )
 import numpy as np
 
-SLOW_BAND, FAST_BAND = (3.0, 20.0), (6.0, 30.0)  # Hz: of the high-pass, and of three low-passes
+SLOW_BAND, FAST_BAND = (
+    (3.0, 20.0),
+    (6.0, 30.0),
+)  # Hz: of the high-pass, and of three low-passes
 FAST_MEMORY = 0.04  # s
 DAMPING_TIME = 0.02  # s, in which the damping of the model settles
 STEP = 0.3  # N, a change of the command that counts as a step
-BEGIN, END = 1.0, 0.5  # N: a tool that is shaken reads 0.5 N of its inertia without a surface
+BEGIN, END = (
+    1.0,
+    0.5,
+)  # N: a tool that is shaken reads 0.5 N of its inertia without a surface
 SLIP_SPEED = 3e-3  # m/s, at which friction is near its full value
 SLOW_SHARE, FAST_SHARE = 0.3, 0.5  # r^2 from which on a fit is believed
-FAST_EXCESS = 1.5  # how much stiffer than the slow fit the fast one has to find the surface
+FAST_EXCESS = (
+    1.5  # how much stiffer than the slow fit the fast one has to find the surface
+)
 INERTIA_SHARE = 0.8  # of k / m, which the square of the fastest pole stays below
 SLOWEST_POLE = 10.0  # 1/s, of the second pole
 MEMORY = 0.1  # s, of the slow fit, in time of samples that are accepted
 WINDOW = 0.3  # s after a touch or a step of the command in which it accepts samples
 LARGEST_DAMPING = 60.0  # N s/m, of the model
-FALL_TIME, RISE_TIME = 0.02, 0.004  # s, shortest in which the model's k changes by a factor e
+FALL_TIME, RISE_TIME = (
+    0.02,
+    0.004,
+)  # s, shortest in which the model's k changes by a factor e
 INPUT_LIMIT = 40.0  # m/s^2, of |u|
-APPROACH_LIMIT = 0.25  # m/s into the surface, at which the desired force is followed at most
+APPROACH_LIMIT = (
+    0.25  # m/s into the surface, at which the desired force is followed at most
+)
 SMALLEST_RESIDUAL = 0.03  # N; what is left is never taken for smaller
 CORRELATION = 8.0  # samples of a band-passed signal for one that is independent
 LEAST_WEIGHT = 5.0  # samples, for a fit
-SMALLEST_PIVOT = 1e-6  # what must be left of a scaled column that the others do not explain
+SMALLEST_PIVOT = (
+    1e-6  # what must be left of a scaled column that the others do not explain
+)
 LARGEST_FRICTION = 1.0
 SMALLEST_SIGNAL = 0.15  # N, filtered, from which on a sample is accepted
 LIMITS = 8  # points of the curve of what stiffness a force loop is stable up to
-WAY, RATE, FRICTION = range(3)  # what the force is explained by, and with which factor: k, c, mu
+WAY, RATE, FRICTION = range(
+    3
+)  # what the force is explained by, and with which factor: k, c, mu
+
 
 class SignalBand(Record, Protocol):
     """
@@ -217,10 +235,13 @@ class FitSpace(Record, Protocol):
 FIT_SPACE = record_dtype(FitSpace)
 
 
-def adopt_band(fit: StiffnessFit, band: tuple[float, float], period: float, memory: float) -> None:
+def adopt_band(
+    fit: StiffnessFit, band: tuple[float, float], period: float, memory: float
+) -> None:
     """Set the band [Hz] and the memory [s] of a record of `STIFFNESS_FIT`; h in [s]."""
     fit['high'], fit['low'] = (
-        -math.expm1(-2.0 * math.pi * frequency * period) for frequency in band)
+        -math.expm1(-2.0 * math.pi * frequency * period) for frequency in band
+    )
     fit['keep'] = math.exp(-period / memory)
 
 
@@ -243,7 +264,11 @@ def pass_band(fit: StiffnessFit, band: SignalBand, value: float) -> float:
 
 @compiled
 def take_sample(
-    stiffness: Stiffness, fit: StiffnessFit, friction: float, alpha: float, accepted: bool,
+    stiffness: Stiffness,
+    fit: StiffnessFit,
+    friction: float,
+    alpha: float,
+    accepted: bool,
     space: FitSpace,
 ) -> None:
     """
@@ -300,8 +325,11 @@ def solve_fit(fit: StiffnessFit, space: FitSpace) -> None:
     fit.k, fit.c, fit.mu = factors[WAY], factors[RATE], factors[FRICTION]
     fit.share = 1.0 - left / fit.power
     variance = space.variance[WAY] * (space.scale[WAY] * space.scale[WAY])
-    fit.k_std = np.sqrt(CORRELATION * variance * max(
-        left / fit.weight, SMALLEST_RESIDUAL * SMALLEST_RESIDUAL))
+    fit.k_std = np.sqrt(
+        CORRELATION
+        * variance
+        * max(left / fit.weight, SMALLEST_RESIDUAL * SMALLEST_RESIDUAL)
+    )
 
 
 @compiled
@@ -345,8 +373,14 @@ def fit_factors(fit: StiffnessFit, friction_known: bool, space: FitSpace) -> boo
 
 
 def adopt_stiffness(
-    record: Stiffness, plant: DelayedPlant, stiffness: float, config: ForceConfig, *,
-    period: float, tool_mass: float, ratio_limits: Sequence[float],
+    record: Stiffness,
+    plant: DelayedPlant,
+    stiffness: float,
+    config: ForceConfig,
+    *,
+    period: float,
+    tool_mass: float,
+    ratio_limits: Sequence[float],
 ) -> None:
     """
     Fill in a record of `STIFFNESS` whose model starts from a stiffness [N/m] and its plant.
@@ -355,17 +389,22 @@ def adopt_stiffness(
     the loop is stable, of `LIMITS` models from the softest to the stiffest, equal ratios apart.
     """
     values = {
-        'adaptive': True, 'period': period, 'tool_mass': tool_mass,
-        'lowest': config.adaptive.lowest, 'highest': config.adaptive.highest,
-        'fastest_pole': 1.0 / config.time_constant, 'pole_ratio': config.second_pole_ratio,
-        'ratio_limit': ratio_limits}
+        'adaptive': True,
+        'period': period,
+        'tool_mass': tool_mass,
+        'lowest': config.adaptive.lowest,
+        'highest': config.adaptive.highest,
+        'fastest_pole': 1.0 / config.time_constant,
+        'pole_ratio': config.second_pole_ratio,
+        'ratio_limit': ratio_limits,
+    }
     settings = record['config']
     for name, value in values.items():
         settings[name] = value
     settings['way_of_speed'], settings['speed_kept'] = plant.Phi[:2, 1]
     gains, input_gain = predictor_gains(plant, stiffness)
     for name, of_delayed, gain in zip(('way', 'speed'), gains.T, input_gain):
-        settings['delay_gain'][name][:len(gains)] = of_delayed
+        settings['delay_gain'][name][: len(gains)] = of_delayed
         settings['input_gain'][name] = gain
     record['k'], record['c'] = stiffness, 0.0
     adopt_band(record['slow'], SLOW_BAND, period, MEMORY)
@@ -394,8 +433,18 @@ def predictor_gains(plant: DelayedPlant, stiffness: float) -> tuple[Matrix, Vect
 def keep_stiffness(law: AdaptiveLaw, other: AdaptiveLaw) -> None:
     """Take over what another design has found out; records of `FORCE_LAW`, the first changed."""
     record, known = law['stiffness'], other['stiffness']
-    for name in ('slow', 'fast', 'k_est', 'k_std', 'alpha_ref', 'alpha_des', 'since', 'depth',
-                 'speed', 'felt'):
+    for name in (
+        'slow',
+        'fast',
+        'k_est',
+        'k_std',
+        'alpha_ref',
+        'alpha_des',
+        'since',
+        'depth',
+        'speed',
+        'felt',
+    ):
         record[name] = known[name]
     use_stiffness(law['observer'], record, float(known['k']), float(known['c']))
 
@@ -461,16 +510,24 @@ def friction_of_others(frame: Frame, contacts: Records[Contact], which: int) -> 
         velocity = (
             twist[0] + twist[4] * lever[2] - twist[5] * lever[1],
             twist[1] + twist[5] * lever[0] - twist[3] * lever[2],
-            twist[2] + twist[3] * lever[1] - twist[4] * lever[0])
+            twist[2] + twist[3] * lever[1] - twist[4] * lever[0],
+        )
         sliding = across(velocity, other.normal)
-        total += other.alpha_meas * dot(sliding, normal) / np.sqrt(
-            dot(sliding, sliding) + SLIP_SPEED * SLIP_SPEED)
+        total += (
+            other.alpha_meas
+            * dot(sliding, normal)
+            / np.sqrt(dot(sliding, sliding) + SLIP_SPEED * SLIP_SPEED)
+        )
     return total
 
 
 @compiled
 def find_stiffness(
-    stiffness: Stiffness, alpha: float, alpha_des: float, speed: float, friction: float,
+    stiffness: Stiffness,
+    alpha: float,
+    alpha_des: float,
+    speed: float,
+    friction: float,
     space: FitSpace,
 ) -> None:
     """
@@ -511,8 +568,12 @@ def find_stiffness(
 
 @compiled
 def learn_stiffness(
-    laws: Records[AdaptiveLaw], contacts: Records[Contact], which: int, control: Control,
-    speed: float, space: FitSpace,
+    laws: Records[AdaptiveLaw],
+    contacts: Records[Contact],
+    which: int,
+    control: Control,
+    speed: float,
+    space: FitSpace,
 ) -> None:
     """
     Take a sample into the model of a contact's surface, which follows at a bounded rate.
@@ -521,10 +582,17 @@ def learn_stiffness(
     `CONTACT`, shape (r,), those of number `which` are changed; `control` is a record of `CONTROL`,
     the speed of the contact point is that INTO the surface [m/s], `space` a record of `FIT_SPACE`.
     """
-    contact, observer, stiffness = contacts[which], laws[which].observer, laws[which].stiffness
+    contact, observer, stiffness = (
+        contacts[which],
+        laws[which].observer,
+        laws[which].stiffness,
+    )
     config = stiffness.config
     if contact.config.kind != FORCE:
-        leader, whole = contacts[contact.config.leader], laws[contact.config.leader].stiffness
+        leader, whole = (
+            contacts[contact.config.leader],
+            laws[contact.config.leader].stiffness,
+        )
         share = config.share
         k = min(max(share * whole.k, config.lowest), config.highest)
         if k != stiffness.k:
@@ -535,8 +603,14 @@ def learn_stiffness(
         contact.ratio_bound, contact.margin = leader.ratio_bound, leader.margin
         return
     alpha = contact.alpha_meas if control.measured else contact.answer.alpha_est
-    find_stiffness(stiffness, alpha, contact.answer.alpha_des, speed,
-                   friction_of_others(control.frame, contacts, which), space)
+    find_stiffness(
+        stiffness,
+        alpha,
+        contact.answer.alpha_des,
+        speed,
+        friction_of_others(control.frame, contacts, which),
+        space,
+    )
     slow, fast = stiffness.slow, stiffness.fast
     h, k, c = config.period, stiffness.k, stiffness.c
     target = k
@@ -549,7 +623,9 @@ def learn_stiffness(
         target = fast.k
     target = min(max(target, config.lowest), config.highest)
     # A model changes once a period: e times its value in less would be a jump.
-    change = min(max(np.log(target / k), -min(h / FALL_TIME, 1.0)), min(h / RISE_TIME, 1.0))
+    change = min(
+        max(np.log(target / k), -min(h / FALL_TIME, 1.0)), min(h / RISE_TIME, 1.0)
+    )
     if change != 0.0 or c != stiffness.c:
         use_stiffness(observer, stiffness, k * np.exp(change), c)
     contact.stiffness = stiffness.k
@@ -573,5 +649,7 @@ def ratio_limit_of(stiffness: Stiffness) -> float:
         before += 1
     if before == last or place <= 0.0:
         return limits[before]
-    slope = (limits[before + 1] - limits[before]) / ((before + 1) * step - before * step)
+    slope = (limits[before + 1] - limits[before]) / (
+        (before + 1) * step - before * step
+    )
     return slope * (place - before * step) + limits[before]

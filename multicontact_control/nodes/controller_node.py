@@ -18,7 +18,10 @@ from multicontact_control.errors import ConfigError, MessageError, MulticontactE
 from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_report import ControllerReport
-from multicontact_control.nodes.controller_topics import ControllerOutputs, serve_commands
+from multicontact_control.nodes.controller_topics import (
+    ControllerOutputs,
+    serve_commands,
+)
 from multicontact_control.nodes.diagnostics import Status
 from multicontact_control.nodes.graph import SAFE_TIME, StartupConfig
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
@@ -41,23 +44,40 @@ class ControllerNodeConfig(StartupConfig):
     """Parameters of the node."""
 
     supervised: bool = parameter(
-        True, 'Whether contact states, watchdogs, limits and the last gate are around the control '
-        'law; without them it is the law alone, as its claims are measured.')
+        True,
+        'Whether contact states, watchdogs, limits and the last gate are around the control '
+        'law; without them it is the law alone, as its claims are measured.',
+    )
     lockstep: bool = parameter(
-        False, 'Whether to wait for the noise variance of one sample before answering the next.')
+        False,
+        'Whether to wait for the noise variance of one sample before answering the next.',
+    )
     patience: float = parameter(
-        1.5, 'Periods after a sample from which the next is waited for no longer: what has come '
+        1.5,
+        'Periods after a sample from which the next is waited for no longer: what has come '
         'of it is used, and one period later the tick is taken without it. 0 to wait for ever; '
-        'only with supervision, and not in lockstep.', ge=0.0, le=100.0)
+        'only with supervision, and not in lockstep.',
+        ge=0.0,
+        le=100.0,
+    )
     pair_tolerance: float = parameter(
-        0.5, 'Largest difference between the stamps of a joint state and a wrench that are taken '
-        'for one sample.', unit='periods', ge=0.0, le=0.5)
+        0.5,
+        'Largest difference between the stamps of a joint state and a wrench that are taken '
+        'for one sample.',
+        unit='periods',
+        ge=0.0,
+        le=0.5,
+    )
     reference_file: str = parameter(
-        '', 'YAML file of a scenario or its reference, with a path like that of robot.urdf; empty '
-        'to obey the command topics.')
+        '',
+        'YAML file of a scenario or its reference, with a path like that of robot.urdf; empty '
+        'to obey the command topics.',
+    )
     effort_output_topic: str = parameter(
-        '', 'Topic for the bare efforts (std_msgs/Float64MultiArray) that the forward '
-        'controllers of ros2_control take; empty for none.')
+        '',
+        'Topic for the bare efforts (std_msgs/Float64MultiArray) that the forward '
+        'controllers of ros2_control take; empty for none.',
+    )
     command: CommandLimits = CommandLimits()
     push_test: PushTestConfig = PushTestConfig()
 
@@ -75,7 +95,9 @@ class ControllerNodeConfig(StartupConfig):
             return None
         path = folder / self.reference_file
         values = read_yaml(path)  # of a scenario file more than its reference
-        reference = validate(ReferenceConfig, values.get('reference', values), str(path))
+        reference = validate(
+            ReferenceConfig, values.get('reference', values), str(path)
+        )
         return ScenarioTask.of(reference, config)
 
 
@@ -87,47 +109,80 @@ class ControllerNode(ManagedNode):
     """
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(topics.CONTROLLER, ControllerConfig, ControllerNodeConfig, **options)
+        super().__init__(
+            topics.CONTROLLER, ControllerConfig, ControllerNodeConfig, **options
+        )
         self._heard = 0  # messages of whatever use
         self._folder_of = partial(
-            folder_of, node_name=self.get_name(), arguments=options.get('cli_args', sys.argv))
+            folder_of,
+            node_name=self.get_name(),
+            arguments=options.get('cli_args', sys.argv),
+        )
 
     def configure(self, configurations: Sequence[Any]) -> None:
         """Build the controller and its ends of the topics."""
         config, node_config = configurations
         scenario = node_config.scenario(config, self._folder_of('reference_file'))
         self._loop = loop = ControlLoop(
-            config, scenario, node_config.command, self._folder_of('robot.urdf'),
-            supervised=node_config.supervised)
+            config,
+            scenario,
+            node_config.command,
+            self._folder_of('robot.urdf'),
+            supervised=node_config.supervised,
+        )
         for text in loop.warnings:
             self.get_logger().warning(text)
         self.get_logger().info(loop.remark)
         _warm_up(loop)
         self._timing = timing = SampleTiming(
-            config.rate, supervised=node_config.supervised, lockstep=node_config.lockstep,
-            feels=config.wrench_input != 'momentum', patience=node_config.patience,
-            pair_tolerance=node_config.pair_tolerance)
+            config.rate,
+            supervised=node_config.supervised,
+            lockstep=node_config.lockstep,
+            feels=config.wrench_input != 'momentum',
+            patience=node_config.patience,
+            pair_tolerance=node_config.pair_tolerance,
+        )
         robot, wrench = config.robot, topics.WRENCHES.get(config.wrench_input)
         efforts = ('effort',) * robot.measures_torque
-        self._inputs: dict[topics.Topic, tuple[Callable[..., Any], Callable[..., None]]] = {
+        self._inputs: dict[
+            topics.Topic, tuple[Callable[..., Any], Callable[..., None]]
+        ] = {
             topics.NOISE_VARIANCE: (
-                partial(messages.read_variance, names=config.column_names), timing.add_variance),
+                partial(messages.read_variance, names=config.column_names),
+                timing.add_variance,
+            ),
             topics.JOINT_STATES: (
-                partial(messages.read_named, names=robot.joint_names, fields=('position',),
-                        optional=('velocity',), partial=efforts),
-                lambda *reading: timing.add(JointInput(*reading)))}
+                partial(
+                    messages.read_named,
+                    names=robot.joint_names,
+                    fields=('position',),
+                    optional=('velocity',),
+                    partial=efforts,
+                ),
+                lambda *reading: timing.add(JointInput(*reading)),
+            ),
+        }
         if wrench is not None:
-            self._inputs[wrench] = (partial(messages.read_wrench, frame=robot.sensor_frame),
-                                    lambda *reading: timing.add(WrenchInput(*reading)))
+            self._inputs[wrench] = (
+                partial(messages.read_wrench, frame=robot.sensor_frame),
+                lambda *reading: timing.add(WrenchInput(*reading)),
+            )
         self._outputs = ControllerOutputs(self, config, node_config.effort_output_topic)
         self._report = ControllerReport(
-            self, loop, timing, [*self._inputs], may_pause=node_config.lockstep)
-        serve_commands(self, loop, self._report.answer, lambda: self._node_config.push_test)
+            self, loop, timing, [*self._inputs], may_pause=node_config.lockstep
+        )
+        serve_commands(
+            self, loop, self._report.answer, lambda: self._node_config.push_test
+        )
         for topic, (read, take_in) in self._inputs.items():
             self._inputs[topic] = MessageReader(topic.message, read), take_in
             self.create_subscription(
-                topic.message, topic.name, partial(self._on_message, topic),
-                qos.INPUT if node_config.lockstep else qos.SENSOR, raw=True)
+                topic.message,
+                topic.name,
+                partial(self._on_message, topic),
+                qos.INPUT if node_config.lockstep else qos.SENSOR,
+                raw=True,
+            )
         self._node_config = node_config
         self._torque: Vector | None = None  # the newest
 
@@ -144,7 +199,9 @@ class ControllerNode(ManagedNode):
         self._torque = None
         self._loop.supervisor.stop()
         kind = self._loop.config.safe_behaviour.replace('_', ' ')
-        self.get_logger().info(f'deactivated: commanding {kind} from the next sample on')
+        self.get_logger().info(
+            f'deactivated: commanding {kind} from the next sample on'
+        )
 
     def take_leave(self, spinner: Spinner) -> None:
         """Go over to the safe behaviour for a while, unless the robot has been silent as long."""
@@ -152,17 +209,24 @@ class ControllerNode(ManagedNode):
             return
         self.trigger_deactivate()
         start = time.monotonic_ns()
-        while time.monotonic_ns() < min(start, self._report.watch.last) + SAFE_TIME * 1e9:
+        while (
+            time.monotonic_ns() < min(start, self._report.watch.last) + SAFE_TIME * 1e9
+        ):
             self.spin_once(spinner)
 
     def clean_up(self) -> None:
         """Write the counts of this run, if asked to."""
         report = self._report
-        self._node_config.write_counts({
-            'steps': report.watch.latencies.count,
-            'tick_us': report.watch.latencies.percentiles(),
-            'refused': dict(self.refusals.counts), 'unpaired': self._timing.unpaired,
-            'restarts': report.restarts, 'events': [*self._loop.events.events]})
+        self._node_config.write_counts(
+            {
+                'steps': report.watch.latencies.count,
+                'tick_us': report.watch.latencies.percentiles(),
+                'refused': dict(self.refusals.counts),
+                'unpaired': self._timing.unpaired,
+                'restarts': report.restarts,
+                'events': [*self._loop.events.events],
+            }
+        )
 
     def design(self, configurations: Sequence[Any]) -> tuple[Design | None, Any]:
         """Compute what a new configuration of the controller leads to; None if it is as it was."""
@@ -208,8 +272,12 @@ class ControllerNode(ManagedNode):
         safe = self._loop.supervisor.safe
         if self.working or safe:
             now = time.monotonic_ns()
-            self._do(self._timing.late(now) if late else self._timing.what_now(now, safe=safe),
-                     now)
+            self._do(
+                self._timing.late(now)
+                if late
+                else self._timing.what_now(now, safe=safe),
+                now,
+            )
 
     def _do(self, decision: Decision, start: int) -> None:
         """Do what is due after a message that came at a monotonic time [ns], command first."""
@@ -221,15 +289,20 @@ class ControllerNode(ManagedNode):
             loop.restart()
             self._report.restarts += 1
         elif action is Action.REFUSE:
-            self.refusals.refuse(topics.JOINT_STATES.name, MessageError(
-                'stamp', 'one after that of the last sample', 'an older one'))
+            self.refusals.refuse(
+                topics.JOINT_STATES.name,
+                MessageError(
+                    'stamp', 'one after that of the last sample', 'an older one'
+                ),
+            )
         if inputs is not None:
             self._torque = None
             try:
                 self._torque = loop.step(inputs)
             except MulticontactError as error:
                 self.get_logger().error(  # only bare: a supervisor would have answered
-                    f'{error}; going over to the safe behaviour, until activated anew')
+                    f'{error}; going over to the safe behaviour, until activated anew'
+                )
                 self._torque = loop.stop()
         elif action is Action.REPEAT and loop.supervisor.safe and self._torque is None:
             self._torque = loop.stop()  # the robot waits, and was deactivated meanwhile
@@ -251,8 +324,13 @@ def _warm_up(loop: ControlLoop) -> None:
     """Take a step that is not sent: the first one takes a hundred times as long."""
     joints = np.linspace(0.4, 1.0, len(loop.config.robot.joint_names))
     with contextlib.suppress(MulticontactError):
-        loop.step(TickInputs(0.0, JointInput(0.0, joints, 0.0 * joints),
-                             WrenchInput(0.0, np.zeros(6))))
+        loop.step(
+            TickInputs(
+                0.0,
+                JointInput(0.0, joints, 0.0 * joints),
+                WrenchInput(0.0, np.zeros(6)),
+            )
+        )
         if loop.output is not None:
             loop.output.pose.quaternion_xyzw  # noqa: B018 - compiled too
     loop.restart()

@@ -43,17 +43,31 @@ class Status:
 def status_message(name: str, status: Status) -> DiagnosticStatus:
     """Return the message of a part of a node."""
     return DiagnosticStatus(
-        name=f'{name}: {status.part}', message=status.error or status.warning or 'ok',
+        name=f'{name}: {status.part}',
+        message=status.error or status.warning or 'ok',
         level=ERROR if status.error else WARN if status.warning else OK,
-        values=[KeyValue(key=key, value=(
-            'none' if x is None else f'{x:.6g}' if isinstance(x, float) else str(x)))
-            for key, x in status.values.items()])
+        values=[
+            KeyValue(
+                key=key,
+                value=(
+                    'none'
+                    if x is None
+                    else f'{x:.6g}'
+                    if isinstance(x, float)
+                    else str(x)
+                ),
+            )
+            for key, x in status.values.items()
+        ],
+    )
 
 
 def report_message(node: Node, statuses: Iterable[Status]) -> bytes:
     """Return the message of a whole report of a node, serialised."""
     name = node.get_fully_qualified_name().lstrip('/')
-    message = DiagnosticArray(status=[status_message(name, status) for status in statuses])
+    message = DiagnosticArray(
+        status=[status_message(name, status) for status in statuses]
+    )
     message.header.stamp = node.get_clock().now().to_msg()
     return bytes(serialize_message(message))
 
@@ -68,7 +82,10 @@ class Diagnostics:
     """
 
     def __init__(
-        self, node: Node, collect: Callable[[], Iterable[Status | None]], helper: Helper,
+        self,
+        node: Node,
+        collect: Callable[[], Iterable[Status | None]],
+        helper: Helper,
     ) -> None:
         self._node, self._collect, self._helper = node, collect, helper
         self._publisher = create_publisher(node, topics.DIAGNOSTICS)
@@ -87,7 +104,9 @@ class Diagnostics:
         self._due = now + PAUSE
         if self._steps is None:
             self._steps = self._report()
-            self._next = max(self._next + PERIOD, now + PERIOD // 2)  # no burst after a pause
+            self._next = max(
+                self._next + PERIOD, now + PERIOD // 2
+            )  # no burst after a pause
         if next(self._steps, NO_STEP_LEFT) is NO_STEP_LEFT:
             self._steps, self._due = None, self._next
 
@@ -118,9 +137,13 @@ class DurationLog:
     def microseconds(self, since: int = 0) -> Vector:
         """Return those that are kept, and came after the first `since` [us]."""
         first = max(since, self.count - CAPACITY)
-        return np.asarray(1e-3 * self._nanoseconds[np.arange(first, self.count) % CAPACITY])
+        return np.asarray(
+            1e-3 * self._nanoseconds[np.arange(first, self.count) % CAPACITY]
+        )
 
-    def percentiles(self, since: int = 0, expected: float = 0.0) -> dict[str, float | None]:
+    def percentiles(
+        self, since: int = 0, expected: float = 0.0
+    ) -> dict[str, float | None]:
         """Return median, tails and maximum of what is not as `expected` [us]; None without any."""
         off = np.abs(self.microseconds(since) - expected)
         if not off.size:
@@ -138,7 +161,9 @@ class LoopStatistics:
         self._rate = rate
         self.intervals, self.latencies = DurationLog(), DurationLog()
         self._reported = (time.monotonic_ns(), 0, 0)
-        self.missed = self.last = 0  # deadlines, by the node; the last turn, monotonic time [ns]
+        self.missed = self.last = (
+            0  # deadlines, by the node; the last turn, monotonic time [ns]
+        )
 
     def add_period(self, now: int) -> None:
         """Take note of a turn of the loop at a monotonic time [ns]."""
@@ -157,7 +182,8 @@ class LoopStatistics:
             'rate_hz': round((turns - before) * NANOSECONDS / max(1, now - start), 2),
             'deadline_misses': missed,
             **{f'jitter_us_{name}': jitter[name] for name in ('p50', 'p99')},
-            **{f'latency_us_{name}': latency[name] for name in ('p50', 'p99', 'max')}}
+            **{f'latency_us_{name}': latency[name] for name in ('p50', 'p99', 'max')},
+        }
 
 
 class Inputs:
@@ -169,7 +195,11 @@ class Inputs:
     """
 
     def __init__(
-        self, node: Node, rate: float, *inputs: Topic, may_pause: bool = False,
+        self,
+        node: Node,
+        rate: float,
+        *inputs: Topic,
+        may_pause: bool = False,
     ) -> None:
         self._node, self._may_pause = node, may_pause
         self.max_age = STALE_PERIODS / rate  # s
@@ -189,15 +219,24 @@ class Inputs:
     def status(self, *, needed: bool, consequence: str = '') -> Status:
         """Return ages; if `needed`, which are above `max_age`, and what is done about it."""
         ages = {topic: self.age(topic) for topic in self.last}
-        stale = {topic: age for topic, age in ages.items() if needed and age > self.max_age}
+        stale = {
+            topic: age for topic, age in ages.items() if needed and age > self.max_age
+        }
         if needed:
             for topic in ages:
                 self._log_change(topic, topic in stale)
-        warning = ', '.join(f'no {topic.name} ' + (
-            f'for {age:.3g} s' if age < math.inf else 'ever') for topic, age in stale.items())
-        return Status('inputs', {
-            f'age_s {topic.name}': age if age < math.inf else None for topic, age in ages.items()},
-            warning and warning + consequence)
+        warning = ', '.join(
+            f'no {topic.name} ' + (f'for {age:.3g} s' if age < math.inf else 'ever')
+            for topic, age in stale.items()
+        )
+        return Status(
+            'inputs',
+            {
+                f'age_s {topic.name}': age if age < math.inf else None
+                for topic, age in ages.items()
+            },
+            warning and warning + consequence,
+        )
 
     def _log_change(self, topic: Topic, stale: bool) -> None:
         """Log once that a topic is missing, and once that it comes again."""
@@ -215,16 +254,22 @@ class Inputs:
         before = self.last[topic] > 0
         if before and (self._may_pause or topic.publisher in OURS):
             return ''
-        missing = (time.monotonic_ns() - (self.last[topic] or self._since)) / NANOSECONDS
+        missing = (
+            time.monotonic_ns() - (self.last[topic] or self._since)
+        ) / NANOSECONDS
         if missing < (MISSING_AGE if before else DISCOVERY_TIME):
             return ''
         name = self._node.resolve_topic_name(topic.name)
         publishers = self._node.get_publishers_info_by_topic(name)
         types = {x.topic_type for x in publishers} - {topic.type_name}
-        source = 'the driver of the robot' if topic.publisher == SIM else topic.publisher
+        source = (
+            'the driver of the robot' if topic.publisher == SIM else topic.publisher
+        )
         if not publishers:
-            present = f'it has no publisher: start {source}, or give its topic, ' \
+            present = (
+                f'it has no publisher: start {source}, or give its topic, '
                 f'-r {topic.name}:=/its/topic'
+            )
         elif types:
             present = f'it is published as {", ".join(sorted(types))}'
         else:
@@ -232,12 +277,19 @@ class Inputs:
             silent = 'sends no more' if before else 'has sent nothing that can be read'
             present = f'its publisher, {names}, {silent}'
         # What is found goes first: a terminal cuts a long line.
-        return (f'no message on {name} for {missing:.1f} s: {present}; expected '
-                f'{topic.type_name}: {topic.content}')
+        return (
+            f'no message on {name} for {missing:.1f} s: {present}; expected '
+            f'{topic.type_name}: {topic.content}'
+        )
 
 
 def message_status(refusals: Refusals, **dropped: int) -> Status:
     """Return what was refused, by cause, and what was dropped."""
-    return Status('messages', {
-        'refused': sum(refusals.counts.values()), **dropped,
-        **{f'refused {cause}': count for cause, count in refusals.counts.items()}})
+    return Status(
+        'messages',
+        {
+            'refused': sum(refusals.counts.values()),
+            **dropped,
+            **{f'refused {cause}': count for cause, count in refusals.counts.items()},
+        },
+    )

@@ -38,28 +38,59 @@ from std_srvs.srv import Trigger
 NAME, JOINTS = 'franka_bridge', 7
 SEVEN: dict[str, Any] = {'min_length': JOINTS, 'max_length': JOINTS}
 CYCLE, MILLISECOND = 0.001, NANOSECONDS // 1000  # s, ns: that of the robot
-SWITCH_INTERVAL = 5e-5  # s, for which other threads may keep the control thread from Python
+SWITCH_INTERVAL = (
+    5e-5  # s, for which other threads may keep the control thread from Python
+)
 STATUS_PERIOD, LOG_PERIOD, CONNECT_PERIOD = 1.0, 5.0, 0.5  # s
 RECOVERY_TIMEOUT, JOIN_TIMEOUT = 10.0, 2.0  # s
 COMMANDED, HELD, DAMPED, STOPPED = 'commanded', 'held', 'damped', 'stopped'  # a torque
-FIGURES = ('cycles', 'starts', 'aborts', 'recoveries', 'lost_cycles', COMMANDED, HELD, DAMPED,
-           STOPPED, 'rate_limited', 'wrench_late', 'highest_torque_rate', 'success_rate')
+FIGURES = (
+    'cycles',
+    'starts',
+    'aborts',
+    'recoveries',
+    'lost_cycles',
+    COMMANDED,
+    HELD,
+    DAMPED,
+    STOPPED,
+    'rate_limited',
+    'wrench_late',
+    'highest_torque_rate',
+    'success_rate',
+)
 
 
 class LateConfig(Config):
     """What the bridge sends while the newest command is late; its age counts from its sample."""
 
     command_age: float = parameter(
-        0.006, 'Age up to which a command is in time.', unit='s', gt=0.0)
+        0.006, 'Age up to which a command is in time.', unit='s', gt=0.0
+    )
     hold_time: float = parameter(
-        0.02, 'Age up to which its torque is held, as the robot does by itself.', unit='s')
+        0.02,
+        'Age up to which its torque is held, as the robot does by itself.',
+        unit='s',
+    )
     stop_time: float = parameter(
-        0.5, 'Age up to which the joints are damped; then torque control ends.', unit='s')
+        0.5,
+        'Age up to which the joints are damped; then torque control ends.',
+        unit='s',
+    )
     damping: Numbers = parameter(
-        (20.0,) * 4 + (5.0,) * 3, 'Torque per speed of damped joints.', unit='N m s/rad', **SEVEN)
+        (20.0,) * 4 + (5.0,) * 3,
+        'Torque per speed of damped joints.',
+        unit='N m s/rad',
+        **SEVEN,
+    )
     torque_rate: float = parameter(
-        999.9, 'Largest change of any torque that is sent, of commands as well; the robot stops '
-        'at 1000.', unit='N m/s', gt=0.0, lt=1000.0)
+        999.9,
+        'Largest change of any torque that is sent, of commands as well; the robot stops '
+        'at 1000.',
+        unit='N m/s',
+        gt=0.0,
+        lt=1000.0,
+    )
 
 
 class FrankaBridgeConfig(graph.StartupConfig):
@@ -67,25 +98,41 @@ class FrankaBridgeConfig(graph.StartupConfig):
 
     address: str = parameter(..., 'IP address or name of the robot.')
     enforce_realtime: bool = parameter(
-        True, 'Whether libfranka asks for a real-time kernel; false for a simulated robot.')
+        True,
+        'Whether libfranka asks for a real-time kernel; false for a simulated robot.',
+    )
     divider: int = parameter(
-        2, 'States of the robot, at 1 kHz, for each sample: 2 for 500 Hz.', ge=1, le=10)
+        2, 'States of the robot, at 1 kHz, for each sample: 2 for 500 Hz.', ge=1, le=10
+    )
     joint_names: tuple[str, ...] = parameter(
-        tuple(f'joint{i + 1}' for i in range(JOINTS)), 'Joints, base to wrist.', **SEVEN)
+        tuple(f'joint{i + 1}' for i in range(JOINTS)), 'Joints, base to wrist.', **SEVEN
+    )
     wrench_age: float = parameter(
-        0.005, 'Age from which a wrench is published no more.', unit='s', gt=0.0)
+        0.005, 'Age from which a wrench is published no more.', unit='s', gt=0.0
+    )
     collision_torque: Numbers = parameter(
-        (40.0,) * JOINTS, 'External joint torques at which the robot stops.', unit='N m', **SEVEN)
+        (40.0,) * JOINTS,
+        'External joint torques at which the robot stops.',
+        unit='N m',
+        **SEVEN,
+    )
     collision_force: Numbers = parameter(
-        (50.0,) * 3 + (25.0,) * 3, 'External wrench at which it does.', unit='N, N m',
-        min_length=6, max_length=6)
+        (50.0,) * 3 + (25.0,) * 3,
+        'External wrench at which it does.',
+        unit='N, N m',
+        min_length=6,
+        max_length=6,
+    )
     late: LateConfig = LateConfig()
 
     def _misfits(self) -> Iterator[ConfigError]:
         late = self.late
         if not late.command_age < late.hold_time < late.stop_time:
-            yield ConfigError('late.hold_time', 'a value between late.command_age and '
-                              'late.stop_time', late.hold_time)
+            yield ConfigError(
+                'late.hold_time',
+                'a value between late.command_age and late.stop_time',
+                late.hold_time,
+            )
 
 
 class LateRule:
@@ -101,7 +148,9 @@ class LateRule:
         self._damping, self._step = np.array(config.damping), config.torque_rate * CYCLE
         self.figures: dict[str, float] = dict.fromkeys(FIGURES, 0)
 
-    def answer(self, age: float, commanded: Vector, speed: Vector, before: Vector) -> Any:
+    def answer(
+        self, age: float, commanded: Vector, speed: Vector, before: Vector
+    ) -> Any:
         """
         Return the next torque, shape (7,) [N m]; None to end torque control.
 
@@ -109,8 +158,15 @@ class LateRule:
         robot got the torque `before` last.
         """
         config = self._config
-        self.kind = (COMMANDED if age <= config.command_age else HELD if age <= config.hold_time
-                     else DAMPED if age <= config.stop_time else STOPPED)
+        self.kind = (
+            COMMANDED
+            if age <= config.command_age
+            else HELD
+            if age <= config.hold_time
+            else DAMPED
+            if age <= config.stop_time
+            else STOPPED
+        )
         self.figures[self.kind] += 1
         if self.kind == STOPPED:
             return None
@@ -118,7 +174,8 @@ class LateRule:
         limited = np.clip(change, -self._step, self._step)
         self.figures['rate_limited'] += bool(np.any(limited != change))
         self.figures['highest_torque_rate'] = max(
-            self.figures['highest_torque_rate'], float(np.abs(limited).max()) / CYCLE)
+            self.figures['highest_torque_rate'], float(np.abs(limited).max()) / CYCLE
+        )
         return np.asarray(before + limited)
 
 
@@ -132,39 +189,73 @@ class FrankaBridge(Node):
         self._robot: Any = None
         self._model: Any = None
         self._active: Any = None  # torque control, while it runs
-        self._lost: list[Any] = []  # of lost connections; deleted, they would wait for the robot
+        self._lost: list[
+            Any
+        ] = []  # of lost connections; deleted, they would wait for the robot
         self._problem = 'connecting'  # for which `~/recover` is needed
         self._mode, self._errors = 'Idle', ''  # of the robot, in its own words
         self._rule = LateRule(self._config.late)
         self._figures = self._rule.figures
         self._torques = self._library.Torques([0.0] * JOINTS)  # the last
-        self._time = self._origin = self._sample = 0  # of the robot [ms], its stamp at 0 [ns]
+        self._time = self._origin = self._sample = (
+            0  # of the robot [ms], its stamp at 0 [ns]
+        )
         self._command, self._command_stamp = np.zeros(JOINTS), 0
         self._wrench, self._wrench_stamp = np.zeros(6), 0  # and when it came
         self._refusals = graph.Refusals(self.get_logger())
         self._refused: deque[tuple[str, Exception]] = deque(maxlen=100)
-        self._samples = StreamPublisher(self, topics.JOINT_STATES, messages.joint_state_message(
-            0, self._config.joint_names, **dict.fromkeys(messages.JOINT_FIELDS, np.zeros(JOINTS))))
+        self._samples = StreamPublisher(
+            self,
+            topics.JOINT_STATES,
+            messages.joint_state_message(
+                0,
+                self._config.joint_names,
+                **dict.fromkeys(messages.JOINT_FIELDS, np.zeros(JOINTS)),
+            ),
+        )
         self._wrenches = StreamPublisher(self, topics.WRENCH, WrenchStamped())
-        sensor = replace(topics.WRENCH, publisher='the driver of the wrist sensor',
-                         name=self.resolve_topic_name('~/wrench'))
+        sensor = replace(
+            topics.WRENCH,
+            publisher='the driver of the wrist sensor',
+            name=self.resolve_topic_name('~/wrench'),
+        )
         # Taken in by the control thread: an executor would empty the subscriptions of its node.
         self._listener = Node(
-            f'{NAME}_inputs', context=self.context, start_parameter_services=False)
-        self._heard = {topic: (self._listener.create_subscription(
-            topic.message, topic.name, graph.ignore, qos.SENSOR, raw=True),
-            MessageReader(topic.message, read)) for topic, read in (
-                (topics.EFFORT_COMMAND, partial(
-                    messages.read_named, names=self._config.joint_names, fields=['effort'])),
-                (sensor, messages.read_wrench))}
+            f'{NAME}_inputs', context=self.context, start_parameter_services=False
+        )
+        self._heard = {
+            topic: (
+                self._listener.create_subscription(
+                    topic.message, topic.name, graph.ignore, qos.SENSOR, raw=True
+                ),
+                MessageReader(topic.message, read),
+            )
+            for topic, read in (
+                (
+                    topics.EFFORT_COMMAND,
+                    partial(
+                        messages.read_named,
+                        names=self._config.joint_names,
+                        fields=['effort'],
+                    ),
+                ),
+                (sensor, messages.read_wrench),
+            )
+        }
         self._watch = diagnostics.LoopStatistics(1.0 / CYCLE)
-        self._inputs = diagnostics.Inputs(self, 1.0 / (CYCLE * self._config.divider), sensor)
+        self._inputs = diagnostics.Inputs(
+            self, 1.0 / (CYCLE * self._config.divider), sensor
+        )
         self._diagnostics = diagnostics.Diagnostics(self, self._statuses, Helper())
-        self._status_publisher = self.create_publisher(DiagnosticStatus, '~/status', qos.EVENT)
+        self._status_publisher = self.create_publisher(
+            DiagnosticStatus, '~/status', qos.EVENT
+        )
         self._reported: tuple[float, tuple[str, ...]] = (0.0, (self._problem,))
         self._ending, self._recovery, self._recovered = False, Event(), Event()
         self.create_service(Trigger, '~/recover', self._on_recover)
-        graph.StartupGate(self, self._config)  # the control thread inherits its scheduling
+        graph.StartupGate(
+            self, self._config
+        )  # the control thread inherits its scheduling
 
     def run(self, spinner: Spinner) -> None:
         """Run the control thread until asked to stop; report meanwhile."""
@@ -185,9 +276,13 @@ class FrankaBridge(Node):
     def close(self) -> None:
         """Write the counts of this run, if asked to."""
         self._listener.destroy_node()
-        self._config.write_counts({
-            **self._figures, 'answer_us': self._watch.latencies.percentiles(),
-            'refused': dict(self._refusals.counts)})
+        self._config.write_counts(
+            {
+                **self._figures,
+                'answer_us': self._watch.latencies.percentiles(),
+                'refused': dict(self._refusals.counts),
+            }
+        )
 
     # What the control thread does. It writes no log: the first line of one takes 40 ms.
 
@@ -202,7 +297,11 @@ class FrankaBridge(Node):
                     self._turn()
                 elif self._active is not None:
                     self._finish()
-            except (self._library.FrankaException, RuntimeError, MulticontactError) as error:
+            except (
+                self._library.FrankaException,
+                RuntimeError,
+                MulticontactError,
+            ) as error:
                 self._fail(error)
             if asked:
                 self._recovery.clear()
@@ -212,12 +311,21 @@ class FrankaBridge(Node):
 
     def _turn(self) -> None:
         """Take one state of the robot: answer it, then publish it."""
-        state = self._robot.read_once() if self._active is None else self._active.readOnce()[0]
+        state = (
+            self._robot.read_once()
+            if self._active is None
+            else self._active.readOnce()[0]
+        )
         received = time.monotonic_ns()
         now = round(state.time.to_sec() / CYCLE)
-        self._mode, self._errors = str(state.robot_mode).split('.')[-1], str(state.current_errors)
+        self._mode, self._errors = (
+            str(state.robot_mode).split('.')[-1],
+            str(state.current_errors),
+        )
         if not self._origin:
-            self._origin = time.time_ns() // MILLISECOND * MILLISECOND - now * MILLISECOND
+            self._origin = (
+                time.time_ns() // MILLISECOND * MILLISECOND - now * MILLISECOND
+            )
         if self._active is not None and self._time:
             self._figures['lost_cycles'] += now - self._time - 1
         self._time, stamp = now, self._origin + now * MILLISECOND
@@ -226,8 +334,11 @@ class FrankaBridge(Node):
         if self._active is not None:
             self._answer(state, age, speed)
             self._watch.latencies.add(time.monotonic_ns() - received)
-        elif not self._problem and self._mode == 'Idle' and (
-                age <= self._config.late.command_age):
+        elif (
+            not self._problem
+            and self._mode == 'Idle'
+            and (age <= self._config.late.command_age)
+        ):
             self._active = self._robot.start_torque_control()
             self._time = 0  # in which some cycles pass
             self._figures['starts'] += 1
@@ -235,7 +346,9 @@ class FrankaBridge(Node):
         if now // self._config.divider != self._sample:
             self._sample = now // self._config.divider
             self._publish(stamp, state, speed)
-        time.sleep(0.0)  # libfranka keeps other threads from Python while it waits for the robot
+        time.sleep(
+            0.0
+        )  # libfranka keeps other threads from Python while it waits for the robot
 
     def _take_inputs(self, stamp: int) -> None:
         """Take in the newest command and wrench."""
@@ -274,8 +387,11 @@ class FrankaBridge(Node):
             self._wrenches.send(stamp, self._wrench)
         else:
             self._figures['wrench_late'] += 1
-        effort = np.array(state.tau_J_d) if self._model is None else (
-            np.array(state.tau_J) - np.array(self._model.gravity(state)))
+        effort = (
+            np.array(state.tau_J_d)
+            if self._model is None
+            else (np.array(state.tau_J) - np.array(self._model.gravity(state)))
+        )
         self._samples.send(stamp, state.q, speed, effort)
 
     def _fail(self, error: Exception) -> None:
@@ -288,17 +404,25 @@ class FrankaBridge(Node):
             with contextlib.suppress(RuntimeError, self._library.FrankaException):
                 self._finish()  # libfranka then knows that it has ended
         text = one_line(error).removeprefix('libfranka: ').rstrip('.')
-        self._problem = f'{self._config.address}: {text}' if self._robot is None else text
+        self._problem = (
+            f'{self._config.address}: {text}' if self._robot is None else text
+        )
 
     def _recover(self) -> None:
         """Connect, or clear the robot's errors; torque control may then start."""
         if self._robot is None:
             config, kinds = self._config, self._library.RealtimeConfig
             robot = self._library.Robot(
-                config.address, kinds.kEnforce if config.enforce_realtime else kinds.kIgnore)
-            robot.set_collision_behavior(*[list(config.collision_torque)] * 2,
-                                         *[list(config.collision_force)] * 2)
-            measures = any(robot.read_once().O_ddP_O)  # simulators know no direction of gravity
+                config.address,
+                kinds.kEnforce if config.enforce_realtime else kinds.kIgnore,
+            )
+            robot.set_collision_behavior(
+                *[list(config.collision_torque)] * 2,
+                *[list(config.collision_force)] * 2,
+            )
+            measures = any(
+                robot.read_once().O_ddP_O
+            )  # simulators know no direction of gravity
             self._model = robot.load_model() if measures else None
             self._robot, self._origin = robot, 0
             self._inputs.restart()
@@ -327,7 +451,10 @@ class FrankaBridge(Node):
         elif error or mode != 'Idle':
             control = 'off'
         else:
-            control = 'has ended; ' * (self._rule.kind == STOPPED) + 'starts with the next command'
+            control = (
+                'has ended; ' * (self._rule.kind == STOPPED)
+                + 'starts with the next command'
+            )
         if control in (HELD, DAMPED):
             warning = f'no command in time: torques are {control}'
         elif control == 'off' and mode != 'Idle':
@@ -335,8 +462,16 @@ class FrankaBridge(Node):
         if error and (self._lost or self._robot is not None):
             error += '; call ~/recover'
         return diagnostics.Status(
-            'robot', {'torque_control': control, 'robot_mode': mode, 'errors': self._errors,
-                      **self._figures}, error=error, warning=warning)
+            'robot',
+            {
+                'torque_control': control,
+                'robot_mode': mode,
+                'errors': self._errors,
+                **self._figures,
+            },
+            error=error,
+            warning=warning,
+        )
 
     def _report(self) -> None:
         """Publish on ``~/status`` what changes, and once a second; log it."""
@@ -344,22 +479,31 @@ class FrankaBridge(Node):
             self._refusals.refuse(*self._refused.popleft())
         status, now = self._robot_status(), time.monotonic()
         control = status.values['torque_control']
-        texts = (status.error, status.warning, f'{self._config.address}: torque control ' + (
-            'runs' if control in (COMMANDED, HELD, DAMPED) else control))
+        texts = (
+            status.error,
+            status.warning,
+            f'{self._config.address}: torque control '
+            + ('runs' if control in (COMMANDED, HELD, DAMPED) else control),
+        )
         if texts != self._reported[1] or now > self._reported[0] + STATUS_PERIOD:
             if status.error and status.error not in self._reported[1]:
                 self.get_logger().error(status.error)
             elif status.warning and not status.error:
-                self.get_logger().warning(status.warning, throttle_duration_sec=LOG_PERIOD)
+                self.get_logger().warning(
+                    status.warning, throttle_duration_sec=LOG_PERIOD
+                )
             elif not status.error and texts[2] not in self._reported[1]:
                 self.get_logger().info(texts[2])
             self._reported = (now, texts)
             self._status_publisher.publish(diagnostics.status_message(NAME, status))
 
     def _statuses(self) -> Sequence[diagnostics.Status]:
-        return [self._robot_status(), diagnostics.Status('loop', self._watch.report()),
-                self._inputs.status(needed=self._robot is not None),
-                diagnostics.message_status(self._refusals)]
+        return [
+            self._robot_status(),
+            diagnostics.Status('loop', self._watch.report()),
+            self._inputs.status(needed=self._robot is not None),
+            diagnostics.message_status(self._refusals),
+        ]
 
 
 def _library() -> Any:
@@ -367,7 +511,9 @@ def _library() -> Any:
     try:
         import pylibfranka
     except ImportError as error:
-        raise ConfigError('pylibfranka', "the extra: pip install '.[franka]'", error) from None
+        raise ConfigError(
+            'pylibfranka', "the extra: pip install '.[franka]'", error
+        ) from None
     return pylibfranka
 
 

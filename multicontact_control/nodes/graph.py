@@ -35,21 +35,36 @@ class StartupConfig(Config):
     """What every node of the graph has in common."""
 
     startup_peers: tuple[str, ...] = parameter(
-        (), 'Nodes to wait for before the first message; empty to start at once.')
-    timing_file: str = parameter('', 'JSON file to write counts and times to at the end.')
+        (), 'Nodes to wait for before the first message; empty to start at once.'
+    )
+    timing_file: str = parameter(
+        '', 'JSON file to write counts and times to at the end.'
+    )
     fifo_priority: int = parameter(
-        0, 'Real-time priority (SCHED_FIFO) of the node, 0 for normal scheduling.', ge=0, le=99)
-    cpus: tuple[int, ...] = parameter((), 'Processors the node may run on; empty for all.')
+        0,
+        'Real-time priority (SCHED_FIFO) of the node, 0 for normal scheduling.',
+        ge=0,
+        le=99,
+    )
+    cpus: tuple[int, ...] = parameter(
+        (), 'Processors the node may run on; empty for all.'
+    )
     lock_memory: bool = parameter(
-        False, 'Whether none of the memory of the process may be paged out.')
+        False, 'Whether none of the memory of the process may be paged out.'
+    )
 
     def write_counts(self, counts: Mapping[str, Any]) -> None:
         """Write the counts and times of a run, if asked to."""
         if self.timing_file:
             kernels = loaded_kernels()
-            write_json(Path(self.timing_file), {
-                **counts, 'cpu_s': time.process_time(),
-                'kernels_compiled': kernels.compiled_here() if kernels else 0})
+            write_json(
+                Path(self.timing_file),
+                {
+                    **counts,
+                    'cpu_s': time.process_time(),
+                    'kernels_compiled': kernels.compiled_here() if kernels else 0,
+                },
+            )
 
 
 def full_topic_name(field: str, name: str, node: Node | None = None) -> str:
@@ -59,7 +74,9 @@ def full_topic_name(field: str, name: str, node: Node | None = None) -> str:
         full = str(expand_topic_name(name, *whose))
         validate_full_topic_name(full)
     except (NameValidationException, ValueError) as error:
-        raise ConfigError(field, 'a name of a topic', f"'{name}' ({one_line(error)})") from None
+        raise ConfigError(
+            field, 'a name of a topic', f"'{name}' ({one_line(error)})"
+        ) from None
     return full
 
 
@@ -71,15 +88,18 @@ def create_publisher(node: Node, topic: Topic) -> Publisher:
 def compatible(offered: QoSProfile, requested: QoSProfile) -> bool:
     """Return whether a publisher offers the reliability and durability that a reader requests."""
     # rclpy's own check takes the endless deadline of a discovered reader for one that is set.
-    return bool(offered.reliability <= requested.reliability
-                and offered.durability <= requested.durability)
+    return bool(
+        offered.reliability <= requested.reliability
+        and offered.durability <= requested.durability
+    )
 
 
 def take(subscription: Subscription) -> tuple[Any, dict[str, Any]] | None:
     """Return the next message that waits, and what is known of it; no executor is needed."""
     with subscription.handle:
         taken: tuple[Any, dict[str, Any]] | None = subscription.handle.take_message(
-            subscription.msg_type, subscription.raw)
+            subscription.msg_type, subscription.raw
+        )
     return taken
 
 
@@ -99,7 +119,9 @@ class Refusals:
         cause = f'{source}: {error}'.split(', got ')[0]
         self.counts[cause] += 1
         if self.counts[cause] == 1:
-            self._logger.error(f'{source}: refused: {error} (further ones are only counted)')
+            self._logger.error(
+                f'{source}: refused: {error} (further ones are only counted)'
+            )
 
     @contextmanager
     def guard(self, topic: Topic) -> Iterator[None]:
@@ -123,14 +145,17 @@ class StartupGate:
         ends = {node.resolve_topic_name(topic.name): topic for topic in TOPICS}
         self._publishers, self._subscriptions = (
             [(ends[x.topic_name], x) for x in present if x.topic_name in ends]
-            for present in (node.publishers, node.subscriptions))
+            for present in (node.publishers, node.subscriptions)
+        )
         self.marker: Publisher | None = None
         self.open = not self._peers
         self._next_poll, self._next_report = 0.0, time.monotonic() + REPORT_PERIOD
         # By now all memory is there, and the threads of the middleware keep their own priority.
         for problem in claim_processor(
-                fifo_priority=config.fifo_priority, cpus=config.cpus,
-                lock_memory=config.lock_memory):
+            fifo_priority=config.fifo_priority,
+            cpus=config.cpus,
+            lock_memory=config.lock_memory,
+        ):
             node.get_logger().warning(problem)
 
     def poll(self) -> bool:
@@ -147,20 +172,36 @@ class StartupGate:
     def _missing(self) -> list[str]:
         """Return what the node still waits for."""
         missing = [
-            f'{topic.name} from {topic.publisher}' for topic, subscription in self._subscriptions
-            if topic.publisher in self._peers and subscription.get_publisher_count() == 0]
+            f'{topic.name} from {topic.publisher}'
+            for topic, subscription in self._subscriptions
+            if topic.publisher in self._peers
+            and subscription.get_publisher_count() == 0
+        ]
         for topic, publisher in self._publishers:
-            readers = [x for x in self._node.get_subscriptions_info_by_topic(publisher.topic_name)
-                       if compatible(publisher.qos_profile, x.qos_profile)]
-            present = {x.node_name for x in readers
-                       if x.node_namespace == self._node.get_namespace()}
+            readers = [
+                x
+                for x in self._node.get_subscriptions_info_by_topic(
+                    publisher.topic_name
+                )
+                if compatible(publisher.qos_profile, x.qos_profile)
+            ]
+            present = {
+                x.node_name
+                for x in readers
+                if x.node_namespace == self._node.get_namespace()
+            }
             wanted = set(topic.subscribers) & set(self._peers)
             # Known by name is not yet connected: every reader that can be must be.
             if wanted - present or publisher.get_subscription_count() < len(readers):
                 missing.append(
-                    f'{topic.name} to {", ".join(sorted(wanted - present or wanted))}')
+                    f'{topic.name} to {", ".join(sorted(wanted - present or wanted))}'
+                )
         if not missing and self.marker is None:
             self.marker = self._node.create_publisher(
-                Empty, READY + self._node.get_name(), qos.LATCHED)
-        return missing or [f'{peer} to be ready' for peer in self._peers
-                           if self._node.count_publishers(READY + peer) == 0]
+                Empty, READY + self._node.get_name(), qos.LATCHED
+            )
+        return missing or [
+            f'{peer} to be ready'
+            for peer in self._peers
+            if self._node.count_publishers(READY + peer) == 0
+        ]

@@ -7,7 +7,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, TypeVar
 
 T = TypeVar('T')
-Pausing = Generator[None, None, T]  # yields where a sample may come between, and returns T
+Pausing = Generator[
+    None, None, T
+]  # yields where a sample may come between, and returns T
 
 
 class Helper:
@@ -15,7 +17,9 @@ class Helper:
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(1, 'helper')
-        self._thread.submit(lambda: None)  # it starts here, and no sample waits for that
+        self._thread.submit(
+            lambda: None
+        )  # it starts here, and no sample waits for that
 
     def do(self, work: Callable[..., T], *arguments: Any) -> Pausing[Future[T]]:
         """Yield until the thread has done some work; return its outcome."""

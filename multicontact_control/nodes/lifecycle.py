@@ -23,7 +23,12 @@ from multicontact_control.nodes.runtime import AUTOSTART, Spinner
 from multicontact_control.process import settle_process
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
-UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = 'unconfigured', 'inactive', 'active', 'finalized'
+UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = (
+    'unconfigured',
+    'inactive',
+    'active',
+    'finalized',
+)
 SPIN_TIMEOUT = 0.02  # s, between two looks at the gate and at what is due
 DRAIN_TIME = 0.1  # s, at the end, for callbacks of what has arrived or is on its way
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -50,10 +55,17 @@ class ManagedNode(LifecycleNode):
         self._changes = LiveChanges(self, self.parameter_set, self.helper)
         self._diagnostics = Diagnostics(self, self._all_statuses, self.helper)
         self._gate: StartupGate | None = None
-        self._gate_passed, self._failure = False, MulticontactError('the node cannot be started')
+        self._gate_passed, self._failure = (
+            False,
+            MulticontactError('the node cannot be started'),
+        )
         service = change_state_service(self)
         service.callback = partial(self._change_if_possible, service.callback)
-        self._lasting: list[Any] = [*self.publishers, *self.subscriptions, *self.services]
+        self._lasting: list[Any] = [
+            *self.publishers,
+            *self.subscriptions,
+            *self.services,
+        ]
 
     @abstractmethod
     def configure(self, configurations: Sequence[Any]) -> None:
@@ -123,19 +135,23 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, _state: LifecycleState) -> Any:
         """Implement `LifecycleNode`."""
+
         def work() -> None:
             self.configure(self.parameter_set.configurations())
             self.parameter_set.use = self.reconfigure
             self.parameter_set.version += 1
             settle_process()
+
         return self._attempt('configure', work, INACTIVE)
 
     def on_activate(self, _state: LifecycleState) -> Any:
         """Implement `LifecycleNode`."""
+
         def work() -> None:
             self._gate = StartupGate(self, self.activate())
             # Peers are waited for once: later they may have gone, and that is no reason.
             self.working = self._gate.open or self._gate_passed
+
         return self._attempt('activate', work, ACTIVE)
 
     def on_deactivate(self, _state: LifecycleState) -> Any:
@@ -161,9 +177,11 @@ class ManagedNode(LifecycleNode):
         if self._gate is not None:
             self._lasting.append(self._gate.marker)
         self._gate, self.working, self.due = None, False, 0
-        for destroy, ends in ((self.destroy_publisher, self.publishers),
-                              (self.destroy_subscription, self.subscriptions),
-                              (self.destroy_service, self.services)):
+        for destroy, ends in (
+            (self.destroy_publisher, self.publishers),
+            (self.destroy_subscription, self.subscriptions),
+            (self.destroy_service, self.services),
+        ):
             for end in [end for end in ends if end not in self._lasting]:
                 destroy(end)
         gc.unfreeze()  # what `settle_process` froze
@@ -187,7 +205,9 @@ class ManagedNode(LifecycleNode):
         self.get_logger().info(goal)
         return SUCCESS
 
-    def _change_if_possible(self, change: Callable[..., Any], request: Any, response: Any) -> Any:
+    def _change_if_possible(
+        self, change: Callable[..., Any], request: Any, response: Any
+    ) -> Any:
         """Answer a transition that is not possible now with no: rclpy raises."""
         try:
             return change(request, response)

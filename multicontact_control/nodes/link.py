@@ -16,7 +16,12 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.errors import MessageError, RunError
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.graph import create_publisher, take
-from multicontact_control.nodes.messages import ControllerStatus, identify, new_identifier, REFUSED
+from multicontact_control.nodes.messages import (
+    ControllerStatus,
+    identify,
+    new_identifier,
+    REFUSED,
+)
 from multicontact_control.nodes.runtime import start_ros
 from multicontact_control.nodes.topics import Topic
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
@@ -27,9 +32,18 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 
-CONFIGURE, ACTIVATE, DEACTIVATE, CLEAN_UP = 'configure', 'activate', 'deactivate', 'cleanup'
-GOALS = {CONFIGURE: 'inactive', ACTIVATE: 'active', DEACTIVATE: 'inactive',
-         CLEAN_UP: 'unconfigured'}
+CONFIGURE, ACTIVATE, DEACTIVATE, CLEAN_UP = (
+    'configure',
+    'activate',
+    'deactivate',
+    'cleanup',
+)
+GOALS = {
+    CONFIGURE: 'inactive',
+    ACTIVATE: 'active',
+    DEACTIVATE: 'inactive',
+    CLEAN_UP: 'unconfigured',
+}
 LARGEST_DOMAIN = 232  # for which there are ports
 PATIENCE = 300.0  # s, until a node is there, and has done its work
 FIRST_TIMEOUT = 5.0  # s; an answer may be lost: then the state tells
@@ -75,7 +89,9 @@ def _domain_number(domain_id: int | None) -> int:
     elif isinstance(given, str) and given.isdecimal():
         number = int(given)
     if not 0 <= number <= LARGEST_DOMAIN:
-        raise MessageError('domain_id', f'a whole number from 0 to {LARGEST_DOMAIN}', repr(given))
+        raise MessageError(
+            'domain_id', f'a whole number from 0 to {LARGEST_DOMAIN}', repr(given)
+        )
     return number
 
 
@@ -84,8 +100,11 @@ def _parameter_message(name: str, value: Any) -> Any:
     try:
         return Parameter(name, value=value).to_parameter_msg()
     except (TypeError, ValueError, AssertionError):
-        raise MessageError(str(name), 'a number, a text, a truth value or a list of one of these',
-                           repr(value)) from None
+        raise MessageError(
+            str(name),
+            'a number, a text, a truth value or a list of one of these',
+            repr(value),
+        ) from None
 
 
 class GuestNode:
@@ -97,22 +116,38 @@ class GuestNode:
     """
 
     def __init__(
-        self, name: str, domain_id: int | None = None, namespace: str = '', *,
-        patience: float = PATIENCE, keep_waiting: Callable[[str], None] = lambda what: None,
+        self,
+        name: str,
+        domain_id: int | None = None,
+        namespace: str = '',
+        *,
+        patience: float = PATIENCE,
+        keep_waiting: Callable[[str], None] = lambda what: None,
     ) -> None:
         self._patience, self._keep_waiting = patience, keep_waiting
         self._closed = False
         self.context = _context(_domain_number(domain_id))
         try:
             self.node = node = Node(
-                name, namespace=namespace, context=self.context, use_global_arguments=False,
-                start_parameter_services=False, enable_rosout=False)
+                name,
+                namespace=namespace,
+                context=self.context,
+                use_global_arguments=False,
+                start_parameter_services=False,
+                enable_rosout=False,
+            )
         except (NameValidationException, TypeError):
-            raise MessageError('namespace', 'names of letters, digits and _, joined by /',
-                               repr(namespace)) from None
+            raise MessageError(
+                'namespace',
+                'names of letters, digits and _, joined by /',
+                repr(namespace),
+            ) from None
         self._domain = f'ROS domain {self.context.get_domain_id()}'
-        self._client = cache(lambda server, service, name: node.create_client(
-            service, f'{server}/{name}'))
+        self._client = cache(
+            lambda server, service, name: node.create_client(
+                service, f'{server}/{name}'
+            )
+        )
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
 
@@ -135,8 +170,10 @@ class GuestNode:
     def _require_open(self) -> None:
         """Refuse work after `close`, for which there is no node."""
         if self._closed:
-            raise RunError(f'{self._domain}: expected an open connection, got one that is closed; '
-                           'make another one')
+            raise RunError(
+                f'{self._domain}: expected an open connection, got one that is closed; '
+                'make another one'
+            )
 
     def bring_up(self, node_name: str) -> None:
         """Configure and activate a node, as far as it is not."""
@@ -147,19 +184,30 @@ class GuestNode:
     def change(self, node_name: str, transition: str) -> None:
         """Lead a node to where a transition goes; TransitionError if it refuses, NoAnswerError."""
         request = ChangeState.Request(transition=Transition(label=transition))
-        with suppress(NoAnswerError):  # it is lost, or the node is at work and answers later
-            if self.call(node_name, ChangeState, 'change_state', request, FIRST_TIMEOUT).success:
+        with suppress(
+            NoAnswerError
+        ):  # it is lost, or the node is at work and answers later
+            if self.call(
+                node_name, ChangeState, 'change_state', request, FIRST_TIMEOUT
+            ).success:
                 return
         if self.state(node_name) != GOALS[transition]:
-            raise TransitionError(f'{node_name} refused to {transition}; its log says why')
+            raise TransitionError(
+                f'{node_name} refused to {transition}; its log says why'
+            )
 
     def state(self, node_name: str) -> str:
         """Return the state of a node; NoAnswerError."""
         give_up = time.monotonic() + self._patience
-        while True:  # one that is killed and started again seems to listen, and never answers
+        while (
+            True
+        ):  # one that is killed and started again seems to listen, and never answers
             try:
-                return str(self.call(node_name, GetState, 'get_state', GetState.Request(),
-                                     ASK_PERIOD).current_state.label)
+                return str(
+                    self.call(
+                        node_name, GetState, 'get_state', GetState.Request(), ASK_PERIOD
+                    ).current_state.label
+                )
             except NoAnswerError:
                 if time.monotonic() > give_up:
                     raise
@@ -167,53 +215,83 @@ class GuestNode:
     def has_lifecycle(self, node_name: str, wait: float) -> bool:
         """Return whether a node has a lifecycle, looking for it for up to `wait` [s]."""
         self._require_open()
-        return self._wait(self._client(node_name, GetState, 'get_state').service_is_ready, wait,
-                          f'{node_name} to appear')
+        return self._wait(
+            self._client(node_name, GetState, 'get_state').service_is_ready,
+            wait,
+            f'{node_name} to appear',
+        )
 
     def call(
-        self, node_name: str, service: Any, name: str, request: Any, timeout: float = PATIENCE,
+        self,
+        node_name: str,
+        service: Any,
+        name: str,
+        request: Any,
+        timeout: float = PATIENCE,
     ) -> Any:
         """Return the response of a service; NoAnswerError without one within `timeout` [s]."""
         self._require_open()
-        client, timeout = self._client(node_name, service, name), min(timeout, self._patience)
-        if not self._wait(client.service_is_ready, self._patience, f'{node_name} to appear'):
-            raise NoAnswerError(f'{client.service_name}: expected this service within '
-                                f'{self._patience:g} s in {self._domain}, got none')
+        client, timeout = (
+            self._client(node_name, service, name),
+            min(timeout, self._patience),
+        )
+        if not self._wait(
+            client.service_is_ready, self._patience, f'{node_name} to appear'
+        ):
+            raise NoAnswerError(
+                f'{client.service_name}: expected this service within '
+                f'{self._patience:g} s in {self._domain}, got none'
+            )
         future = client.call_async(request)
         if not self._wait(future.done, timeout, f'{node_name} to answer'):
             client.remove_pending_request(future)
             raise NoAnswerError(
-                f'{client.service_name}: expected an answer within {timeout:g} s, got none')
+                f'{client.service_name}: expected an answer within {timeout:g} s, got none'
+            )
         return future.result()
 
     def parameters(self, node_name: str, *names: str) -> list[Any]:
         """Return parameters of a node; RunError if it lacks one."""
         request = GetParameters.Request(names=names)
-        values = [*map(parameter_value_to_python, self.call(
-            node_name, GetParameters, 'get_parameters', request).values)]
+        values = [
+            *map(
+                parameter_value_to_python,
+                self.call(node_name, GetParameters, 'get_parameters', request).values,
+            )
+        ]
         if len(values) != len(names) or None in values:
             self._require_known(node_name, names)
-            raise RunError(f'{node_name}: expected the parameters {", ".join(names)}, got not all')
+            raise RunError(
+                f'{node_name}: expected the parameters {", ".join(names)}, got not all'
+            )
         return values
 
     def set_parameters(self, node_name: str, values: Mapping[str, Any]) -> None:
         """Set parameters of a node, all or none; RunError if it refuses."""
-        request = SetParametersAtomically.Request(parameters=[
-            _parameter_message(name, value) for name, value in values.items()])
+        request = SetParametersAtomically.Request(
+            parameters=[
+                _parameter_message(name, value) for name, value in values.items()
+            ]
+        )
         result = self.call(
-            node_name, SetParametersAtomically, 'set_parameters_atomically', request).result
+            node_name, SetParametersAtomically, 'set_parameters_atomically', request
+        ).result
         if not result.successful:
-            self._require_known(node_name, values)  # rclpy names none that is not declared
+            self._require_known(
+                node_name, values
+            )  # rclpy names none that is not declared
             raise RunError(str(result.reason))
 
     def _require_known(self, node_name: str, names: Iterable[str]) -> None:
         """Refuse names of parameters that a node does not have; RunError with all of them."""
         known = self.call(
-            node_name, ListParameters, 'list_parameters', ListParameters.Request()).result.names
+            node_name, ListParameters, 'list_parameters', ListParameters.Request()
+        ).result.names
         unknown = [f"'{name}'" for name in names if name not in known]
         if unknown:
             raise RunError(
-                f'{node_name}: expected parameters that it has, got {", ".join(unknown)}')
+                f'{node_name}: expected parameters that it has, got {", ".join(unknown)}'
+            )
 
     def _wait(self, condition: Callable[[], Any], timeout: float, what: str) -> bool:
         """Return whether a condition came true in time; errors of `keep_waiting` go through."""
@@ -236,26 +314,45 @@ class ControllerLink(GuestNode):
     """
 
     def __init__(
-        self, heard: Sequence[Topic], *, namespace: str, domain_id: int | None, timeout: float,
+        self,
+        heard: Sequence[Topic],
+        *,
+        namespace: str,
+        domain_id: int | None,
+        timeout: float,
         on_status: Callable[[ControllerStatus], None] = lambda status: None,
     ) -> None:
         super().__init__(
-            f'multicontact_client_{os.getpid()}', domain_id, namespace, patience=timeout)
+            f'multicontact_client_{os.getpid()}', domain_id, namespace, patience=timeout
+        )
         self._on_status = on_status
         self.last_status: ControllerStatus | None = None
         self._kept: dict[Topic, deque[Any]] = {
             topic: deque(maxlen=None if topic in QUEUED else 1)
-            for topic in (*heard, topics.STATUS)}
+            for topic in (*heard, topics.STATUS)
+        }
         self._subscriptions = {
             topic: self.node.create_subscription(
-                topic.message, topic.name,
-                lambda message, kept=kept: kept.append(message),  # while a service is waited for
-                qos.STREAM if kept.maxlen is None
-                else qos.LATCHED if topic.profile == qos.LATCHED else qos.GLANCE)
-            for topic, kept in self._kept.items()}
-        self._publishers = {topic: create_publisher(self.node, topic)
-                            for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND)}
-        self._connected: set[Topic] = set()  # those whose first command all readers have
+                topic.message,
+                topic.name,
+                lambda message, kept=kept: kept.append(
+                    message
+                ),  # while a service is waited for
+                qos.STREAM
+                if kept.maxlen is None
+                else qos.LATCHED
+                if topic.profile == qos.LATCHED
+                else qos.GLANCE,
+            )
+            for topic, kept in self._kept.items()
+        }
+        self._publishers = {
+            topic: create_publisher(self.node, topic)
+            for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND)
+        }
+        self._connected: set[Topic] = (
+            set()
+        )  # those whose first command all readers have
 
     def close(self) -> None:
         """Leave the graph, when all readers of the commands have these."""
@@ -284,29 +381,39 @@ class ControllerLink(GuestNode):
 
     def fresh(self, *wanted: Topic, one_stamp: bool = False) -> list[Any]:
         """Return messages that come from now on, all of one stamp if asked to; RunError."""
+
         def complete() -> list[Any] | None:
             messages: list[Any] = [self.newest(topic) for topic in wanted]
             stamps = [x and x.header.stamp for x in messages]
-            return None if None in stamps or (
-                one_stamp and stamps.count(stamps[0]) < len(stamps)) else messages
+            return (
+                None
+                if None in stamps
+                or (one_stamp and stamps.count(stamps[0]) < len(stamps))
+                else messages
+            )
 
         for topic in wanted:
             self._taken(topic).clear()
         return self._awaited(
-            complete, f'{", ".join(topic.name for topic in wanted)}: expected a message')
+            complete, f'{", ".join(topic.name for topic in wanted)}: expected a message'
+        )
 
     def _awaited(self, get: Callable[[], T | None], missing: str) -> T:
         give_up = time.monotonic() + self._patience
         while (value := get()) is None:
             if time.monotonic() > give_up:
-                raise RunError(f'{missing} within {self._patience:g} s in {self._domain}, got '
-                               'none; is the controller active?')
+                raise RunError(
+                    f'{missing} within {self._patience:g} s in {self._domain}, got '
+                    'none; is the controller active?'
+                )
             time.sleep(POLL_PERIOD)
         return value
 
     def look(self) -> list[ControllerStatus]:
         """Return what the controller has said of itself and of commands since the last look."""
-        statuses = [ControllerStatus.of(message) for message in self.queue(topics.STATUS)]
+        statuses = [
+            ControllerStatus.of(message) for message in self.queue(topics.STATUS)
+        ]
         for self.last_status in statuses:
             self._on_status(self.last_status)
         return statuses
@@ -315,7 +422,9 @@ class ControllerLink(GuestNode):
         """Call a service of the controller; return what it says; CommandRefusedError."""
         answer = self.call(topics.CONTROLLER, service, name, request)
         if not answer.success:
-            raise CommandRefusedError(f'{topics.CONTROLLER}: {name} refused: {answer.message}')
+            raise CommandRefusedError(
+                f'{topics.CONTROLLER}: {name} refused: {answer.message}'
+            )
         return str(answer.message)
 
     def send(self, topic: Topic, command: Any, identifier: str) -> None:
@@ -346,7 +455,9 @@ class ControllerLink(GuestNode):
 
         def accepted() -> ControllerStatus | None:
             nonlocal due, sent_to
-            if time.monotonic() >= due:  # one that comes before the connection stands is lost
+            if (
+                time.monotonic() >= due
+            ):  # one that comes before the connection stands is lost
                 due, sent_to = time.monotonic() + RESEND_PERIOD, readers()
                 self.send(topic, command, identifier)
             return self.accepted(identifier)
@@ -355,6 +466,7 @@ class ControllerLink(GuestNode):
         if topic not in self._connected:
             self._connected.add(topic)
             if sent_to < answer.readers and self._wait(
-                    lambda: readers() >= answer.readers, CONNECTION_TIME, topic.name):
+                lambda: readers() >= answer.readers, CONNECTION_TIME, topic.name
+            ):
                 self.send(topic, command, identifier)
         return answer

@@ -44,16 +44,26 @@ class LiveChanges:
     def _take_one_by_one(self, request: Any, answer: Callable[[Any], None]) -> None:
         changes = [[Parameter.from_parameter_msg(each)] for each in request.parameters]
         response = SetParameters.Response()
-        self._requests.append(self._serve(changes, response.results, partial(answer, response)))
+        self._requests.append(
+            self._serve(changes, response.results, partial(answer, response))
+        )
 
     def _take_at_once(self, request: Any, answer: Callable[[Any], None]) -> None:
         change = [Parameter.from_parameter_msg(each) for each in request.parameters]
         results: list[Any] = []
-        self._requests.append(self._serve([change], results, lambda: answer(
-            SetParametersAtomically.Response(result=results[0]))))
+        self._requests.append(
+            self._serve(
+                [change],
+                results,
+                lambda: answer(SetParametersAtomically.Response(result=results[0])),
+            )
+        )
 
     def _serve(
-        self, changes: Sequence[Sequence[Parameter]], results: Any, answer: Callable[[], None],
+        self,
+        changes: Sequence[Sequence[Parameter]],
+        results: Any,
+        answer: Callable[[], None],
     ) -> Iterator[None]:
         """Yield while the thread computes; then change, and answer."""
         parameters = self._parameters

@@ -31,11 +31,20 @@ from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 
 UNIT_QUATERNION_TOLERANCE = 1e-3
 NUMBERS = 'iuf'  # kinds of numpy: text and truth values are none, though numpy reads them as such
-LAST_SECOND = 2 ** 31 - 1  # that a stamp can hold
+LAST_SECOND = 2**31 - 1  # that a stamp can hold
 JOINT_FIELDS = ('position', 'velocity', 'effort')
 STATE, ACCEPTED, REFUSED = 'state', 'accepted', 'refused'  # the event of a status
-STATUS_TEXTS = ('event', 'command', 'life_cycle', 'reaction', 'causes', 'contacts', 'push_test',
-                'unwatched', 'left_out')
+STATUS_TEXTS = (
+    'event',
+    'command',
+    'life_cycle',
+    'reaction',
+    'causes',
+    'contacts',
+    'push_test',
+    'unwatched',
+    'left_out',
+)
 
 
 def stamp_to_ns(stamp: Time) -> int:
@@ -55,14 +64,19 @@ def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
         numbers = np.array(values)
     except ValueError:  # rows of different lengths
         raise MessageError(
-            field, f'{counted(length, "values")} in one row', repr(values)) from None
+            field, f'{counted(length, "values")} in one row', repr(values)
+        ) from None
     if numbers.dtype.kind not in NUMBERS:
-        raise MessageError(field, f'{counted(length, "values")} that are numbers', repr(values))
+        raise MessageError(
+            field, f'{counted(length, "values")} that are numbers', repr(values)
+        )
     numbers = numbers.astype(np.float64)
     if numbers.ndim != 1:
         raise MessageError(
-            field, f'{counted(length, "values")} in one row',
-            f'an array of shape {numbers.shape}')
+            field,
+            f'{counted(length, "values")} in one row',
+            f'an array of shape {numbers.shape}',
+        )
     if numbers.size != length:
         raise MessageError(field, counted(length, 'values'), f'{numbers.size}')
     if not math.isfinite(sum(numbers.tolist())):
@@ -101,7 +115,9 @@ def require_not_negative(field: str, value: object, unit: str) -> None:
 def require_named_numbers(field: str, values: object, unit: str) -> None:
     """Refuse what is not a mapping of names to finite numbers, in a unit."""
     if not isinstance(values, Mapping):
-        raise MessageError(field, f'numbers by name [{unit}], as {{name: number}}', repr(values))
+        raise MessageError(
+            field, f'numbers by name [{unit}], as {{name: number}}', repr(values)
+        )
     for name, value in values.items():
         if not isinstance(name, str):
             raise MessageError(field, 'names that are text', repr(name))
@@ -113,12 +129,17 @@ def quaternion_array(values: ArrayLike, field: str) -> Vector:
     quaternion = finite_array(values, 4, field)
     norm = float(np.linalg.norm(quaternion))
     if not 0.0 < norm < math.inf:
-        raise MessageError(field, 'a quaternion of a length above 0', quaternion.tolist())
+        raise MessageError(
+            field, 'a quaternion of a length above 0', quaternion.tolist()
+        )
     return quaternion / norm
 
 
 def read_named(
-    message: JointState, names: Sequence[str], fields: Sequence[str], optional: Sequence[str] = (),
+    message: JointState,
+    names: Sequence[str],
+    fields: Sequence[str],
+    optional: Sequence[str] = (),
     partial: Sequence[str] = (),
 ) -> tuple[Any, ...]:
     """
@@ -137,7 +158,9 @@ def read_named(
         vector = values[places] if whole else values
         usable = whole and (field in partial or math.isfinite(sum(vector.tolist())))
         if not usable and field in fields:
-            raise MessageError(field, counted(len(given), 'finite values'), values.tolist())
+            raise MessageError(
+                field, counted(len(given), 'finite values'), values.tolist()
+            )
         vectors.append(vector if usable else None)
     return stamp_to_ns(message.header.stamp), *vectors
 
@@ -154,22 +177,28 @@ def read_wrench(message: WrenchStamped, frame: str = '') -> tuple[int, Vector]:
     """Return the stamp of a message [ns] and its wrench, in a frame or none; empty for any."""
     given = message.header.frame_id.lstrip('/')
     if frame and given not in ('', frame):
-        raise MessageError('header.frame_id', f"'{frame}' (robot.sensor_frame), or none",
-                           f"'{given}'")
+        raise MessageError(
+            'header.frame_id', f"'{frame}' (robot.sensor_frame), or none", f"'{given}'"
+        )
     wrench = _numbers('xyz', message.wrench.force, message.wrench.torque)
     return stamp_to_ns(message.header.stamp), finite_array(wrench, 6, 'wrench')
 
 
 def read_force_command(
-    message: JointState, names: Sequence[str],
+    message: JointState,
+    names: Sequence[str],
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Read forces and couples by name [N], or else centres of pressure by couple [m]."""
     given = list(message.name)
     if not given or len(set(given)) != len(given) or not set(given) <= set(names):
         raise MessageError('name', f'distinct names among {list(names)}', given)
     if len(message.position) and len(message.effort):
-        raise MessageError('position', 'none beside efforts: centres of pressure are commanded in '
-                           'a message of their own', list(message.position))
+        raise MessageError(
+            'position',
+            'none beside efforts: centres of pressure are commanded in '
+            'a message of their own',
+            list(message.position),
+        )
     field = 'position' if len(message.position) else 'effort'
     values = finite_array(getattr(message, field), len(given), field)
     numbers = dict(zip(given, values.tolist()))
@@ -185,10 +214,15 @@ def read_motion(message: MultiDOFJointTrajectoryPoint) -> MotionReading:
     quaternion = finite_array(_numbers('xyzw', pose.rotation), 4, 'rotation')
     norm = float(np.linalg.norm(quaternion))
     if abs(norm - 1.0) > UNIT_QUATERNION_TOLERANCE:
-        raise MessageError('rotation', 'a quaternion of unit length', f'length {norm:.6g}')
+        raise MessageError(
+            'rotation', 'a quaternion of unit length', f'length {norm:.6g}'
+        )
     return MotionReading(
-        position, quaternion / norm, _read_twist(message.velocities, 'velocities'),
-        _read_twist(message.accelerations, 'accelerations'))
+        position,
+        quaternion / norm,
+        _read_twist(message.velocities, 'velocities'),
+        _read_twist(message.accelerations, 'accelerations'),
+    )
 
 
 def _read_twist(twists: Sequence[Twist], field: str) -> Vector:
@@ -205,8 +239,10 @@ def _numbers(axes: str, *parts: Any) -> list[float]:
 
 def pose_arrays(pose: Pose) -> tuple[Vector, Vector]:
     """Return the position [m] of a pose and its quaternion x, y, z, w."""
-    return (np.array(_numbers('xyz', pose.position)),
-            np.array(_numbers('xyzw', pose.orientation)))
+    return (
+        np.array(_numbers('xyz', pose.position)),
+        np.array(_numbers('xyzw', pose.orientation)),
+    )
 
 
 def _fill(values: ArrayLike, field: str, axes: str, *parts: Any) -> None:
@@ -217,15 +253,24 @@ def _fill(values: ArrayLike, field: str, axes: str, *parts: Any) -> None:
             setattr(part, axis, next(numbers))
 
 
-def joint_state_message(stamp: int, names: Sequence[str], **fields: ArrayLike) -> JointState:
+def joint_state_message(
+    stamp: int, names: Sequence[str], **fields: ArrayLike
+) -> JointState:
     """Build a named list of numbers, by the `fields` position, velocity and effort."""
-    return JointState(header=Header(stamp=ns_to_stamp(stamp)), name=list(names), **{
-        field: array('d', finite_array(values, len(names), field).tobytes())
-        for field, values in fields.items()})
+    return JointState(
+        header=Header(stamp=ns_to_stamp(stamp)),
+        name=list(names),
+        **{
+            field: array('d', finite_array(values, len(names), field).tobytes())
+            for field, values in fields.items()
+        },
+    )
 
 
 def motion_message(
-    position_world: ArrayLike, quaternion_xyzw: ArrayLike, twist_world: ArrayLike,
+    position_world: ArrayLike,
+    quaternion_xyzw: ArrayLike,
+    twist_world: ArrayLike,
     acceleration_world: ArrayLike,
 ) -> MultiDOFJointTrajectoryPoint:
     """Build a commanded motion of the operational point; twist and acceleration linear first."""
@@ -233,9 +278,16 @@ def motion_message(
     _fill(position_world, 'translation', 'xyz', pose.translation)
     _fill(quaternion_xyzw, 'rotation', 'xyzw', pose.rotation)
     _fill(twist_world, 'velocities', 'xyz', twist.linear, twist.angular)
-    _fill(acceleration_world, 'accelerations', 'xyz', acceleration.linear, acceleration.angular)
+    _fill(
+        acceleration_world,
+        'accelerations',
+        'xyz',
+        acceleration.linear,
+        acceleration.angular,
+    )
     return MultiDOFJointTrajectoryPoint(
-        transforms=[pose], velocities=[twist], accelerations=[acceleration])
+        transforms=[pose], velocities=[twist], accelerations=[acceleration]
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,11 +303,17 @@ class ControllerStatus:
     contacts: str  # the state of each in words
     held: bool  # on command
     refused: int  # commands so far
-    readers: int  # of the command's topic that the controller knows, a recorder among them
+    readers: (
+        int  # of the command's topic that the controller knows, a recorder among them
+    )
     push_test: str  # what it asks for; empty for nothing
     forces: Mapping[str, float]  # obeyed by contact and couple [N]; empty in a scenario
-    unwatched: str = ''  # whose efforts are of no use, and what is not watched; empty for all
-    left_out: str = ''  # what is not obeyed of a command that is accepted; empty for nothing
+    unwatched: str = (
+        ''  # whose efforts are of no use, and what is not watched; empty for all
+    )
+    left_out: str = (
+        ''  # what is not obeyed of a command that is accepted; empty for nothing
+    )
     # N_i of contacts that are sought or held, along which a motion has no effect, by force and
     # couple, shape (6,).
     placing: Mapping[str, tuple[float, ...]] = dataclasses.field(default_factory=dict)
@@ -271,28 +329,41 @@ class ControllerStatus:
         values = {x.key: x.value for x in message.values}
         forces = [each.rsplit(' ', 1) for each in values['forces'].split(', ') if each]
         placing = [each.split(' ') for each in values['placing'].split(', ') if each]
-        return cls(text=message.message, refused=int(values['refused']),
-                   readers=int(values['readers']), held=values['held'] == str(True),
-                   forces={name: float(force) for name, force in forces},
-                   placing={name: tuple(map(float, column)) for name, *column in placing},
-                   **{name: values[name] for name in STATUS_TEXTS})
+        return cls(
+            text=message.message,
+            refused=int(values['refused']),
+            readers=int(values['readers']),
+            held=values['held'] == str(True),
+            forces={name: float(force) for name, force in forces},
+            placing={name: tuple(map(float, column)) for name, *column in placing},
+            **{name: values[name] for name in STATUS_TEXTS},
+        )
 
     def message(self, name: str, level: bytes) -> DiagnosticStatus:
         """Return the message that says so."""
         values = {each: getattr(self, each) for each in STATUS_TEXTS} | {
-            'refused': str(self.refused), 'readers': str(self.readers), 'held': str(self.held),
-            'forces': ', '.join(f'{name} {force:.9g}' for name, force in self.forces.items()),
+            'refused': str(self.refused),
+            'readers': str(self.readers),
+            'held': str(self.held),
+            'forces': ', '.join(
+                f'{name} {force:.9g}' for name, force in self.forces.items()
+            ),
             'placing': ', '.join(
                 ' '.join([name, *(f'{x:.9g}' for x in column)])
-                for name, column in self.placing.items())}
+                for name, column in self.placing.items()
+            ),
+        }
         return DiagnosticStatus(
-            name=name, level=level, message=self.text,
-            values=[KeyValue(key=key, value=value) for key, value in values.items()])
+            name=name,
+            level=level,
+            message=self.text,
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
 
 
 def new_identifier() -> str:
     """Return an identifier for a command that no other client uses."""
-    return str(1 + secrets.randbelow(2 ** 31 - 1))
+    return str(1 + secrets.randbelow(2**31 - 1))
 
 
 def identify(command: Any, identifier: str) -> None:
@@ -305,5 +376,8 @@ def identify(command: Any, identifier: str) -> None:
 
 def identifier_of(command: Any) -> str:
     """Return the identifier of a command on a topic, empty if it has none."""
-    return str(command.header.frame_id if isinstance(command, JointState)
-               else command.time_from_start.sec or '')
+    return str(
+        command.header.frame_id
+        if isinstance(command, JointState)
+        else command.time_from_start.sec or ''
+    )

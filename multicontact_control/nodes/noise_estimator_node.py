@@ -13,7 +13,12 @@ from multicontact_control.arrays import Vector
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.force.noise import Innovation, make_noise_estimator
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.diagnostics import Inputs, LoopStatistics, message_status, Status
+from multicontact_control.nodes.diagnostics import (
+    Inputs,
+    LoopStatistics,
+    message_status,
+    Status,
+)
 from multicontact_control.nodes.graph import StartupConfig
 from multicontact_control.nodes.lifecycle import ACTIVE, ManagedNode
 from multicontact_control.nodes.runtime import run_node, Spinner
@@ -30,7 +35,9 @@ class NoiseEstimatorNode(ManagedNode):
     """
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(topics.ESTIMATOR, NoiseEstimatorConfig, StartupConfig, **options)
+        super().__init__(
+            topics.ESTIMATOR, NoiseEstimatorConfig, StartupConfig, **options
+        )
         self._samples = 0
 
     def configure(self, configurations: Sequence[Any]) -> None:
@@ -40,15 +47,30 @@ class NoiseEstimatorNode(ManagedNode):
         self._estimator = make_noise_estimator(self._config)
         self._estimator.update(np.zeros(len(names)))  # the first one takes a while
         self._watch = LoopStatistics(self._config.rate)
-        self._publisher = StreamPublisher(self, topics.NOISE_VARIANCE, (
-            messages.joint_state_message(0, names, effort=np.zeros(len(names)))))
-        heard = [topics.MEASURED_FORCES, topics.INNOVATION][:1 + self._estimator.uses_innovation]
-        self._readers = {topic: MessageReader(topic.message, partial(
-            messages.read_named, names=names, fields=fields)) for topic, fields in zip(
-                heard, (['effort'], ['position', 'velocity', 'effort']))}
+        self._publisher = StreamPublisher(
+            self,
+            topics.NOISE_VARIANCE,
+            (messages.joint_state_message(0, names, effort=np.zeros(len(names)))),
+        )
+        heard = [topics.MEASURED_FORCES, topics.INNOVATION][
+            : 1 + self._estimator.uses_innovation
+        ]
+        self._readers = {
+            topic: MessageReader(
+                topic.message, partial(messages.read_named, names=names, fields=fields)
+            )
+            for topic, fields in zip(
+                heard, (['effort'], ['position', 'velocity', 'effort'])
+            )
+        }
         for topic in heard:
             self.create_subscription(
-                topic.message, topic.name, partial(self._on_message, topic), qos.INPUT, raw=True)
+                topic.message,
+                topic.name,
+                partial(self._on_message, topic),
+                qos.INPUT,
+                raw=True,
+            )
         self._inputs = Inputs(self, self._config.rate, *heard)
 
     def activate(self) -> StartupConfig:
@@ -62,8 +84,9 @@ class NoiseEstimatorNode(ManagedNode):
 
     def clean_up(self) -> None:
         """Write the counts of this run, if asked to."""
-        self._node_config.write_counts({
-            'samples': self._samples, 'refused': dict(self.refusals.counts)})
+        self._node_config.write_counts(
+            {'samples': self._samples, 'refused': dict(self.refusals.counts)}
+        )
 
     def _on_message(self, topic: topics.Topic, data: bytes) -> None:
         """Take in a message; answer what can be answered with it."""
@@ -77,7 +100,9 @@ class NoiseEstimatorNode(ManagedNode):
                     self._waiting.append((stamp, vectors[0]))
                 else:
                     variance, prior, innovation = vectors
-                    self._innovations.append((stamp, Innovation(innovation, prior, variance)))
+                    self._innovations.append(
+                        (stamp, Innovation(innovation, prior, variance))
+                    )
                 self._inputs.last[topic] = received
                 self.look()
         if self._samples != answered:
@@ -89,7 +114,8 @@ class NoiseEstimatorNode(ManagedNode):
             while self.working and self._waiting:
                 stamp, values = self._waiting[0]
                 if self._estimator.uses_innovation and (
-                        not self._innovations or self._innovations[-1][0] < stamp):
+                    not self._innovations or self._innovations[-1][0] < stamp
+                ):
                     return
                 self._waiting.popleft()
                 if stamp != self._last_stamp:
@@ -97,8 +123,12 @@ class NoiseEstimatorNode(ManagedNode):
                         self._estimator.reset()
                     self._last_stamp, self._last_answer = stamp, b''
                     self._samples += 1
-                    self._last_answer = self._publisher.write(stamp, self._estimator.update(
-                        values, dict(self._innovations).get(stamp)))
+                    self._last_answer = self._publisher.write(
+                        stamp,
+                        self._estimator.update(
+                            values, dict(self._innovations).get(stamp)
+                        ),
+                    )
                 if self._last_answer:
                     self._publisher.publish(self._last_answer)
 
@@ -106,9 +136,16 @@ class NoiseEstimatorNode(ManagedNode):
         """Yield what diagnostics report."""
         yield Status('loop', {**self._watch.report(), 'samples': self._samples})
         yield self._inputs.status(needed=self.state == ACTIVE)
-        yield message_status(self.refusals, dropped=self._estimator.dropped, **{
-            f'{name} at_a_bound_of_noise_variance': int(count) for name, count in zip(
-                self._config.contact_names, self._estimator.bounded)})
+        yield message_status(
+            self.refusals,
+            dropped=self._estimator.dropped,
+            **{
+                f'{name} at_a_bound_of_noise_variance': int(count)
+                for name, count in zip(
+                    self._config.contact_names, self._estimator.bounded
+                )
+            },
+        )
 
 
 def main() -> int:

@@ -36,7 +36,9 @@ LOCKED = 'can be changed only before the node is configured'
 
 
 def _leaves(
-    model: type[Config], overrides: Mapping[str, Any], prefix: str = '',
+    model: type[Config],
+    overrides: Mapping[str, Any],
+    prefix: str = '',
 ) -> Iterator[tuple[str, FieldInfo]]:
     """Yield name and field of all values; mappings as in `overrides`, or of their contacts."""
     for key, field in model.model_fields.items():
@@ -46,7 +48,8 @@ def _leaves(
         elif typing.get_origin(field.annotation) is dict:
             start = f'{name}.'
             given = dict.fromkeys(
-                x[len(start):].split('.')[0] for x in overrides if x.startswith(start))
+                x[len(start) :].split('.')[0] for x in overrides if x.startswith(start)
+            )
             for entry in given or overrides.get('contact_names') or ():
                 yield from _leaves(inner, overrides, f'{name}.{entry}.')
         else:
@@ -58,8 +61,11 @@ def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
     unit = f' [{extra["unit"]}]' if extra.get('unit') else ''
     # Not read-only: that changes with the life cycle, a descriptor does not.
     return ParameterDescriptor(
-        name=name, dynamic_typing=True, description=f'{field.description or ""}{unit}',
-        additional_constraints='' if extra.get('live') else LOCKED)
+        name=name,
+        dynamic_typing=True,
+        description=f'{field.description or ""}{unit}',
+        additional_constraints='' if extra.get('live') else LOCKED,
+    )
 
 
 class ParameterSet:
@@ -74,21 +80,34 @@ class ParameterSet:
 
     def __init__(self, node: Node, *models: type[Config]) -> None:
         self._node, self._models = node, models
-        given = {name: parameter.value for name, parameter in parameter_overrides(node).items()
-                 if name.split('.')[0] not in SET_BY_ROS}
+        given = {
+            name: parameter.value
+            for name, parameter in parameter_overrides(node).items()
+            if name.split('.')[0] not in SET_BY_ROS
+        }
         self._live: dict[str, bool] = {}
         for name, field in (x for model in models for x in _leaves(model, given)):
-            value = None if field.is_required() else field.get_default(call_default_factory=True)
+            value = (
+                None
+                if field.is_required()
+                else field.get_default(call_default_factory=True)
+            )
             if name in given:
                 value = [] if given[name] is None else given[name]
             descriptor = _descriptor(name, field)
             self._live[name] = descriptor.additional_constraints != LOCKED
-            node.declare_parameter(name, _plain(value), descriptor, ignore_override=True)
+            node.declare_parameter(
+                name, _plain(value), descriptor, ignore_override=True
+            )
         self._unknown = {name: x for name, x in given.items() if name not in self._live}
-        self.design: Callable[[Sequence[Any]], Any] = lambda configurations: configurations
+        self.design: Callable[[Sequence[Any]], Any] = lambda configurations: (
+            configurations
+        )
         self.use: Callable[[Any], None] | None = None
         self.version = 0
-        self._designed: Callable[[], Any] | None = None  # of the change that is under way
+        self._designed: Callable[[], Any] | None = (
+            None  # of the change that is under way
+        )
         self.refuse: Callable[[str, Exception], None] = lambda name, error: None
         node.add_on_set_parameters_callback(self._on_set)
 
@@ -104,12 +123,21 @@ class ParameterSet:
         known = sorted(key for model in self._models for key in model.model_fields)
 
         def refuse(key: str) -> None:
-            raise ConfigError(key, f'a known parameter ({", ".join(known)})', f"unknown '{key}'")
+            raise ConfigError(
+                key, f'a known parameter ({", ".join(known)})', f"unknown '{key}'"
+            )
 
         return check_all(
             *(partial(refuse, key) for key in values if key not in known),
-            *(partial(validate, model, {x: values[x] for x in model.model_fields if x in values})
-              for model in self._models))
+            *(
+                partial(
+                    validate,
+                    model,
+                    {x: values[x] for x in model.model_fields if x in values},
+                )
+                for model in self._models
+            ),
+        )
 
     def value(self, name: str) -> Any:
         """Return the present value of a parameter, None if it has none."""
@@ -124,7 +152,9 @@ class ParameterSet:
         return self.design(self.configurations(changes))
 
     def set(
-        self, parameters: Sequence[Parameter], designed: Callable[[], Any],
+        self,
+        parameters: Sequence[Parameter],
+        designed: Callable[[], Any],
     ) -> SetParametersResult:
         """Change parameters at once; `designed` returns or raises as `design_change` did."""
         self._designed = designed
@@ -147,16 +177,22 @@ class ParameterSet:
             self.use(designed())
             self.version += 1
         except Exception as error:
-            if not isinstance(error, MulticontactError):  # a mistake here: not for the arm to pay
+            if not isinstance(
+                error, MulticontactError
+            ):  # a mistake here: not for the arm to pay
                 self._node.get_logger().error(traceback.format_exc())
             self.refuse(next(iter(changes)), error)
-            return SetParametersResult(successful=False, reason=str(error) or repr(error))
+            return SetParametersResult(
+                successful=False, reason=str(error) or repr(error)
+            )
         return SetParametersResult(successful=True)
 
 
 def _plain(value: Any) -> Any:
     """Return an array as a list."""
-    return value if isinstance(value, (bool, int, float, str, NoneType)) else list(value)
+    return (
+        value if isinstance(value, (bool, int, float, str, NoneType)) else list(value)
+    )
 
 
 def folder_of(name: str, node_name: str, arguments: Sequence[str]) -> Path:
@@ -172,7 +208,8 @@ def folder_of(name: str, node_name: str, arguments: Sequence[str]) -> Path:
             folder = Path(value).resolve().parent
     by_itself = any(
         option in ('-p', '--param') and value.split(':=')[0].rpartition(':')[2] == name
-        for option, value in zip(arguments, arguments[1:]))
+        for option, value in zip(arguments, arguments[1:])
+    )
     return Path() if by_itself else folder
 
 

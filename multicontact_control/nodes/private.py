@@ -18,7 +18,12 @@ from rclpy.parameter import Parameter
 from rclpy.service import Service
 
 __all__ = [
-    'answer_later', 'change_state_service', 'parameter_overrides', 'RCLError', 'RcutilsLogger']
+    'answer_later',
+    'change_state_service',
+    'parameter_overrides',
+    'RCLError',
+    'RcutilsLogger',
+]
 # RCLError is what a transition that is not possible now raises, RcutilsLogger what a node's
 # `get_logger` returns: neither has a public name.
 
@@ -44,7 +49,8 @@ def change_state_service(node: LifecycleNode) -> Service:
 
 
 def answer_later(
-    service: Service, take_in: Callable[[Any, Callable[[Any], None]], None],
+    service: Service,
+    take_in: Callable[[Any, Callable[[Any], None]], None],
 ) -> None:
     """
     Let requests of a service be answered when their callback has long returned.

@@ -13,9 +13,15 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 def profile(depth: int, *, reliable: bool = True, latched: bool = False) -> QoSProfile:
     """Return a profile that keeps the newest messages."""
     return QoSProfile(
-        depth=depth, history=HistoryPolicy.KEEP_LAST,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+        depth=depth,
+        history=HistoryPolicy.KEEP_LAST,
+        reliability=ReliabilityPolicy.RELIABLE
+        if reliable
+        else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL
+        if latched
+        else DurabilityPolicy.VOLATILE,
+    )
 
 
 STREAM = profile(5000)

@@ -28,14 +28,25 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
 from rosbags import interfaces
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
+from rosbags.rosbag2 import (
+    CompressionFormat,
+    CompressionMode,
+    StoragePlugin,
+    Writer,
+    WriterError,
+)
 from rosbags.typesys import get_typestore, Stores
 from std_msgs.msg import Float64MultiArray
 
 NICENESS = 10  # the nodes that control go first; ten seconds of messages can wait
 POLL_PERIOD, FLUSH_PERIOD = 0.02, 0.5  # s
-QUIET_TIME, DRAIN_TIMEOUT = 0.2, 3.0  # s without a message that end a recording, at most this long
-INFINITE = interfaces.QosTime(9223372036, 854775807)  # as rosbag2 writes that there is no limit
+QUIET_TIME, DRAIN_TIMEOUT = (
+    0.2,
+    3.0,
+)  # s without a message that end a recording, at most this long
+INFINITE = interfaces.QosTime(
+    9223372036, 854775807
+)  # as rosbag2 writes that there is no limit
 
 
 class RecorderConfig(graph.StartupConfig):
@@ -43,7 +54,9 @@ class RecorderConfig(graph.StartupConfig):
 
     folder: str = parameter(..., 'Folder of the bag, to be created.')
     effort_output_topic: str = parameter(
-        '', "The controller's topic for bare efforts, to be recorded as well; empty for none.")
+        '',
+        "The controller's topic for bare efforts, to be recorded as well; empty for none.",
+    )
 
 
 @dataclass
@@ -66,21 +79,33 @@ class Bag(Writer):
             self.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self.open()
         except WriterError:
-            raise RunError(f'{folder}: expected a folder that does not exist yet') from None
+            raise RunError(
+                f'{folder}: expected a folder that does not exist yet'
+            ) from None
         except OSError as error:
             raise RunError(f'{folder}: {error.strerror}') from None
 
     def add_topic(
-        self, name: str, type_name: str, profile: QoSProfile,
+        self,
+        name: str,
+        type_name: str,
+        profile: QoSProfile,
     ) -> interfaces.Connection:
         """Return what messages of a topic are written to."""
         offered = interfaces.Qos(
-            interfaces.QosHistory(profile.history), profile.depth,
+            interfaces.QosHistory(profile.history),
+            profile.depth,
             interfaces.QosReliability(profile.reliability),
-            interfaces.QosDurability(profile.durability), INFINITE, INFINITE,
-            interfaces.QosLiveliness(profile.liveliness), INFINITE, False)
+            interfaces.QosDurability(profile.durability),
+            INFINITE,
+            INFINITE,
+            interfaces.QosLiveliness(profile.liveliness),
+            INFINITE,
+            False,
+        )
         return self.add_connection(
-            name, type_name, typestore=self._types, offered_qos_profiles=[offered])
+            name, type_name, typestore=self._types, offered_qos_profiles=[offered]
+        )
 
     def flush(self) -> None:
         """Hand all messages to the operating system: a process that is killed then loses none."""
@@ -104,17 +129,29 @@ class RecorderNode(Node):
         topics = {self.resolve_topic_name(topic.name): topic for topic in TOPICS}
         if efforts := self._config.effort_output_topic:
             name = graph.full_topic_name('effort_output_topic', efforts, self)
-            topics[name] = Topic(name, Float64MultiArray, CONTROLLER, (RECORDER,), rate='event')
+            topics[name] = Topic(
+                name, Float64MultiArray, CONTROLLER, (RECORDER,), rate='event'
+            )
         self._bag = Bag(Path(self._config.folder))
         self._streams = []
         for name, topic in topics.items():
             latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-            self._streams.append(_Stream(
-                topic, self._bag.add_topic(name, topic.type_name, topic.profile),
-                self.create_subscription(
-                    topic.message, topic.name, graph.ignore,
-                    qos.profile(qos.STREAM.depth, latched=latched), raw=True)))
-        self._lost: Counter[str] = Counter()  # messages by topic, since the first of each
+            self._streams.append(
+                _Stream(
+                    topic,
+                    self._bag.add_topic(name, topic.type_name, topic.profile),
+                    self.create_subscription(
+                        topic.message,
+                        topic.name,
+                        graph.ignore,
+                        qos.profile(qos.STREAM.depth, latched=latched),
+                        raw=True,
+                    ),
+                )
+            )
+        self._lost: Counter[str] = (
+            Counter()
+        )  # messages by topic, since the first of each
         self._next_flush = 0.0
         self._diagnostics = Diagnostics(self, self._statuses, Helper())
         self._gate = graph.StartupGate(self, self._config)
@@ -137,12 +174,19 @@ class RecorderNode(Node):
         for stream in self._streams:
             while (taken := graph.take(stream.subscription)) is not None:
                 data, info = taken
-                sent = info['source_timestamp'] or info['received_timestamp'] or time.time_ns()
+                sent = (
+                    info['source_timestamp']
+                    or info['received_timestamp']
+                    or time.time_ns()
+                )
                 arrived.append((sent, stream.connection, data))
                 number, last = info['publication_sequence_number'], stream.last_number
                 stream.last_number = number
-                if stream.topic.rate == 'control' and 0 < last < number - 1 and (
-                        stream.subscription.get_publisher_count() < 2):  # it counts its own
+                if (
+                    stream.topic.rate == 'control'
+                    and 0 < last < number - 1
+                    and (stream.subscription.get_publisher_count() < 2)
+                ):  # it counts its own
                     self._lost[stream.connection.topic] += number - last - 1
         for sent, connection, data in sorted(arrived, key=itemgetter(0)):
             self._bag.write(connection, sent, data)
@@ -155,13 +199,19 @@ class RecorderNode(Node):
         """Ask for no more than is given where one of a topic's publishers gives less."""
         for stream in self._streams:
             name, asked = stream.connection.topic, stream.subscription.qos_profile
-            if not all(graph.compatible(x.qos_profile, asked)
-                       for x in self.get_publishers_info_by_topic(name)):
+            if not all(
+                graph.compatible(x.qos_profile, asked)
+                for x in self.get_publishers_info_by_topic(name)
+            ):
                 self._drain()
                 self.destroy_subscription(stream.subscription)
                 stream.subscription = self.create_subscription(
-                    stream.topic.message, name, graph.ignore,
-                    qos.profile(asked.depth, reliable=False), raw=True)
+                    stream.topic.message,
+                    name,
+                    graph.ignore,
+                    qos.profile(asked.depth, reliable=False),
+                    raw=True,
+                )
                 self.get_logger().info(f'{name}: recorded best effort, as published')
 
     def close(self) -> None:
@@ -176,8 +226,17 @@ class RecorderNode(Node):
         warning = f'messages lost on {", ".join(self._lost)}' if self._lost else ''
         return [
             Status('loop', {'messages': sum(self._bag.counts.values())}),
-            Status('messages', {'dropped': self._lost.total(), **{
-                f'dropped {name}': number for name, number in self._lost.items()}}, warning)]
+            Status(
+                'messages',
+                {
+                    'dropped': self._lost.total(),
+                    **{
+                        f'dropped {name}': number for name, number in self._lost.items()
+                    },
+                },
+                warning,
+            ),
+        ]
 
 
 def main() -> int:

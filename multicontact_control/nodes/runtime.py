@@ -31,10 +31,16 @@ try:
 except ImportError:
     EventsExecutor = SingleThreadedExecutor
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a disk, or what a user may have of it
+FULL = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+)  # a disk, or what a user may have of it
 AUTOSTART = '--autostart'
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-ACKNOWLEDGE_TIMEOUT = 5.0  # s; the last acknowledgement may take long after the data has come
+ACKNOWLEDGE_TIMEOUT = (
+    5.0  # s; the last acknowledgement may take long after the data has come
+)
 
 
 def stop_signals() -> list[int]:
@@ -54,7 +60,9 @@ class Spinner:
 
     def spin_once(self, timeout: float) -> None:
         """Wait for one callback for up to `timeout` [s] and run it."""
-        if self._executor is None:  # made late: it empties the subscriptions that a node takes
+        if (
+            self._executor is None
+        ):  # made late: it empties the subscriptions that a node takes
             self._executor = EventsExecutor(context=self._node.context)
             self._executor.add_node(self._node)
         # The events executor raises for events of ends that are destroyed (rclpy issue 1644).
@@ -71,16 +79,22 @@ def start_ros(args: Sequence[str] | None, **options: Any) -> None:
     """Initialise rclpy without its signal handlers; ConfigError for unreadable arguments."""
     # Without it the graph would announce itself to the whole network.
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(config_dir() / 'fastdds.xml'))
+    os.environ.setdefault(
+        'FASTRTPS_DEFAULT_PROFILES_FILE', str(config_dir() / 'fastdds.xml')
+    )
     if not os.access(os.environ.get('ROS_HOME') or os.environ.get('HOME', ''), os.W_OK):
-        os.environ.setdefault('ROS_LOG_DIR', f'{tempfile.gettempdir()}/ros-{os.getuid()}')
+        os.environ.setdefault(
+            'ROS_LOG_DIR', f'{tempfile.gettempdir()}/ros-{os.getuid()}'
+        )
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO, **options)
     except (RuntimeError, UnicodeError) as error:
         text = one_line(error)
         if 'parse' not in text and 'failed to' in text:
             raise RunError(f'ROS 2 cannot be started: {text}') from None
-        hint = 'readable arguments and files in UTF-8, numbers of a list all with a point'
+        hint = (
+            'readable arguments and files in UTF-8, numbers of a list all with a point'
+        )
         raise ConfigError('--ros-args', hint, text) from None
 
 
@@ -102,8 +116,12 @@ def run_node(make_node: Callable[[], Any]) -> int:
         kernels = loaded_kernels()
         kept = kernels.cache_folder() if kernels else None
         if kernels and not (kept and os.listdir(kept)):
-            print(f'{program}: compiling the numerical kernels: this takes a while, once; '
-                  '`multicontact compile` does it beforehand', file=sys.stderr, flush=True)
+            print(
+                f'{program}: compiling the numerical kernels: this takes a while, once; '
+                '`multicontact compile` does it beforehand',
+                file=sys.stderr,
+                flush=True,
+            )
         _run(make_node(), stop)
         return 0
     except MulticontactError as error:
@@ -114,7 +132,8 @@ def run_node(make_node: Callable[[], Any]) -> int:
         code = error.errno if isinstance(error, OSError) and error.errno in FULL else 1
         with contextlib.suppress(OSError):  # the log may be on the same disk
             print(f'{program}: {error}', file=sys.stderr) if code in FULL else (
-                traceback.print_exc())
+                traceback.print_exc()
+            )
         return code
     finally:
         # A signal that comes while interpreter and middleware shut down would end it with -15.
@@ -130,13 +149,19 @@ def run_node(make_node: Callable[[], Any]) -> int:
 def check_arguments(program: str, node: Callable[[], Any]) -> None:
     """Print the help if asked for, and refuse arguments that are neither ours nor of ROS."""
     parser = argparse.ArgumentParser(
-        program, description=(inspect.getdoc(node) or '').partition('\n')[0], allow_abbrev=False,
+        program,
+        description=(inspect.getdoc(node) or '').partition('\n')[0],
+        allow_abbrev=False,
         epilog='ROS 2 arguments follow --ros-args: --params-file FILE, -p NAME:=VALUE, '
         '-r __ns:=/NAMESPACE. Every parameter with unit and default: '
-        'docs/reference/parameters.md.')
+        'docs/reference/parameters.md.',
+    )
     if hasattr(node, 'trigger_configure'):  # it has a life cycle
         parser.add_argument(
-            AUTOSTART, action='store_true', help='Configure and activate the node at once.')
+            AUTOSTART,
+            action='store_true',
+            help='Configure and activate the node at once.',
+        )
     parser.parse_args(remove_ros_args(sys.argv)[1:])
 
 
@@ -155,9 +180,11 @@ def _run(node: Any, stop: Sequence[int]) -> None:
         for publisher in node.publishers if signal.SIGTERM not in stop else ():
             remaining = Duration(seconds=max(0.0, give_up - time.monotonic()))
             if publisher.topic_name not in ('/rosout', '/parameter_events') and not (
-                    publisher.wait_for_all_acked(remaining)):
+                publisher.wait_for_all_acked(remaining)
+            ):
                 node.get_logger().warning(
-                    f'{publisher.topic_name}: a reader has not acknowledged all messages')
+                    f'{publisher.topic_name}: a reader has not acknowledged all messages'
+                )
     finally:
         spinner.close()
         try:

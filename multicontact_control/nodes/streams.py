@@ -25,7 +25,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 STAMP, HEADER = struct.Struct('<iI'), 4  # after so many bytes
 LITTLE_ENDIAN = b'\0\1'  # begins a message
-MARK, = struct.unpack('<d', bytes(range(1, 9)))  # a number that is nowhere else in a message
+(MARK,) = struct.unpack(
+    '<d', bytes(range(1, 9))
+)  # a number that is nowhere else in a message
 
 
 class StreamPublisher:
@@ -33,7 +35,10 @@ class StreamPublisher:
 
     def __init__(self, node: Node, topic: Topic, pattern: Any) -> None:
         publisher = create_publisher(node, topic)
-        self.publish, self._readers = publisher.publish, publisher.get_subscription_count
+        self.publish, self._readers = (
+            publisher.publish,
+            publisher.get_subscription_count,
+        )
         data, self._places = mark_numbers(pattern)
         self._bytes = bytearray(data)
         self._numbers = _words(self._bytes)
@@ -73,8 +78,11 @@ class MessageReader:
         if len(data) == self._length:
             sec, nanosec = STAMP.unpack_from(data, HEADER)
             words = np.frombuffer(data, np.float64, self._word_count, HEADER)
-            if words[self._others].tobytes() == self._constant and nanosec < NANOSECONDS and (
-                    math.isfinite(sum(words[self._used].tolist()))):
+            if (
+                words[self._others].tobytes() == self._constant
+                and nanosec < NANOSECONDS
+                and (math.isfinite(sum(words[self._used].tolist())))
+            ):
                 return sec * NANOSECONDS + nanosec, *(words[x] for x in self._vectors)
         return self._learn(data)
 
@@ -88,9 +96,13 @@ class MessageReader:
         reading, places = self._read(message), mark_numbers(message)[1]
         marks = [vector for vector in self._read(message)[1:] if vector is not None]
         if len(marks) == len(reading) - 1 and data[:2] == LITTLE_ENDIAN:
-            self._vectors = [places[np.rint(marked / MARK).astype(int) - 1] for marked in marks]
+            self._vectors = [
+                places[np.rint(marked / MARK).astype(int) - 1] for marked in marks
+            ]
             self._used, words = np.concatenate(self._vectors), _words(data)
-            self._others = np.delete(np.arange(len(words)), [0, *places])  # 0 is the stamp
+            self._others = np.delete(
+                np.arange(len(words)), [0, *places]
+            )  # 0 is the stamp
             self._constant, self._length = words[self._others].tobytes(), len(data)
             self._word_count = len(words)
         return reading
@@ -107,8 +119,10 @@ def mark_numbers(message: Any) -> tuple[bytes, Any]:
     _set_numbers(message, marks)
     total, data = round(next(marks) / MARK) - 1, serialize_message(message)
     words = _words(data)
-    places = np.array([np.flatnonzero(words == MARK * k)[0] for k in range(1, total + 1)], int)
-    return data[:HEADER + 8 * (int(places.max(initial=-1)) + 1)], places
+    places = np.array(
+        [np.flatnonzero(words == MARK * k)[0] for k in range(1, total + 1)], int
+    )
+    return data[: HEADER + 8 * (int(places.max(initial=-1)) + 1)], places
 
 
 def _words(data: bytes | bytearray) -> Vector:

@@ -29,11 +29,17 @@ MAX_REST_FORCE = 1.0  # N read with nothing touching the tool
 MAX_ANGLE = 0.35  # rad between a push and its reading; a hand is good for 0.2
 SCALE_TOLERANCE = 0.2  # of a force that is read
 LEVER_TOLERANCE = 0.05  # m, of the point of the pushes; a hand is good for 0.03
-MIN_LEVER = 0.08  # m from the sensor to the tip of a tool, from which moments tell of any point
+MIN_LEVER = (
+    0.08  # m from the sensor to the tip of a tool, from which moments tell of any point
+)
 NEAR_TIP = 0.25  # of that lever, beyond which the tool is pushed
 
 # What a user is told: of a test that is over, and without any.
-PASSED, FAILED, CANCELLED = 'push test passed', 'push test failed', 'push test cancelled'
+PASSED, FAILED, CANCELLED = (
+    'push test passed',
+    'push test failed',
+    'push test cancelled',
+)
 DISABLED = 'force control is disabled until ~/push_test has passed'
 
 Direction = Literal['+x', '-x', '+y', '-y', '+z', '-z']
@@ -43,23 +49,36 @@ class PushTestConfig(Config):
     """How the tool is pushed."""
 
     directions: tuple[Direction, ...] = parameter(
-        ('+x', '+y', '+z'), 'World axes along which the tool is pushed, each axis at least once.')
+        ('+x', '+y', '+z'),
+        'World axes along which the tool is pushed, each axis at least once.',
+    )
     force: float = parameter(
-        10.0, 'Force of every push, by a spring balance or a known weight.', unit='N',
-        gt=DETECT_FORCE)
+        10.0,
+        'Force of every push, by a spring balance or a known weight.',
+        unit='N',
+        gt=DETECT_FORCE,
+    )
     timeout: float = parameter(
-        30.0, 'Longest wait for rest, for a push or for its end.', unit='s', gt=0.0)
+        30.0, 'Longest wait for rest, for a push or for its end.', unit='s', gt=0.0
+    )
 
     def _misfits(self) -> Iterator[ConfigError]:
         if {direction[1] for direction in self.directions} != set('xyz'):
             yield ConfigError(
-                'push_test.directions', 'each of x, y and z at least once', list(self.directions))
+                'push_test.directions',
+                'each of x, y and z at least once',
+                list(self.directions),
+            )
 
     @property
     def directions_world(self) -> Matrix:
         """Return the unit vectors of the pushes, world axes, shape (p, 3)."""
-        return np.array([(1.0 if sign == '+' else -1.0) * np.eye(3)['xyz'.index(axis)]
-                         for sign, axis in self.directions])
+        return np.array(
+            [
+                (1.0 if sign == '+' else -1.0) * np.eye(3)['xyz'.index(axis)]
+                for sign, axis in self.directions
+            ]
+        )
 
 
 class PushTestResult(NamedTuple):
@@ -68,7 +87,9 @@ class PushTestResult(NamedTuple):
     findings: tuple[str, ...]
     scale: float = math.nan
     unchecked: str = ''
-    judged: bool = True  # whether the pushes were all felt, so that it is about the sensor
+    judged: bool = (
+        True  # whether the pushes were all felt, so that it is about the sensor
+    )
 
     @property
     def passed(self) -> bool:
@@ -110,7 +131,9 @@ class PushGate:
 
     def __init__(self, *, required: bool, gravity_world: Vector, rate: float) -> None:
         self.open, self.phase = not required, ''
-        self._open_before = self.open  # before the tests since the last verdict on the sensor
+        self._open_before = (
+            self.open
+        )  # before the tests since the last verdict on the sensor
         self.result: PushTestResult | None = None
         self._gravity, self._rate = gravity_world, rate
 
@@ -123,11 +146,15 @@ class PushGate:
     def instruction(self) -> str:
         """Return what the user should do now; empty if there is nothing to be done."""
         if self.phase == 'push':
-            return (f'push the tool near its tip along world '
-                    f'{self._config.directions[len(self._pushes)]} with '
-                    f'{self._config.force:g} N and hold')
+            return (
+                f'push the tool near its tip along world '
+                f'{self._config.directions[len(self._pushes)]} with '
+                f'{self._config.force:g} N and hold'
+            )
         if self.running:
-            return 'let go of the tool' if self.phase == 'release' else 'keep off the tool'
+            return (
+                'let go of the tool' if self.phase == 'release' else 'keep off the tool'
+            )
         if self.result is not None:
             again = '; repeat it, or cancel it' if self._may_cancel else ''
             return self.result.message + again
@@ -172,28 +199,41 @@ class PushGate:
         A record of `FRAME`, and the reading in sensor axes, force first, shape (6,) [N, N m].
         """
         origin, rotation = frame['sensor_position'], frame['sensor_rotation']
-        wrench = contact_wrench(wrench_sensor, (origin, rotation), origin, tool, self._gravity)
+        wrench = contact_wrench(
+            wrench_sensor, (origin, rotation), origin, tool, self._gravity
+        )
         self._ticks += 1
         if not np.isfinite(wrench).all():
             self._finish(PushTestResult(('a reading that is not a finite number',)))
         elif self._ticks > max(1, round(self._config.timeout * self._rate)):
-            self._finish(PushTestResult((
-                f'the force did not follow within {self._config.timeout:g} s: '
-                f'{self.instruction}',), judged=False))
+            self._finish(
+                PushTestResult(
+                    (
+                        f'the force did not follow within {self._config.timeout:g} s: '
+                        f'{self.instruction}',
+                    ),
+                    judged=False,
+                )
+            )
         elif self._take(wrench):
             point = frame['position'] - origin
             tips = {'the operational point': point} | {
                 f'contact {name}': point + frame['rotation'] @ contact
-                for name, contact in self._contacts.items()}
-            self._finish(judge_pushes(
-                np.array(self._pushes), self._rest, self._config, rotation, tips))
+                for name, contact in self._contacts.items()
+            }
+            self._finish(
+                judge_pushes(
+                    np.array(self._pushes), self._rest, self._config, rotation, tips
+                )
+            )
         return not self.running
 
     def _take(self, wrench: Vector) -> bool:
         """Take a sample, and go on to the next phase after enough; return whether all is done."""
         change = float(np.linalg.norm(wrench[:3] - self._rest[:3]))
         if (self.phase == 'push' and change < DETECT_FORCE) or (
-                self.phase == 'release' and change >= RELEASE_FORCE):
+            self.phase == 'release' and change >= RELEASE_FORCE
+        ):
             self._samples = []
             return False
         self._samples.append(wrench)
@@ -204,7 +244,10 @@ class PushGate:
         if self.phase == 'push':
             self._pushes.append(mean)
             self._enter('release')
-        elif self.phase == 'rest' and np.std(self._samples, axis=0)[:3].max() > MAX_REST_STD:
+        elif (
+            self.phase == 'rest'
+            and np.std(self._samples, axis=0)[:3].max() > MAX_REST_STD
+        ):
             self._samples = []
         elif len(self._pushes) == len(self._config.directions):
             return True
@@ -223,7 +266,10 @@ class PushGate:
 
 
 def judge_pushes(
-    wrenches: Matrix, rest: Vector, config: PushTestConfig, rotation_world: Matrix,
+    wrenches: Matrix,
+    rest: Vector,
+    config: PushTestConfig,
+    rotation_world: Matrix,
     tips: Mapping[str, Vector],
 ) -> PushTestResult:
     """
@@ -245,8 +291,8 @@ def judge_pushes(
     expected, deltas = -config.force * config.directions_world, wrenches - rest
     sign, rotation, scale = fit_mounting(deltas[:, :3], expected)
     findings = _mounting_findings(
-        sign, rotation_world.T @ rotation @ rotation_world, scale) or _push_findings(
-        deltas[:, :3], expected, config)
+        sign, rotation_world.T @ rotation @ rotation_world, scale
+    ) or _push_findings(deltas[:, :3], expected, config)
     reach = max(float(np.linalg.norm(tip)) for tip in tips.values())
     unchecked = ''
     if reach < MIN_LEVER:
@@ -255,7 +301,9 @@ def judge_pushes(
         findings = _moment_findings(deltas, rotation_world, reach, tips, config)
     offset = float(np.linalg.norm(rest[:3]))
     if offset > MAX_REST_FORCE:
-        findings.append(f'{offset:.1f} N read with nothing touching the tool: tare or identify it')
+        findings.append(
+            f'{offset:.1f} N read with nothing touching the tool: tare or identify it'
+        )
     return PushTestResult(tuple(findings), scale, unchecked)
 
 
@@ -269,7 +317,7 @@ def fit_mounting(measured: Matrix, expected: Matrix) -> tuple[int, Matrix, float
     U, sigma, Vt = np.linalg.svd(measured.T @ expected)
     Q = U @ Vt
     sign = 1 if np.linalg.det(Q) > 0.0 else -1
-    return sign, sign * Q, float(sigma.sum() / np.sum(expected ** 2))
+    return sign, sign * Q, float(sigma.sum() / np.sum(expected**2))
 
 
 def _mounting_findings(sign: int, rotation: Matrix, scale: float) -> list[str]:
@@ -280,7 +328,9 @@ def _mounting_findings(sign: int, rotation: Matrix, scale: float) -> list[str]:
     axis = np.round(vector / max(angle, 1e-12), 1) + 0.0  # without negative zeros
     name = f'the axis ({", ".join(f"{x:g}" for x in axis)}) of the sensor'
     if sign < 0 and angle > np.pi - MAX_ANGLE:
-        findings.append(f'sign along {name} alone flipped')  # a reflection is -(half a turn)
+        findings.append(
+            f'sign along {name} alone flipped'
+        )  # a reflection is -(half a turn)
     else:
         if sign < 0:
             findings.append('sign flipped')
@@ -291,7 +341,9 @@ def _mounting_findings(sign: int, rotation: Matrix, scale: float) -> list[str]:
     return findings
 
 
-def _push_findings(forces: Matrix, expected: Matrix, config: PushTestConfig) -> list[str]:
+def _push_findings(
+    forces: Matrix, expected: Matrix, config: PushTestConfig
+) -> list[str]:
     """Name the pushes that are read off their direction or their size."""
     findings = []
     for name, force, wanted in zip(config.directions, forces, expected):
@@ -301,36 +353,51 @@ def _push_findings(forces: Matrix, expected: Matrix, config: PushTestConfig) -> 
         if not angle <= MAX_ANGLE:  # NaN does not pass
             findings.append(f'push along {name} read {math.degrees(angle):.0f} deg off')
         elif not abs(size / config.force - 1.0) <= SCALE_TOLERANCE:
-            findings.append(f'push along {name} read as {size:.3g} N instead of '
-                            f'{config.force:g} N')
+            findings.append(
+                f'push along {name} read as {size:.3g} N instead of {config.force:g} N'
+            )
     return findings
 
 
 def _moment_findings(
-    deltas: Matrix, rotation_world: Matrix, reach: float, tips: Mapping[str, Vector],
+    deltas: Matrix,
+    rotation_world: Matrix,
+    reach: float,
+    tips: Mapping[str, Vector],
     config: PushTestConfig,
 ) -> list[str]:
     """Name moments that are not those of pushes near a tip of the tool, and likely causes."""
     forces, moments = deltas[:, :3], deltas[:, 3:]
     point: Vector = np.linalg.lstsq(
-        np.vstack([np.cross(np.eye(3), force).T for force in forces]), moments.ravel())[0]
-    off = np.linalg.norm(
-        moments - np.cross(point, forces), axis=1) / np.linalg.norm(forces, axis=1)
+        np.vstack([np.cross(np.eye(3), force).T for force in forces]), moments.ravel()
+    )[0]
+    off = np.linalg.norm(moments - np.cross(point, forces), axis=1) / np.linalg.norm(
+        forces, axis=1
+    )
     if not (off <= 2.0 * LEVER_TOLERANCE).all():
         worst = config.directions[int(np.argmax(off))]
-        return [f'torque of the push along {worst} is {100.0 * off.max():.0f} cm off the point '
-                'of the others: torque channels swapped?']
+        return [
+            f'torque of the push along {worst} is {100.0 * off.max():.0f} cm off the point '
+            'of the others: torque channels swapped?'
+        ]
 
     def near_tip(point: Vector) -> bool:
         return bool(np.linalg.norm(point) <= reach + LEVER_TOLERANCE) and any(
-            point @ tip >= NEAR_TIP * (tip @ tip) for tip in tips.values()
-            if np.linalg.norm(tip) >= 0.5 * reach)
+            point @ tip >= NEAR_TIP * (tip @ tip)
+            for tip in tips.values()
+            if np.linalg.norm(tip) >= 0.5 * reach
+        )
 
     if near_tip(point):
         return []
-    causes = [f'moments about {name} instead of the sensor (a wrench at the TCP)'
-              for name, tip in tips.items() if near_tip(point + tip)][:1]
+    causes = [
+        f'moments about {name} instead of the sensor (a wrench at the TCP)'
+        for name, tip in tips.items()
+        if near_tip(point + tip)
+    ][:1]
     causes += ['sign of the torques flipped'] * near_tip(-point)
     x, y, z = rotation_world.T @ point
-    return [f'torques are those of pushes at ({x:.2f}, {y:.2f}, {z:.2f}) m from the sensor, which '
-            f'is not near the tip of the tool{": " if causes else ""}{" or ".join(causes)}']
+    return [
+        f'torques are those of pushes at ({x:.2f}, {y:.2f}, {z:.2f}) m from the sensor, which '
+        f'is not near the tip of the tool{": " if causes else ""}{" or ".join(causes)}'
+    ]

@@ -23,7 +23,10 @@ MAX_JOINT_SPEED = 0.02  # rad/s, mean during a tare, so that no inertia counts a
 MIN_POSES = 4
 MAX_CONDITION = 30.0  # of the equations; a tilt of some 6 degrees
 NOTHING_HANGS = 3.0  # standard errors below which a mass is none
-MAX_FORCE_RESIDUAL, MAX_TORQUE_RESIDUAL = 0.5, 0.05  # N, N m: rms of what a fit leaves of an axis
+MAX_FORCE_RESIDUAL, MAX_TORQUE_RESIDUAL = (
+    0.5,
+    0.05,
+)  # N, N m: rms of what a fit leaves of an axis
 
 
 class PoseReading(NamedTuple):
@@ -51,10 +54,15 @@ class Identification:
         """Return it as the controller's configuration has it."""
         x, y, z = self.com_sensor.tolist()
         return ToolConfig(
-            mass=self.mass, com_sensor=(x, y, z), bias_sensor=tuple(self.bias_sensor.tolist()))
+            mass=self.mass,
+            com_sensor=(x, y, z),
+            bias_sensor=tuple(self.bias_sensor.tolist()),
+        )
 
 
-def weight_reading(rotation_world: Matrix, tool: ToolConfig, gravity_world: Vector) -> Vector:
+def weight_reading(
+    rotation_world: Matrix, tool: ToolConfig, gravity_world: Vector
+) -> Vector:
     """
     Return what an unbiased sensor reads at rest with nothing touching the tool: -m R^T g.
 
@@ -66,7 +74,10 @@ def weight_reading(rotation_world: Matrix, tool: ToolConfig, gravity_world: Vect
 
 
 def tare_bias(
-    wrenches_sensor: Matrix, rotation_world: Matrix, tool: ToolConfig, gravity_world: Vector,
+    wrenches_sensor: Matrix,
+    rotation_world: Matrix,
+    tool: ToolConfig,
+    gravity_world: Vector,
 ) -> Vector:
     """
     Return the bias for `ToolConfig.bias_sensor`, by which the compensated reading is zero.
@@ -88,7 +99,8 @@ def tare_bias(
     """
     if len(wrenches_sensor) < MIN_SAMPLES:
         raise CalibrationError(
-            f'tare: expected at least {MIN_SAMPLES} readings, got {len(wrenches_sensor)}')
+            f'tare: expected at least {MIN_SAMPLES} readings, got {len(wrenches_sensor)}'
+        )
     if not np.isfinite(wrenches_sensor).all():
         raise CalibrationError('tare: expected finite readings, got NaN or infinity')
     restless = np.std(wrenches_sensor, axis=0).reshape(2, 3).max(axis=1)
@@ -96,12 +108,15 @@ def tare_bias(
         raise CalibrationError(
             f'tare: expected readings at rest (standard deviation at most '
             f'{MAX_FORCE_STD:g} N and {MAX_TORQUE_STD:g} N m), got '
-            f'{restless[0]:.3g} N and {restless[1]:.3g} N m')
+            f'{restless[0]:.3g} N and {restless[1]:.3g} N m'
+        )
     mean: Vector = wrenches_sensor.mean(axis=0)
     return mean - weight_reading(rotation_world, tool, gravity_world)
 
 
-def identify_tool(readings: Sequence[PoseReading], gravity_world: Vector) -> Identification:
+def identify_tool(
+    readings: Sequence[PoseReading], gravity_world: Vector
+) -> Identification:
     """
     Identify mass, centre of mass and bias by linear least squares.
 
@@ -127,34 +142,48 @@ def identify_tool(readings: Sequence[PoseReading], gravity_world: Vector) -> Ide
     if not condition <= MAX_CONDITION:
         raise CalibrationError(
             f'poses: expected orientations that tilt the tool differently (condition number at '
-            f'most {MAX_CONDITION:g}), got {condition:.3g}')
+            f'most {MAX_CONDITION:g}), got {condition:.3g}'
+        )
     x: Vector = np.linalg.lstsq(A, b, rcond=None)[0].astype(float)
     left = (b - A @ x).reshape(-1, 2, 3)
     # Force and torque equations share no unknown: 4 and 6 of them, 3 equations each per pose.
-    variance = np.sum(left ** 2, axis=(0, 2)) / (3 * poses - np.array([4, 6]))
+    variance = np.sum(left**2, axis=(0, 2)) / (3 * poses - np.array([4, 6]))
     spread = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
     mass, mass_std = x[0] / scale, spread[0] * np.sqrt(variance[0]) / scale
     if mass < -NOTHING_HANGS * mass_std:
         raise CalibrationError(
             f'mass: expected at least 0 kg, got {mass:.3g} kg; is the sign of the sensor '
-            'flipped?')
-    force_residual, torque_residual = np.sqrt(np.mean(left ** 2, axis=(0, 2))).tolist()
+            'flipped?'
+        )
+    force_residual, torque_residual = np.sqrt(np.mean(left**2, axis=(0, 2))).tolist()
     if force_residual > MAX_FORCE_RESIDUAL or torque_residual > MAX_TORQUE_RESIDUAL:
         raise CalibrationError(
             f'residual: expected at most {MAX_FORCE_RESIDUAL:g} N and {MAX_TORQUE_RESIDUAL:g} '
             f'N m, got {force_residual:.3g} N and {torque_residual:.3g} N m; is the frame of the '
-            'sensor right, and was the arm at rest?')
+            'sensor right, and was the arm at rest?'
+        )
     com, com_std = np.zeros(3), np.zeros(3)
     if mass > NOTHING_HANGS * mass_std:
         com = x[1:4] / (mass * scale)
-        com_std = np.hypot(spread[1:4] * np.sqrt(variance[1]) / scale, com * mass_std) / mass
+        com_std = (
+            np.hypot(spread[1:4] * np.sqrt(variance[1]) / scale, com * mass_std) / mass
+        )
     return Identification(
-        mass=max(float(mass), 0.0), mass_std=float(mass_std), com_sensor=com, com_std=com_std,
-        bias_sensor=x[4:].copy(), force_residual=force_residual, torque_residual=torque_residual,
-        condition=condition, poses=poses)
+        mass=max(float(mass), 0.0),
+        mass_std=float(mass_std),
+        com_sensor=com,
+        com_std=com_std,
+        bias_sensor=x[4:].copy(),
+        force_residual=force_residual,
+        torque_residual=torque_residual,
+        condition=condition,
+        poses=poses,
+    )
 
 
-def _equations(readings: Sequence[PoseReading], down_world: Vector) -> tuple[Matrix, Vector]:
+def _equations(
+    readings: Sequence[PoseReading], down_world: Vector
+) -> tuple[Matrix, Vector]:
     """Return A, shape (6 p, 10), and b of A [m, m c, b_f, b_tau] = b; gravity is 1."""
     A = np.zeros((len(readings), 6, 10))
     b = np.zeros((len(readings), 6))
@@ -162,7 +191,8 @@ def _equations(readings: Sequence[PoseReading], down_world: Vector) -> tuple[Mat
         if not np.isfinite(reading.wrench_sensor).all():
             raise CalibrationError(
                 f'reading of pose {i}: expected finite numbers, got '
-                f'{reading.wrench_sensor.tolist()}')
+                f'{reading.wrench_sensor.tolist()}'
+            )
         x, y, z = down = reading.rotation_world.T @ down_world
         A[i, :3, 0] = -down
         A[i, 3:, 1:4] = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))

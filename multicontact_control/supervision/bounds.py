@@ -45,7 +45,9 @@ SPEED_GAIN = 50.0  # 1/s, how fast a speed is brought back to the one that is al
 STOP_RATE = 20.0  # 1/s, of the way left: the speed that is allowed near a stop
 JOINT_BRAKING = 5.0  # rad/s^2 counted on farther away from it
 STOP_ZONE = 0.1  # rad before a stop, where a joint is always looked after
-WATCHED_SHARE = 0.5  # of the speed that is allowed, from where on it is looked after elsewhere
+WATCHED_SHARE = (
+    0.5  # of the speed that is allowed, from where on it is looked after elsewhere
+)
 # sqrt(kg)^-1: square root of the smallest eigenvalue of Lambda^-1. Motion ends at the first, above
 # which Lambda is not damped (0.004 1/kg), and is looked after below the second.
 SINGULAR, NEAR_SINGULAR = 0.08, 0.24
@@ -59,6 +61,8 @@ MOST_EXCHANGES = 60  # of a bound that counts for one that does not
 ROUNDING = 1e-12
 
 MAX_BOUNDS = 2 * MAX_JOINTS + 6
+
+
 class BoundSpace(Record, Protocol):
     """What `bound_motion` works in; one."""
 
@@ -109,7 +113,7 @@ def allowed_speed(distance: float) -> float:
     v = k d near the stop, from which a joint beyond it returns, and sqrt(2 a (d - a / 2 k^2))
     farther away, as a = JOINT_BRAKING lets it stop; [rad/s].
     """
-    linear = JOINT_BRAKING / STOP_RATE ** 2
+    linear = JOINT_BRAKING / STOP_RATE**2
     if distance <= linear:
         return STOP_RATE * distance
     return np.sqrt(2.0 * JOINT_BRAKING * (distance - 0.5 * linear))
@@ -156,7 +160,11 @@ def add_joint_bounds(joints: Records[Joint], rows: Matrix, bounds: Vector) -> in
 
 @compiled
 def add_reach_bounds(
-    joints: Records[Joint], jacobian: Matrix, rows: Matrix, bounds: Vector, count: int,
+    joints: Records[Joint],
+    jacobian: Matrix,
+    rows: Matrix,
+    bounds: Vector,
+    count: int,
     space: BoundSpace,
 ) -> int:
     """
@@ -174,9 +182,17 @@ def add_reach_bounds(
         if size > NEAR_SINGULAR:
             continue
         gradient, closing = rows[count], 0.0
-        mobility_gradient(jacobian, space.L[:n, :n], space.Y[:n], space.directions[:, k],
-                          space.rates[:n], gradient)
-        for j in range(n):  # so that it closes in where this times the speeds is positive
+        mobility_gradient(
+            jacobian,
+            space.L[:n, :n],
+            space.Y[:n],
+            space.directions[:, k],
+            space.rates[:n],
+            gradient,
+        )
+        for j in range(
+            n
+        ):  # so that it closes in where this times the speeds is positive
             gradient[j] *= -0.5 / size
             closing += gradient[j] * joints[j].velocity
         allowed = REACH_RATE * max(size - SINGULAR, 0.0)
@@ -187,8 +203,13 @@ def add_reach_bounds(
 
 @compiled
 def cost_of_changes(
-    mass_matrix: Matrix, jacobian: Matrix, contacts: Records[Contact], twist_des: Vector,
-    by_task: bool, row: Vector, cost: Matrix,
+    mass_matrix: Matrix,
+    jacobian: Matrix,
+    contacts: Records[Contact],
+    twist_des: Vector,
+    by_task: bool,
+    row: Vector,
+    cost: Matrix,
 ) -> None:
     """
     Fill in H, shape (n, n): a change of the accelerations by x costs x^T H x.
@@ -205,7 +226,9 @@ def cost_of_changes(
     speed = length(twist_des[:3])
     turn = MOVING_LEVER * length(twist_des[3:])
     turning = turn / max(speed + turn, ROUNDING)
-    turn_cost = MOTION_COST * (MOVING_LEVER + (TURNING_LEVER - MOVING_LEVER) * turning) ** 2
+    turn_cost = (
+        MOTION_COST * (MOVING_LEVER + (TURNING_LEVER - MOVING_LEVER) * turning) ** 2
+    )
     for index in range(contacts.shape[0] + 6):
         if index < 6:
             row[:] = jacobian[index]
@@ -233,7 +256,11 @@ def least_change(n: int, m: int, space: BoundSpace) -> bool:
     shape (m, n), `excess` e, shape (m,); `multipliers` y, shape (m,), and `change` x, shape (n,),
     are filled in.
     """
-    rows, excess, multipliers = space.rows[:m, :n], space.excess[:m], space.multipliers[:m]
+    rows, excess, multipliers = (
+        space.rows[:m, :n],
+        space.excess[:m],
+        space.multipliers[:m],
+    )
     root, Z, G = space.root[:n, :n], space.Z[:n, :m], space.G[:m, :m]
     basis, factor, slack = space.basis[:m, :m], space.factor[:m, :m], space.slack[:m]
     counts, change = space.counts, space.change[:n]
@@ -262,7 +289,8 @@ def least_change(n: int, m: int, space: BoundSpace) -> bool:
         for i in range(m):
             tolerance = ROUNDING * (1.0 + abs(excess[i]))
             if (counts[i] and multipliers[i] < 0.0) or (
-                    not counts[i] and slack[i] - excess[i] < -tolerance):
+                not counts[i] and slack[i] - excess[i] < -tolerance
+            ):
                 wrong = i
                 break
         if wrong < 0:
@@ -276,8 +304,12 @@ def least_change(n: int, m: int, space: BoundSpace) -> bool:
 
 @compiled
 def predict_acceleration(
-    torque: Vector, control: Control, joints: Records[Joint], contacts: Records[Contact],
-    jacobian: Matrix, space: BoundSpace,
+    torque: Vector,
+    control: Control,
+    joints: Records[Joint],
+    contacts: Records[Contact],
+    jacobian: Matrix,
+    space: BoundSpace,
 ) -> None:
     """
     Fill in M^-1 (Gamma - C v - g - friction - J^T f), shape (n,) [rad/s^2].
@@ -295,8 +327,11 @@ def predict_acceleration(
             add_scaled(wrench, contacts[i].answer.alpha_fed, contacts[i].N)
     for j in range(n):
         joint = joints[j]
-        friction = joint.config.viscous * joint.velocity + joint.config.coulomb * np.tanh(
-            joint.velocity / control.law.friction_speed)
+        friction = (
+            joint.config.viscous * joint.velocity
+            + joint.config.coulomb
+            * np.tanh(joint.velocity / control.law.friction_speed)
+        )
         acceleration[j] = torque[j] - joint.bias_torque - friction
         for i in range(6):
             acceleration[j] -= jacobian[i, j] * wrench[i]
@@ -305,8 +340,14 @@ def predict_acceleration(
 
 @compiled
 def bound_motion(
-    torque: Vector, joints: Records[Joint], control: Control, contacts: Records[Contact],
-    mass_matrix: Matrix, jacobian: Matrix, by_task: bool, space: BoundSpace,
+    torque: Vector,
+    joints: Records[Joint],
+    control: Control,
+    contacts: Records[Contact],
+    mass_matrix: Matrix,
+    jacobian: Matrix,
+    by_task: bool,
+    space: BoundSpace,
 ) -> int:
     """
     Change a torque so that no bound of the motion is passed; return which ones were.
@@ -333,7 +374,7 @@ def bound_motion(
     n = joints.shape[0]
     rows, bounds = space.rows[:, :n], space.bounds
     stops = count = add_joint_bounds(joints, rows, bounds)
-    nearly_singular = by_task and control.frame.mobility < NEAR_SINGULAR ** 2
+    nearly_singular = by_task and control.frame.mobility < NEAR_SINGULAR**2
     if count == 0 and not nearly_singular:
         return 0
     L, Y = space.L[:n, :n], space.Y[:n]
@@ -350,8 +391,15 @@ def bound_motion(
         exceeded = exceeded or space.excess[i] > 0.0
     if not exceeded:
         return 0
-    cost_of_changes(mass_matrix, jacobian, contacts, control.task.twist, by_task, space.row[:n],
-                    space.cost[:n, :n])
+    cost_of_changes(
+        mass_matrix,
+        jacobian,
+        contacts,
+        control.task.twist,
+        by_task,
+        space.row[:n],
+        space.cost[:n, :n],
+    )
     if not least_change(n, count, space):
         return 0
     for i in range(n):

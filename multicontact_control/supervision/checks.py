@@ -41,18 +41,26 @@ import numpy as np
 
 WRONG_WRENCH = {PULL: 'wrench_pull', STRAY: 'wrench_stray', SIDEWAYS: 'wrench_sideways'}
 CONTRADICTING = PULL | STRAY | SIDEWAYS
-CONTRADICTIONS = 2  # samples in a row that contradict the contacts, for the wrench to be refused
+CONTRADICTIONS = (
+    2  # samples in a row that contradict the contacts, for the wrench to be refused
+)
 COLLISION, CONTRADICTED = 'collision', 'joints_velocity'
-TOO_FAST = {OPERATIONAL_SPEED: 'motion_operational_speed', JOINT_SPEED: 'motion_joint_speed'}
+TOO_FAST = {
+    OPERATIONAL_SPEED: 'motion_operational_speed',
+    JOINT_SPEED: 'motion_joint_speed',
+}
 
 PULL_LIMIT = 4.0  # N, measured pull of a surface that is accepted
-READ_PULL_LIMIT = 8.0  # N, pull that is read and accepted with what is taken off as no force
+READ_PULL_LIMIT = (
+    8.0  # N, pull that is read and accepted with what is taken off as no force
+)
 LOSS_ACCELERATION = 20.0  # m/s^2, of a tool that is braked after a contact is lost
 SIDEWAYS_LIMIT = 5.0  # N of sideways force that is always accepted
 SPEED_EXCESS = 1.1  # times a speed limit, beyond which gate and reference have failed
 BOX_EXCESS = 0.01  # m beyond the workspace, where the reference has failed
 # The smallest threshold [N m], and the largest share of the limit that friction adds to it.
 LEAST_THRESHOLD, LEARNT_SHARE = 1.0, 0.1
+
 
 class Plausibility(Record, Protocol):
     """What an answer of the law must be like; one."""
@@ -89,17 +97,28 @@ JUDGEMENT = record_dtype(Judgement)
 def reaction_to(causes: tuple[str, ...], config: ControllerConfig) -> str:
     """Return the severest reaction that causes call for, each by its name or its part's."""
     to = {
-        'joints': 'float', CONTRADICTED: 'hold', 'wrench': 'hold', 'variance': 'inflate',
-        'clock': 'hold', 'motion': 'hold', 'law': 'hold', 'start': 'hold',
-        COLLISION: config.collision.reaction}
+        'joints': 'float',
+        CONTRADICTED: 'hold',
+        'wrench': 'hold',
+        'variance': 'inflate',
+        'clock': 'hold',
+        'motion': 'hold',
+        'law': 'hold',
+        'start': 'hold',
+        COLLISION: config.collision.reaction,
+    }
     called_for = [to.get(cause, to[cause.split('_')[0]]) for cause in causes]
     return max(called_for, key=SEVERITY.index, default=NONE)
 
 
 @compiled
 def check_plausibility(
-    bounds: Plausibility, control: Control, joints: Records[Joint], contacts: Records[Contact],
-    states: Records[ContactState], wrench: Vector,
+    bounds: Plausibility,
+    control: Control,
+    joints: Records[Joint],
+    contacts: Records[Contact],
+    states: Records[ContactState],
+    wrench: Vector,
 ) -> int:
     """
     Check the answer of the control law that is in the joints.
@@ -117,8 +136,14 @@ def check_plausibility(
     for i in range(contacts.shape[0]):
         contact, answer = contacts[i], contacts[i].answer
         if not np.isfinite(
-                contact.alpha_meas + answer.alpha_des + answer.alpha_est + answer.alpha_rate_est
-                + answer.innovation + answer.prior_variance + answer.variance_used):
+            contact.alpha_meas
+            + answer.alpha_des
+            + answer.alpha_est
+            + answer.alpha_rate_est
+            + answer.innovation
+            + answer.prior_variance
+            + answer.variance_used
+        ):
             flags |= NOT_FINITE
         if contact.config.leader != i:
             continue
@@ -127,10 +152,13 @@ def check_plausibility(
         allowance = known = 0.0
         if states[i].state == LOST:
             allowance = bounds.inertia
-        if states[i].state == FREE:  # what it is read with is what its search begins with
+        if (
+            states[i].state == FREE
+        ):  # what it is read with is what its search begins with
             known = min(states[i].baseline, 0.0)
         if contact.alpha_meas - known < -(PULL_LIMIT + allowance) or (
-                contact.alpha_meas + contact.untared < -(READ_PULL_LIMIT + allowance)):
+            contact.alpha_meas + contact.untared < -(READ_PULL_LIMIT + allowance)
+        ):
             flags |= PULL
         if contact.alpha_meas > bounds.force_ceiling and states[i].state == FREE:
             flags |= STRAY
@@ -145,8 +173,12 @@ def check_plausibility(
 
 @compiled
 def judge_answer(
-    judgement: Judgement, control: Control, joints: Records[Joint], contacts: Records[Contact],
-    states: Records[ContactState], strict: bool,
+    judgement: Judgement,
+    control: Control,
+    joints: Records[Joint],
+    contacts: Records[Contact],
+    states: Records[ContactState],
+    strict: bool,
 ) -> int:
     """
     Judge the answer of the control law that is in the joints; see `check_plausibility`.
@@ -155,14 +187,16 @@ def judge_answer(
     or, if `strict`, the wrench contradicts the contacts for the second time in a row. What leads
     out of the box are the contacts that are pressed: they are left.
     """
-    doubts = check_plausibility(judgement.plausibility, control, joints, contacts, states,
-                                judgement.wrench)
+    doubts = check_plausibility(
+        judgement.plausibility, control, joints, contacts, states, judgement.wrench
+    )
     if doubts & NOT_FINITE:
         return doubts | REFUSED
     contradicts = strict and doubts & CONTRADICTING != 0
     judgement.contradictions = judgement.contradictions + 1 if contradicts else 0
     if contradicts and (
-            judgement.contradictions >= CONTRADICTIONS or judgement.resumes):
+        judgement.contradictions >= CONTRADICTIONS or judgement.resumes
+    ):
         return doubts | REFUSED
     if doubts & OUTSIDE:
         for i in range(contacts.shape[0]):
@@ -198,11 +232,15 @@ def watch_arm(config: ControllerConfig, controller: Controller) -> None:
     frame['config']['speed_limit'] = SPEED_EXCESS * limits.operational_speed
     frame['config']['turn_limit'] = SPEED_EXCESS * limits.operational_turn
     watch['evidence'] = joint['allowance'] = joint['learnt_limit'] = 0
-    least = np.inf if config.wrench_input == 'momentum' else np.array(collision.threshold)
+    least = (
+        np.inf if config.wrench_input == 'momentum' else np.array(collision.threshold)
+    )
     if not np.size(least):
         limit = np.array(config.torque_limit or controller.robot.torque_limit)
         least = np.maximum(collision.limit_share * limit, LEAST_THRESHOLD)
-        joint['allowance'] = collision.friction_share * np.array(config.friction.coulomb or 0.0)
+        joint['allowance'] = collision.friction_share * np.array(
+            config.friction.coulomb or 0.0
+        )
         joint['learnt_limit'] = LEARNT_SHARE * limit
     joint['least_threshold'], watch['threshold'] = least, least + joint['allowance']
     momentum['config']['bandwidth'] = config.momentum_bandwidth

@@ -5,38 +5,62 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from multicontact_control.arrays import Vector
-from multicontact_control.config import Config, ControllerConfig, LimitsConfig, parameter
+from multicontact_control.config import (
+    Config,
+    ControllerConfig,
+    LimitsConfig,
+    parameter,
+)
 from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError, ConfigError
 import numpy as np
 
 AXES = 'position x', 'position y', 'position z'
-ROUNDING = 1e-6  # share of a speed beyond its limit, of a motion that is as fast as it may be
-START_EXCESS = 1e-3  # m or rad beyond a limit, from where control may start all the same
+ROUNDING = (
+    1e-6  # share of a speed beyond its limit, of a motion that is as fast as it may be
+)
+START_EXCESS = (
+    1e-3  # m or rad beyond a limit, from where control may start all the same
+)
 
 
 class CommandLimits(Config):
     """Largest force that may be commanded, and more; the box for positions is that of `limits`."""
 
     force_ceiling: float = parameter(
-        30.0, 'Largest force that may be commanded at a contact; below '
-        'contact_state.force_ceiling, at which a contact is left.', unit='N', live=True, gt=0.0)
+        30.0,
+        'Largest force that may be commanded at a contact; below '
+        'contact_state.force_ceiling, at which a contact is left.',
+        unit='N',
+        live=True,
+        gt=0.0,
+    )
     motion_timeout: float = parameter(
-        0.2, 'How long twist and acceleration of a motion command count if no other follows; then '
-        'only its pose does.', unit='s', live=True, gt=0.0)
+        0.2,
+        'How long twist and acceleration of a motion command count if no other follows; then '
+        'only its pose does.',
+        unit='s',
+        live=True,
+        gt=0.0,
+    )
 
     def check(self, config: ControllerConfig) -> None:
         """Refuse, by ConfigError, a force that a contact is left for."""
         ceiling = config.contact_state.force_ceiling
         if not self.force_ceiling < ceiling:
-            raise ConfigError('command.force_ceiling',
-                              f'below contact_state.force_ceiling {ceiling:g} N',
-                              f'{self.force_ceiling:g} N')
+            raise ConfigError(
+                'command.force_ceiling',
+                f'below contact_state.force_ceiling {ceiling:g} N',
+                f'{self.force_ceiling:g} N',
+            )
 
     def check_forces(
-        self, config: ControllerConfig, forces: Mapping[str, float],
-        before: Mapping[str, float], shares: Mapping[str, float],
+        self,
+        config: ControllerConfig,
+        forces: Mapping[str, float],
+        before: Mapping[str, float],
+        shares: Mapping[str, float],
     ) -> None:
         """
         Refuse, by CommandError, new forces and couples in place of those `before` [N], by name.
@@ -47,12 +71,17 @@ class CommandLimits(Config):
         columns = dict(zip(config.column_names, config.columns))
         for name, force in forces.items():
             if name not in columns:
-                raise CommandError('contact', f'one of {", ".join(columns)}', f"'{name}'")
+                raise CommandError(
+                    'contact', f'one of {", ".join(columns)}', f"'{name}'"
+                )
             is_couple = columns[name].half_length > 0.0
             lowest = -ceiling if is_couple else config.contact_state.smallest_force
             if force != 0.0 and not lowest <= force <= ceiling:
                 raise CommandError(
-                    f'force on {name}', f'0 or {lowest:g} to {ceiling:g} N', f'{force:g} N')
+                    f'force on {name}',
+                    f'0 or {lowest:g} to {ceiling:g} N',
+                    f'{force:g} N',
+                )
         commanded = {**before, **forces}
         for column in config.columns:
             pressed = commanded.get(config.columns[column.leader].name, 0.0)
@@ -63,7 +92,8 @@ class CommandLimits(Config):
                 raise CommandError(
                     f'centre of pressure of {column.name}',
                     f'at most {LARGEST_OFFSET * column.half_length:.3g} m from the middle',
-                    f'{share * column.half_length:.3g} m')
+                    f'{share * column.half_length:.3g} m',
+                )
 
 
 def check_motion(motion: MotionReading, limits: LimitsConfig) -> None:
@@ -73,48 +103,73 @@ def check_motion(motion: MotionReading, limits: LimitsConfig) -> None:
     These are the workspace box, the speeds, and the accelerations.
     """
     check_position(motion.position_world, limits)
-    if not (all(np.isfinite(part).all() for part in motion) and np.any(motion.quaternion_xyzw)):
-        raise CommandError('motion', 'finite numbers, and a quaternion that is not 0',
-                           [np.array(x).tolist() for x in motion])
+    if not (
+        all(np.isfinite(part).all() for part in motion)
+        and np.any(motion.quaternion_xyzw)
+    ):
+        raise CommandError(
+            'motion',
+            'finite numbers, and a quaternion that is not 0',
+            [np.array(x).tolist() for x in motion],
+        )
     check_twist(motion.twist_world, motion.acceleration_world, limits)
 
 
-def check_twist(twist_world: Vector, acceleration_world: Vector, limits: LimitsConfig) -> None:
+def check_twist(
+    twist_world: Vector, acceleration_world: Vector, limits: LimitsConfig
+) -> None:
     """
     Refuse a motion that is too fast, or becomes so too fast: CommandError names what is.
 
     Both are of shape (6,), linear first [m/s, rad/s], [m/s^2, rad/s^2].
     """
     for what, part, field, unit in (
-            ('speed', twist_world[:3], 'operational_speed', 'm/s'),
-            ('angular speed', twist_world[3:], 'operational_turn', 'rad/s'),
-            ('acceleration', acceleration_world[:3], 'operational_acceleration', 'm/s^2'),
-            ('angular acceleration', acceleration_world[3:], 'operational_turn_acceleration',
-             'rad/s^2')):
+        ('speed', twist_world[:3], 'operational_speed', 'm/s'),
+        ('angular speed', twist_world[3:], 'operational_turn', 'rad/s'),
+        ('acceleration', acceleration_world[:3], 'operational_acceleration', 'm/s^2'),
+        (
+            'angular acceleration',
+            acceleration_world[3:],
+            'operational_turn_acceleration',
+            'rad/s^2',
+        ),
+    ):
         size, largest = float(np.linalg.norm(part)), getattr(limits, field)
         if not size <= largest * (1.0 + ROUNDING):
             raise CommandError(
-                what, f'at most {largest:g} {unit} (limits.{field})', f'{size:.3g} {unit}')
+                what,
+                f'at most {largest:g} {unit} (limits.{field})',
+                f'{size:.3g} {unit}',
+            )
 
 
 def check_position(position_world: Vector, limits: LimitsConfig) -> None:
     """Refuse a position outside the workspace box, if any: CommandError names the axis."""
     for name, x, lower, upper in zip(
-            AXES, position_world, limits.workspace_lower, limits.workspace_upper):
+        AXES, position_world, limits.workspace_lower, limits.workspace_upper
+    ):
         if not lower <= x <= upper:
             raise CommandError(name, f'{lower:g} to {upper:g} m', f'{x:g} m')
 
 
 def outside_limits(
-    config: ControllerConfig, q: Vector, position_world: Vector,
+    config: ControllerConfig,
+    q: Vector,
+    position_world: Vector,
 ) -> tuple[str, ...]:
     """Return where joints q [rad] and the operational point [m] are beyond limits, a line each."""
     return tuple(
         f'{name}: expected {lower:g} to {upper:g} {unit} (limits.{kind}_lower, '
-        f'limits.{kind}_upper), got {x:.4g} {unit}' for kind, names, values, unit in (
+        f'limits.{kind}_upper), got {x:.4g} {unit}'
+        for kind, names, values, unit in (
             ('workspace', AXES, position_world, 'm'),
-            ('joint', config.robot.joint_names, q, 'rad'))
+            ('joint', config.robot.joint_names, q, 'rad'),
+        )
         for name, x, lower, upper in zip(
-            names, values, getattr(config.limits, f'{kind}_lower'),
-            getattr(config.limits, f'{kind}_upper'))
-        if not lower - START_EXCESS <= x <= upper + START_EXCESS)
+            names,
+            values,
+            getattr(config.limits, f'{kind}_lower'),
+            getattr(config.limits, f'{kind}_upper'),
+        )
+        if not lower - START_EXCESS <= x <= upper + START_EXCESS
+    )

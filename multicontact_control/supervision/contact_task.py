@@ -55,8 +55,12 @@ RETURN_RATE, RETURN_SHARE = 3.5, 0.2
 # How far the reference may be ahead of an arm at rest that cannot follow [m], [rad].
 LEAST_LEAD, LEAST_TURN = 0.002, 0.005
 THERE = 5e-5  # m or rad from the task, where it is caught up with
-BRAKING_SHARE = 4.0  # times the largest acceleration, by which it slows down with the arm
-BOUNDED_TIME = 0.02  # s, for which an arm counts as bounded: what holds back hardly changes
+BRAKING_SHARE = (
+    4.0  # times the largest acceleration, by which it slows down with the arm
+)
+BOUNDED_TIME = (
+    0.02  # s, for which an arm counts as bounded: what holds back hardly changes
+)
 # A task is a step away that is farther than the largest speeds lead in so long [s] (a stream of
 # 100 Hz is none), or faster than before by so much of them.
 STEP_TIME, STEP_SHARE = 0.01, 0.15
@@ -148,7 +152,11 @@ class ContactTask:
     """
 
     def __init__(
-        self, config: ControllerConfig, source: TaskSource, controller: Controller, *,
+        self,
+        config: ControllerConfig,
+        source: TaskSource,
+        controller: Controller,
+        *,
         guarded: bool = True,
     ) -> None:
         self._source, self._guarded = source, guarded
@@ -156,11 +164,18 @@ class ContactTask:
         self._frame, wanted = self._controls['frame'][0], self._controls['wanted'][0]
         wanted['rotation'] = np.eye(3)
         self._places = (
-            wanted['position'], wanted['rotation'], wanted['twist'], wanted['acceleration'],
-            self._columns['wanted'], self._columns['alpha_wanted'])
+            wanted['position'],
+            wanted['rotation'],
+            wanted['twist'],
+            wanted['acceleration'],
+            self._columns['wanted'],
+            self._columns['alpha_wanted'],
+        )
         self._written: tuple[object, ...] = (None,) * len(self._places)
         self._active = self._columns['answer']['active']
-        self.states: Records[ContactState] = np.zeros(len(config.columns), dtype=CONTACT_STATE)
+        self.states: Records[ContactState] = np.zeros(
+            len(config.columns), dtype=CONTACT_STATE
+        )
         self._names, self._leaders = config.column_names, np.array(config.leaders)
         self._codes = self.states['state']
         self.limits: Records[TaskLimits] = np.zeros(1, dtype=TASK_LIMITS)
@@ -168,9 +183,15 @@ class ContactTask:
         self._reads_before = self.limits['reads_before']
         limits = self.limits['config']
         limits['guarded'] = guarded
-        limits['contacts'] = contacts.contact_settings(validate(
-            ContactStateConfig, {**config.contact_state.model_dump(), **source.contact_state},
-            'reference.approach'), config.period, config.measuring_delay)
+        limits['contacts'] = contacts.contact_settings(
+            validate(
+                ContactStateConfig,
+                {**config.contact_state.model_dump(), **source.contact_state},
+                'reference.approach',
+            ),
+            config.period,
+            config.measuring_delay,
+        )
         limits['lower'] = config.limits.workspace_lower or -np.inf
         limits['upper'] = config.limits.workspace_upper or np.inf
         self.retune(config)
@@ -187,7 +208,9 @@ class ContactTask:
         felt = config.wrench_input != 'momentum'  # whose observer knows of the tool
         limits = self.limits['config']
         limits['contacts']['tool_mass'] = config.tool.mass if felt else 0.0
-        lead = 2.0 * config.motion.damping_ratio / config.motion.natural_frequency  # k_v / k_p
+        lead = (
+            2.0 * config.motion.damping_ratio / config.motion.natural_frequency
+        )  # k_v / k_p
         limits['lead'] = lead
         limits['reach'] = lead * config.limits.operational_speed
         limits['turn'] = lead * config.limits.operational_turn
@@ -206,19 +229,30 @@ class ContactTask:
     def _stand(self, *, pressing: bool) -> None:
         """Stay where the arm is, pressing as it does or without contact; seek no contacts."""
         pressed, forces = self._active.copy(), np.zeros(len(self.states))
-        position, rotation = self._frame['position'].copy(), self._frame['rotation'].copy()
-        for state, normal in zip(self.states[pressed], self._columns['normal'][pressed]):
+        position, rotation = (
+            self._frame['position'].copy(),
+            self._frame['rotation'].copy(),
+        )
+        for state, normal in zip(
+            self.states[pressed], self._columns['normal'][pressed]
+        ):
             position -= state['displacement'] * normal
         if pressing:
             forces[pressed] = self._task.alpha_des[pressed]
-        self._want(Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces))
+        self._want(
+            Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces)
+        )
         self.states[~pressed] = contacts.FREE_CONTACT
-        self._columns['untared'][~pressed] = self._columns['speed_bound'][~pressed] = 0.0
+        self._columns['untared'][~pressed] = self._columns['speed_bound'][~pressed] = (
+            0.0
+        )
         self.limits['changed'] = True
         self.limits['bounded_at'], self.limits['behind'] = -math.inf, False
         self.limits['position'], self.limits['rotation'] = position, rotation
         self.limits['twist'] = 0.0
-        self._kept: Mask | None = None  # contacts, from the end of a pause to the next tick
+        self._kept: Mask | None = (
+            None  # contacts, from the end of a pause to the next tick
+        )
 
     def start(self, pose: Pose) -> None:
         """Begin from a pose at rest; a hold ends, a lock does not."""
@@ -231,7 +265,9 @@ class ContactTask:
             self._lost_time += time - float(self._time[0])
         else:
             task = self._source.task(
-                time - self._lost_time, None if self._guarded else self._columns['alpha_meas'])
+                time - self._lost_time,
+                None if self._guarded else self._columns['alpha_meas'],
+            )
             if task is not self._task:
                 self._want(task)
         self._time[0] = time
@@ -272,7 +308,9 @@ class ContactTask:
         readings = self.states['untared'] + self.states['resting']
         return tuple(
             f'{name} reads {reading:+.1f} N before it touches: nothing should press, tare'
-            for name, reading in zip(self._names, readings.tolist()) if reading)
+            for name, reading in zip(self._names, readings.tolist())
+            if reading
+        )
 
     def hold(self, wanted: bool) -> None:
         """Stay where the arm is and press as it does, or go on from there."""
@@ -308,7 +346,8 @@ class ContactTask:
         along = np.linalg.lstsq(normals.T, gap, rcond=None)[0]
         settings = self.limits['config']['contacts'][0]
         for state, column, place, is_kept in zip(
-                self.states, self._columns, along.tolist(), kept):
+            self.states, self._columns, along.tolist(), kept
+        ):
             if is_kept:
                 contacts.go_on(state, column['alpha_meas'], place)
             else:
@@ -330,13 +369,19 @@ class ContactTask:
     def placing_columns(self) -> dict[str, Vector]:
         """Return N_i of what is sought or held, shape (6,), by the force's or couple's name."""
         places = (self._codes != contacts.FREE) | self._active
-        return {name: column['N'].copy()
-                for name, column, does in zip(self._names, self._columns, places) if does}
+        return {
+            name: column['N'].copy()
+            for name, column, does in zip(self._names, self._columns, places)
+            if does
+        }
 
 
 @compiled
 def limit_task(
-    limit: TaskLimits, control: Control, columns: Records[Contact], states: Records[ContactState],
+    limit: TaskLimits,
+    control: Control,
+    columns: Records[Contact],
+    states: Records[ContactState],
 ) -> bool:
     """
     Bring a task that is wanted to one that may be followed; return whether it was limited.
@@ -379,10 +424,18 @@ def limit_task(
                     others += dot(column.normal, columns[j].normal) * states[j].moved
             # Turning about the tool moves the operational point, and a surface that is not where
             # the task has it moves the contact point: what escapes does both.
-            _follow_force(limit.config.contacts, frame, column, state,
-                          dot(column.normal, away) - others, dot(column.normal, rate))
+            _follow_force(
+                limit.config.contacts,
+                frame,
+                column,
+                state,
+                dot(column.normal, away) - others,
+                dot(column.normal, rate),
+            )
         else:  # its normal force comes before
-            _follow_couple(limit.config.contacts, column, state, columns[first], states[first])
+            _follow_couple(
+                limit.config.contacts, column, state, columns[first], states[first]
+            )
         take_off(column, state)
         limit.changed = limit.changed or state.state != before
         if state.untared != 0.0 or state.resting != 0.0:
@@ -409,20 +462,42 @@ def _follow_task(limit: TaskLimits, frame: Frame, task: TaskRecord) -> bool:
     way[:] = between(limit.position, task.position)
     turn[:] = rotation_vector(task.rotation, limit.rotation)
     if not limit.behind:
-        steps = _is_step(way, task.twist[:3], limit.twist[:3], config.reach / config.lead) or (
-            _is_step(turn, task.twist[3:], limit.twist[3:], config.turn / config.lead))
+        steps = _is_step(
+            way, task.twist[:3], limit.twist[:3], config.reach / config.lead
+        ) or (
+            _is_step(turn, task.twist[3:], limit.twist[3:], config.turn / config.lead)
+        )
         if not (limit.bounded or steps):
             limit.position[:], limit.rotation[:] = task.position, task.rotation
             limit.twist[:] = task.twist
             return False
         limit.behind = True
-    there = _catch_up(way, task.twist[:3], task.acceleration[:3], limit, limit.twist[:3],
-                      frame.twist[:3], limit.ahead, LEAST_LEAD, config.reach, config.ramp)
+    there = _catch_up(
+        way,
+        task.twist[:3],
+        task.acceleration[:3],
+        limit,
+        limit.twist[:3],
+        frame.twist[:3],
+        limit.ahead,
+        LEAST_LEAD,
+        config.reach,
+        config.ramp,
+    )
     add(limit.position, way)
     task.position[:] = limit.position
-    there_turned = _catch_up(turn, task.twist[3:], task.acceleration[3:], limit, limit.twist[3:],
-                             frame.twist[3:], limit.turned_ahead, LEAST_TURN, config.turn,
-                             config.turn_ramp)
+    there_turned = _catch_up(
+        turn,
+        task.twist[3:],
+        task.acceleration[3:],
+        limit,
+        limit.twist[3:],
+        frame.twist[3:],
+        limit.turned_ahead,
+        LEAST_TURN,
+        config.turn,
+        config.turn_ramp,
+    )
     rotate_by(turn, limit.rotation)
     task.rotation[:] = limit.rotation
     behind = not (there and there_turned)
@@ -441,8 +516,16 @@ def _is_step(way: Vector, speed_des: Vector, speed: Vector, fastest: float) -> b
 
 @compiled
 def _catch_up(
-    way: Vector, speed_des: Vector, acceleration: Vector, limit: TaskLimits, speed: Vector,
-    speed_of_arm: Vector, ahead: Vector, least_lead: float, reach: float, ramp: float,
+    way: Vector,
+    speed_des: Vector,
+    acceleration: Vector,
+    limit: TaskLimits,
+    speed: Vector,
+    speed_of_arm: Vector,
+    ahead: Vector,
+    least_lead: float,
+    reach: float,
+    ramp: float,
 ) -> bool:
     """
     Shorten a way to what the reference goes in a tick; return whether it has caught up.
@@ -459,7 +542,9 @@ def _catch_up(
         direction = divided(way, distance)
         closing = min(RETURN_RATE * distance, RETURN_SHARE * fastest)
         along = max(0.0, dot(wanted, direction) + closing)
-        allowed = dot(speed_of_arm, direction) + (least_lead - dot(ahead, direction)) / lead
+        allowed = (
+            dot(speed_of_arm, direction) + (least_lead - dot(ahead, direction)) / lead
+        )
         slower = limit.bounded and along > allowed
         if slower:
             along = max(allowed, 0.0)
@@ -471,7 +556,11 @@ def _catch_up(
     change = between(speed, wanted)
     add_scaled(speed, min(1.0, h * ramp / max(length(change), THERE)), change)
     missing = between(speed, speed_des)
-    if distance < THERE and not slower and dot(missing, missing) < (2.0 * h * ramp) ** 2:
+    if (
+        distance < THERE
+        and not slower
+        and dot(missing, missing) < (2.0 * h * ramp) ** 2
+    ):
         speed[:] = speed_des
         return True
     for k in range(3):
@@ -482,7 +571,11 @@ def _catch_up(
 
 @compiled
 def _follow_force(
-    settings: ContactSettings, frame: Frame, column: Contact, state: ContactState, place: float,
+    settings: ContactSettings,
+    frame: Frame,
+    column: Contact,
+    state: ContactState,
+    place: float,
     speed: float,
 ) -> None:
     """Advance a contact whose tip is at a place [m, m/s]; say what the force law does with it."""
@@ -503,13 +596,18 @@ def _follow_force(
     answer.alpha_des = contacts.desired_force(state, settings)
     fall_speed = _follow_slide(settings.period, frame, column, state)
     held = state.state == contacts.HOLDING and state.in_state > GUARD_TIME
-    column.guarded = held and column.alpha_meas < GUARD_SHARE * min(state.level, state.asked)
+    column.guarded = held and column.alpha_meas < GUARD_SHARE * min(
+        state.level, state.asked
+    )
     column.speed_bound = contacts.speed_bound(state, fall_speed)
 
 
 @compiled
 def _follow_couple(
-    settings: ContactSettings, column: Contact, couple: ContactState, force: Contact,
+    settings: ContactSettings,
+    column: Contact,
+    couple: ContactState,
+    force: Contact,
     leader: ContactState,
 ) -> None:
     """
@@ -523,14 +621,16 @@ def _follow_couple(
     column.guarded = force.guarded
     # What turns the tool in free space is no couple.
     column.answer.active = leader.state in contacts.PRESSED and (
-        leader.answered or leader.resumed)
+        leader.answered or leader.resumed
+    )
     if leader.state == contacts.FREE:
         couple.untared = 0.0
     if leader.state == contacts.FREE or leader.state == contacts.GIVEN_UP:
         contacts.average_reading(couple, settings, column.alpha_meas)
     elif leader.state == contacts.APPROACHING:
         contacts.follow_reading(
-            couple, settings, column.alpha_meas, leader.speed * settings.period)
+            couple, settings, column.alpha_meas, leader.speed * settings.period
+        )
     elif leader.state == contacts.IMPACT and leader.free_way < contacts.FREE_WAY:
         couple.untared = 0.0
 
@@ -543,7 +643,9 @@ def take_off(column: Contact, state: ContactState) -> None:
 
 
 @compiled
-def _follow_slide(period: float, frame: Frame, column: Contact, state: ContactState) -> float:
+def _follow_slide(
+    period: float, frame: Frame, column: Contact, state: ContactState
+) -> float:
     """
     Allow for a surface that is not as told where the tip slides on it.
 
@@ -553,10 +655,13 @@ def _follow_slide(period: float, frame: Frame, column: Contact, state: ContactSt
     `normal_range`. Returns how fast it falls away within that at most [m/s].
     """
     config = column.config
-    slope = np.sqrt(1.0 - config.smallest_cosine ** 2) / config.smallest_cosine
+    slope = np.sqrt(1.0 - config.smallest_cosine**2) / config.smallest_cosine
     fall_speed = slope * length(across(frame.twist[:3], config.normal))
     error = abs(state.level - state.asked)
-    if state.state == contacts.HOLDING and min(state.in_state, state.asked_for) > LASTING_TIME:
+    if (
+        state.state == contacts.HOLDING
+        and min(state.in_state, state.asked_for) > LASTING_TIME
+    ):
         if error > max(LASTING_ERROR, LASTING_SHARE * state.asked):
             bound = (LASTING_STD * error) ** 2
             column.noise_variance = min(column.noise_variance, bound)
@@ -568,7 +673,10 @@ def _follow_slide(period: float, frame: Frame, column: Contact, state: ContactSt
 
 @compiled
 def _bound_task(
-    limit: TaskLimits, frame: Frame, task: TaskRecord, columns: Records[Contact],
+    limit: TaskLimits,
+    frame: Frame,
+    task: TaskRecord,
+    columns: Records[Contact],
 ) -> bool:
     """Bring a task within the box and, off active normals, within reach; return if it changed."""
     # The arm goes at v_des + (k_p / k_v) (x_des - x): the limit's speed at an error of one reach.
@@ -600,9 +708,14 @@ def _bound_task(
         add_scaled(position, share - 1.0, gap)
     turn, turned_way = limit.turned_way, twist[3:]
     limit.turned_ahead[:] = rotation_vector(task.rotation, frame.rotation)
-    way = (config.lead * turned_way[0], config.lead * turned_way[1], config.lead * turned_way[2])
+    way = (
+        config.lead * turned_way[0],
+        config.lead * turned_way[1],
+        config.lead * turned_way[2],
+    )
     turn_share = _share_within(
-        limit.turned_ahead, way, config.turn, twist[3:], acceleration[3:])
+        limit.turned_ahead, way, config.turn, twist[3:], acceleration[3:]
+    )
     if turn_share < 1.0:
         for k in range(3):
             turn[k] = turn_share * limit.turned_ahead[k]
@@ -613,7 +726,11 @@ def _bound_task(
 
 @compiled
 def _share_within(
-    gap: Vector, way: Triple, reach: float, twist: Vector, acceleration: Vector,
+    gap: Vector,
+    way: Triple,
+    reach: float,
+    twist: Vector,
+    acceleration: Vector,
 ) -> float:
     """
     Return the share of a gap within reach, 2 if all is, with the way that its speed adds.
@@ -632,7 +749,9 @@ def _share_within(
         return reach / distance
     # |gap + s way| = reach
     along, square = dot(gap, way), dot(way, way)
-    share = (np.sqrt(along * along + square * (reach * reach - squared)) - along) / square
+    share = (
+        np.sqrt(along * along + square * (reach * reach - squared)) - along
+    ) / square
     for k in range(3):
         twist[k] *= share
     return 1.0

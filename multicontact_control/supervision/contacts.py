@@ -38,7 +38,9 @@ NAMES = ('free', 'approaching', 'impact', 'holding', 'lost', 'retracting', 'give
 FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(len(NAMES))
 PRESSED = IMPACT, HOLDING  # where the force law drives it
 RELEASE_SHARE = 0.3  # of the force held or asked for, below which a contact may be lost
-ESCAPE_SPEED = 0.1  # m/s into the surface, beyond the task's, that only a lost contact reaches
+ESCAPE_SPEED = (
+    0.1  # m/s into the surface, beyond the task's, that only a lost contact reaches
+)
 IMPACT_TIME = 0.05  # s in contact from touch to holding, at least
 LOSS_TIME = 0.004  # s below the release threshold until a contact is lost
 BOUNCE_TIME = 0.01  # s, the same between touch and holding: a bounce is no loss
@@ -47,8 +49,12 @@ LOST_TIME = 0.05  # s from loss to a new approach, at least
 BRAKING = 5.0  # m/s^2, of a tip that has lost its surface, or is pulled back
 RETRACT_SPEED = 0.05  # m/s
 RETRACT_DISTANCE = 0.01  # m, way back from a surface that is left
-SEARCH_DISTANCE = 0.01  # m beyond where a lost surface was, from where on it is given up
-FORCE_RATE = 100.0  # N/s, rise of the desired force of a contact that was lost, from touch on
+SEARCH_DISTANCE = (
+    0.01  # m beyond where a lost surface was, from where on it is given up
+)
+FORCE_RATE = (
+    100.0  # N/s, rise of the desired force of a contact that was lost, from touch on
+)
 EXCESS = 1.5  # times that force, above which more is felt than it asks for
 LEVEL_TIME = 0.1  # s, over which the force a contact is held with is averaged
 TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
@@ -57,24 +63,41 @@ REBOUND_SPEED = 2e-3  # m/s, away from the surface, from which on it is thrown b
 REBOUNDS_APART = 0.5  # s
 LOSS_PERIODS, BOUNCE_PERIODS = 2, 3  # the same, at least: one sample says nothing
 POSITION_RATE = 20.0  # 1/s, of the way left: how a displacement settles
-TARE_SHARE = 1.0 / 3.0  # of the contact threshold, from which on what is read freely is taken off
+TARE_SHARE = (
+    1.0 / 3.0
+)  # of the contact threshold, from which on what is read freely is taken off
 AVERAGE_TIME = 0.1  # s, over which that is averaged where the tip stands
-AVERAGE_WAY = 0.02  # m, the same on the way: a sensor drifts, and a soft surface is no drift
+AVERAGE_WAY = (
+    0.02  # m, the same on the way: a sensor drifts, and a soft surface is no drift
+)
 FALL_TIME = 0.5  # s, the same of a fall, which is no touch; a flipped sign falls faster
 AHEAD_TIME = 0.3  # s without an answer, from which on more than the threshold is asked beyond that
 PRESSING_WAY = 5e-4  # m without a change, as of a preload on a surface
 FREE_WAY = 3e-3  # m without a change, after which what is read is no force of a surface
 ANSWER_SHARE = 0.5  # of the contact threshold, by which a force has to rise to answer
 SOFTEST = 150.0  # N/m; what rises less on the way is no surface
-SLIPPING = 2e-4  # m back, at which a force that rises still answers: drives and tools bend
+SLIPPING = (
+    2e-4  # m back, at which a force that rises still answers: drives and tools bend
+)
 ANSWER_TIME = 0.015  # s, over which a force that is to answer is averaged: drives let a tool swing
-YIELDING, RETREATING = 0.01, 5e-3  # m forth and back without an answer, after which it is none
+YIELDING, RETREATING = (
+    0.01,
+    5e-3,
+)  # m forth and back without an answer, after which it is none
 STAYING = 1e-3  # m out of a surface during a pause, at most, of a contact that stays
-UNANSWERED_TIME = 1.0  # s of more force that is asked for, after which there is no answer
+UNANSWERED_TIME = (
+    1.0  # s of more force that is asked for, after which there is no answer
+)
 GENTLE = 0.9  # times the approach speed, at most, until a force has answered
-IMPACT_FORCE = 10.0  # N, of a touch at the approach speed, at most, if the surface is as modelled
+IMPACT_FORCE = (
+    10.0  # N, of a touch at the approach speed, at most, if the surface is as modelled
+)
 TOUCHING = 1.5  # the same at a touch, which comes down to that within `IMPACT_TIME`
-SETTLING_PERIODS, SETTLING_DELAYS = 2, 3  # in which a step of what is read has passed the filters
+SETTLING_PERIODS, SETTLING_DELAYS = (
+    2,
+    3,
+)  # in which a step of what is read has passed the filters
+
 
 class ContactState(Record, Protocol):
     """The supervised state of one contact."""
@@ -177,7 +200,9 @@ FREE_CONTACT['origin'] = np.nan
 
 
 def contact_settings(
-    config: ContactStateConfig, period: float, delay: float = 0.0,
+    config: ContactStateConfig,
+    period: float,
+    delay: float = 0.0,
 ) -> Records[ContactSettings]:
     """
     Return what is set for all contacts as one record of `CONTACT_SETTINGS`.
@@ -185,12 +210,16 @@ def contact_settings(
     h and the delay of what low-passes the wrench in [s]; `tool_mass` is left at 0.
     """
     values = config.model_dump() | {
-        'period': period, 'loss_time': max(LOSS_TIME, LOSS_PERIODS * period),
+        'period': period,
+        'loss_time': max(LOSS_TIME, LOSS_PERIODS * period),
         'bounce_time': max(BOUNCE_TIME, BOUNCE_PERIODS * period),
         'tool_mass': 0.0,
-        'settling_time': SETTLING_PERIODS * period + SETTLING_DELAYS * delay}
-    return np.array([tuple(values[name] for name in CONTACT_SETTINGS.names or ())],
-                    dtype=CONTACT_SETTINGS)
+        'settling_time': SETTLING_PERIODS * period + SETTLING_DELAYS * delay,
+    }
+    return np.array(
+        [tuple(values[name] for name in CONTACT_SETTINGS.names or ())],
+        dtype=CONTACT_SETTINGS,
+    )
 
 
 @compiled
@@ -207,7 +236,9 @@ def let_go(contact: ContactState, place: float, speed: float) -> None:
 
 
 @compiled
-def _take_off(contact: ContactState, settings: ContactSettings, baseline: float) -> None:
+def _take_off(
+    contact: ContactState, settings: ContactSettings, baseline: float
+) -> None:
     """Take what is read without a touch off the measured force, if it is worth it [N]."""
     contact.baseline = baseline
     least = TARE_SHARE * settings.contact_threshold
@@ -223,7 +254,9 @@ def _begin_search(contact: ContactState, settings: ContactSettings) -> None:
 
 
 @compiled
-def average_reading(contact: ContactState, settings: ContactSettings, alpha: float) -> None:
+def average_reading(
+    contact: ContactState, settings: ContactSettings, alpha: float
+) -> None:
     """Average what is read where a contact is not sought, over `AVERAGE_TIME`."""
     longest = max(1.0, np.round(AVERAGE_TIME / settings.period))
     contact.averaged = min(contact.averaged + 1.0, longest)
@@ -232,7 +265,10 @@ def average_reading(contact: ContactState, settings: ContactSettings, alpha: flo
 
 @compiled
 def follow_reading(
-    contact: ContactState, settings: ContactSettings, alpha: float, way: float,
+    contact: ContactState,
+    settings: ContactSettings,
+    alpha: float,
+    way: float,
 ) -> None:
     """Follow what is read on a way towards a surface [m], and take it off."""
     seen = TARE_SHARE * settings.contact_threshold
@@ -242,7 +278,9 @@ def follow_reading(
         share = abs(way) / AVERAGE_WAY
         if alpha < -seen:
             share = max(share, settings.period / FALL_TIME)
-        contact.baseline += min(share, 1.0) * (alpha + contact.untared - contact.baseline)
+        contact.baseline += min(share, 1.0) * (
+            alpha + contact.untared - contact.baseline
+        )
     _take_off(contact, settings, contact.baseline)
 
 
@@ -255,7 +293,8 @@ def go_on(contact: ContactState, alpha: float, place: float) -> None:
     """
     contact.displacement = place
     contact.answered = contact.answered and (
-        place > contact.origin - STAYING and alpha > TOUCH_SHARE * contact.level)
+        place > contact.origin - STAYING and alpha > TOUCH_SHARE * contact.level
+    )
     contact.resumed = True
     contact.seen = contact.resting = contact.unanswered = 0.0
 
@@ -263,7 +302,11 @@ def go_on(contact: ContactState, alpha: float, place: float) -> None:
 @compiled
 def read_anew(contact: ContactState, settings: ContactSettings, alpha: float) -> None:
     """Take what is read after a pause for what a search begins with."""
-    if contact.state == FREE or contact.state == APPROACHING or contact.state == GIVEN_UP:
+    if (
+        contact.state == FREE
+        or contact.state == APPROACHING
+        or contact.state == GIVEN_UP
+    ):
         contact.averaged = 0.0
         average_reading(contact, settings, alpha)
     if contact.state == APPROACHING:
@@ -274,7 +317,11 @@ def read_anew(contact: ContactState, settings: ContactSettings, alpha: float) ->
 
 @compiled
 def _watch_answer(
-    contact: ContactState, settings: ContactSettings, alpha: float, place: float, speed: float,
+    contact: ContactState,
+    settings: ContactSettings,
+    alpha: float,
+    place: float,
+    speed: float,
 ) -> None:
     """
     Notice whether a force that is seen answers the motion.
@@ -343,7 +390,9 @@ def desired_force(contact: ContactState, settings: ContactSettings) -> float:
 
 
 @compiled
-def approach_speed(contact: ContactState, settings: ContactSettings, mobility: float) -> float:
+def approach_speed(
+    contact: ContactState, settings: ContactSettings, mobility: float
+) -> float:
     """
     Return the speed of an approach [m/s].
 
@@ -353,7 +402,9 @@ def approach_speed(contact: ContactState, settings: ContactSettings, mobility: f
     """
     if mobility <= 0.0:
         return settings.approach_speed
-    return min(settings.approach_speed, IMPACT_FORCE * np.sqrt(mobility / contact.stiffness))
+    return min(
+        settings.approach_speed, IMPACT_FORCE * np.sqrt(mobility / contact.stiffness)
+    )
 
 
 @compiled
@@ -375,7 +426,9 @@ def speed_bound(contact: ContactState, fall_speed: float) -> float:
 
 
 @compiled
-def refute(contact: ContactState, settings: ContactSettings, place: float, speed: float) -> bool:
+def refute(
+    contact: ContactState, settings: ContactSettings, place: float, speed: float
+) -> bool:
     """
     Let a contact go if it is none; return whether it was let go.
 
@@ -391,7 +444,9 @@ def refute(contact: ContactState, settings: ContactSettings, place: float, speed
         refuted = way > settings.approach_distance
     else:
         # A law that goes on by a way of its own, as an impedance does, may stand in free space.
-        refuted = way > YIELDING or way < -RETREATING or contact.unanswered > UNANSWERED_TIME
+        refuted = (
+            way > YIELDING or way < -RETREATING or contact.unanswered > UNANSWERED_TIME
+        )
     if refuted:
         _take_off(contact, settings, contact.untared + contact.felt)
         contact.free_way = FREE_WAY
@@ -426,7 +481,11 @@ def _touch(contact: ContactState, settings: ContactSettings, alpha: float) -> fl
 
 @compiled
 def _watch_search(
-    contact: ContactState, settings: ContactSettings, alpha: float, place: float, speed: float,
+    contact: ContactState,
+    settings: ContactSettings,
+    alpha: float,
+    place: float,
+    speed: float,
 ) -> None:
     """Touch, or give up, or begin to look for a lost surface."""
     met_before = not np.isnan(contact.origin)
@@ -445,12 +504,17 @@ def _watch_search(
     if alpha > threshold:
         if contact.state == APPROACHING:
             alpha = _touch(contact, settings, alpha)
-        contact.force_limit = max(alpha, settings.preload) if met_before else settings.preload
+        contact.force_limit = (
+            max(alpha, settings.preload) if met_before else settings.preload
+        )
         contact.below = contact.level = contact.calm = 0.0
         contact.touch_place = contact.flat_place = place
         contact.state = IMPACT
     elif contact.state == LOST:
-        stands = abs(contact.target - contact.displacement) < 2e-4 and abs(contact.speed) < 2e-3
+        stands = (
+            abs(contact.target - contact.displacement) < 2e-4
+            and abs(contact.speed) < 2e-3
+        )
         if contact.in_state >= LOST_TIME and stands:
             if met_before:
                 contact.start = contact.displacement
@@ -466,7 +530,11 @@ def _watch_search(
 
 @compiled
 def _watch_hold(
-    contact: ContactState, settings: ContactSettings, alpha: float, place: float, speed: float,
+    contact: ContactState,
+    settings: ContactSettings,
+    alpha: float,
+    place: float,
+    speed: float,
     escape: float,
 ) -> None:
     """Notice a loss, or that a touch has lasted."""
@@ -476,8 +544,10 @@ def _watch_hold(
         _watch_answer(contact, settings, alpha, place, speed)
         if contact.answered and contact.state == HOLDING and not contact.resumed:
             _take_answer(contact, settings)
-    threshold = max(settings.release_threshold, RELEASE_SHARE * min(
-        contact.level, contact.asked, contact.force_limit))
+    threshold = max(
+        settings.release_threshold,
+        RELEASE_SHARE * min(contact.level, contact.asked, contact.force_limit),
+    )
     held = contact.state == HOLDING and contact.calm == 0.0
     if alpha >= threshold:
         contact.below = 0.0
@@ -486,8 +556,13 @@ def _watch_hold(
             contact.origin = place - alpha / contact.stiffness
         contact.level += h / (LEVEL_TIME + h) * (alpha - contact.level)
     else:
-        if contact.below == 0.0 and held and (
-                speed - contact.surface_speed < -REBOUND_SPEED and contact.shaken <= 0.0):
+        if (
+            contact.below == 0.0
+            and held
+            and (
+                speed - contact.surface_speed < -REBOUND_SPEED and contact.shaken <= 0.0
+            )
+        ):
             # Thrown back by a surface that is stiffer than its model: it returns by itself,
             # once; one that is thrown back again and again swings, and is better let go.
             contact.below = min(0.0, settings.loss_time - REBOUND_TIME)
@@ -500,7 +575,11 @@ def _watch_hold(
     fastest = ESCAPE_SPEED + step / (contact.stiffness * STEP_TIME)
     if contact.below > patience + 1e-9 or escape > fastest:
         let_go(contact, place, speed)
-    elif contact.state == IMPACT and contact.below == 0.0 and contact.in_state >= IMPACT_TIME:
+    elif (
+        contact.state == IMPACT
+        and contact.below == 0.0
+        and contact.in_state >= IMPACT_TIME
+    ):
         contact.state = HOLDING
 
 
@@ -534,8 +613,9 @@ def _lead_tip(contact: ContactState, settings: ContactSettings) -> None:
     h, wanted, change = settings.period, contact.approach_speed, BRAKING
     if contact.state != APPROACHING:
         limit = RETRACT_SPEED if contact.state == RETRACTING else wanted
-        wanted = min(max(
-            POSITION_RATE * (contact.target - contact.displacement), -limit), limit)
+        wanted = min(
+            max(POSITION_RATE * (contact.target - contact.displacement), -limit), limit
+        )
     elif abs(contact.speed) <= contact.approach_speed:
         change = contact.approach_speed / settings.approach_ramp_time
     contact.acceleration = min(max((wanted - contact.speed) / h, -change), change)
@@ -545,7 +625,11 @@ def _lead_tip(contact: ContactState, settings: ContactSettings) -> None:
 
 @compiled
 def advance_contact(
-    contact: ContactState, settings: ContactSettings, alpha: float, place: float, speed: float,
+    contact: ContactState,
+    settings: ContactSettings,
+    alpha: float,
+    place: float,
+    speed: float,
     escape: float,
 ) -> None:
     """
@@ -594,7 +678,9 @@ def advance_contact(
     if contact.state == HOLDING and contact.losses == 0:
         contact.force_limit = max(contact.force_limit, contact.asked)
     elif contact.state == HOLDING or found_again:
-        change = min(max(contact.asked - contact.force_limit, -FORCE_RATE * h), FORCE_RATE * h)
+        change = min(
+            max(contact.asked - contact.force_limit, -FORCE_RATE * h), FORCE_RATE * h
+        )
         # After a bounce, which looks like noise, a law is blind for a while.
         if change < 0.0 or alpha <= EXCESS * contact.force_limit:
             contact.force_limit += change

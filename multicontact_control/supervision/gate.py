@@ -12,7 +12,14 @@ from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.controller import TransitionConfig
 from multicontact_control.control.arm import ArmState
-from multicontact_control.flags import JOINT_STOP, REACH, REFERENCE, REPLACED, TORQUE, TORQUE_RATE
+from multicontact_control.flags import (
+    JOINT_STOP,
+    REACH,
+    REFERENCE,
+    REPLACED,
+    TORQUE,
+    TORQUE_RATE,
+)
 from multicontact_control.records import (
     Contact,
     Control,
@@ -27,12 +34,20 @@ from multicontact_control.supervision.bounds import bound_motion, BoundSpace
 import numpy as np
 
 LIMIT_NAMES = {
-    REFERENCE: 'reference', REPLACED: 'not_finite', JOINT_STOP: 'joint', TORQUE: 'torque',
-    TORQUE_RATE: 'torque_rate', REACH: 'reach'}
+    REFERENCE: 'reference',
+    REPLACED: 'not_finite',
+    JOINT_STOP: 'joint',
+    TORQUE: 'torque',
+    TORQUE_RATE: 'torque_rate',
+    REACH: 'reach',
+}
 JOINT_MARGIN = 0.02  # rad before its stop, where a joint comes to rest
 STEEPEST = 1.875  # largest slope of the quintic from 0 to 1
-BLEND_TIME = 0.003  # s, time constant by which a change of active contacts or laws is blended
+BLEND_TIME = (
+    0.003  # s, time constant by which a change of active contacts or laws is blended
+)
 FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
+
 
 class GateConfig(Record, Protocol):
     """What is set for the gate."""
@@ -110,7 +125,9 @@ def blend(gate: Gate, joints: Records[Joint], law: int, torque: Vector) -> None:
             joint.lacking = joint.last - torque[j]
             largest = max(largest, abs(joint.lacking))
             torque[j] = joint.last
-        duration = max(gate.config.blend_time, STEEPEST * largest / gate.config.blend_rate)
+        duration = max(
+            gate.config.blend_time, STEEPEST * largest / gate.config.blend_rate
+        )
         gate.pending, gate.blending = False, True
         gate.elapsed, gate.duration = 0.0, np.ceil(duration / gate.config.period)
     elif gate.blending:
@@ -146,8 +163,13 @@ def set_ranges(joints: Records[Joint]) -> None:
 
 @compiled
 def pass_gate(
-    gate: Gate, joints: Records[Joint], control: Control, contacts: Records[Contact],
-    mass_matrix: Matrix, jacobian: Matrix, law: int,
+    gate: Gate,
+    joints: Records[Joint],
+    control: Control,
+    contacts: Records[Contact],
+    mass_matrix: Matrix,
+    jacobian: Matrix,
+    law: int,
 ) -> int:
     """
     Let the torque of the joints through as far as continuity and the limits allow.
@@ -188,7 +210,15 @@ def pass_gate(
                 torque[j] = joints[j].bias_torque
     if gate.seen and gate.config.guarded:
         enforced |= bound_motion(
-            torque, joints, control, contacts, mass_matrix, jacobian, law >= 0, gate.space)
+            torque,
+            joints,
+            control,
+            contacts,
+            mass_matrix,
+            jacobian,
+            law >= 0,
+            gate.space,
+        )
     for j in range(n):
         joint, last = joints[j], joints[j].gate.last
         limit, step = joint.config.torque_limit, joint.config.torque_step
@@ -241,7 +271,9 @@ class TorqueGate:
 
     """
 
-    def __init__(self, config: ControllerConfig, arm: ArmState, *, guarded: bool = True) -> None:
+    def __init__(
+        self, config: ControllerConfig, arm: ArmState, *, guarded: bool = True
+    ) -> None:
         self._arm, self._joints = arm, arm.joints
         self.records: Records[Gate] = gate_record(config, guarded=guarded)
         self._gate, self._begun = self.records[0], self.records['begun']
@@ -286,7 +318,9 @@ class TorqueGate:
     def hurry(self) -> None:
         """Leave what has still to fade slowly to the fast way."""
         if self._gate['pending'] or self._gate['blending']:
-            self._gate['pending'] = self._gate['blending'] = self._gate['fading'] = False
+            self._gate['pending'] = self._gate['blending'] = self._gate['fading'] = (
+                False
+            )
             self._gate['law'] = 0
 
     def allow_for(self, added: Vector) -> None:
@@ -304,5 +338,11 @@ class TorqueGate:
         self._gate['seen'] = seen
         terms = self._arm.robot.terms
         return pass_gate(
-            self._gate, self._joints, self._arm.controls[0], self._arm.contacts,
-            terms.mass_matrix, terms.jacobian, law)
+            self._gate,
+            self._joints,
+            self._arm.controls[0],
+            self._arm.contacts,
+            terms.mass_matrix,
+            terms.jacobian,
+            law,
+        )

@@ -36,7 +36,9 @@ import numpy as np
 
 READINGS = ('joints', 'wrench', 'variance')
 # What is wrong; FINE: nothing, ABSENT: no reading has come.
-FINE, INVALID, JUMP, FROZEN, SATURATED, STAMP, BACKWARDS, RATE, VELOCITY, OUTLIER = range(10)
+FINE, INVALID, JUMP, FROZEN, SATURATED, STAMP, BACKWARDS, RATE, VELOCITY, OUTLIER = (
+    range(10)
+)
 ABSENT = -1
 
 SATURATED_SHARE = 0.99  # of full scale, from which on a reading is saturated
@@ -48,9 +50,15 @@ HARDEST = 1e6  # N or N m; no wrench is beyond it
 FORCE_OUTLIER, TORQUE_OUTLIER = 6.5, 1.0  # N, N m, at least
 OUTLIER_FACTOR = 6.0  # and times the root mean square of what usually changes
 USUAL_TIME = 0.5  # s, over which that is averaged
-LEARNT_WRENCHES, UNLEARNT = 50, 20.0  # from which on it is known; N, N m, at least until then
+LEARNT_WRENCHES, UNLEARNT = (
+    50,
+    20.0,
+)  # from which on it is known; N, N m, at least until then
 CHANGE_TIME = 0.02  # s after a change, in which wrenches are taken as they come
-OUTLIER_TIME, MOST_OUTLIERS = 2.0, 16.0  # s, and how many in that are a fault of the sensor
+OUTLIER_TIME, MOST_OUTLIERS = (
+    2.0,
+    16.0,
+)  # s, and how many in that are a fault of the sensor
 FARTHEST = 1e3  # rad; no joint is beyond it
 SPEED_EXCESS = 3.0  # times the speed limit of a joint; no joint is faster
 STILL = 1e-4  # rad/s; below it a joint state may repeat itself
@@ -67,6 +75,7 @@ SILENCE = 0.1  # s of exactly 0 N m, from which on a joint seems to measure no t
 REPORTED = 5  # samples in a row without a usable torque, from which on that is said
 RECENT_WRENCHES = 100  # that are kept, for a tare
 MOST_COMMANDS = 12  # that are kept: two more than the longest `collision.command_delay`
+
 
 class InputSettings(Record, Protocol):
     """What the input stage is set to; one."""
@@ -305,29 +314,43 @@ def _check_joints(stage: InputStage, tracks: Records[JointTrack], span: float) -
         early = early or (speed > OFFSET and velocities.states < PROOF)
         jumped = jumped or (state.known and abs(way - track.v_tracked * span) > limit)
     contradicted = check_velocities(
-        tracks, velocities, settings.fastest, span, state.known and not jumped, settings.period)
+        tracks,
+        velocities,
+        settings.fastest,
+        span,
+        state.known and not jumped,
+        settings.period,
+    )
     if jumped:
         return JUMP
-    stopped = same and not still and not velocities.unproven  # as far as velocities can tell
+    stopped = (
+        same and not still and not velocities.unproven
+    )  # as far as velocities can tell
     state.equal_joints = state.equal_joints + 1 if stopped else 1
     if 0 < settings.frozen_joint_ticks <= state.equal_joints:
         return FROZEN
     velocities.contradicted = velocities.contradicted + 1 if contradicted else 0
     velocities.unproven = count_proof(tracks, velocities.contradicted >= FAULTS)
-    velocities.estimated = velocities.silent or contradicted or early or velocities.unproven
+    velocities.estimated = (
+        velocities.silent or contradicted or early or velocities.unproven
+    )
     return VELOCITY if contradicted else FINE
 
 
 @compiled
 def _take_joints(
-    stage: InputStage, tracks: Records[JointTrack], q: Vector, velocity: Vector,
+    stage: InputStage,
+    tracks: Records[JointTrack],
+    q: Vector,
+    velocity: Vector,
 ) -> None:
     """Check a joint state and hand it over, if it is valid."""
     inputs, state, finding = stage.input, stage.state, stage.found.joints
     stamps, velocities, h = state.joints, state.velocities, stage.settings.period
     seen_before = stamps.seen
     problem = _check_stamp(
-        inputs.joints_came, inputs.joints_stamp, stamps, state.time + 0.5 * h)
+        inputs.joints_came, inputs.joints_stamp, stamps, state.time + 0.5 * h
+    )
     if inputs.joints_came != ABSENT and inputs.velocity_came == ABSENT:
         velocities.silent = True
     state.blind_ticks += 1
@@ -349,12 +372,15 @@ def _take_joints(
     age = state.time - stamps.valid
     finding.problem = problem
     finding.stale = not age <= stage.settings.joints_max_age or (
-        contradicted or problem == JUMP or problem == FROZEN)
+        contradicted or problem == JUMP or problem == FROZEN
+    )
     stage.found.blind = state.blind_ticks > 1
 
 
 @compiled
-def _is_outlier(raw: Vector, before: WrenchState, settings: InputSettings, span: float) -> bool:
+def _is_outlier(
+    raw: Vector, before: WrenchState, settings: InputSettings, span: float
+) -> bool:
     """
     Return whether a wrench, `span` after the valid one before [s], is to be left out.
 
@@ -411,7 +437,9 @@ def _filter_wrench(raw: Vector, before: WrenchState, settings: InputSettings) ->
                 before.next_output[i] = raw[i] * ((b[1] + b[2]) - (a[1] + a[2]))
                 before.output_after[i] = raw[i] * (b[2] - a[2])
             filtered = b[0] * raw[i] + before.next_output[i]
-            before.next_output[i] = b[1] * raw[i] - a[1] * filtered + before.output_after[i]
+            before.next_output[i] = (
+                b[1] * raw[i] - a[1] * filtered + before.output_after[i]
+            )
             before.output_after[i] = b[2] * raw[i] - a[2] * filtered
         before.filtered[i] = filtered
     before.equal = before.equal + 1 if equal else 1
@@ -425,15 +453,23 @@ def _filter_wrench(raw: Vector, before: WrenchState, settings: InputSettings) ->
 def _take_wrench(stage: InputStage, wrench: Vector) -> None:
     """Check a wrench and hand it over behind the low-pass, if it is valid."""
     inputs, settings, state = stage.input, stage.settings, stage.state
-    stamps, before, finding, h = state.wrench, state.wrenches, stage.found.wrench, settings.period
+    stamps, before, finding, h = (
+        state.wrench,
+        state.wrenches,
+        stage.found.wrench,
+        settings.period,
+    )
     problem = _check_stamp(
-        inputs.wrench_came, inputs.wrench_stamp, stamps, state.time + 0.5 * h)
+        inputs.wrench_came, inputs.wrench_stamp, stamps, state.time + 0.5 * h
+    )
     if problem == FINE and state.time - inputs.wrench_stamp > WRENCH_AGE * h:
         problem = STAMP
     if inputs.wrench_came == FINE:
         before.newest[:] = inputs.wrench
     if problem == FINE:
-        if _is_outlier(inputs.wrench, before, settings, inputs.wrench_stamp - stamps.valid):
+        if _is_outlier(
+            inputs.wrench, before, settings, inputs.wrench_stamp - stamps.valid
+        ):
             problem = OUTLIER
             before.suspect = True
             before.outliers += 1.0
@@ -447,7 +483,9 @@ def _take_wrench(stage: InputStage, wrench: Vector) -> None:
     flooded = problem == OUTLIER and before.outliers > MOST_OUTLIERS
     age = state.time - stamps.valid
     finding.problem = problem
-    finding.stale = not age <= settings.wrench_max_age or before.faults >= FAULTS or flooded
+    finding.stale = (
+        not age <= settings.wrench_max_age or before.faults >= FAULTS or flooded
+    )
 
 
 @compiled
@@ -456,7 +494,11 @@ def _take_variance(stage: InputStage, contacts: Records[Contact]) -> None:
     inputs, settings, state = stage.input, stage.settings, stage.state
     stamps, finding = state.variance, stage.found.variance
     problem = _check_stamp(
-        inputs.variance_came, inputs.variance_stamp, stamps, state.time + 0.5 * settings.period)
+        inputs.variance_came,
+        inputs.variance_stamp,
+        stamps,
+        state.time + 0.5 * settings.period,
+    )
     if problem == FINE:
         for i in range(contacts.shape[0]):
             if not 0.0 < inputs.variance[i] < np.inf:
@@ -472,12 +514,16 @@ def _take_variance(stage: InputStage, contacts: Records[Contact]) -> None:
         if problem == FINE:
             variance = inputs.variance[i]
         contacts[i].noise_variance = min(
-            max(variance, settings.smallest_variance), settings.largest_variance)
+            max(variance, settings.smallest_variance), settings.largest_variance
+        )
 
 
 @compiled
 def _hear_torques(
-    inputs: Input, torques: Records[TorqueState], joints: Records[Joint], period: float,
+    inputs: Input,
+    torques: Records[TorqueState],
+    joints: Records[Joint],
+    period: float,
 ) -> int:
     """
     Find which measured torques are of use, and why the others are not; return how many are.
@@ -499,20 +545,29 @@ def _hear_torques(
             torque.last, torque.zeros = effort, 0
         else:
             torque.zeros += 1
-            if not moved or abs(torque.last) > NEAR_ZERO or torque.zeros * period > SILENCE:
+            if (
+                not moved
+                or abs(torque.last) > NEAR_ZERO
+                or torque.zeros * period > SILENCE
+            ):
                 fault = SILENT
         joints[j].watch.effort_fault = fault
         if fault == HEARD:
             torque.unheard = 0
             heard += 1
-        elif inputs.joints_came != ABSENT:  # a joint state that is missing says nothing of it
+        elif (
+            inputs.joints_came != ABSENT
+        ):  # a joint state that is missing says nothing of it
             torque.unheard += 1
     return heard
 
 
 @compiled
 def _supply_torques(
-    stage: InputStage, joints: Records[Joint], momentum: Momentum, elapsed: float,
+    stage: InputStage,
+    joints: Records[Joint],
+    momentum: Momentum,
+    elapsed: float,
 ) -> None:
     """
     Give the momentum observer the torques, measured or commanded, that acted in a period.
@@ -520,7 +575,11 @@ def _supply_torques(
     The period is that of two valid joint states, `elapsed` apart [s].
     """
     inputs, settings, state = stage.input, stage.settings, stage.state
-    torques, velocities, h = state.torques[:joints.shape[0]], state.velocities, settings.period
+    torques, velocities, h = (
+        state.torques[: joints.shape[0]],
+        state.velocities,
+        settings.period,
+    )
     if inputs.command_came:
         for j in range(joints.shape[0]):
             torques[j].commanded[state.commands % settings.commands] = inputs.command[j]
@@ -532,7 +591,10 @@ def _supply_torques(
     heard = _hear_torques(inputs, torques, joints, h)
     for j in range(joints.shape[0]):
         watch, torque = joints[j].watch, torques[j]
-        watch.doubt, watch.unwatched = 0.0, watch.effort_fault != HEARD and not by_command
+        watch.doubt, watch.unwatched = (
+            0.0,
+            watch.effort_fault != HEARD and not by_command,
+        )
         if watch.unwatched and torque.unheard * h > FORGOTTEN:
             watch.residual = watch.slack = 0.0  # it would block the arm for good
         if watch.effort_fault == HEARD:
@@ -542,14 +604,20 @@ def _supply_torques(
         elif by_command:
             before, last = torque.commanded[oldest], torque.commanded[next_oldest]
             after = torque.commanded[third_oldest]
-            watch.doubt = max(abs(last - before), abs(after - last))  # a period early or late
+            watch.doubt = max(
+                abs(last - before), abs(after - last)
+            )  # a period early or late
             watch.effort = last
     is_input = momentum.config.is_input
     late = velocities.estimated and not (velocities.silent and is_input)
     needed = joints.shape[0] if is_input else 1  # of a wrench each joint is a part
     measured = is_input or stage.found.wrench.problem == FINE
-    known = (heard >= needed or by_command) and measured and not late and (
-        abs(elapsed - h) < UNEVEN * h)
+    known = (
+        (heard >= needed or by_command)
+        and measured
+        and not late
+        and (abs(elapsed - h) < UNEVEN * h)
+    )
     momentum.elapsed = elapsed if known else 0.0
     state.unknown = 0 if known else state.unknown + 1
     if state.unknown * h > FORGOTTEN:
@@ -570,7 +638,11 @@ def _keep_wrench(state: InputState, velocity: Vector) -> None:
 
 @compiled
 def _hand_over_as_it_came(
-    stage: InputStage, q: Vector, velocity: Vector, wrench: Vector, contacts: Records[Contact],
+    stage: InputStage,
+    q: Vector,
+    velocity: Vector,
+    wrench: Vector,
+    contacts: Records[Contact],
 ) -> None:
     """Hand over joints, wrench and R, valid or not; the wrench behind the low-pass."""
     inputs, settings = stage.input, stage.settings
@@ -586,13 +658,18 @@ def _hand_over_as_it_came(
         if inputs.variance_came != ABSENT:
             variance = inputs.variance[i]
         contacts[i].noise_variance = min(
-            max(variance, settings.smallest_variance), settings.largest_variance)
+            max(variance, settings.smallest_variance), settings.largest_variance
+        )
 
 
 @compiled
 def check_inputs(
-    stages: Records[InputStage], q: Vector, velocity: Vector, joints: Records[Joint],
-    controls: Records[Control], contacts: Records[Contact],
+    stages: Records[InputStage],
+    q: Vector,
+    velocity: Vector,
+    joints: Records[Joint],
+    controls: Records[Control],
+    contacts: Records[Contact],
 ) -> bool:
     """
     Check what has come in at a tick, and hand over what is valid.
@@ -617,7 +694,7 @@ def check_inputs(
     state, found = stage.state, stage.found
     _check_clock(stage)
     valid_before = state.joints.valid
-    _take_joints(stage, state.tracks[:joints.shape[0]], q, velocity)
+    _take_joints(stage, state.tracks[: joints.shape[0]], q, velocity)
     _take_wrench(stage, control.wrench)
     _take_variance(stage, contacts)
     _supply_torques(stage, joints, control.momentum, state.joints.valid - valid_before)
@@ -639,7 +716,9 @@ def check_inputs(
     return True
 
 
-def stage_record(config: ControllerConfig, turning: Any, *, guarded: bool) -> Records[InputStage]:
+def stage_record(
+    config: ControllerConfig, turning: Any, *, guarded: bool
+) -> Records[InputStage]:
     """
     Return one record of `INPUT_STAGE` as configured, before the first tick.
 
@@ -655,7 +734,9 @@ def stage_record(config: ControllerConfig, turning: Any, *, guarded: bool) -> Re
     settings['wrench_max_age'] = h * (AGE_TOLERANCE + watch.wrench_max_age)
     settings['variance_max_age'] = h * (AGE_TOLERANCE + watch.variance_max_age)
     settings['fastest'][:n] = np.minimum(
-        SPEED_EXCESS * np.array(config.limits.joint_speed or np.inf), np.finfo(float).max)
+        SPEED_EXCESS * np.array(config.limits.joint_speed or np.inf),
+        np.finfo(float).max,
+    )
     settings['turn'][:n] = np.where(turning, 2.0 * math.pi, 0.0)
     settings['smallest_variance'] = config.noise_variance.smallest
     settings['largest_variance'] = config.noise_variance.largest
@@ -672,8 +753,10 @@ def stage_record(config: ControllerConfig, turning: Any, *, guarded: bool) -> Re
         order = settings['order'] = sensor.filter_order
         if order:
             from scipy.signal import butter  # 0.5 s, only where there is a filter
-            settings['b'][:order + 1], settings['a'][:order + 1] = butter(
-                order, sensor.filter_cutoff, fs=config.rate)
+
+            settings['b'][: order + 1], settings['a'][: order + 1] = butter(
+                order, sensor.filter_cutoff, fs=config.rate
+            )
     _forget(record['state'][0])
     return record
 

@@ -44,11 +44,24 @@ import numpy as np
 
 PARTS = (*READINGS, 'clock')
 PROBLEMS = (  # by their numbers in `input_checks`
-    '', 'invalid', 'jump', 'frozen', 'saturated', 'stamp', 'backwards', 'rate', 'velocity',
-    'outlier')
+    '',
+    'invalid',
+    'jump',
+    'frozen',
+    'saturated',
+    'stamp',
+    'backwards',
+    'rate',
+    'velocity',
+    'outlier',
+)
 EFFORT_FAULTS = ('', 'missing', 'not finite', 'constantly 0')
 WRENCH_SHAPE = (6,)
-MALFORMED = TypeError, ValueError, OverflowError  # raised by numpy for what are no numbers
+MALFORMED = (
+    TypeError,
+    ValueError,
+    OverflowError,
+)  # raised by numpy for what are no numbers
 
 
 class JointInput(NamedTuple):
@@ -100,11 +113,17 @@ class Seen(NamedTuple):
     causes: tuple[str, ...] = ()  # of a reaction
     rejected: tuple[str, ...] = ()  # what is wrong with the readings of this tick
     joints: bool = True  # whether any joint state was ever valid
-    blind: bool = False  # whether the joint state is neither of this tick nor of the one before
+    blind: bool = (
+        False  # whether the joint state is neither of this tick nor of the one before
+    )
     measured: bool = True  # whether the wrench is of this tick
     skipped: int = 0  # samples that are missing before this tick
-    refuted: bool = False  # whether velocities were refuted, and not proven in motion since
-    unheard: bool = False  # whether the torques of some joints are of no use for a while
+    refuted: bool = (
+        False  # whether velocities were refuted, and not proven in motion since
+    )
+    unheard: bool = (
+        False  # whether the torques of some joints are of no use for a while
+    )
 
 
 ALL_WELL = Seen()
@@ -135,11 +154,22 @@ class _Intake:
 
     """
 
-    def __init__(self, record: Records[Input], joint_count: int, column_count: int) -> None:
+    def __init__(
+        self, record: Records[Input], joint_count: int, column_count: int
+    ) -> None:
         self.time, self._command_came = record['time'], record['command_came']
-        self._joints_came, self.joints_stamp = record['joints_came'], record['joints_stamp']
-        self._velocity_came, self._effort_came = record['velocity_came'], record['effort_came']
-        self._wrench_came, self.wrench_stamp = record['wrench_came'], record['wrench_stamp']
+        self._joints_came, self.joints_stamp = (
+            record['joints_came'],
+            record['joints_stamp'],
+        )
+        self._velocity_came, self._effort_came = (
+            record['velocity_came'],
+            record['effort_came'],
+        )
+        self._wrench_came, self.wrench_stamp = (
+            record['wrench_came'],
+            record['wrench_stamp'],
+        )
         self._variance_came = record['variance_came']
         self.variance_stamp = record['variance_stamp']
         self.joint_shape, self.variance_shape = (joint_count,), (column_count,)
@@ -153,8 +183,13 @@ class _Intake:
 
     def expect_all(self) -> None:
         """Take what is put in from now on for complete."""
-        for came in (self._joints_came, self._velocity_came, self._effort_came,
-                     self._wrench_came, self._variance_came):
+        for came in (
+            self._joints_came,
+            self._velocity_came,
+            self._effort_came,
+            self._wrench_came,
+            self._variance_came,
+        ):
             came[0] = FINE
         self.complete = True
 
@@ -253,10 +288,17 @@ class Inputs:
     """
 
     def __init__(
-        self, config: ControllerConfig, controller: Controller, *, guarded: bool = True,
+        self,
+        config: ControllerConfig,
+        controller: Controller,
+        *,
+        guarded: bool = True,
     ) -> None:
         joints, controls, contacts = (
-            controller.arm.joints, controller.controls, controller.contacts)
+            controller.arm.joints,
+            controller.controls,
+            controller.contacts,
+        )
         n = len(joints)
         self._stage = stage_record(config, controller.robot.turning, guarded=guarded)
         self._initial = self._stage.copy()
@@ -297,8 +339,11 @@ class Inputs:
         """Return the joints whose torques are of no use, by what is wrong with them."""
         unheard = self._torques['unheard'] >= REPORTED
         faults = np.where(unheard, self._joints['watch']['effort_fault'], HEARD)
-        return {EFFORT_FAULTS[fault]: tuple(np.flatnonzero(faults == fault).tolist())
-                for fault in (UNHEARD, NOT_A_NUMBER, SILENT) if (faults == fault).any()}
+        return {
+            EFFORT_FAULTS[fault]: tuple(np.flatnonzero(faults == fault).tolist())
+            for fault in (UNHEARD, NOT_A_NUMBER, SILENT)
+            if (faults == fault).any()
+        }
 
     @property
     def fresh(self) -> bool:
@@ -353,16 +398,25 @@ class Inputs:
         try:
             q, velocity, effort = joints.q, joints.qd, joints.effort  # type: ignore[union-attr]
             reading, R = wrench.wrench, variance.variance  # type: ignore[union-attr]
-            complete = q.shape == velocity.shape == effort.shape == intake.joint_shape and (
-                reading.shape == WRENCH_SHAPE and R.shape == intake.variance_shape)
+            complete = (
+                q.shape == velocity.shape == effort.shape == intake.joint_shape
+                and (reading.shape == WRENCH_SHAPE and R.shape == intake.variance_shape)
+            )
             if complete:
                 intake.time[0] = inputs.time
                 intake.joints_stamp[0] = joints.stamp  # type: ignore[union-attr]
                 intake.wrench_stamp[0] = wrench.stamp  # type: ignore[union-attr]
                 intake.variance_stamp[0] = variance.stamp  # type: ignore[union-attr]
-                intake.q[...], intake.velocity[...], intake.effort[...] = q, velocity, effort
+                intake.q[...], intake.velocity[...], intake.effort[...] = (
+                    q,
+                    velocity,
+                    effort,
+                )
                 intake.wrench[...], intake.variance[...] = reading, R
-        except (AttributeError, *MALFORMED):  # something is missing, or is no array of numbers
+        except (
+            AttributeError,
+            *MALFORMED,
+        ):  # something is missing, or is no array of numbers
             complete = False
         if not complete:
             intake.put(inputs, wrench)
@@ -382,7 +436,7 @@ class Inputs:
         """
         recent = self._state['recent']
         recent = recent[recent['time'] >= time]
-        return recent['wrench'], recent['velocity'][:, :len(self._joints)]
+        return recent['wrench'], recent['velocity'][:, : len(self._joints)]
 
     def _wrench_of_torques(self, joints: JointInput | None) -> WrenchInput | None:
         """Return the wrench that the momentum observer finds; it takes some samples to begin."""
@@ -397,11 +451,16 @@ class Inputs:
         for part in PARTS:
             problem = PROBLEMS[max(found[part]['problem'], FINE)]
             if found[part]['stale']:
-                causes.append(f"{part}_{problem or 'stale'}")
+                causes.append(f'{part}_{problem or "stale"}')
             if problem and part in READINGS:
                 rejected.append(f'{part}_{problem}')
         return Seen(
-            tuple(causes), tuple(rejected), joints=bool(self._state['known']),
-            blind=bool(found['blind']), measured=bool(found['wrench']['problem'] == FINE),
-            skipped=int(found['skipped']), refuted=self.refuted,
-            unheard=bool((self._torques['unheard'] >= REPORTED).any()))
+            tuple(causes),
+            tuple(rejected),
+            joints=bool(self._state['known']),
+            blind=bool(found['blind']),
+            measured=bool(found['wrench']['problem'] == FINE),
+            skipped=int(found['skipped']),
+            refuted=self.refuted,
+            unheard=bool((self._torques['unheard'] >= REPORTED).any()),
+        )

@@ -20,26 +20,49 @@ import numpy as np
 
 NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
 SEVERITY = (NONE, INFLATE, HOLD, FLOAT, DAMP)
-SAFE = 'safe'  # the safe behaviour after a deactivation, which is no reaction to a fault
-NUMBERS = {name: -number for number, name in enumerate((*SEVERITY, SAFE), start=1)}  # the gate's
-SAFE_BEHAVIOURS = {'hold_position': HOLD, 'gravity_compensation': DAMP, 'zero_torque': SAFE}
+SAFE = (
+    'safe'  # the safe behaviour after a deactivation, which is no reaction to a fault
+)
+NUMBERS = {
+    name: -number for number, name in enumerate((*SEVERITY, SAFE), start=1)
+}  # the gate's
+SAFE_BEHAVIOURS = {
+    'hold_position': HOLD,
+    'gravity_compensation': DAMP,
+    'zero_torque': SAFE,
+}
 COAST_TIME = 0.1  # s, in which an arm that cannot be seen any more is brought to rest
-DAMPING_RATE = 5.0  # 1/s, of `damp` and gravity compensation: joint damping over inertia
-DELAY_SHARE = 0.3  # of 1 / w of a hold, which its delay is at most: 40 degrees of phase margin
+DAMPING_RATE = (
+    5.0  # 1/s, of `damp` and gravity compensation: joint damping over inertia
+)
+DELAY_SHARE = (
+    0.3  # of 1 / w of a hold, which its delay is at most: 40 degrees of phase margin
+)
 FREE_FREQUENCY = 10.0  # rad/s, of what the operational point does not see of a posture
-LESS_DAMPING = 0.5  # ratio to which the damping of a hold that shakes is reduced first...
-SOFTER, SOFTEST = 0.8, 10.0  # ...then its natural frequency, by this factor, down to so many rad/s
+LESS_DAMPING = (
+    0.5  # ratio to which the damping of a hold that shakes is reduced first...
+)
+SOFTER, SOFTEST = (
+    0.8,
+    10.0,
+)  # ...then its natural frequency, by this factor, down to so many rad/s
 SETTLING_TIME = 0.2  # s that it is given to calm down
 UNLIKELY_TIME = 0.1  # s, for which velocities are not used after one was unlikely
 # A joint that turns round by more than SWING [rad/s] counts a turn, and forgets it within
 # TURN_TIME [s]. From TURNS of them on it shakes, 13 times a second or more; an arm that is held
 # by rigid drives does not swing so fast.
 SWING, TURN_TIME, TURNS = 0.05, 0.15, 4.0
-DIRECTION, EXTREME, TURNED = range(3)  # rows of what is known of swings, one column per joint
+DIRECTION, EXTREME, TURNED = range(
+    3
+)  # rows of what is known of swings, one column per joint
 AHEAD = 0.2  # of v / w, by which an arm in motion is held ahead of where a hold begins
-RETURN_SPEED = 0.05  # rad/s of each joint, at which a hold goes back to where the first one began
+RETURN_SPEED = (
+    0.05  # rad/s of each joint, at which a hold goes back to where the first one began
+)
 RETURN_WAY = 0.05  # rad of a joint, beyond which it has gone somewhere else
-COMMANDED_WAY = 5e-3  # m or rad of the reference since then, beyond which it was led elsewhere
+COMMANDED_WAY = (
+    5e-3  # m or rad of the reference since then, beyond which it was led elsewhere
+)
 FADE_TIME = 0.5  # s, by which a contact's force fades while the wrench is not known
 DROP_TIME = 0.02  # s, in which the force on a surface that has gone is dropped
 DROPPED = 1e-3  # N m in every joint, below which that counts as done
@@ -56,13 +79,28 @@ RELAPSES = 3  # in a row, of what the arm does or meets, after which control wai
 LONGEST_RECOVERY = 2.0  # s that all must be well, at most
 GROWTH = 3.0  # of the time that all must be well, from relapse to relapse
 # What comes from what the arm does and meets, and not from readings that are missing.
-PHYSICAL = ('motion', 'law', 'internal', 'joints_velocity', 'wrench_pull', 'wrench_stray',
-            'wrench_sideways', 'wrench_saturated', 'collision')
+PHYSICAL = (
+    'motion',
+    'law',
+    'internal',
+    'joints_velocity',
+    'wrench_pull',
+    'wrench_stray',
+    'wrench_sideways',
+    'wrench_saturated',
+    'collision',
+)
 
 
 def hold_torque(
-    way: Vector, velocity: Vector, bias_torque: Vector, mass_matrix: Matrix, jacobian: Matrix,
-    frequency: float, damping: float, laws: Records[Law],
+    way: Vector,
+    velocity: Vector,
+    bias_torque: Vector,
+    mass_matrix: Matrix,
+    jacobian: Matrix,
+    frequency: float,
+    damping: float,
+    laws: Records[Law],
 ) -> Vector:
     """
     Return the torque that holds a posture, shape (n,) [N m].
@@ -85,15 +123,16 @@ def hold_torque(
 
     """
     least = min(frequency, FREE_FREQUENCY)
-    free = least ** 2 * way - 2.0 * least * velocity
+    free = least**2 * way - 2.0 * least * velocity
     upper = np.triu(mass_matrix)
     torque: Vector = bias_torque + (upper + np.triu(upper, 1).T) @ free
     inertia: InertiaSpace = np.zeros(1, dtype=INERTIA_SPACE)[0]
     singular, _ = mobility_and_inertia(
-        mass_matrix, jacobian, laws['singular_mobility'][0], inertia)
+        mass_matrix, jacobian, laws['singular_mobility'][0], inertia
+    )
     if singular < 0.0:
         return torque
-    stiffer = frequency ** 2 * way - 2.0 * damping * frequency * velocity - free
+    stiffer = frequency**2 * way - 2.0 * damping * frequency * velocity - free
     torque += jacobian.T @ (inertia['Lambda'] @ (jacobian @ stiffer))
     return torque
 
@@ -142,7 +181,9 @@ class Reactions:
         self._stiffest, self._settling, self._unlikely = math.nan, 0.0, 0.0
         self.retune(config)
         self.forget()
-        self._hold(controller.arm, controller.arm.velocity)  # no tick is to wait for numba
+        self._hold(
+            controller.arm, controller.arm.velocity
+        )  # no tick is to wait for numba
         self.forget()
 
     def retune(self, config: ControllerConfig) -> None:
@@ -164,7 +205,9 @@ class Reactions:
     def end(self) -> None:
         """Control has resumed: the next reaction begins anew, and goes back if it comes soon."""
         self._posture: Vector | None = None
-        self._pressing: Matrix | None = None  # J^T N_i alpha_i of each contact, shape (n, r)
+        self._pressing: Matrix | None = (
+            None  # J^T N_i alpha_i of each contact, shape (n, r)
+        )
         self._coasting = 0
 
     def begin(self, answered: ControlOutput) -> None:
@@ -174,7 +217,9 @@ class Reactions:
         couple = contacts['config']['leader'] != np.arange(len(contacts))
         most = np.abs(answer['alpha_des'])
         least = np.where(couple, -most, 0.0)
-        alpha = np.where(answer['active'], np.clip(answer['alpha_est'], least, most), 0.0)
+        alpha = np.where(
+            answer['active'], np.clip(answer['alpha_est'], least, most), 0.0
+        )
         self._pressing = self._robot.terms.jacobian.T @ (contacts['N'].T * alpha)
 
     def stay(self) -> None:
@@ -184,19 +229,28 @@ class Reactions:
     def go_back(self) -> None:
         """Let a hold that begins be the first one, unless the arm was not led on since that."""
         reference = np.concatenate(
-            [self._task['position'][0], self._task['rotation'][0].ravel()])
+            [self._task['position'][0], self._task['rotation'][0].ravel()]
+        )
         if self._reference is None or (
-                np.abs(reference - self._reference).max() > COMMANDED_WAY):
+            np.abs(reference - self._reference).max() > COMMANDED_WAY
+        ):
             self.forget()
             self._reference = reference
 
     @property
     def presses(self) -> bool:
         """Whether a contact is still pressed, since the law held it."""
-        return self._pressing is not None and bool((np.abs(self._pressing) > DROPPED).any())
+        return self._pressing is not None and bool(
+            (np.abs(self._pressing) > DROPPED).any()
+        )
 
     def torque(
-        self, reaction: str, arm: ArmState | None, wrench_known: bool, rate: Vector, *,
+        self,
+        reaction: str,
+        arm: ArmState | None,
+        wrench_known: bool,
+        rate: Vector,
+        *,
         timed: bool = True,
     ) -> Vector:
         """
@@ -232,7 +286,10 @@ class Reactions:
             ahead = AHEAD / self._frequency if timed else 0.0
             self._posture = arm.q + ahead * rate
             self._begin_swings()
-        if self._first is None or np.abs(self._first - self._posture).max() > RETURN_WAY:
+        if (
+            self._first is None
+            or np.abs(self._first - self._posture).max() > RETURN_WAY
+        ):
             self._first = self._posture.copy()
         step = RETURN_SPEED * self._period
         self._posture += np.clip(self._first - self._posture, -step, step)
@@ -242,13 +299,21 @@ class Reactions:
             self._soften()
         # What may soon be refuted would push the arm: the estimate damps it already.
         unlikely = np.abs(arm.velocity - rate) > OFFSET + SHARE * np.abs(rate)
-        self._unlikely = UNLIKELY_TIME if unlikely.any() else self._unlikely - self._period
+        self._unlikely = (
+            UNLIKELY_TIME if unlikely.any() else self._unlikely - self._period
+        )
         velocity = rate if self._unlikely > 0.0 else arm.velocity
         terms = self._robot.terms
         return hold_torque(
-            self._posture - arm.q, velocity, arm.bias_torque, terms.mass_matrix,
-            terms.jacobian, self._frequency if timed else min(self._frequency, FREE_FREQUENCY),
-            self._damping, self._law)
+            self._posture - arm.q,
+            velocity,
+            arm.bias_torque,
+            terms.mass_matrix,
+            terms.jacobian,
+            self._frequency if timed else min(self._frequency, FREE_FREQUENCY),
+            self._damping,
+            self._law,
+        )
 
     def _begin_swings(self) -> None:
         self._swings[:] = 0.0
@@ -260,7 +325,9 @@ class Reactions:
         if self._damping > LESS_DAMPING:
             self._damping = LESS_DAMPING
         else:
-            self._frequency = max(SOFTER * self._frequency, min(SOFTEST, self._stiffest))
+            self._frequency = max(
+                SOFTER * self._frequency, min(SOFTEST, self._stiffest)
+            )
 
     def _press(self, wrench_known: bool) -> Vector | float:
         """Return what is left of the contacts' forces at the next tick, shape (n,) [N m]."""
@@ -286,7 +353,10 @@ class Steadiness:
     """Keeps to the severer of two reactions that take turns, as with joints that come and go."""
 
     def __init__(self, period: float) -> None:
-        self._keep, self._calm_ticks = math.exp(-period / FLICKER_TIME), round(CALM_TIME / period)
+        self._keep, self._calm_ticks = (
+            math.exp(-period / FLICKER_TIME),
+            round(CALM_TIME / period),
+        )
         self.reset()
 
     def reset(self) -> None:
@@ -300,9 +370,13 @@ class Steadiness:
         if self._before and reaction != self._before:
             self._changes += 1.0
             if self._changes > FLICKERS:
-                self._severer = max(reaction, self._before, self._severer, key=_severity)
+                self._severer = max(
+                    reaction, self._before, self._severer, key=_severity
+                )
         self._before = reaction
-        self._calm = self._calm + 1 if _severity(reaction) < _severity(self._severer) else 0
+        self._calm = (
+            self._calm + 1 if _severity(reaction) < _severity(self._severer) else 0
+        )
         if self._calm > self._calm_ticks:
             self._severer = ''
         return max(reaction, self._severer, key=_severity)
@@ -338,7 +412,9 @@ class Recovery:
 
     def stopped(self, causes: tuple[str, ...], tick: int) -> bool:
         """Take note of a reaction that begins at a tick of control; return if it is new."""
-        self.latched = self.latched or 'wrench_stray' in causes  # it presses on what is there
+        self.latched = (
+            self.latched or 'wrench_stray' in causes
+        )  # it presses on what is there
         soon = RELAPSE_TIME if _is_physical(causes) else SOON
         if (tick - self.resumed_at) * self._period > soon:
             self._relapses, self._wait = 0, self._shortest

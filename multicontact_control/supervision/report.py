@@ -10,19 +10,29 @@ from multicontact_control.records import CONTACT, CONTROL
 from multicontact_control.supervision.checks import COLLISION
 import numpy as np
 
-CAPACITY = 1000  # events; a limit that comes and goes at every tick must not fill the memory
+CAPACITY = (
+    1000  # events; a limit that comes and goes at every tick must not fill the memory
+)
 
 
 class SupervisorStatus(NamedTuple):
     """What the supervisor did in a tick, and why; the same object as long as nothing changes."""
 
-    reaction: str  # ``none``, ``inflate`` (R), or ``hold``, ``float``, ``damp`` for the law
+    reaction: (
+        str  # ``none``, ``inflate`` (R), or ``hold``, ``float``, ``damp`` for the law
+    )
     causes: tuple[str, ...] = ()  # what called for it
-    rejected: tuple[str, ...] = ()  # what was wrong with readings, whether it called for it or not
+    rejected: tuple[
+        str, ...
+    ] = ()  # what was wrong with readings, whether it called for it or not
     limits: tuple[str, ...] = ()  # that were enforced
     contact_states: tuple[str, ...] = ()
-    unwatched: str = ''  # whose measured torques are of no use, and what is not watched therefore
-    read_before: tuple[str, ...] = ()  # what was read of contacts before a touch, in words
+    unwatched: str = (
+        ''  # whose measured torques are of no use, and what is not watched therefore
+    )
+    read_before: tuple[
+        str, ...
+    ] = ()  # what was read of contacts before a touch, in words
 
 
 def no_answer(joints: int, contacts: int) -> ControlOutput:
@@ -54,7 +64,8 @@ class EventLog:
         self.repeats = 0
         self._status: SupervisorStatus | None = None  # of the newest tick
         self._ticks: dict[str, Counter[str]] = {
-            name: Counter() for name in ('reaction', 'rejected', 'limits')}
+            name: Counter() for name in ('reaction', 'rejected', 'limits')
+        }
         self._before: tuple[Any, ...] = ('', ())
 
     @property
@@ -78,7 +89,10 @@ class EventLog:
         self.repeats = 0
         if status is not None and ticks > 0:
             self._ticks['reaction'][status.reaction] += ticks
-            for name, found in (('rejected', status.rejected), ('limits', status.limits)):
+            for name, found in (
+                ('rejected', status.rejected),
+                ('limits', status.limits),
+            ):
                 for each in found:
                     self._ticks[name][each] += ticks
         return self._ticks
@@ -87,14 +101,29 @@ class EventLog:
         """Take in the status of a tick that is not as the one before, at a time [s]."""
         self._counted()
         self._status, self.repeats = status, 1
-        now = (status.reaction, status.causes, status.limits, status.contact_states,
-               len(status.read_before))
+        now = (
+            status.reaction,
+            status.causes,
+            status.limits,
+            status.contact_states,
+            len(status.read_before),
+        )
         if now == self._before:
             return
         for cause in status.causes:
             if cause.startswith(COLLISION) and cause not in self._before[1]:
                 self.collisions[cause] += 1
         self._before = now
-        self.events.append((time, ' | '.join([
-            status.reaction, ' '.join(status.causes + status.limits),
-            ', '.join(status.contact_states), *status.read_before])))
+        self.events.append(
+            (
+                time,
+                ' | '.join(
+                    [
+                        status.reaction,
+                        ' '.join(status.causes + status.limits),
+                        ', '.join(status.contact_states),
+                        *status.read_before,
+                    ]
+                ),
+            )
+        )

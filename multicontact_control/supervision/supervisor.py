@@ -11,7 +11,11 @@ from multicontact_control.control.controller import Controller, ControlOutput, D
 from multicontact_control.control.tasks import TaskSource
 from multicontact_control.diagnosis.explanations import Explanations
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.errors import CommandError, MulticontactError, SingularTaskError
+from multicontact_control.errors import (
+    CommandError,
+    MulticontactError,
+    SingularTaskError,
+)
 from multicontact_control.flags import (
     ALARMS,
     AMBIGUOUS,
@@ -39,9 +43,14 @@ from multicontact_control.tick import ACT, SEE, tick, WORKSPACE
 import numpy as np
 
 LOGGER = logging.getLogger(__name__)
-STANDING_TIME = 0.2  # s between two looks at what an arm that stands in a reaction weighs
+STANDING_TIME = (
+    0.2  # s between two looks at what an arm that stands in a reaction weighs
+)
 SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
-NAMED, UNNAMED = LIMITS | REFERENCE, -1  # what a status names; nothing that could be the same
+NAMED, UNNAMED = (
+    LIMITS | REFERENCE,
+    -1,
+)  # what a status names; nothing that could be the same
 CONTROLLED = (NONE, reactions.INFLATE)  # what the control law answers
 Answer = tuple[ControlOutput, SupervisorStatus | None]
 
@@ -66,7 +75,11 @@ class Supervisor:
     """
 
     def __init__(
-        self, config: ControllerConfig, robot: RobotModel, source: TaskSource, *,
+        self,
+        config: ControllerConfig,
+        robot: RobotModel,
+        source: TaskSource,
+        *,
         guarded: bool = True,
     ) -> None:
         self.guarded = guarded
@@ -78,16 +91,31 @@ class Supervisor:
         self.inputs = Inputs(config, controller, guarded=guarded)
         self.gate = TorqueGate(config, controller.arm, guarded=guarded)
         self.reactions = reactions.Reactions(config, controller)
-        self.explanations = Explanations(controller, self.inputs, self.task, guarded=guarded)
-        self._recovery = reactions.Recovery(config.watchdog.recovery_time, config.period)
+        self.explanations = Explanations(
+            controller, self.inputs, self.task, guarded=guarded
+        )
+        self._recovery = reactions.Recovery(
+            config.watchdog.recovery_time, config.period
+        )
         self._steadiness = reactions.Steadiness(config.period)
-        self._judgements: Records[checks.Judgement] = np.zeros(1, dtype=checks.JUDGEMENT)
+        self._judgements: Records[checks.Judgement] = np.zeros(
+            1, dtype=checks.JUDGEMENT
+        )
         self._judgement = self._judgements[0]
         self._memory = controller.memory
         self._records = (
-            self._joints, self._controls, controller.contacts, controller.laws, self.task.states,
-            self.task.limits, self._judgements, self.gate.records,
-            np.zeros(1, dtype=WORKSPACE), controller.arm.q, controller.arm.velocity)
+            self._joints,
+            self._controls,
+            controller.contacts,
+            controller.laws,
+            self.task.states,
+            self.task.limits,
+            self._judgements,
+            self.gate.records,
+            np.zeros(1, dtype=WORKSPACE),
+            controller.arm.q,
+            controller.arm.velocity,
+        )
         self._q, self._velocity = controller.arm.q, controller.arm.velocity
         self._torque_acts = self.gate.records['begun']
         self._states_changed = self.task.limits['changed']
@@ -155,13 +183,23 @@ class Supervisor:
                     self._allow_for_gravity()
             if seen.measured != self._wrench_known:
                 self._know_wrench(seen.measured)
-            if seen is not ALL_WELL or not self._in_control or (
-                    not self.guarded and self.task.seeks):
+            if (
+                seen is not ALL_WELL
+                or not self._in_control
+                or (not self.guarded and self.task.seeks)
+            ):
                 return self._step_apart(seen)
             self._part = 'law'
             self.task.ask(self._task_ticks * self._period)
-            found = tick(SEE | ACT, *self._records, terms.mass_matrix, terms.bias_torque,
-                         terms.jacobian, terms.jacobian_rate, *terms.placements)
+            found = tick(
+                SEE | ACT,
+                *self._records,
+                terms.mass_matrix,
+                terms.bias_torque,
+                terms.jacobian,
+                terms.jacobian_rate,
+                *terms.placements,
+            )
             self.controller.arm.flags = found
             if found & ALARMS:
                 return self._decide(seen, found)
@@ -210,8 +248,15 @@ class Supervisor:
     def _run(self, stage: int) -> int:
         """Run one stage of the compiled pass; return what was found."""
         terms = self._robot.terms
-        return tick(stage, *self._records, terms.mass_matrix, terms.bias_torque, terms.jacobian,
-                    terms.jacobian_rate, *terms.placements)
+        return tick(
+            stage,
+            *self._records,
+            terms.mass_matrix,
+            terms.bias_torque,
+            terms.jacobian,
+            terms.jacobian_rate,
+            *terms.placements,
+        )
 
     def _know_wrench(self, known: bool) -> None:
         """Say whether the wrench is of this sample, and the contacts' forces with it."""
@@ -278,13 +323,19 @@ class Supervisor:
         if self.guarded and not self.started and arm is not None:
             outside = outside_limits(self.config, arm.q, arm.pose.position_world)
             if outside:  # the limits would move it at once
-                causes, self.findings = (*causes, 'start_outside'), self.findings or outside
+                causes, self.findings = (
+                    (*causes, 'start_outside'),
+                    self.findings or outside,
+                )
         reaction = checks.reaction_to(causes, self.config)
         if reaction in CONTROLLED and self._paused:
             self._good_ticks += 1
             if missing := self._recovery.missing(self._good_ticks):
                 # Joints that come and go are not held.
-                floats = self._reaction == FLOAT and self._good_ticks * self._period < SEEN_TIME
+                floats = (
+                    self._reaction == FLOAT
+                    and self._good_ticks * self._period < SEEN_TIME
+                )
                 return FLOAT if floats else HOLD, missing
         return reaction, causes
 
@@ -327,7 +378,9 @@ class Supervisor:
     def _refuse(self, cause: str) -> Answer:
         """Answer without the control law because of what it says, or raise without guards."""
         if not self.guarded:
-            raise SingularTaskError('the torque: expected finite numbers, got NaN or infinity')
+            raise SingularTaskError(
+                'the torque: expected finite numbers, got NaN or infinity'
+            )
         if self._paused:
             self._recovery.relapsed((cause,))
         return self._react(checks.reaction_to((cause,), self.config), (cause,))
@@ -351,7 +404,10 @@ class Supervisor:
             self.reactions.go_back()
             self.reactions.begin(self._output)
         self._reacting = self._reacting + 1 if self._paused else 0
-        if self._reacting % round(STANDING_TIME / self._period) == 1 and not self._weighed:
+        if (
+            self._reacting % round(STANDING_TIME / self._period) == 1
+            and not self._weighed
+        ):
             gravity = self.explanations.gravity(self._causes)
             self._weighed = bool(gravity)
             self._add_finding(gravity)
@@ -367,7 +423,8 @@ class Supervisor:
             timed = not any(cause.startswith('clock') for cause in causes)
             torque = self.reactions.torque(reaction, arm, felt, rate, timed=timed)
         found = self.gate.apply(
-            reactions.NUMBERS[reaction], torque, seen=arm is not None and not blind)
+            reactions.NUMBERS[reaction], torque, seen=arm is not None and not blind
+        )
         if reaction == SAFE:
             reaction = NONE
         return self._report(reaction, causes, found, controlled=False)
@@ -414,7 +471,12 @@ class Supervisor:
         return text
 
     def _report(
-        self, reaction: str, causes: tuple[str, ...], found: int, *, controlled: bool = True,
+        self,
+        reaction: str,
+        causes: tuple[str, ...],
+        found: int,
+        *,
+        controlled: bool = True,
     ) -> Answer:
         """Return the answer of the tick; of contacts that no law controls nothing is known."""
         self._reaction = reaction
@@ -430,12 +492,19 @@ class Supervisor:
         if not self.guarded:
             return self._output, None
         named, plain = found & NAMED, self._seen is ALL_WELL and not causes
-        if self._reads_before[0] or self._states_changed[0] or not plain or named != self._named:
+        if (
+            self._reads_before[0]
+            or self._states_changed[0]
+            or not plain
+            or named != self._named
+        ):
             self._status = self._new_status(reaction, causes, named)
             self._named = named if plain else UNNAMED
         return self._output, self._status
 
-    def _new_status(self, reaction: str, causes: tuple[str, ...], named: int) -> SupervisorStatus:
+    def _new_status(
+        self, reaction: str, causes: tuple[str, ...], named: int
+    ) -> SupervisorStatus:
         """Return what was done in a tick in which something is not as in the one before."""
         unwatched, read_before = '', tuple[str, ...]()
         if self._seen.unheard:
@@ -443,8 +512,14 @@ class Supervisor:
         if self._reads_before[0]:
             read_before = self.task.read_before
         return SupervisorStatus(
-            reaction, causes, self._seen.rejected, limit_names(named), self.task.state_names,
-            unwatched, read_before)
+            reaction,
+            causes,
+            self._seen.rejected,
+            limit_names(named),
+            self.task.state_names,
+            unwatched,
+            read_before,
+        )
 
     @property
     def task_time(self) -> float:
@@ -482,4 +557,6 @@ class Supervisor:
 
 def not_supervised() -> CommandError:
     """Return the error of a tick that only a supervisor with guards can answer."""
-    return CommandError('control', hint='it needs the supervisor for this (supervised: true)')
+    return CommandError(
+        'control', hint='it needs the supervisor for this (supervised: true)'
+    )

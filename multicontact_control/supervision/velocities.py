@@ -27,7 +27,9 @@ HISTORY = 50  # joint states that are kept for an explanation
 MEMORY = 0.05  # s, in which evidence is forgotten
 OFFSET = 0.05  # rad/s by which a velocity may be wrong...
 SHARE = 0.25  # ...beside this share of it, which is that of a driver's low-pass, too
-LARGEST_UNREST = 2.5  # rad/s that velocities go up and down beside the estimate in `MEMORY`
+LARGEST_UNREST = (
+    2.5  # rad/s that velocities go up and down beside the estimate in `MEMORY`
+)
 PROOF = 10  # joint states, from the first on or in motion after wrong ones, that prove velocities
 PROVING = 0.02  # rad/s of a joint, from which on its motion may prove its velocity
 # The share of that rate, and rad/s beside it, by which such a velocity may miss the estimate; one
@@ -87,7 +89,11 @@ VELOCITY_STATE = record_dtype(VelocityState)
 
 @compiled
 def check_velocities(
-    tracks: Records[JointTrack], state: VelocityState, fastest: Vector, span: float, follows: bool,
+    tracks: Records[JointTrack],
+    state: VelocityState,
+    fastest: Vector,
+    span: float,
+    follows: bool,
     period: float,
 ) -> bool:
     """
@@ -117,28 +123,36 @@ def check_velocities(
         track.past_q[place], track.past_velocity[place] = track.q, track.velocity
         silent = silent and track.velocity == 0.0
         doubt = 0.0
-        if not abs(track.velocity) <= fastest[j]:  # it says nothing, and refutes nothing
+        if (
+            not abs(track.velocity) <= fastest[j]
+        ):  # it says nothing, and refutes nothing
             doubt = np.inf
             track.velocity = track.v_tracked
         way = track.q - track.last_q
         if evident:
             predicted = track.q_tracked + span * track.v_tracked
-            track.q_tracked = predicted + (1.0 - POLE ** 2) * (track.q - predicted)
+            track.q_tracked = predicted + (1.0 - POLE**2) * (track.q - predicted)
             change = (1.0 - POLE) ** 2 / span * (track.q - predicted)
             track.v_tracked += change
-            track.missed = keep * track.missed + way - (
-                0.5 * span * (track.velocity + track.last_velocity))
+            track.missed = (
+                keep * track.missed
+                + way
+                - (0.5 * span * (track.velocity + track.last_velocity))
+            )
             track.way = keep * track.way + abs(way)
             track.unrest = keep * track.unrest + (
-                abs(track.velocity - track.last_velocity - change))
+                abs(track.velocity - track.last_velocity - change)
+            )
         else:
             track.q_tracked = track.q
             if follows:
                 track.v_tracked = way / span
             track.missed = track.way = track.unrest = 0.0
         track.doubt = max(
-            doubt, track.unrest / LARGEST_UNREST,
-            abs(track.missed) / (OFFSET * MEMORY + SHARE * track.way))
+            doubt,
+            track.unrest / LARGEST_UNREST,
+            abs(track.missed) / (OFFSET * MEMORY + SHARE * track.way),
+        )
         contradicted = contradicted or track.doubt > 1.0
     state.silent = silent and (state.silent or contradicted)
     if state.silent:

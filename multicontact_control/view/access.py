@@ -24,10 +24,12 @@ def refusal(connection: Any, request: Request) -> Response | None:
     """Return the answer to a request that is not let in, None to one that is."""
     host, origin = request.headers.get('Host', ''), request.headers.get('Origin')
     if urlsplit(f'//{host}').hostname in LOCAL_NAMES and (
-            origin is None or urlsplit(origin).netloc == host):
+        origin is None or urlsplit(origin).netloc == host
+    ):
         return None
     response: Response = connection.respond(
-        HTTPStatus.FORBIDDEN, f'multicontact view: not for {origin or host}\n')
+        HTTPStatus.FORBIDDEN, f'multicontact view: not for {origin or host}\n'
+    )
     return response
 
 
@@ -39,8 +41,13 @@ def guarding() -> Iterator[None]:
 
     def guarded_serve(*arguments: Any, process_request: Any, **options: Any) -> Any:
         guarded.append(True)
-        return serve(*arguments, **options, process_request=lambda connection, request: (
-            refusal(connection, request) or process_request(connection, request)))
+        return serve(
+            *arguments,
+            **options,
+            process_request=lambda connection, request: (
+                refusal(connection, request) or process_request(connection, request)
+            ),
+        )
 
     module.serve = guarded_serve
     try:
@@ -48,4 +55,6 @@ def guarding() -> Iterator[None]:
     finally:
         module.serve = serve
     if not guarded:
-        raise RunError('page: expected viser to listen by websockets.asyncio, to be guarded')
+        raise RunError(
+            'page: expected viser to listen by websockets.asyncio, to be guarded'
+        )

@@ -13,15 +13,21 @@ from multicontact_control.arrays import Vector
 from multicontact_control.view import source
 from multicontact_control.view.source import Scene, Snapshot
 
-SCRUBBED = 0.3  # s without a request, after which the slider shows the time of a recording
+SCRUBBED = (
+    0.3  # s without a request, after which the slider shows the time of a recording
+)
 PRESS = 10.0  # N
 SIGNS = {'-': -1.0, '+': 1.0}
 SPEEDS = {'0.1 x': 0.1, '0.5 x': 0.5, '1 x': 1.0, '2 x': 2.0, '5 x': 5.0}
 STIFFNESS, FRICTION = (200.0, 80_000.0), (0.01, 1.0)  # N/m
 MARKED = {1000.0: '1000', 10_000.0: '10 000'}  # N/m
 # Unit, least, largest, step.
-GAINS = dict(zip(source.GAIN_NAMES, (
-    ('rad/s', 5.0, 60.0, 1.0), ('s', 0.01, 0.1, 0.001), ('1/s', 0.0, 200.0, 5.0))))
+GAINS = dict(
+    zip(
+        source.GAIN_NAMES,
+        (('rad/s', 5.0, 60.0, 1.0), ('s', 0.01, 0.1, 0.001), ('1/s', 0.0, 200.0, 5.0)),
+    )
+)
 MAX_MARKS = 200  # that can be jumped to
 # What a button does next.
 PLAY, PLAY_AGAIN, PAUSE = 'Play', 'Play again from the start', 'Pause'
@@ -50,7 +56,9 @@ class Requests:
     def take(self) -> tuple[str, dict[str, Any]] | None:
         """Return the command that has waited longest, if any waits."""
         with self._lock:
-            return self._waiting.pop(next(iter(self._waiting))) if self._waiting else None
+            return (
+                self._waiting.pop(next(iter(self._waiting))) if self._waiting else None
+            )
 
     @property
     def waiting(self) -> bool:
@@ -65,7 +73,9 @@ class Requests:
 class Controls:
     """Elements of `gui` that add to `requests` what a source can do; `scene_view` has a handle."""
 
-    def __init__(self, gui: Any, scene: Scene, requests: Requests, scene_view: Any) -> None:
+    def __init__(
+        self, gui: Any, scene: Scene, requests: Requests, scene_view: Any
+    ) -> None:
         self._gui, self._requests, self._scene_view = gui, requests, scene_view
         self._forces: dict[str, Any] = {}
         self._surfaces: dict[str, tuple[Any, Any, Any]] = {}
@@ -92,17 +102,26 @@ class Controls:
             else:
                 gui.add_markdown('*needs a simulated plant*')
 
-    def _button(self, text: str, name: str, hint: str = '',
-                values: Callable[[], dict[str, Any]] = dict) -> Any:
+    def _button(
+        self,
+        text: str,
+        name: str,
+        hint: str = '',
+        values: Callable[[], dict[str, Any]] = dict,
+    ) -> Any:
         """Add a button that gives a command."""
         button = self._gui.add_button(text, hint=hint or None)
         button.on_click(lambda _: self._requests.add(button, name, **values()))
         return button
 
-    def _axes(self, text: str, name: str, values: Callable[[list[float]], dict[str, Any]]) -> None:
+    def _axes(
+        self, text: str, name: str, values: Callable[[list[float]], dict[str, Any]]
+    ) -> None:
         """Add buttons along the axes, which give a command with the values of a direction."""
         for number, axis in enumerate('xyz'):
-            group = self._gui.add_button_group(f'{text} {axis}', (f'-{axis}', f'+{axis}'))
+            group = self._gui.add_button_group(
+                f'{text} {axis}', (f'-{axis}', f'+{axis}')
+            )
 
             def click(event: Any, number: int = number) -> None:
                 direction = [0.0, 0.0, 0.0]
@@ -112,10 +131,16 @@ class Controls:
             group.on_click(click)
 
     def _on_change(
-        self, handle: Any, name: str, values: Callable[[Any], dict[str, Any]],
+        self,
+        handle: Any,
+        name: str,
+        values: Callable[[Any], dict[str, Any]],
     ) -> None:
         """Let an element give a command when a user changes it, not when the page does."""
-        async def changed(event: Any) -> None:  # in viser's thread, with the value it was told
+
+        async def changed(
+            event: Any,
+        ) -> None:  # in viser's thread, with the value it was told
             if event.client_id is not None:
                 self._requests.add(handle, name, **values(event.target.value))
 
@@ -126,18 +151,36 @@ class Controls:
         for column in config.columns:
             couple = column.half_length > 0.0
             slider = gui.add_slider(
-                f'{column.name} [N]', min=-largest if couple else 0.0, max=largest, step=0.5,
-                initial_value=0.0, hint='couple, as a force at its end' if couple else
-                f'0, or {config.contact_state.smallest_force:g} to {largest:g} N')
-            self._on_change(slider, source.FORCES, partial(
-                lambda name, value: {name: value}, column.name))
+                f'{column.name} [N]',
+                min=-largest if couple else 0.0,
+                max=largest,
+                step=0.5,
+                initial_value=0.0,
+                hint='couple, as a force at its end'
+                if couple
+                else f'0, or {config.contact_state.smallest_force:g} to {largest:g} N',
+            )
+            self._on_change(
+                slider,
+                source.FORCES,
+                partial(lambda name, value: {name: value}, column.name),
+            )
             self._forces[column.name] = slider
-        self._button(f'Press with {PRESS:g} N', source.FORCES, 'every contact',
-                     values=lambda: dict.fromkeys(config.contact_names, PRESS))
-        self._button('Let go', source.FORCES, 'of every contact',
-                     values=lambda: dict.fromkeys(config.column_names, 0.0))
-        self._hold = self._button(HOLD, source.HOLD, values=lambda: {
-            'on': self._hold.label == HOLD})
+        self._button(
+            f'Press with {PRESS:g} N',
+            source.FORCES,
+            'every contact',
+            values=lambda: dict.fromkeys(config.contact_names, PRESS),
+        )
+        self._button(
+            'Let go',
+            source.FORCES,
+            'of every contact',
+            values=lambda: dict.fromkeys(config.column_names, 0.0),
+        )
+        self._hold = self._button(
+            HOLD, source.HOLD, values=lambda: {'on': self._hold.label == HOLD}
+        )
         self._button('Seek given-up contacts again', source.RETRY)
 
     def _add_motion(self) -> None:
@@ -154,29 +197,52 @@ class Controls:
 
         drag.on_update(offered)
         step = gui.add_slider('jog step [mm]', min=1, max=50, step=1, initial_value=10)
-        self._axes('jog', source.JOG, lambda direction: {
-            'offset': [1e-3 * step.value * x for x in direction]})
+        self._axes(
+            'jog',
+            source.JOG,
+            lambda direction: {'offset': [1e-3 * step.value * x for x in direction]},
+        )
         with gui.add_folder('Pattern'):
             axis = gui.add_dropdown('sine along', ('x', 'y', 'z'))
-            amplitude = gui.add_slider('amplitude [mm]', min=5, max=150, step=5, initial_value=80)
-            period = gui.add_slider('period [s]', min=2.0, max=16.0, step=0.5, initial_value=6.0)
-            self._button('Start the sine', source.PATTERN, values=lambda: {
-                'axis': axis.value, 'amplitude': 1e-3 * amplitude.value,
-                'period': float(period.value)})
+            amplitude = gui.add_slider(
+                'amplitude [mm]', min=5, max=150, step=5, initial_value=80
+            )
+            period = gui.add_slider(
+                'period [s]', min=2.0, max=16.0, step=0.5, initial_value=6.0
+            )
+            self._button(
+                'Start the sine',
+                source.PATTERN,
+                values=lambda: {
+                    'axis': axis.value,
+                    'amplitude': 1e-3 * amplitude.value,
+                    'period': float(period.value),
+                },
+            )
         self._button('Stop every motion', source.STOP)
 
     def _add_tuning(self) -> None:
         gui = self._gui
         for name, (unit, low, high, step) in GAINS.items():
             self._gains[name] = gui.add_slider(
-                f'{name} [{unit}]', min=low, max=high, step=step, initial_value=low)
-        self._button('Set these gains', source.GAINS, 'the torque goes over smoothly', lambda: {
-            name: float(slider.value) for name, slider in self._gains.items()})
+                f'{name} [{unit}]', min=low, max=high, step=step, initial_value=low
+            )
+        self._button(
+            'Set these gains',
+            source.GAINS,
+            'the torque goes over smoothly',
+            lambda: {name: float(slider.value) for name, slider in self._gains.items()},
+        )
         with gui.add_folder('Wrist sensor'):
             self._button('Tare the sensor', source.TARE, 'nothing may touch the tool')
-            self._button('Start the push test', source.PUSH_TEST, 'proves sign, frame, scale')
-            self._button('Cancel the push test', source.CANCEL_PUSH_TEST,
-                         'also one that has ended because nothing pushed')
+            self._button(
+                'Start the push test', source.PUSH_TEST, 'proves sign, frame, scale'
+            )
+            self._button(
+                'Cancel the push test',
+                source.CANCEL_PUSH_TEST,
+                'also one that has ended because nothing pushed',
+            )
 
     def _add_world(self, scene: Scene) -> None:
         gui = self._gui
@@ -186,20 +252,39 @@ class Controls:
                 stiffness, scale, friction = self._surfaces[name] = (
                     gui.add_number('stiffness [N/m]', state.stiffness),
                     gui.add_multi_slider(
-                        'log scale', min=math.log10(low), max=math.log10(high), step=0.01,
-                        initial_value=_exponent(state.stiffness), marks=tuple(
-                            (math.log10(value), text) for value, text in MARKED.items())),
-                    gui.add_slider('friction', min=min(FRICTION[0], state.friction),
-                                   max=max(FRICTION[1], state.friction), step=0.01,
-                                   initial_value=state.friction))
+                        'log scale',
+                        min=math.log10(low),
+                        max=math.log10(high),
+                        step=0.01,
+                        initial_value=_exponent(state.stiffness),
+                        marks=tuple(
+                            (math.log10(value), text) for value, text in MARKED.items()
+                        ),
+                    ),
+                    gui.add_slider(
+                        'friction',
+                        min=min(FRICTION[0], state.friction),
+                        max=max(FRICTION[1], state.friction),
+                        step=0.01,
+                        initial_value=state.friction,
+                    ),
+                )
             self._on_change(scale, source.SURFACE, partial(self._scaled_surface, name))
             for number in (stiffness, friction):
                 self._on_change(number, source.SURFACE, partial(self._surface, name))
         with gui.add_folder('Push'):
             where = gui.add_dropdown('push at', ('operational point', 'tool'))
-            force = gui.add_slider('force [N]', min=1.0, max=20.0, step=1.0, initial_value=5.0)
-            self._axes('push along', source.PUSH, lambda direction: {
-                'force': [force.value * x for x in direction], 'tool': where.value == 'tool'})
+            force = gui.add_slider(
+                'force [N]', min=1.0, max=20.0, step=1.0, initial_value=5.0
+            )
+            self._axes(
+                'push along',
+                source.PUSH,
+                lambda direction: {
+                    'force': [force.value * x for x in direction],
+                    'tool': where.value == 'tool',
+                },
+            )
 
     def _scaled_surface(self, name: str, exponents: tuple[float]) -> dict[str, Any]:
         self._surfaces[name][0].value = float(f'{10.0 ** exponents[0]:.2g}')
@@ -208,20 +293,27 @@ class Controls:
     def _surface(self, name: str, _changed: object = None) -> dict[str, Any]:
         """Return what the elements of a surface show."""
         stiffness, _, friction = self._surfaces[name]
-        return {'name': name, 'stiffness': float(stiffness.value),
-                'friction': float(friction.value)}
+        return {
+            'name': name,
+            'stiffness': float(stiffness.value),
+            'friction': float(friction.value),
+        }
 
     def _add_replay(self, duration: float, marks: Sequence[tuple[float, str]]) -> None:
         gui = self._gui
-        self._play = self._button(PLAY, source.PLAY, values=lambda: {
-            'on': self._play.label != PAUSE})
+        self._play = self._button(
+            PLAY, source.PLAY, values=lambda: {'on': self._play.label != PAUSE}
+        )
         speed = gui.add_dropdown('speed', tuple(SPEEDS), initial_value='1 x')
         self._on_change(speed, source.SPEED, lambda value: {'factor': SPEEDS[value]})
-        self._time = gui.add_slider('time [s]', min=0.0, max=max(duration, 0.1), step=0.02,
-                                    initial_value=0.0)
+        self._time = gui.add_slider(
+            'time [s]', min=0.0, max=max(duration, 0.1), step=0.02, initial_value=0.0
+        )
         self._on_change(self._time, source.SEEK, lambda value: {'time': value})
-        jumps = {'0 s: start': 0.0, **{
-            f'{moment:.2f} s: {text}': moment for moment, text in marks[:MAX_MARKS]}}
+        jumps = {
+            '0 s: start': 0.0,
+            **{f'{moment:.2f} s: {text}': moment for moment, text in marks[:MAX_MARKS]},
+        }
         jump = gui.add_dropdown('jump to', tuple(jumps))
         self._on_change(jump, source.SEEK, lambda value: {'time': jumps[value]})
 
@@ -233,9 +325,18 @@ class Controls:
                 self._requests.add(self._play, source.PLAY, on=True)
             if self._requests.quiet_for() > SCRUBBED:
                 _show(self._time, round(min(snapshot.time, self._time.max), 2))
-            _show(self._play, PAUSE if snapshot.playing else PLAY_AGAIN
-                  if snapshot.time >= self._time.max else PLAY, 'label')
-        if snapshot.gains != self._shown_gains:  # at the start, and when they have been changed
+            _show(
+                self._play,
+                PAUSE
+                if snapshot.playing
+                else PLAY_AGAIN
+                if snapshot.time >= self._time.max
+                else PLAY,
+                'label',
+            )
+        if (
+            snapshot.gains != self._shown_gains
+        ):  # at the start, and when they have been changed
             self._shown_gains = snapshot.gains
             for name, value in snapshot.gains.items():
                 slider = self._gains[name]
@@ -254,7 +355,7 @@ class Controls:
 
 def _exponent(stiffness: float) -> tuple[float]:
     """Return what the logarithmic scale shows of a stiffness [N/m]."""
-    return round(math.log10(stiffness), 2),
+    return (round(math.log10(stiffness), 2),)
 
 
 def _show(handle: Any, value: Any, part: str = 'value') -> None:

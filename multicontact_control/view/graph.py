@@ -16,7 +16,11 @@ from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_topics import MARKER_NAMESPACE
 from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.link import CommandRefusedError, ControllerLink
-from multicontact_control.nodes.messages import ControllerStatus, new_identifier, REFUSED
+from multicontact_control.nodes.messages import (
+    ControllerStatus,
+    new_identifier,
+    REFUSED,
+)
 from multicontact_control.view import source
 from multicontact_control.view.motion import Motion
 from multicontact_control.view.streams import Stream
@@ -37,12 +41,24 @@ PACE_TIME = 2.0  # s, over which the real-time factor is taken
 # Of a motion: a page that was busy makes up for that in short steps, at little more speed.
 LONGEST_STEP, LONGEST_DELAY, CATCH_UP = 0.012, 0.2, 1.3  # s, s
 LISTENED = (
-    topics.JOINT_STATES, topics.MEASURED_FORCES, topics.POSE, topics.POSE_DESIRED,
-    topics.SURFACE_MARKERS, topics.CONTACT_MARKERS, topics.DIAGNOSTICS, topics.PUSH)
+    topics.JOINT_STATES,
+    topics.MEASURED_FORCES,
+    topics.POSE,
+    topics.POSE_DESIRED,
+    topics.SURFACE_MARKERS,
+    topics.CONTACT_MARKERS,
+    topics.DIAGNOSTICS,
+    topics.PUSH,
+)
 # Of the curves, in the order of `Snapshot.points`; the torques follow.
 DRAWN = (
-    topics.MEASURED_FORCES, topics.ESTIMATED_FORCES, topics.DESIRED_FORCES, topics.TRUE_FORCES,
-    topics.NOISE_VARIANCE, topics.INNOVATION)
+    topics.MEASURED_FORCES,
+    topics.ESTIMATED_FORCES,
+    topics.DESIRED_FORCES,
+    topics.TRUE_FORCES,
+    topics.NOISE_VARIANCE,
+    topics.INNOVATION,
+)
 LOOP = f'{topics.CONTROLLER}: loop'
 SHOWN = ('latency_us_p50', 'latency_us_p99', 'deadline_misses')  # of it, or `none`
 CEILING, JOINTS = 'command.force_ceiling', 'robot.joint_names'
@@ -71,28 +87,46 @@ class GraphSource:
     """
 
     def __init__(
-        self, setup: Setup, title: str = 'graph, as it runs', *, namespace: str = '',
-        domain_id: int | None = None, check: Callable[[], object] = lambda: None,
+        self,
+        setup: Setup,
+        title: str = 'graph, as it runs',
+        *,
+        namespace: str = '',
+        domain_id: int | None = None,
+        check: Callable[[], object] = lambda: None,
     ) -> None:
         config = self._config = setup.controller
         self._check = check
         self._link = ControllerLink(
-            LISTENED, namespace=namespace, domain_id=domain_id, timeout=PATIENCE,
-            on_status=self._note)
+            LISTENED,
+            namespace=namespace,
+            domain_id=domain_id,
+            timeout=PATIENCE,
+            on_status=self._note,
+        )
         self._streams = self._make_streams()
         self._push_publisher = create_publisher(self._link.node, topics.PUSH)
-        self._last_push: tuple[float, source.Push | None] = (0.0, None)  # and until when it lasts
-        self._pushed = {'': config.robot.operational_frame, **(
-            {'tool': setup.plant.tool_push_link} if setup.simulated else {})}
+        self._last_push: tuple[float, source.Push | None] = (
+            0.0,
+            None,
+        )  # and until when it lasts
+        self._pushed = {
+            '': config.robot.operational_frame,
+            **({'tool': setup.plant.tool_push_link} if setup.simulated else {}),
+        }
         self._motion, self._motion_identifier = Motion(config.limits), ''
         self._delay = 0.0  # of a motion, that is still to be made up for [s]
         self._changes = source.ChangeReader(config.contact_names)
         self._timing = source.Timing()
         self._events: list[tuple[float, str]] = []
         self._points: list[Any] = []
-        self._parts: dict[str, list[str]] = {}  # surfaces that make up one that is drawn
-        self._normals = {name: np.array(config.contacts[name].normal_world)
-                         for name in config.contact_names}
+        self._parts: dict[
+            str, list[str]
+        ] = {}  # surfaces that make up one that is drawn
+        self._normals = {
+            name: np.array(config.contacts[name].normal_world)
+            for name in config.contact_names
+        }
         self._start = self._stamp = -1  # of the first sample and the last [ns]
         self._answered = '', ''  # event and command of the last answer
         self._left_out_of = ''  # identifier of the motion of which that was told last
@@ -100,7 +134,9 @@ class GraphSource:
         self._held, self._heard = False, time.monotonic()
         self._next_point = self._next_snapshot = 0.0
         self._drawn_until = 0.0  # time of the last point [s]
-        self._stamps: deque[tuple[float, int]] = deque(maxlen=round(PACE_TIME * source.RATE))
+        self._stamps: deque[tuple[float, int]] = deque(
+            maxlen=round(PACE_TIME * source.RATE)
+        )
         try:
             gains, ceiling = self._meet()
             surfaces, self._surfaces = self._find_surfaces()
@@ -111,32 +147,46 @@ class GraphSource:
         true_forces = self._streams[topics.TRUE_FORCES]
         true_forces.look()
         self.scene = source.Scene(
-            title, config, setup.urdf_dir, surfaces or source.felt_surfaces(config),
-            simulated=dict(self._surfaces), largest_force=ceiling,
-            true_forces=bool(np.isfinite(true_forces.newest).any()))
+            title,
+            config,
+            setup.urdf_dir,
+            surfaces or source.felt_surfaces(config),
+            simulated=dict(self._surfaces),
+            largest_force=ceiling,
+            true_forces=bool(np.isfinite(true_forces.newest).any()),
+        )
 
     def _make_streams(self) -> dict[topics.Topic, Stream]:
         node, config = self._link.node, self._config
-        limit = np.array(config.torque_limit or [np.inf] * len(config.robot.joint_names))
+        limit = np.array(
+            config.torque_limit or [np.inf] * len(config.robot.joint_names)
+        )
         streams = {topic: Stream(node, topic, config.column_names) for topic in DRAWN}
         streams[topics.EFFORT_COMMAND] = Stream(
-            node, topics.EFFORT_COMMAND, config.robot.joint_names,
-            lambda torques: np.abs(torques) / limit)
+            node,
+            topics.EFFORT_COMMAND,
+            config.robot.joint_names,
+            lambda torques: np.abs(torques) / limit,
+        )
         return streams
 
     def _meet(self) -> tuple[dict[str, float], float]:
         """Check that the controller is the expected one; return its gains and force ceiling."""
         config, message = self._config, self._link.fresh(topics.MEASURED_FORCES)[0]
         *gains, ceiling, joints = self._link.parameters(
-            topics.CONTROLLER, *source.GAIN_NAMES, CEILING, JOINTS)
+            topics.CONTROLLER, *source.GAIN_NAMES, CEILING, JOINTS
+        )
         _require_joints(config.robot.joint_names, tuple(joints))
         if tuple(message.name) != config.column_names:
             raise RunError(
                 f'contact_forces/measured: expected {", ".join(config.column_names)}, got '
-                f'{", ".join(message.name)}; name its --scenario and --plant')
+                f'{", ".join(message.name)}; name its --scenario and --plant'
+            )
         return dict(zip(source.GAIN_NAMES, gains)), ceiling
 
-    def _find_surfaces(self) -> tuple[tuple[source.Surface, ...], dict[str, source.SurfaceState]]:
+    def _find_surfaces(
+        self,
+    ) -> tuple[tuple[source.Surface, ...], dict[str, source.SurfaceState]]:
         """Return what a simulator has to be touched, and can change; nothing without one."""
         give_up = time.monotonic() + SIMULATOR_WAIT
         while (message := self._link.newest(topics.SURFACE_MARKERS)) is None:
@@ -144,12 +194,18 @@ class GraphSource:
                 return (), {}
             time.sleep(0.01)
         drawn = tuple(_surface_of(marker) for marker in message.markers)
-        listed = self._link.call(topics.SIM, ListParameters, 'list_parameters',
-                                 ListParameters.Request(prefixes=['surfaces'])).result.names
+        listed = self._link.call(
+            topics.SIM,
+            ListParameters,
+            'list_parameters',
+            ListParameters.Request(prefixes=['surfaces']),
+        ).result.names
         states = {}
         for name in (x.split('.')[1] for x in listed if x.endswith('.stiffness')):
-            stiffness, friction, contact = self._link.parameters(topics.SIM, *(
-                f'surfaces.{name}.{x}' for x in ('stiffness', 'friction', 'contact')))
+            stiffness, friction, contact = self._link.parameters(
+                topics.SIM,
+                *(f'surfaces.{name}.{x}' for x in ('stiffness', 'friction', 'contact')),
+            )
             if (whole := contact or name) in {surface.name for surface in drawn}:
                 self._parts.setdefault(whole, []).append(name)
                 states[whole] = source.SurfaceState(stiffness, friction)
@@ -177,8 +233,14 @@ class GraphSource:
         if now < self._next_snapshot:
             return []
         self._next_snapshot = now + 1.0 / source.RATE
-        pose, desired = (self._link.newest(x) for x in (topics.POSE, topics.POSE_DESIRED))
-        return [] if pose is None or desired is None else [self._snapshot(now, pose, desired)]
+        pose, desired = (
+            self._link.newest(x) for x in (topics.POSE, topics.POSE_DESIRED)
+        )
+        return (
+            []
+            if pose is None or desired is None
+            else [self._snapshot(now, pose, desired)]
+        )
 
     def close(self) -> None:
         """Leave the graph, which goes on."""
@@ -193,23 +255,35 @@ class GraphSource:
         """Add two points to the curves: the least and the greatest since the last ones."""
         middle = 0.5 * (self._drawn_until + self._time)
         least, greatest = zip(*(stream.extremes() for stream in self._streams.values()))
-        self._points += [np.concatenate([[middle], *least]),
-                         np.concatenate([[self._time], *greatest])]
+        self._points += [
+            np.concatenate([[middle], *least]),
+            np.concatenate([[self._time], *greatest]),
+        ]
         self._drawn_until = self._time
 
     def _joint_positions(self) -> Any:
         message = self._link.newest(topics.JOINT_STATES)
         known = {} if message is None else dict(zip(message.name, message.position))
-        return np.array([known.get(name, np.nan) for name in self._config.robot.joint_names])
+        return np.array(
+            [known.get(name, np.nan) for name in self._config.robot.joint_names]
+        )
 
     def _note(self, status: ControllerStatus) -> None:
         """Tell what has changed and what is refused, and make no motion that is not obeyed."""
-        now, refused, answer = self._time, status.event == REFUSED, (status.event, status.command)
-        of_motion = refused and self._motion.what and status.command == self._motion_identifier
+        now, refused, answer = (
+            self._time,
+            status.event == REFUSED,
+            (status.event, status.command),
+        )
+        of_motion = (
+            refused and self._motion.what and status.command == self._motion_identifier
+        )
         texts = []
         if refused and not of_motion and answer != self._answered:
             texts.append(f'refused: {status.text}')
-        if status.left_out and self._left_out_of != status.command:  # of every point of a motion
+        if (
+            status.left_out and self._left_out_of != status.command
+        ):  # of every point of a motion
             self._left_out_of = status.command
             texts.append(status.left_out)
         if status.command:  # which is resent until it is answered
@@ -218,9 +292,17 @@ class GraphSource:
             self._held = status.held
             texts.append('pose and forces held' if status.held else 'hold released')
         if status.contacts:
-            texts.append(self._changes.read(Event(
-                now, status.reaction, tuple(status.causes.split()), (),
-                tuple(status.contact_states.values()))))
+            texts.append(
+                self._changes.read(
+                    Event(
+                        now,
+                        status.reaction,
+                        tuple(status.causes.split()),
+                        (),
+                        tuple(status.contact_states.values()),
+                    )
+                )
+            )
         if self._motion.what:
             why = ''
             if of_motion:
@@ -242,11 +324,15 @@ class GraphSource:
         for report in self._link.queue(topics.DIAGNOSTICS):
             for part in report.status:
                 if part.name.rpartition('/')[2] == LOOP:
-                    values = {each.key: float(each.value.replace('none', 'nan'))
-                              for each in part.values if each.key in SHOWN}
+                    values = {
+                        each.key: float(each.value.replace('none', 'nan'))
+                        for each in part.values
+                        if each.key in SHOWN
+                    }
                     typical, worst, misses = (values[key] for key in SHOWN)
                     self._timing = source.Timing(
-                        typical, worst, self._timing.misses + int(misses), pace)
+                        typical, worst, self._timing.misses + int(misses), pace
+                    )
 
     def _look_at_normals(self) -> None:
         """Take the normals, which a controller may find on-line, from the arrows of the forces."""
@@ -254,7 +340,9 @@ class GraphSource:
         for marker in () if message is None else message.markers:
             name = marker.ns.removeprefix(f'{MARKER_NAMESPACE}/')
             if name in self._normals and marker.action == Marker.ADD:
-                tail, tip = (np.array([point.x, point.y, point.z]) for point in marker.points)
+                tail, tip = (
+                    np.array([point.x, point.y, point.z]) for point in marker.points
+                )
                 self._normals[name] = (tip - tail) / np.linalg.norm(tip - tail)
 
     def _look_at_pushes(self) -> None:
@@ -262,11 +350,17 @@ class GraphSource:
         for message in self._link.queue(topics.PUSH):
             force, where = message.vector, message.header.frame_id
             push = source.Push(
-                (force.x, force.y, force.z), self._pushed.get(where, self._pushed['']))
+                (force.x, force.y, force.z), self._pushed.get(where, self._pushed[''])
+            )
             self._last_push = self._time + PUSH_TIME, push
-            forces = (f'{x:+g} N along {axis}' for axis, x in zip('xyz', push.force_world) if x)
-            self._events.append((
-                self._time, f'push{where and " on the "}{where}: {", ".join(forces)}'))
+            forces = (
+                f'{x:+g} N along {axis}'
+                for axis, x in zip('xyz', push.force_world)
+                if x
+            )
+            self._events.append(
+                (self._time, f'push{where and " on the "}{where}: {", ".join(forces)}')
+            )
 
     def _snapshot(self, now: float, pose: Any, desired: Any) -> source.Snapshot:
         config, status = self._config, self._link.last_status
@@ -274,7 +368,9 @@ class GraphSource:
         self._look_at_normals()
         self._look_at_pushes()
         markers = self._link.newest(topics.SURFACE_MARKERS)
-        measured, estimated, wanted, true = (self._streams[topic].newest for topic in DRAWN[:4])
+        measured, estimated, wanted, true = (
+            self._streams[topic].newest for topic in DRAWN[:4]
+        )
         points, self._points = self._points, []
         events, self._events = self._events, []
         anew, self._anew = self._anew, False
@@ -282,44 +378,72 @@ class GraphSource:
         return source.Snapshot(
             time=self._time,
             q=self._joint_positions(),
-            position=position, quaternion=quaternion,
+            position=position,
+            quaternion=quaternion,
             position_des=messages.pose_arrays(desired.pose)[0],
-            measured=measured, estimated=estimated, desired=wanted, true=true,
+            measured=measured,
+            estimated=estimated,
+            desired=wanted,
+            true=true,
             normals_world=np.array(list(self._normals.values())),
-            states=tuple(status.contact_states.values() if status else ()) or (
-                'free',) * len(config.contact_names),
-            reaction='no samples' if now - self._heard > SILENCE else
-            'none' if status is None else status.reaction,
+            states=tuple(status.contact_states.values() if status else ())
+            or ('free',) * len(config.contact_names),
+            reaction='no samples'
+            if now - self._heard > SILENCE
+            else 'none'
+            if status is None
+            else status.reaction,
             reasons=() if status is None else tuple(status.causes.split()),
             points=np.array(points).reshape(-1, source.point_width(config)),
             # Forces that are obeyed: commanded ones, or those of a scenario.
-            commanded=(status and dict(status.forces)) or {
-                name: force for name, force in zip(config.column_names, wanted.tolist())
-                if np.isfinite(force)},
-            goal=self._motion.goal, events=tuple(events), timing=self._timing,
-            held=self._held, moving=self._motion.what,
-            push_test='' if status is None else status.push_test, gains=self._gains,
+            commanded=(status and dict(status.forces))
+            or {
+                name: force
+                for name, force in zip(config.column_names, wanted.tolist())
+                if np.isfinite(force)
+            },
+            goal=self._motion.goal,
+            events=tuple(events),
+            timing=self._timing,
+            held=self._held,
+            moving=self._motion.what,
+            push_test='' if status is None else status.push_test,
+            gains=self._gains,
             push=self._last_push[1] if self._time < self._last_push[0] else None,
-            surfaces=dict(self._surfaces), anew=anew, places_world={} if markers is None else {
-                _name_of(marker): _place_of(marker) for marker in markers.markers})
+            surfaces=dict(self._surfaces),
+            anew=anew,
+            places_world={}
+            if markers is None
+            else {_name_of(marker): _place_of(marker) for marker in markers.markers},
+        )
 
     def command(self, name: str, /, **values: Any) -> str:
         """Give a command, and return what comes of it; see `Source.command`."""
         try:
             return self._command(name, **values)
         except MulticontactError as error:
-            if not isinstance(error, CommandRefusedError):  # which the controller tells of
+            if not isinstance(
+                error, CommandRefusedError
+            ):  # which the controller tells of
                 self._events.append((self._time, f'refused: {error}'))
             raise
 
     def _command(self, name: str, /, **values: Any) -> str:
         motion = self._motion
         motions: Mapping[str, Callable[..., str]] = {
-            source.GO_TO: motion.go_to, source.JOG: motion.jog, source.PATTERN: motion.start_sine}
+            source.GO_TO: motion.go_to,
+            source.JOG: motion.jog,
+            source.PATTERN: motion.start_sine,
+        }
         commands: Mapping[str, Callable[..., str]] = {
-            source.FORCES: self._set_forces, source.STOP: motion.stop, source.HOLD: self._hold,
-            source.GAINS: self._set_gains, source.SURFACE: self._set_surface,
-            source.PUSH: self._push, **motions}
+            source.FORCES: self._set_forces,
+            source.STOP: motion.stop,
+            source.HOLD: self._hold,
+            source.GAINS: self._set_gains,
+            source.SURFACE: self._set_surface,
+            source.PUSH: self._push,
+            **motions,
+        }
         if name in motions:
             self._start_motion()
         if name in commands:
@@ -327,8 +451,10 @@ class GraphSource:
         return self._link.ask(name, Trigger, Trigger.Request()) or name
 
     def _set_forces(self, **forces: float) -> str:
-        self._link.command(topics.FORCE_COMMAND, messages.joint_state_message(
-            0, list(forces), effort=list(forces.values())))
+        self._link.command(
+            topics.FORCE_COMMAND,
+            messages.joint_state_message(0, list(forces), effort=list(forces.values())),
+        )
         return ', '.join(f'{name} {force:g} N' for name, force in forces.items())
 
     def _move_on(self, period: float) -> None:
@@ -340,7 +466,10 @@ class GraphSource:
         self._delay -= step
         if (pose := self._motion.advance(step)) is not None:
             self._link.send(
-                topics.MOTION_COMMAND, messages.motion_message(*pose), self._motion_identifier)
+                topics.MOTION_COMMAND,
+                messages.motion_message(*pose),
+                self._motion_identifier,
+            )
 
     def _start_motion(self) -> None:
         """Begin a motion from where the point should be, or go on with the one under way."""
@@ -353,8 +482,11 @@ class GraphSource:
 
     def _hold(self, on: bool) -> str:
         if on and self._motion.what:
-            self._link.send(topics.MOTION_COMMAND, messages.motion_message(*self._motion.halt()),
-                            self._motion_identifier)
+            self._link.send(
+                topics.MOTION_COMMAND,
+                messages.motion_message(*self._motion.halt()),
+                self._motion_identifier,
+            )
         return self._link.ask('hold', SetBool, SetBool.Request(data=on))
 
     def _set_gains(self, **gains: float) -> str:
@@ -364,9 +496,14 @@ class GraphSource:
 
     def _set_surface(self, name: str, stiffness: float, friction: float) -> str:
         state = source.SurfaceState(stiffness, friction)
-        self._link.set_parameters(topics.SIM, {
-            f'surfaces.{part}.{key}': value for part in self._parts[name]
-            for key, value in state._asdict().items()})
+        self._link.set_parameters(
+            topics.SIM,
+            {
+                f'surfaces.{part}.{key}': value
+                for part in self._parts[name]
+                for key, value in state._asdict().items()
+            },
+        )
         self._surfaces[name] = state
         return f'{name}: {stiffness:g} N/m, friction {friction:g}'
 
@@ -389,8 +526,12 @@ def _place_of(marker: Marker) -> Vector3:
 def _surface_of(marker: Marker) -> source.Surface:
     """Return a surface as a simulator has it drawn: corners of triangles."""
     corners = np.array([(point.x, point.y, point.z) for point in marker.points])
-    return source.Surface(_name_of(marker), (0.0, 0.0, -1.0), _place_of(marker),
-                          Patch(corners, np.arange(len(corners)).reshape(-1, 3)))
+    return source.Surface(
+        _name_of(marker),
+        (0.0, 0.0, -1.0),
+        _place_of(marker),
+        Patch(corners, np.arange(len(corners)).reshape(-1, 3)),
+    )
 
 
 def _require_joints(expected: tuple[str, ...], joints: tuple[str, ...]) -> None:
@@ -398,7 +539,12 @@ def _require_joints(expected: tuple[str, ...], joints: tuple[str, ...]) -> None:
     if joints == expected:
         return
     robots = map(find_robot, robot_names())
-    fitting = [f'--robot {robot.name}' for robot in robots
-               if joints == (robot.file.joint_names or robot.arm.joint_names)]
-    raise RunError(f'{JOINTS}: expected {", ".join(expected)}, got {", ".join(joints)}; name '
-                   f'{" or ".join(fitting) or "its --robot"}, and its --scenario')
+    fitting = [
+        f'--robot {robot.name}'
+        for robot in robots
+        if joints == (robot.file.joint_names or robot.arm.joint_names)
+    ]
+    raise RunError(
+        f'{JOINTS}: expected {", ".join(expected)}, got {", ".join(joints)}; name '
+        f'{" or ".join(fitting) or "its --robot"}, and its --scenario'
+    )

@@ -7,7 +7,12 @@ import math
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import LimitsConfig
-from multicontact_control.control.tasks import MotionReading, quintic, sine_motion, SineConfig
+from multicontact_control.control.tasks import (
+    MotionReading,
+    quintic,
+    sine_motion,
+    SineConfig,
+)
 from multicontact_control.supervision.command_limits import check_position, check_twist
 import numpy as np
 
@@ -28,7 +33,8 @@ class Sine:
     def __init__(self, axis: str, amplitude: float, period: float) -> None:
         self.name = f'sine along {axis}'
         self._config = SineConfig(
-            start_time=0.0, amplitude=amplitude, period=period, blend_time=BLEND_TIME)
+            start_time=0.0, amplitude=amplitude, period=period, blend_time=BLEND_TIME
+        )
         self._direction = np.eye(3)['xyz'.index(axis)]
         self.way = amplitude * self._direction
         self._time, self._end = 0.0, math.inf
@@ -53,9 +59,12 @@ class Sine:
         """Go on for a period [s]; return displacement, velocity and acceleration, shape (3, 3)."""
         self._time += period
         s, ds, dds = sine_motion(self._config, self._time)
-        b, db, ddb = quintic(self._end - self._time, BLEND_TIME)  # in time until the end
-        return np.outer((b * s, b * ds - db * s, b * dds - 2.0 * db * ds + ddb * s),
-                        self._direction)
+        b, db, ddb = quintic(
+            self._end - self._time, BLEND_TIME
+        )  # in time until the end
+        return np.outer(
+            (b * s, b * ds - db * s, b * dds - 2.0 * db * ds + ddb * s), self._direction
+        )
 
 
 class Motion:
@@ -68,7 +77,9 @@ class Motion:
     def __init__(self, limits: LimitsConfig) -> None:
         self._limits = limits
         self._largest_speed = min(SPEED, SHARE * limits.operational_speed)
-        self._largest_acceleration = min(ACCELERATION, SHARE * limits.operational_acceleration)
+        self._largest_acceleration = min(
+            ACCELERATION, SHARE * limits.operational_acceleration
+        )
         self.start(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
 
     def start(self, position: Vector, quaternion: Vector) -> None:
@@ -77,7 +88,10 @@ class Motion:
         self._place = np.array(position, dtype=float)
         self._goal, self._speed = self._place.copy(), np.zeros(3)
         self._acceleration = self._largest_acceleration  # at most, of the approach
-        self._sent, self._sent_speed = self._place.copy(), np.zeros(3)  # by the last answer
+        self._sent, self._sent_speed = (
+            self._place.copy(),
+            np.zeros(3),
+        )  # by the last answer
         self._sines: list[Sine] = []
         self._moving = False
 
@@ -130,9 +144,14 @@ class Motion:
     def stop(self) -> str:
         """Come to rest as near as the acceleration allows to where the point is on its way."""
         # That of a sine keeps it within the way of the sine.
-        self._acceleration = max([
-            self._largest_acceleration, *(sine.fastest[1] for sine in self._sines)])
-        self._place, self._speed, self._sines = self._sent.copy(), self._sent_speed.copy(), []
+        self._acceleration = max(
+            [self._largest_acceleration, *(sine.fastest[1] for sine in self._sines)]
+        )
+        self._place, self._speed, self._sines = (
+            self._sent.copy(),
+            self._sent_speed.copy(),
+            [],
+        )
         speed = float(np.linalg.norm(self._speed))
         self._goal = self._place + self._speed * speed / (2.0 * self._acceleration)
         return 'coming to rest'
@@ -140,7 +159,9 @@ class Motion:
     def halt(self) -> MotionReading:
         """Be at rest from now on where the last answer of `advance` was; return what says so."""
         self.start(self._sent, self._quaternion)
-        return MotionReading(self._place.copy(), self._quaternion, np.zeros(6), np.zeros(6))
+        return MotionReading(
+            self._place.copy(), self._quaternion, np.zeros(6), np.zeros(6)
+        )
 
     def advance(self, period: float) -> MotionReading | None:
         """Return what to command after a period [s], None if nothing changes."""
@@ -150,10 +171,12 @@ class Motion:
         for _ in range(steps):
             change = self._step(period / steps)
         now = np.array([self._place, self._speed, change]) + sum(
-            (sine.advance(period) for sine in self._sines), np.zeros((3, 3)))
+            (sine.advance(period) for sine in self._sines), np.zeros((3, 3))
+        )
         self._sines = [sine for sine in self._sines if not sine.over]
-        self._moving = bool(self._sines or np.any(self._place != self._goal)
-                            or np.any(self._speed))
+        self._moving = bool(
+            self._sines or np.any(self._place != self._goal) or np.any(self._speed)
+        )
         self._sent, self._sent_speed = now[:2]
         twist, acceleration = np.zeros(6), np.zeros(6)
         twist[:3], acceleration[:3] = now[1:]
@@ -167,7 +190,11 @@ class Motion:
         self._place += h * self._speed + 0.5 * h * h * change
         self._speed += h * change
         if np.abs(way).max() < ARRIVED and np.abs(self._speed).max() < ARRIVED:
-            self._place, self._speed, change = self._goal.copy(), np.zeros(3), np.zeros(3)
+            self._place, self._speed, change = (
+                self._goal.copy(),
+                np.zeros(3),
+                np.zeros(3),
+            )
         return change
 
 

@@ -36,7 +36,8 @@ SMALL = 'font-size:12px;line-height:18px;padding:2px 14px;white-space:pre-wrap;'
 ONE_LINE = 'white-space:nowrap;overflow:hidden;text-overflow:ellipsis'
 # Of what changes, so that nothing below moves under the mouse: px, of four lines and of twelve.
 ANSWER, EVENTS = (
-    f'box-sizing:content-box;height:{18 * lines}px;overflow-y:auto' for lines in (4, 12))
+    f'box-sizing:content-box;height:{18 * lines}px;overflow-y:auto' for lines in (4, 12)
+)
 # What viser has no call for: when a value is a command, how large the ends of sliders are written,
 # the title of the tab, and the time axes of charts, which uPlot leaves out of those that are made
 # before their width is known.
@@ -85,7 +86,9 @@ class Page:
         self.source, self.requests = source, Requests()
         with guarding(), redirect_stdout(io.StringIO()):
             server: Any = viser.ViserServer(host=HOST, port=port, verbose=False)
-        server.request_share_url = lambda *_, **__: None  # a client could ask for a public tunnel
+        server.request_share_url = lambda *_, **__: (
+            None
+        )  # a client could ask for a public tunnel
         self.server = server
         self.url = f'http://{HOST}:{server.get_port()}/'
         self.ended = ''
@@ -93,19 +96,30 @@ class Page:
         self._events: deque[tuple[float, str]] = deque(maxlen=LISTED)
         self._listed: list[tuple[float, str]] = []
         self._toast, self._push_test, self._undrawn = ('', 0.0), '', True
-        self._answered = True  # whether the newest snapshot shows what came of the last command
+        self._answered = (
+            True  # whether the newest snapshot shows what came of the last command
+        )
         self._next_texts = self._next_curves = 0.0
         self._build(server.gui, source.scene)
 
     def _build(self, gui: Any, scene: Scene) -> None:
         gui.configure_theme(
-            show_logo=False, show_share_button=False, brand_color=(46, 116, 190),
-            control_width='medium')
+            show_logo=False,
+            show_share_button=False,
+            brand_color=(46, 116, 190),
+            control_width='medium',
+        )
         gui.set_panel_label('multicontact view')
-        gui._websock_interface.queue_message(RunJavascriptMessage(SCRIPT.format(
-            watch_inputs=WATCH_INPUTS.read_text(encoding='utf-8'),
-            # A recording may be searched with its slider.
-            sliders_wait=json.dumps(scene.duration is None), title=json.dumps(scene.title))))
+        gui._websock_interface.queue_message(
+            RunJavascriptMessage(
+                SCRIPT.format(
+                    watch_inputs=WATCH_INPUTS.read_text(encoding='utf-8'),
+                    # A recording may be searched with its slider.
+                    sliders_wait=json.dumps(scene.duration is None),
+                    title=json.dumps(scene.title),
+                )
+            )
+        )
         self.scene_view = SceneView(self.server, scene)
         self.status = gui.add_html('')
         self.contacts = gui.add_html('')
@@ -117,12 +131,17 @@ class Page:
         gui.main_panel.set_width(CONTROLS_WIDTH)
         panel = gui.add_panel()
         with panel.add_tab('Curves'):
-            self.curves = Curves(gui, scene.config.column_names, scene.config.robot.joint_names,
-                                 scene.true_forces)
+            self.curves = Curves(
+                gui,
+                scene.config.column_names,
+                scene.config.robot.joint_names,
+                scene.true_forces,
+            )
         panel.dock_left()
         panel.set_width(CURVES_WIDTH)
         self.status.content = _lines(
-            html.escape(scene.title), '<b>waiting for samples</b>', '&nbsp;')
+            html.escape(scene.title), '<b>waiting for samples</b>', '&nbsp;'
+        )
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Give commands and show what comes until it is to stop; what has ended stays."""
@@ -156,10 +175,13 @@ class Page:
 
     def _write(self, work: Callable[..., None], *arguments: Any) -> None:
         """Change elements in the thread of viser's server, which they are not safe outside of."""
+
         async def change() -> None:
             work(*arguments)
 
-        asyncio.run_coroutine_threadsafe(change(), self.server.get_event_loop()).result()
+        asyncio.run_coroutine_threadsafe(
+            change(), self.server.get_event_loop()
+        ).result()
 
     def _give(self, name: str, values: dict[str, Any]) -> None:
         try:
@@ -174,7 +196,9 @@ class Page:
         self.answer.content = _line(html.escape(text), f'{style};{ANSWER}')
 
     def _show_end(self) -> None:
-        self.status.content = _line(f'<b style="color:{RED}">{html.escape(self.ended)}</b>')
+        self.status.content = _line(
+            f'<b style="color:{RED}">{html.escape(self.ended)}</b>'
+        )
         self._notify('ended', self.ended.splitlines()[0])
 
     def _show(self, snapshot: Snapshot, new: bool) -> None:
@@ -190,7 +214,9 @@ class Page:
                 self.contacts.content = contacts_html(scene, snapshot)
                 if self._answered:
                     self.controls.show(snapshot)
-                if snapshot.push_test != self._push_test:  # takes the place of the last answer
+                if (
+                    snapshot.push_test != self._push_test
+                ):  # takes the place of the last answer
                     self._push_test = snapshot.push_test
                     self._show_answer(self._push_test or CANCELLED, 'font-weight:bold')
             if events != self._listed:
@@ -208,7 +234,9 @@ class Page:
             return
         self._toast = text, now
         for client in self.server.get_clients().values():
-            client.add_notification(title, text, color='red', auto_close_seconds=TOAST_TIME)
+            client.add_notification(
+                title, text, color='red', auto_close_seconds=TOAST_TIME
+            )
 
     def close(self) -> None:
         """Close the page."""
@@ -235,13 +263,20 @@ def status_html(title: str, snapshot: Snapshot) -> str:
         parts.append(html.escape(snapshot.moving))
     regular = '&nbsp;'
     if np.isfinite(timing.typical):
-        regular = (f'latency {1e-3 * timing.typical:.2f} ms, 99 % below {1e-3 * timing.worst:.2f}'
-                   + (f' &middot; {timing.misses} late' if timing.misses else ''))
+        regular = (
+            f'latency {1e-3 * timing.typical:.2f} ms, 99 % below {1e-3 * timing.worst:.2f}'
+            + (f' &middot; {timing.misses} late' if timing.misses else '')
+        )
     if snapshot.reaction != NONE:
         reasons = html.escape(' '.join(snapshot.reasons))
-        regular = f'<b style="color:{RED}">{html.escape(snapshot.reaction)}</b> {reasons}'
-    return _lines(f'<span style="color:{GREY}">{html.escape(title)}</span>',
-                  ' &middot; '.join(parts), regular)
+        regular = (
+            f'<b style="color:{RED}">{html.escape(snapshot.reaction)}</b> {reasons}'
+        )
+    return _lines(
+        f'<span style="color:{GREY}">{html.escape(title)}</span>',
+        ' &middot; '.join(parts),
+        regular,
+    )
 
 
 def contacts_html(scene: Scene, snapshot: Snapshot) -> str:
@@ -256,18 +291,33 @@ def contacts_html(scene: Scene, snapshot: Snapshot) -> str:
             state = f'<span style="color:rgb({r},{g},{b})">&#9679;</span> {html.escape(state)}'
         numbers = ''.join(
             f'<td style="text-align:right">{newtons(float(values[i]))}</td>'
-            for values in (snapshot.measured, snapshot.estimated, snapshot.desired,
-                           snapshot.true)[:shown])
-        rows.append(f'<tr><td><b>{html.escape(name)}</b></td><td>{state}</td>{numbers}</tr>')
+            for values in (
+                snapshot.measured,
+                snapshot.estimated,
+                snapshot.desired,
+                snapshot.true,
+            )[:shown]
+        )
+        rows.append(
+            f'<tr><td><b>{html.escape(name)}</b></td><td>{state}</td>{numbers}</tr>'
+        )
     head = ''.join(
-        f'<td style="text-align:right;color:{colour}">{text}</td>' for text, colour in zip(
-            ('meas.', 'est.', 'des.', 'true')[:shown], COLOURS))
-    return _line('<table style="width:100%;border-spacing:0">'
-                 f'<tr><td>N</td><td></td>{head}</tr>{"".join(rows)}</table>')
+        f'<td style="text-align:right;color:{colour}">{text}</td>'
+        for text, colour in zip(('meas.', 'est.', 'des.', 'true')[:shown], COLOURS)
+    )
+    return _line(
+        '<table style="width:100%;border-spacing:0">'
+        f'<tr><td>N</td><td></td>{head}</tr>{"".join(rows)}</table>'
+    )
 
 
 def events_html(events: list[tuple[float, str]]) -> str:
     """Return the newest events, the newest first."""
-    return _line('<br>'.join(
-        f'<span style="color:{GREY}">{moment:.2f} s</span> {html.escape(text)}'
-        for moment, text in reversed(events)) or 'none yet', EVENTS)
+    return _line(
+        '<br>'.join(
+            f'<span style="color:{GREY}">{moment:.2f} s</span> {html.escape(text)}'
+            for moment, text in reversed(events)
+        )
+        or 'none yet',
+        EVENTS,
+    )

@@ -16,7 +16,12 @@ from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.experiment import results
 from multicontact_control.experiment.bag import MARKERS, mcap_files, read_messages
 from multicontact_control.experiment.judge import Event, read_event
-from multicontact_control.experiment.recording import CUT_OFF, read_bag, RunData, SERIES_FILE
+from multicontact_control.experiment.recording import (
+    CUT_OFF,
+    read_bag,
+    RunData,
+    SERIES_FILE,
+)
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.reactions import NONE
 from multicontact_control.view import source
@@ -36,28 +41,40 @@ class ReplaySource:
     """
 
     def __init__(
-        self, scene: source.Scene, data: RunData, events: Sequence[tuple[float, str]] = (),
+        self,
+        scene: source.Scene,
+        data: RunData,
+        events: Sequence[tuple[float, str]] = (),
         places: Sequence[tuple[float, Mapping[str, Vector3]]] = (),
     ) -> None:
         self._data = data
         self._places = [each for _, each in places] or [{}]
         self._place_times = [moment for moment, _ in places]
         config = scene.config
-        self._normals = np.array([
-            config.contacts[name].normal_world for name in config.contact_names])
+        self._normals = np.array(
+            [config.contacts[name].normal_world for name in config.contact_names]
+        )
         self._points = block_points(data, config)
         # While a simulator pauses, several things happen at one sample: they keep their order.
         in_time = sorted(events, key=itemgetter(0))
         self._events = [read_event(*line) for line in in_time] or presses(
-            data, list(config.leaders))
+            data, list(config.leaders)
+        )
         self._event_times = [event.time for event in self._events]
         changes = source.ChangeReader(config.contact_names)
         texts = [(event.time, changes.read(event)) for event in self._events]
         self._end = (data.ticks - 1) / data.rate
         self.scene = replace(
-            scene, duration=self._end, true_forces=bool(np.isfinite(data.alpha_true).any()),
-            marks=tuple(sorted(
-                [*scene.marks, *(each for each in texts if each[1])], key=itemgetter(0))))
+            scene,
+            duration=self._end,
+            true_forces=bool(np.isfinite(data.alpha_true).any()),
+            marks=tuple(
+                sorted(
+                    [*scene.marks, *(each for each in texts if each[1])],
+                    key=itemgetter(0),
+                )
+            ),
+        )
         self._since, self._from = monotonic(), 0.0
         self._speed, self._playing, self._changed = 1.0, False, True
         self._shown, self._next = -np.inf, 0.0
@@ -89,14 +106,27 @@ class ReplaySource:
         first, end = np.searchsorted(self._points[:, 0], (last, now), side='right')
         event = self._events[max(0, bisect_right(self._event_times, now + 1e-9) - 1)]
         return source.Snapshot(
-            time=now, q=data.q[k], position=data.position[k], quaternion=data.quaternion[k],
-            position_des=data.position_des[k], measured=data.alpha_meas[k],
-            estimated=data.alpha_est[k], desired=data.alpha_des[k], true=data.alpha_true[k],
-            normals_world=self._normals, states=event.contact_states, reaction=event.reaction,
-            reasons=event.causes + event.limits, points=self._points[first:end],
-            events=tuple(mark for mark in self.scene.marks if last < mark[0] <= now + 1e-9),
+            time=now,
+            q=data.q[k],
+            position=data.position[k],
+            quaternion=data.quaternion[k],
+            position_des=data.position_des[k],
+            measured=data.alpha_meas[k],
+            estimated=data.alpha_est[k],
+            desired=data.alpha_des[k],
+            true=data.alpha_true[k],
+            normals_world=self._normals,
+            states=event.contact_states,
+            reaction=event.reaction,
+            reasons=event.causes + event.limits,
+            points=self._points[first:end],
+            events=tuple(
+                mark for mark in self.scene.marks if last < mark[0] <= now + 1e-9
+            ),
             places_world=self._places[max(0, bisect_right(self._place_times, now) - 1)],
-            playing=self._playing, anew=self._jumped)
+            playing=self._playing,
+            anew=self._jumped,
+        )
 
     def command(self, name: str, /, **values: Any) -> str:
         """Play, pause, jump, or play at another speed; see `Source.command`."""
@@ -126,18 +156,39 @@ def presses(data: RunData, leaders: Sequence[int]) -> list[Event]:
     """Return when forces were asked for, and no longer, in a recording without a log."""
     known = np.flatnonzero(np.isfinite(data.alpha_des[:, leaders]).all(axis=1))
     asked = data.alpha_des[known][:, leaders] > 0.0
-    changed = np.any(np.diff(asked, axis=0, prepend=np.zeros((1, len(leaders)), bool)), axis=1)
-    return [Event(0.0, NONE, (), (), ('free',) * len(leaders)), *(
-        Event(float(data.time[k]), NONE, (), (), tuple(np.where(row, 'force', 'free').tolist()))
-        for k, row in zip(known[changed], asked[changed]))]
+    changed = np.any(
+        np.diff(asked, axis=0, prepend=np.zeros((1, len(leaders)), bool)), axis=1
+    )
+    return [
+        Event(0.0, NONE, (), (), ('free',) * len(leaders)),
+        *(
+            Event(
+                float(data.time[k]),
+                NONE,
+                (),
+                (),
+                tuple(np.where(row, 'force', 'free').tolist()),
+            )
+            for k, row in zip(known[changed], asked[changed])
+        ),
+    ]
 
 
 def block_points(data: RunData, config: ControllerConfig) -> Matrix:
     """Return the curves of a recording, as a snapshot has them."""
     limit: Vector = np.array(config.torque_limit or [np.inf] * len(data.joint_names))
-    samples = np.column_stack([
-        data.time, data.alpha_meas, data.alpha_est, data.alpha_des, data.alpha_true,
-        data.noise_variance, data.innovation, np.abs(data.torque) / limit])
+    samples = np.column_stack(
+        [
+            data.time,
+            data.alpha_meas,
+            data.alpha_est,
+            data.alpha_des,
+            data.alpha_true,
+            data.noise_variance,
+            data.innovation,
+            np.abs(data.torque) / limit,
+        ]
+    )
     return extremes(samples, round(data.rate / source.RATE / source.BLOCKS))
 
 
@@ -151,8 +202,9 @@ def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> Repla
     """
     folder = path.parent if path.is_file() else path
     if not folder.is_dir():
-        raise ConfigError('recording', 'a folder of `multicontact run` or `simulate`, or a bag',
-                          path)
+        raise ConfigError(
+            'recording', 'a folder of `multicontact run` or `simulate`, or a bag', path
+        )
     run, of_run = results.run_of(path)
     # Whatever lies beside a file is another recording.
     alone = not of_run and path.is_file() and bool(mcap_files(path))
@@ -163,32 +215,50 @@ def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> Repla
     if of_run:
         setup = results.load_setup(run)
         if (run / results.SUMMARY_FILE).is_file():  # else it did not come to its end
-            events = [(event['time_s'], event['what'])
-                      for event in results.read_summary(run).get('events', ())]
+            events = [
+                (event['time_s'], event['what'])
+                for event in results.read_summary(run).get('events', ())
+            ]
         marks = [] if setup.commanded_by_topic else scenario_marks(setup)
     if alone or mcap_files(bag):
         # Events and marks are timed from the first answer on.
-        content = read_bag(bag, setup.controller, namespace=namespace,
-                           answered=of_run and not setup.simulated)
+        content = read_bag(
+            bag,
+            setup.controller,
+            namespace=namespace,
+            answered=of_run and not setup.simulated,
+        )
         data, places = content.data, recorded_places(bag, content.start, namespace)
         # What is missing besides, curves show.
         title += f', {CUT_OFF}' if CUT_OFF in content.remarks else ''
     elif (run / SERIES_FILE).is_file():
         data, places = RunData.load(run), []
     else:
-        raise ConfigError('recording', f'{results.BAG_FOLDER}/*.mcap or {SERIES_FILE} in it', run)
+        raise ConfigError(
+            'recording', f'{results.BAG_FOLDER}/*.mcap or {SERIES_FILE} in it', run
+        )
     if not np.isfinite(data.q).any():
         raise ConfigError(
-            'recording', f'the joints {", ".join(setup.controller.robot.joint_names)}, or '
-            '--scenario and --plant that it was recorded with', 'others')
-    surfaces = source.surfaces_of(setup) if of_run and setup.simulated else (
-        source.felt_surfaces(setup.controller))
-    scene = source.Scene(title, setup.controller, setup.urdf_dir, surfaces, marks=tuple(marks))
+            'recording',
+            f'the joints {", ".join(setup.controller.robot.joint_names)}, or '
+            '--scenario and --plant that it was recorded with',
+            'others',
+        )
+    surfaces = (
+        source.surfaces_of(setup)
+        if of_run and setup.simulated
+        else (source.felt_surfaces(setup.controller))
+    )
+    scene = source.Scene(
+        title, setup.controller, setup.urdf_dir, surfaces, marks=tuple(marks)
+    )
     return ReplaySource(scene, data, events, places)
 
 
 def recorded_places(
-    bag: Path, start: int, namespace: str | None,
+    bag: Path,
+    start: int,
+    namespace: str | None,
 ) -> list[tuple[float, Mapping[str, Vector3]]]:
     """Return points of a simulator's surfaces by name [m], and from when after `start` [ns]."""
     markers = read_messages(bag, {SURFACES: MARKERS}, namespace).by_topic.get(SURFACES)
@@ -196,17 +266,29 @@ def recorded_places(
         return []
     names = markers.names
     axes = np.stack([markers.values(axis, names) for axis in 'xyz'], axis=-1)
-    return [((stamp - start) * 1e-9, {name: (x, y, z) for name, (x, y, z) in zip(names, row)})
-            for stamp, row in zip(markers.stamps.tolist(), axes.tolist())]
+    return [
+        (
+            (stamp - start) * 1e-9,
+            {name: (x, y, z) for name, (x, y, z) in zip(names, row)},
+        )
+        for stamp, row in zip(markers.stamps.tolist(), axes.tolist())
+    ]
 
 
 def scenario_marks(setup: Setup) -> list[tuple[float, str]]:
     """Return when a scenario asks for something else, and for what."""
     reference = setup.scenario.reference
     marks = [(reference.approach.start_time, 'approach')]
-    marks += [(step.time, 'force step: ' + ', '.join(
-        f'{name} {force:g} N' for name, force in step.forces.items()))
-        for step in reference.force_steps]
+    marks += [
+        (
+            step.time,
+            'force step: '
+            + ', '.join(f'{name} {force:g} N' for name, force in step.forces.items()),
+        )
+        for step in reference.force_steps
+    ]
     if reference.motion is not None:
         marks.append((reference.motion.start_time, 'motion starts'))
-    return [(moment, what) for moment, what in marks if moment < setup.scenario.duration]
+    return [
+        (moment, what) for moment, what in marks if moment < setup.scenario.duration
+    ]

@@ -16,9 +16,15 @@ from multicontact_control.view.source import Source
 
 
 def run_view(
-    setup: Setup, tell: Callable[[str], object], *, recording: Path | None = None,
-    graph: bool = False, namespace: str | None = None, domain_id: int | None = None,
-    port: int = 8080, open_browser: bool = False,
+    setup: Setup,
+    tell: Callable[[str], object],
+    *,
+    recording: Path | None = None,
+    graph: bool = False,
+    namespace: str | None = None,
+    domain_id: int | None = None,
+    port: int = 8080,
+    open_browser: bool = False,
 ) -> str:
     """
     Show a graph or a recording on a page until a signal comes; MulticontactError if it cannot be.
@@ -34,11 +40,19 @@ def run_view(
     try:
         from multicontact_control.view.page import Page
     except ImportError as error:
-        raise ConfigError('view', 'viser, by pip install viser',
-                          f'none that can be loaded ({error})') from None
-    from multicontact_control.experiment.graph.run import collected_signals, InterruptedRunError
+        raise ConfigError(
+            'view', 'viser, by pip install viser', f'none that can be loaded ({error})'
+        ) from None
+    from multicontact_control.experiment.graph.run import (
+        collected_signals,
+        InterruptedRunError,
+    )
 
-    with suppress(InterruptedRunError), collected_signals() as signals, ExitStack() as stack:
+    with (
+        suppress(InterruptedRunError),
+        collected_signals() as signals,
+        ExitStack() as stack,
+    ):
         shown: Source
         if recording is not None:
             from multicontact_control.view.replay import load_replay
@@ -63,12 +77,19 @@ def run_view(
 
 
 def started(
-    setup: Setup, namespace: str | None, domain_id: int | None, stack: ExitStack,
-    signals: Sequence[int], tell: Callable[[str], object],
+    setup: Setup,
+    namespace: str | None,
+    domain_id: int | None,
+    stack: ExitStack,
+    signals: Sequence[int],
+    tell: Callable[[str], object],
 ) -> Source:
     """Start a graph that obeys commands, without a recorder, and return what joins it."""
     from multicontact_control.experiment.graph.domain import check_namespace
-    from multicontact_control.experiment.graph.run import InterruptedRunError, running_graph
+    from multicontact_control.experiment.graph.run import (
+        InterruptedRunError,
+        running_graph,
+    )
     from multicontact_control.experiment.graph.spec import GraphSpec
     from multicontact_control.experiment.run import simulation_parameters
     from multicontact_control.view.graph import GraphSource
@@ -81,11 +102,26 @@ def started(
     ensure_compiled()
     tell('starting the nodes')
     folder = Path(stack.enter_context(TemporaryDirectory(prefix='multicontact-view-')))
-    graph = stack.enter_context(running_graph(GraphSpec(
-        out=folder, ticks=0, rate=setup.controller.rate, seed=setup.seed, recorded=False,
-        domain_id=domain_id, namespace=namespace,
-        parameter_files=setup.write(folder / CONFIG_FOLDER),
-        extra_parameters=simulation_parameters(setup)), keep_waiting))
+    graph = stack.enter_context(
+        running_graph(
+            GraphSpec(
+                out=folder,
+                ticks=0,
+                rate=setup.controller.rate,
+                seed=setup.seed,
+                recorded=False,
+                domain_id=domain_id,
+                namespace=namespace,
+                parameter_files=setup.write(folder / CONFIG_FOLDER),
+                extra_parameters=simulation_parameters(setup),
+            ),
+            keep_waiting,
+        )
+    )
     return GraphSource(
-        setup, f'{setup.plant_name}, simulated in ROS domain {graph.domain_id}',
-        namespace=namespace, domain_id=graph.domain_id, check=graph.processes.check_running)
+        setup,
+        f'{setup.plant_name}, simulated in ROS domain {graph.domain_id}',
+        namespace=namespace,
+        domain_id=graph.domain_id,
+        check=graph.processes.check_running,
+    )

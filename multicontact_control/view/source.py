@@ -37,7 +37,10 @@ SPEED = 'speed'  # factor
 SEEK = 'seek'  # time [s]
 
 GAIN_NAMES = (  # [rad/s], [s], [1/s]
-    'motion.natural_frequency', 'force.time_constant', 'force.damping_rate')
+    'motion.natural_frequency',
+    'force.time_constant',
+    'force.damping_rate',
+)
 KINDS = 6  # of curves for each force or couple, see `Snapshot.points`
 
 
@@ -77,14 +80,20 @@ class Scene:
     largest_force: float = 30.0  # that may be commanded [N]
     true_forces: bool = False  # whether they are known, as a simulator knows them
     duration: float | None = None  # of a recording [s]; None of a graph
-    marks: tuple[tuple[float, str], ...] = ()  # times in it to jump to [s], and what is there
+    marks: tuple[
+        tuple[float, str], ...
+    ] = ()  # times in it to jump to [s], and what is there
 
 
 class Timing(NamedTuple):
     """How regular the control loop is."""
 
-    typical: float = float('nan')  # latency from a sample to its command in the last second,
-    worst: float = float('nan')  # 50th and 99th percentile [us]; NaN where it is not known
+    typical: float = float(
+        'nan'
+    )  # latency from a sample to its command in the last second,
+    worst: float = float(
+        'nan'
+    )  # 50th and 99th percentile [us]; NaN where it is not known
     misses: int = 0  # samples without a command since the start
     pace: float = 1.0  # real-time factor of the last seconds
 
@@ -112,17 +121,25 @@ class Snapshot:
     commanded: Mapping[str, float] = field(default_factory=dict)  # forces, by name [N]
     goal: Vector | None = None  # where a command leads it [m]
     reasons: tuple[str, ...] = ()  # causes of the reaction, and the limits that act
-    events: tuple[tuple[float, str], ...] = ()  # since the snapshot before: time [s], and words
+    events: tuple[
+        tuple[float, str], ...
+    ] = ()  # since the snapshot before: time [s], and words
     timing: Timing = Timing()
     held: bool = False  # whether pose and forces are held on command
     moving: str = ''  # motion under way
     push_test: str = ''  # what the user should do now
     gains: Mapping[str, float] = field(default_factory=dict)  # of `GAIN_NAMES`
-    surfaces: Mapping[str, SurfaceState] = field(default_factory=dict)  # simulated ones, by name
-    places_world: Mapping[str, Vector3] = field(default_factory=dict)  # points of surfaces [m]
+    surfaces: Mapping[str, SurfaceState] = field(
+        default_factory=dict
+    )  # simulated ones, by name
+    places_world: Mapping[str, Vector3] = field(
+        default_factory=dict
+    )  # points of surfaces [m]
     push: Push | None = None  # under way
     playing: bool = True  # whether time goes on
-    anew: bool = False  # whether curves and events of before are over: its own take their place
+    anew: bool = (
+        False  # whether curves and events of before are over: its own take their place
+    )
 
 
 class Source(Protocol):
@@ -173,9 +190,16 @@ class ChangeReader:
         parts = []
         if event.reaction != before.reaction:
             causes = f' ({" ".join(event.causes)})' if event.causes else ''
-            parts.append(event.reaction + causes if event.reaction != NONE else 'control again')
-        parts += [f'{name} {state}' for name, state, last in zip(
-            self._names, event.contact_states, before.contact_states) if state != last]
+            parts.append(
+                event.reaction + causes if event.reaction != NONE else 'control again'
+            )
+        parts += [
+            f'{name} {state}'
+            for name, state, last in zip(
+                self._names, event.contact_states, before.contact_states
+            )
+            if state != last
+        ]
         if limits := [limit for limit in event.limits if limit not in before.limits]:
             parts.append(f'limit: {" ".join(limits)}')
         return ', '.join(parts)
@@ -188,13 +212,18 @@ def point_width(config: ControllerConfig) -> int:
 
 def felt_surfaces(config: ControllerConfig) -> tuple[Surface, ...]:
     """Return a surface for each contact, of which the place is not known."""
-    return tuple(Surface(name, config.contacts[name].normal_world, None)
-                 for name in config.contact_names)
+    return tuple(
+        Surface(name, config.contacts[name].normal_world, None)
+        for name in config.contact_names
+    )
 
 
 def surfaces_of(setup: Setup) -> tuple[Surface, ...]:
     """Return the surfaces of a simulated plant, one for each contact and obstacle."""
     known = setup.plant.surfaces
     return tuple(
-        Surface(name, known[one].normal_world, known[one].point_world, patch_of(known[one]))
-        for name, one in setup.plant.drawn.items())
+        Surface(
+            name, known[one].normal_world, known[one].point_world, patch_of(known[one])
+        )
+        for name, one in setup.plant.drawn.items()
+    )

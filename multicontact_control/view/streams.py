@@ -40,21 +40,26 @@ class Stream:
     """
 
     def __init__(
-        self, node: Node, topic: Topic, names: Sequence[str],
+        self,
+        node: Node,
+        topic: Topic,
+        names: Sequence[str],
         convert: Callable[[Matrix], Matrix] = np.asarray,
     ) -> None:
         self._names, self._convert = names, convert
         self._known: list[int] = []  # places of the names that messages have
         self._read = MessageReader(topic.message, self._read_object)
         self._subscription = node.create_subscription(
-            topic.message, topic.name, ignore, KEPT, raw=True)
+            topic.message, topic.name, ignore, KEPT, raw=True
+        )
         self.newest: Vector = np.full(len(names), np.nan)
         self._block: list[Vector] = []
 
     def _read_object(self, message: Any) -> tuple[Any, ...]:
         self._known = [k for k, name in enumerate(self._names) if name in message.name]
         return read_named(
-            message, [self._names[k] for k in self._known], (), partial=('effort',))
+            message, [self._names[k] for k in self._known], (), partial=('effort',)
+        )
 
     def look(self) -> None:
         """Take what has come since the last look."""

@@ -32,7 +32,10 @@ def run_faults(plant, faults, seed, folder):
         graph_folder, safe = folder / f'{plant}-{len(faults):03d}', False
         graph_folder.mkdir(parents=True)
         try:
-            with reserve_domain() as domain_id, Graph(setup, graph_folder, domain_id) as graph:
+            with (
+                reserve_domain() as domain_id,
+                Graph(setup, graph_folder, domain_id) as graph,
+            ):
                 graph.recover()
                 safe = True
                 while faults and safe:
@@ -42,8 +45,19 @@ def run_faults(plant, faults, seed, folder):
                 if safe:
                     problems = ', '.join(graph.end_all())
                     safe = not problems
-                    yield FaultRow('ended', 'graph', seed, 'none', 0.0, 0.0, 0.0, safe, plant, '',
-                                   problems)
+                    yield FaultRow(
+                        'ended',
+                        'graph',
+                        seed,
+                        'none',
+                        0.0,
+                        0.0,
+                        0.0,
+                        safe,
+                        plant,
+                        '',
+                        problems,
+                    )
         finally:
             if safe:  # bags and logs stay where something was not
                 shutil.rmtree(graph_folder)
@@ -51,32 +65,62 @@ def run_faults(plant, faults, seed, folder):
 
 def main(arguments=None):
     """Run the campaign; return the exit code."""
-    parser = argparse.ArgumentParser(prog='make campaign', description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--plants', nargs='+', default=[*find_robot(DEFAULT).file.plants],
-                        help='default: %(default)s')
+    parser = argparse.ArgumentParser(
+        prog='make campaign',
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        '--plants',
+        nargs='+',
+        default=[*find_robot(DEFAULT).file.plants],
+        help='default: %(default)s',
+    )
     parser.add_argument('--seed', type=int, default=0, help='of plants and faults')
-    parser.add_argument('--count', type=int, help='so many faults of each plant; all by default')
-    parser.add_argument('--out', type=Path, default=Path(time.strftime('runs/campaign-%m%d-%H%M')),
-                        help='a new folder (%(default)s)')
+    parser.add_argument(
+        '--count', type=int, help='so many faults of each plant; all by default'
+    )
+    parser.add_argument(
+        '--out',
+        type=Path,
+        default=Path(time.strftime('runs/campaign-%m%d-%H%M')),
+        help='a new folder (%(default)s)',
+    )
     options = parser.parse_args(arguments)
     random, rows, problems = np.random.default_rng(options.seed), [], []
     options.out.mkdir(parents=True)
     try:
         for plant in options.plants:
-            chosen = random.permutation(list(GRAPH_FAULTS.values()))[:options.count]
-            rows.extend(track(run_faults(plant, chosen, options.seed, options.out), plant,
-                              len(chosen) + 1))
+            chosen = random.permutation(list(GRAPH_FAULTS.values()))[: options.count]
+            rows.extend(
+                track(
+                    run_faults(plant, chosen, options.seed, options.out),
+                    plant,
+                    len(chosen) + 1,
+                )
+            )
     except (RunError, KeyboardInterrupt) as error:
         problems.append(f'ended early: {error or "interrupted"}')
     write_json(options.out / 'faults.json', finite([asdict(row) for row in rows]))
     if rows:
-        print(pd.DataFrame(rows).groupby(['input', 'kind']).agg(
-            n=('safe', 'size'), reaction=('reaction', lambda x: ', '.join(sorted(set(x)))),
-            safe_s=('time_to_safe_s', 'max'), force_n=('peak_force_n', 'max'),
-            torque=('peak_torque_fraction', 'max'), safe=('safe', 'all')).to_string())
-    problems += [f'not safe: {row.plant}, {row.input} {row.kind}, seed {row.seed}: {row.problems}'
-                 for row in rows if not row.safe]
+        print(
+            pd.DataFrame(rows)
+            .groupby(['input', 'kind'])
+            .agg(
+                n=('safe', 'size'),
+                reaction=('reaction', lambda x: ', '.join(sorted(set(x)))),
+                safe_s=('time_to_safe_s', 'max'),
+                force_n=('peak_force_n', 'max'),
+                torque=('peak_torque_fraction', 'max'),
+                safe=('safe', 'all'),
+            )
+            .to_string()
+        )
+    problems += [
+        f'not safe: {row.plant}, {row.input} {row.kind}, seed {row.seed}: {row.problems}'
+        for row in rows
+        if not row.safe
+    ]
     print(*problems, sep='\n')
     return 1 if problems else 0
 

@@ -27,8 +27,13 @@ from multicontact_control.nodes.topics import CONTROLLER, RECORDER
 import numpy as np
 from sensor_msgs.msg import JointState
 
-CHECKED = (topics.EFFORT_COMMAND, topics.DESIRED_FORCES, topics.ESTIMATED_FORCES,
-           topics.NOISE_VARIANCE, topics.TRUE_FORCES)
+CHECKED = (
+    topics.EFFORT_COMMAND,
+    topics.DESIRED_FORCES,
+    topics.ESTIMATED_FORCES,
+    topics.NOISE_VARIANCE,
+    topics.TRUE_FORCES,
+)
 REMEMBERED = 30_000  # messages per topic: a minute at 500 Hz
 AMPLITUDE, MOTION_PERIOD = 0.03, 3.0  # m, s of the motion along x
 QUIET, FAULT_TIME = (0.0, 0.3), (0.1, 0.4)  # s before a fault, and of one
@@ -36,11 +41,22 @@ HALT_TIME, OUTAGE = (0.02, 0.2), (0.0, 0.5)  # s, of a process
 # s without a command while samples come: that counts as silence, and that no controller may take.
 SILENCE, STOPPED = 0.1, 0.3
 POLL_PERIOD, SETTLE_TIME = 0.005, 0.2  # s, the latter to average forces
-WANTED_FORCE, FORCE_TOLERANCE = 10.0, 0.25  # N at every contact, and the share that is near it
-RECOVERY_TIME, ATTEMPTS = 90.0, 3  # s on a busy machine, with so many attempts at contact
+WANTED_FORCE, FORCE_TOLERANCE = (
+    10.0,
+    0.25,
+)  # N at every contact, and the share that is near it
+RECOVERY_TIME, ATTEMPTS = (
+    90.0,
+    3,
+)  # s on a busy machine, with so many attempts at contact
 # A machine without real-time priority has hiccups of many periods: no faults to be answered here.
-PATIENT = {'patience': 10.0, 'watchdog.joint_max_age': 15.0, 'watchdog.wrench_max_age': 15.0,
-           'watchdog.variance_max_age': 25.0, 'watchdog.rate_band': 25.0}
+PATIENT = {
+    'patience': 10.0,
+    'watchdog.joint_max_age': 15.0,
+    'watchdog.wrench_max_age': 15.0,
+    'watchdog.variance_max_age': 25.0,
+    'watchdog.rate_band': 25.0,
+}
 
 
 class Graph(link.GuestNode):
@@ -49,18 +65,35 @@ class Graph(link.GuestNode):
     def __init__(self, setup, folder, domain_id):
         super().__init__('fault_campaign', domain_id)
         self._driver = link.GuestNode(
-            'lifecycle_driver', domain_id, keep_waiting=lambda what: self.poll())
+            'lifecycle_driver', domain_id, keep_waiting=lambda what: self.poll()
+        )
         self.setup = setup
-        self.processes = NodeProcesses(spec.GraphSpec(
-            out=folder, ticks=0, rate=setup.controller.rate, seed=setup.seed, free_running=True,
-            domain_id=domain_id, parameter_files=setup.write(folder / 'config'),
-            remappings={CONTROLLER: {x.name: PREFIX + x.name for x in INPUTS.values()}},
-            extra_parameters={x: {'startup_peers': [], **(PATIENT if x == CONTROLLER else {})}
-                              for x in spec.START_ORDER}), domain_id)
+        self.processes = NodeProcesses(
+            spec.GraphSpec(
+                out=folder,
+                ticks=0,
+                rate=setup.controller.rate,
+                seed=setup.seed,
+                free_running=True,
+                domain_id=domain_id,
+                parameter_files=setup.write(folder / 'config'),
+                remappings={
+                    CONTROLLER: {x.name: PREFIX + x.name for x in INPUTS.values()}
+                },
+                extra_parameters={
+                    x: {'startup_peers': [], **(PATIENT if x == CONTROLLER else {})}
+                    for x in spec.START_ORDER
+                },
+            ),
+            domain_id,
+        )
         self.wanted = dict.fromkeys(setup.controller.contact_names, WANTED_FORCE)
         self._subscriptions = {
-            topic: self.node.create_subscription(topic.message, topic.name, ignore, qos.STREAM)
-            for topic in (*CHECKED, topics.POSE_DESIRED)}
+            topic: self.node.create_subscription(
+                topic.message, topic.name, ignore, qos.STREAM
+            )
+            for topic in (*CHECKED, topics.POSE_DESIRED)
+        }
         # When messages were sent [s], and their efforts by name; all until `polled` [s].
         self.heard = {topic: deque(maxlen=REMEMBERED) for topic in CHECKED}
         self.pose, self.home, self.polled, self.moves = None, None, math.inf, False
@@ -68,9 +101,15 @@ class Graph(link.GuestNode):
         self._motion_command = create_publisher(self.node, topics.MOTION_COMMAND)
         self._relay = subprocess.Popen(
             [sys.executable, str(Path(__file__).with_name('relay.py'))],
-            env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id),
-                 'PYTHONPATH': os.pathsep.join(sys.path)},
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+            env={
+                **os.environ,
+                'ROS_DOMAIN_ID': str(domain_id),
+                'PYTHONPATH': os.pathsep.join(sys.path),
+            },
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
         for name in self.processes.spec.nodes:
             self.processes.start(name)
 
@@ -83,8 +122,11 @@ class Graph(link.GuestNode):
     def end_all(self):
         """End every node as at the end of a run; return which of them failed."""
         self.processes.stop()
-        return [f'{name} ended with {process.exitcode}'
-                for name, process in self.processes.running.items() if process.exitcode]
+        return [
+            f'{name} ended with {process.exitcode}'
+            for name, process in self.processes.running.items()
+            if process.exitcode
+        ]
 
     def poll(self):
         """Take in what has come, and command the motion of now."""
@@ -95,14 +137,21 @@ class Graph(link.GuestNode):
                 if topic is topics.POSE_DESIRED:
                     self.pose = message
                 else:
-                    self.heard[topic].append((sent, dict(zip(message.name, message.effort))))
+                    self.heard[topic].append(
+                        (sent, dict(zip(message.name, message.effort)))
+                    )
         if self.moves and self.pose is not None:
             w = 2.0 * math.pi / MOTION_PERIOD
             phase = w * messages.stamp_to_ns(self.pose.header.stamp) * 1e-9
             x = AMPLITUDE * np.eye(6)[0]
-            self._motion_command.publish(messages.motion_message(
-                self.home[0] + math.sin(phase) * x[:3], self.home[1],
-                w * math.cos(phase) * x, -w * w * math.sin(phase) * x))
+            self._motion_command.publish(
+                messages.motion_message(
+                    self.home[0] + math.sin(phase) * x[:3],
+                    self.home[1],
+                    w * math.cos(phase) * x,
+                    -w * w * math.sin(phase) * x,
+                )
+            )
         self.processes.check_running()
 
     def since(self, topic, start):
@@ -129,8 +178,10 @@ class Graph(link.GuestNode):
 
     def start_motion(self):
         """Command the forces and the motion; return whether there is a controller to obey."""
-        if self.pose is None or not all(x.get_subscription_count() for x in (
-                self._force_command, self._motion_command)):
+        if self.pose is None or not all(
+            x.get_subscription_count()
+            for x in (self._force_command, self._motion_command)
+        ):
             return False
         p, q = self.pose.pose.position, self.pose.pose.orientation
         self.home = self.home or (np.array([p.x, p.y, p.z]), [q.x, q.y, q.z, q.w])
@@ -139,7 +190,9 @@ class Graph(link.GuestNode):
         return True
 
     def _command_forces(self, forces):
-        self._force_command.publish(JointState(name=list(forces), effort=list(forces.values())))
+        self._force_command.publish(
+            JointState(name=list(forces), effort=list(forces.values()))
+        )
 
     def inject(self, fault, seed):
         """Let a fault happen; what a node was led down from is left to `recover`."""
@@ -159,7 +212,8 @@ class Graph(link.GuestNode):
             # What the killed one has recorded is not overwritten.
             folder = self.processes.spec.out.resolve() / f'bag-{time.time_ns()}'
             self.processes.start(
-                fault.input, {'folder': str(folder)} if fault.input == RECORDER else {})
+                fault.input, {'folder': str(folder)} if fault.input == RECORDER else {}
+            )
         elif action.steps == HALT:
             pid = self.processes.running[fault.input].pid
             os.kill(pid, signal.SIGSTOP)
@@ -198,7 +252,9 @@ class Graph(link.GuestNode):
         recent = self.since(topics.TRUE_FORCES, time.time() - SETTLE_TIME)
         if len(recent) < 0.3 * SETTLE_TIME * self.setup.controller.rate:
             return False
-        forces = np.array([[values[name] for name in self.wanted] for _, values in recent])
+        forces = np.array(
+            [[values[name] for name in self.wanted] for _, values in recent]
+        )
         off = np.abs(forces.mean(axis=0) / WANTED_FORCE - 1.0)
         return bool((forces > 0.0).all() and (off <= FORCE_TOLERANCE).all())
 
@@ -217,29 +273,56 @@ class Graph(link.GuestNode):
         if fault.goes_on and any(stop - start > STOPPED for start, stop in silences):
             seen.problems.add('commands stopped')
         # The first command of a controller is what the drives do.
-        row = judge.judge(fault, seed, self.setup, seen._replace(
-            limited_rate=fault.input != CONTROLLER))
-        safe = max([row.time_to_safe_s, *(round(stop - begin, 6) for _, stop in silences)])
+        row = judge.judge(
+            fault,
+            seed,
+            self.setup,
+            seen._replace(limited_rate=fault.input != CONTROLLER),
+        )
+        safe = max(
+            [row.time_to_safe_s, *(round(stop - begin, 6) for _, stop in silences)]
+        )
         return replace(row, time_to_safe_s=safe if recovered else math.inf)
 
     def observe(self, begin, problems):
         """Return what is seen of a fault from `begin` [s] on, and its silences [s]."""
         heard = {topic: self.since(topic, begin) for topic in CHECKED}
-        problems = {*problems, *(
-            f'{topic.name} not finite' for topic, sent in heard.items()
-            if topic is not topics.EFFORT_COMMAND  # that is for the judge
-            and not all(math.isfinite(x) for _, values in sent for x in values.values()))}
+        problems = {
+            *problems,
+            *(
+                f'{topic.name} not finite'
+                for topic, sent in heard.items()
+                if topic is not topics.EFFORT_COMMAND  # that is for the judge
+                and not all(
+                    math.isfinite(x) for _, values in sent for x in values.values()
+                )
+            ),
+        }
         commands, forces = heard[topics.EFFORT_COMMAND], heard[topics.TRUE_FORCES]
-        joints, rate = self.setup.controller.robot.joint_names, self.setup.controller.rate
+        joints, rate = (
+            self.setup.controller.robot.joint_names,
+            self.setup.controller.rate,
+        )
         samples = np.array([sent for sent, _ in forces])
         # From when to when samples came, but no commands. Samples were looked for after the
         # commands, on a busy machine long after.
-        edges = [begin, *(sent for sent, _ in commands), min([*samples[-1:], self.polled])]
-        silences = [(start, stop) for start, stop in zip(edges, edges[1:])
-                    if stop - start > SILENCE and np.count_nonzero(
-                        (samples > start) & (samples < stop)) > 0.5 * (stop - start) * rate]
+        edges = [
+            begin,
+            *(sent for sent, _ in commands),
+            min([*samples[-1:], self.polled]),
+        ]
+        silences = [
+            (start, stop)
+            for start, stop in zip(edges, edges[1:])
+            if stop - start > SILENCE
+            and np.count_nonzero((samples > start) & (samples < stop))
+            > 0.5 * (stop - start) * rate
+        ]
         torque = np.array([[values[name] for name in joints] for _, values in commands])
         return judge.Observation(
-            torque=torque.reshape(-1, len(joints)), time=samples - begin,
+            torque=torque.reshape(-1, len(joints)),
+            time=samples - begin,
             force=np.array([max(x.values()) for _, x in forces]),
-            reaction='silent' if silences else 'commands', problems=problems), silences
+            reaction='silent' if silences else 'commands',
+            problems=problems,
+        ), silences

@@ -13,7 +13,9 @@ import sys
 import tempfile
 
 HERE = Path(__file__).resolve().parent
-LEFT_OUT = shutil.ignore_patterns('.git', '.venv', 'runs', 'build', '.*_cache', '__pycache__')
+LEFT_OUT = shutil.ignore_patterns(
+    '.git', '.venv', 'runs', 'build', '.*_cache', '__pycache__'
+)
 
 
 def read_mutations():
@@ -31,9 +33,11 @@ def is_caught(folder, file, before, after, test):
         raise SystemExit(f'{file}: expected the line `{before}`, got no such line')
     path.write_text(text.replace(before, after, 1))
     code = subprocess.call(
-        [sys.executable, '-m', 'pytest', '-q', '-x', '-p', 'no:cacheprovider', test], cwd=folder,
+        [sys.executable, '-m', 'pytest', '-q', '-x', '-p', 'no:cacheprovider', test],
+        cwd=folder,
         env={**os.environ, 'PYTHONPATH': str(folder), 'MULTICONTACT_COMPILE': 'lazily'},
-        stdout=subprocess.DEVNULL)
+        stdout=subprocess.DEVNULL,
+    )
     path.write_text(text)
     return code == 1
 
@@ -41,10 +45,17 @@ def is_caught(folder, file, before, after, test):
 if __name__ == '__main__':
     survived = []
     with tempfile.TemporaryDirectory() as name:
-        copy = Path(shutil.copytree(HERE.parents[1], Path(name) / 'copy', ignore=LEFT_OUT))
+        copy = Path(
+            shutil.copytree(HERE.parents[1], Path(name) / 'copy', ignore=LEFT_OUT)
+        )
         for number, *mutation in read_mutations():
             if number in sys.argv[1:] or not sys.argv[1:]:
                 caught = is_caught(copy, *mutation)
                 survived += [] if caught else [number]
-                print(number, 'caught' if caught else 'SURVIVED', *mutation[::3], flush=True)
+                print(
+                    number,
+                    'caught' if caught else 'SURVIVED',
+                    *mutation[::3],
+                    flush=True,
+                )
     sys.exit(f'survived: {", ".join(survived)}' if survived else 0)

@@ -18,8 +18,11 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 PREFIX = 'faulty/'  # of the topics that are passed on, to which the controller listens
 HISTORY = 512  # messages: a second at 500 Hz, twice the longest fault
-INPUTS = {'joints': topics.JOINT_STATES, 'wrench': topics.WRENCH,
-          'variance': topics.NOISE_VARIANCE}
+INPUTS = {
+    'joints': topics.JOINT_STATES,
+    'wrench': topics.WRENCH,
+    'variance': topics.NOISE_VARIANCE,
+}
 
 
 class Stream:
@@ -29,8 +32,11 @@ class Stream:
         self._message, self._fault = topic.message, None
         self.history = deque(maxlen=HISTORY)
         self._publisher = node.create_publisher(
-            topic.message, PREFIX + topic.name, topic.profile)
-        node.create_subscription(topic.message, topic.name, self.pass_on, qos.INPUT, raw=True)
+            topic.message, PREFIX + topic.name, topic.profile
+        )
+        node.create_subscription(
+            topic.message, topic.name, self.pass_on, qos.INPUT, raw=True
+        )
 
     def begin(self, fault, seed):
         """Begin a fault, or end it by None."""
@@ -47,12 +53,15 @@ class Stream:
         self._passed += 1
         if isinstance(action, Resending):
             last = len(self.history) - 1
-            return [self.history[max(0, last - age)] for age in action.ages(self._random, n)]
+            return [
+                self.history[max(0, last - age)] for age in action.ages(self._random, n)
+            ]
         message = deserialize_message(data, self._message)
         if isinstance(action, ClockShift):
             stamp = messages.stamp_to_ns(message.header.stamp)
             message.header.stamp = messages.ns_to_stamp(
-                stamp + round(max(-stamp, 1e9 * action.shift)))
+                stamp + round(max(-stamp, 1e9 * action.shift))
+            )
         else:
             message.name = action.change(message.name)
         return [serialize_message(message)]
@@ -63,7 +72,10 @@ def main():
     start_ros([])
     node, executor = Node('fault_relay'), EventsExecutor()
     executor.add_node(node)
-    streams, line = {source: Stream(node, topic) for source, topic in INPUTS.items()}, 'none'
+    streams, line = (
+        {source: Stream(node, topic) for source, topic in INPUTS.items()},
+        'none',
+    )
     while line:
         executor.spin_once(timeout_sec=0.02)
         if not select([sys.stdin], [], [], 0.0)[0]:

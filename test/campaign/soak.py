@@ -20,7 +20,11 @@ from multicontact_control.control.tasks import MotionReading, quintic
 from multicontact_control.errors import CommandError
 from multicontact_control.experiment.closed_loop import ClosedLoop
 from multicontact_control.experiment.faults import in_process
-from multicontact_control.experiment.faults.judge import MET_FORCE, never_allowed, Observation
+from multicontact_control.experiment.faults.judge import (
+    MET_FORCE,
+    never_allowed,
+    Observation,
+)
 from multicontact_control.experiment.faults.vocabulary import FAULTS, PlantEdit
 from multicontact_control.experiment.oscillation import oscillations
 from multicontact_control.supervision.contacts import HOLDING, NAMES
@@ -34,10 +38,22 @@ LONGEST_PART = 3600.0  # s of a seed
 LARGEST_FORCE = 25.0  # N, that is commanded
 REACH, FASTEST = 0.1, 0.2  # m to either side of the start, m/s
 PAUSE = (2.2, 4.0)  # s between episodes; an oscillation shows within 2
-EPISODES = {'forces': 0.35, 'motion': 0.3, 'hold': 0.05, 'fault': 0.24, 'two faults': 0.06}
-SETTLE_TIME, ATTEMPTS = 15.0, 4  # s, and how often: from the second on with the operator's help
+EPISODES = {
+    'forces': 0.35,
+    'motion': 0.3,
+    'hold': 0.05,
+    'fault': 0.24,
+    'two faults': 0.06,
+}
+SETTLE_TIME, ATTEMPTS = (
+    15.0,
+    4,
+)  # s, and how often: from the second on with the operator's help
 OFF = 0.15  # of the command, and 1 N: mean error over 0.5 s that is as commanded
-CHANGES_TIME, MOST_CHANGES = 5.0, 10  # s, and changes in it beyond which a state alternates
+CHANGES_TIME, MOST_CHANGES = (
+    5.0,
+    10,
+)  # s, and changes in it beyond which a state alternates
 
 
 class Soak:
@@ -47,19 +63,27 @@ class Soak:
         self.setup = in_process.with_obstacles('quick', plant, seed)
         self.loop = ClosedLoop(self.setup, commanded=True)
         self._random = np.random.default_rng(seed)
-        self._faults = [x for x in FAULTS.values() if not (
-            isinstance(x.action, PlantEdit) and x.action.end is None)]  # the world is as before
+        self._faults = [
+            x
+            for x in FAULTS.values()
+            if not (isinstance(x.action, PlantEdit) and x.action.end is None)
+        ]  # the world is as before
         config = self.setup.controller
         self._rate, self._period = config.rate, config.period
         self._states = deque(maxlen=round(CHANGES_TIME * config.rate))
-        normals = np.array([config.contacts[name].normal_world for name in config.contact_names])
+        normals = np.array(
+            [config.contacts[name].normal_world for name in config.contact_names]
+        )
         self._free = null_space(normals).T  # directions in which no contact is
         self.wanted = dict.fromkeys(config.contact_names, 0.0)
         pose = self.loop.advance().pose
         self._before, self._problems = self.loop.command.copy(), set()
         self._torques, self._forces, self._met = [], [], []
         # Of the start, not of the moment: errors of the orientation would add up.
-        self._start, self._turn = pose.position_world.copy(), pose.quaternion_xyzw.copy()
+        self._start, self._turn = (
+            pose.position_world.copy(),
+            pose.quaternion_xyzw.copy(),
+        )
         self._target = self._start
         self.command_forces()
         self.settle()
@@ -82,44 +106,67 @@ class Soak:
         self._problems.update(
             f'{name} oscillates at {line.frequency:.0f} Hz with {line.rms:.2g} N rms'
             for (name, force), error in zip(self.wanted.items(), errors.T)
-            for line in oscillations(error, np.full(len(error), force),
-                                     np.ones(len(error), dtype=bool), self._rate))
+            for line in oscillations(
+                error,
+                np.full(len(error), force),
+                np.ones(len(error), dtype=bool),
+                self._rate,
+            )
+        )
         seen = Observation(
-            torque=np.array(self._torques), before=self._before, force=np.array(self._forces),
-            time=self._period * np.arange(len(self._forces)), reaction='')
+            torque=np.array(self._torques),
+            before=self._before,
+            force=np.array(self._forces),
+            time=self._period * np.arange(len(self._forces)),
+            reaction='',
+        )
         self._problems.update(never_allowed(seen, self.setup)[0])
         if max(self._met, default=0.0) > MET_FORCE:
             self._problems.add(f'{max(self._met):.0f} N on an obstacle')
         problems = sorted(self._problems)
         self._before, self._problems = self._torques[-1], set()
         self._torques, self._forces, self._met = [], [], []
-        return {'time_s': round(self.loop.tick * self._period, 3), 'episode': kind,
-                'problems': problems, 'error_n': float(np.abs(errors.mean(axis=0)).max())}
+        return {
+            'time_s': round(self.loop.tick * self._period, 3),
+            'episode': kind,
+            'problems': problems,
+            'error_n': float(np.abs(errors.mean(axis=0)).max()),
+        }
 
     def command_forces(self):
         """Command another force at every contact, or none."""
         smallest = self.setup.controller.contact_state.smallest_force
         for name in self.wanted:
             pressed = self._random.random() > 0.1
-            self.wanted[name] = pressed * float(self._random.uniform(smallest, LARGEST_FORCE))
+            self.wanted[name] = pressed * float(
+                self._random.uniform(smallest, LARGEST_FORCE)
+            )
         self.loop.control.set_forces(self.wanted)
 
     def _move(self):
-        goal = self._start + self._random.uniform(-REACH, REACH, len(self._free)) @ self._free
+        goal = (
+            self._start
+            + self._random.uniform(-REACH, REACH, len(self._free)) @ self._free
+        )
         before, way = self._target, np.append(goal - self._target, np.zeros(3))
         duration = max(1.0, 1.875 * float(np.linalg.norm(way)) / FASTEST)
         for k in range(1, round(duration * self._rate) + 1):
             s, ds, dds = quintic(k * self._period, duration)
-            self.loop.control.set_motion(MotionReading(
-                before + s * way[:3], self._turn, ds * way, dds * way))
+            self.loop.control.set_motion(
+                MotionReading(before + s * way[:3], self._turn, ds * way, dds * way)
+            )
             self.advance()
         self._target = goal
 
     def _break(self, count):
         """Let faults of different inputs happen at the same time; return their names."""
-        by_input = {fault.input: fault for fault in self._random.permutation(self._faults)}
+        by_input = {
+            fault.input: fault for fault in self._random.permutation(self._faults)
+        }
         chosen = self._random.permutation(list(by_input.values()))[:count]
-        occurrences = [in_process.Occurrence(fault, self._random, self.loop) for fault in chosen]
+        occurrences = [
+            in_process.Occurrence(fault, self._random, self.loop) for fault in chosen
+        ]
         for _ in range(max(each.lasts for each in occurrences)):
             self.advance(occurrences)
         return ' + '.join(f'{fault.input} {fault.kind}' for fault in chosen)
@@ -136,7 +183,9 @@ class Soak:
             with contextlib.suppress(CommandError):  # there may be nothing to try again
                 self.loop.control.retry()
         status = self.loop.status
-        self._problems.add(f'stuck: {status.contact_states}, {status.reaction} {status.causes}')
+        self._problems.add(
+            f'stuck: {status.contact_states}, {status.reaction} {status.causes}'
+        )
         self.loop.control.restart()
 
     def wait(self, duration):
@@ -147,10 +196,15 @@ class Soak:
             forces.append(self.loop.sample.contact_force)
         wanted, status = np.array(list(self.wanted.values())), self.loop.status
         errors = np.array(forces) - wanted
-        held = all(state == NAMES[HOLDING]
-                   for state, force in zip(status.contact_states, wanted) if force > 0.0)
+        held = all(
+            state == NAMES[HOLDING]
+            for state, force in zip(status.contact_states, wanted)
+            if force > 0.0
+        )
         near = np.abs(errors.mean(axis=0)) <= np.maximum(1.0, OFF * wanted)
-        return held and status.reaction == 'none' and bool(near[wanted > 0.0].all()), errors
+        return held and status.reaction == 'none' and bool(
+            near[wanted > 0.0].all()
+        ), errors
 
     def advance(self, faults=()):
         loop = self.loop
@@ -161,9 +215,10 @@ class Soak:
         self._states.append((loop.status.reaction, *loop.status.contact_states))
         if loop.tick % round(self._rate) == 0:
             self._problems.update(
-                f'{name} alternates' for name, states in zip(
-                    ('reaction', *self.wanted), zip(*self._states))
-                if sum(a != b for a, b in pairwise(states)) > MOST_CHANGES)
+                f'{name} alternates'
+                for name, states in zip(('reaction', *self.wanted), zip(*self._states))
+                if sum(a != b for a, b in pairwise(states)) > MOST_CHANGES
+            )
 
 
 def episodes(plant, seed, duration):
@@ -177,25 +232,48 @@ def episodes(plant, seed, duration):
 
 def main(arguments=None):
     """Run the soak; return the exit code."""
-    parser = argparse.ArgumentParser(prog='make soak', description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--hours', type=float, default=1.0, help='of all seeds (%(default)s)')
-    parser.add_argument('--plants', nargs='+', default=[*find_robot(DEFAULT).file.plants],
-                        help='default: %(default)s')
+    parser = argparse.ArgumentParser(
+        prog='make soak',
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        '--hours', type=float, default=1.0, help='of all seeds (%(default)s)'
+    )
+    parser.add_argument(
+        '--plants',
+        nargs='+',
+        default=[*find_robot(DEFAULT).file.plants],
+        help='default: %(default)s',
+    )
     parser.add_argument('--seed', type=int, default=0, help='the first')
-    parser.add_argument('--out', type=Path, default=Path('runs/soak.jsonl'), help='%(default)s')
+    parser.add_argument(
+        '--out', type=Path, default=Path('runs/soak.jsonl'), help='%(default)s'
+    )
     options = parser.parse_args(arguments)
     count = max(len(options.plants), math.ceil(3600.0 * options.hours / LONGEST_PART))
     options.out.parent.mkdir(parents=True, exist_ok=True)
     parts = Parallel(-1, return_as='generator')(
-        delayed(episodes)(options.plants[k % len(options.plants)], options.seed + k,
-                          3600.0 * options.hours / count) for k in range(count))
+        delayed(episodes)(
+            options.plants[k % len(options.plants)],
+            options.seed + k,
+            3600.0 * options.hours / count,
+        )
+        for k in range(count)
+    )
     lines = pd.DataFrame(sum(track(parts, 'soak', count), []))
     lines.to_json(options.out, orient='records', lines=True)
     problems = lines[lines.problems.map(len) > 0]
-    print(lines.groupby(['plant', 'seed']).agg(
-        seconds=('time_s', 'max'), episodes=('episode', 'size'), error_n=('error_n', 'mean'),
-        problems=('problems', lambda x: sum(map(len, x)))).to_string())
+    print(
+        lines.groupby(['plant', 'seed'])
+        .agg(
+            seconds=('time_s', 'max'),
+            episodes=('episode', 'size'),
+            error_n=('error_n', 'mean'),
+            problems=('problems', lambda x: sum(map(len, x))),
+        )
+        .to_string()
+    )
     print(problems.to_string())
     return 1 if len(problems) else 0
 

@@ -23,27 +23,39 @@ class Shaken(Soak):
         super().advance(faults)
         time = self.loop.tick * 0.002
         self.loop.plant.contacts.shift(
-            0, 3e-4 * (np.sin(200.0 * time) - np.sin(200.0 * (time - 0.002))))
+            0, 3e-4 * (np.sin(200.0 * time) - np.sin(200.0 * (time - 0.002)))
+        )
 
 
 def test_soak_reports_an_oscillating_force():
     shaken = Shaken('rigid', 0)
-    assert any(x.startswith('table oscillates at 32 Hz') for x in shaken.episode()['problems'])
+    assert any(
+        x.startswith('table oscillates at 32 Hz') for x in shaken.episode()['problems']
+    )
     shaken.loop.close()
 
 
 def test_mutations_name_lines_and_tests_that_there_are():
     for _, file, before, _, test in read_mutations():
         path, _, name = test.partition('::')
-        assert before in (ROOT / 'multicontact_control' / file).read_text(encoding='utf-8')
+        assert before in (ROOT / 'multicontact_control' / file).read_text(
+            encoding='utf-8'
+        )
         assert f'def {name}(' in (ROOT / path).read_text(encoding='utf-8')
 
 
 @pytest.mark.nightly
 @pytest.mark.ros
 def test_running_graph_survives_faults(tmp_path):
-    chosen = [('killed', CONTROLLER), ('wrong_names', 'variance'), ('dropped', 'wrench')]
+    chosen = [
+        ('killed', CONTROLLER),
+        ('wrong_names', 'variance'),
+        ('dropped', 'wrench'),
+    ]
     rows = [*run_faults('rigid', [GRAPH_FAULTS[key] for key in chosen], 0, tmp_path)]
     assert {row.kind for row in rows} == {*(kind for kind, _ in chosen), 'ended'}
-    assert {row.problems for row in rows} <= {'', 'commands stopped'}  # on a busy machine
+    assert {row.problems for row in rows} <= {
+        '',
+        'commands stopped',
+    }  # on a busy machine
     assert next(x for x in rows if x.kind == 'killed').reaction == 'silent'

@@ -17,14 +17,21 @@ factors: {noise_estimator.estimator: [fixed, lead_window]}
 """
 
 
-@pytest.mark.parametrize(('arguments', 'fields'), [
-    (('compare', '--plants', 'ur5'), ['--plants']), (('delay', '--set', 'seed=x'), ['seed']),
-    (('map', '--set', 'estimator=kalman'), ['estimator']),
-    (('stifness', '--set', 'x'), ['STUDY', '--set']),
-    (('laws', '--law', 'pi'), ['--law']), (('robots', '--set', 'robot=robbie'), ['robot']),
-    (('faults', '--dask', 'nowhere'), ['--dask'])])
+@pytest.mark.parametrize(
+    ('arguments', 'fields'),
+    [
+        (('compare', '--plants', 'ur5'), ['--plants']),
+        (('delay', '--set', 'seed=x'), ['seed']),
+        (('map', '--set', 'estimator=kalman'), ['estimator']),
+        (('stifness', '--set', 'x'), ['STUDY', '--set']),
+        (('laws', '--law', 'pi'), ['--law']),
+        (('robots', '--set', 'robot=robbie'), ['robot']),
+        (('faults', '--dask', 'nowhere'), ['--dask']),
+    ],
+)
 def test_bad_options_are_all_named_and_leave_nothing(
-        multicontact, tmp_path, monkeypatch, arguments, fields):
+    multicontact, tmp_path, monkeypatch, arguments, fields
+):
     monkeypatch.chdir(tmp_path)
     done = multicontact('study', *arguments)
     assert done.exit_code == 2
@@ -44,11 +51,20 @@ def test_ended_study_goes_on_where_it_was(multicontact, tmp_path):
     study.write_text(STUDY)
     # In a group of its own, as a terminal does.
     process = start_command(
-        'study', study, '--jobs', '2', '--out', out, start_new_session=True,
+        'study',
+        study,
+        '--jobs',
+        '2',
+        '--out',
+        out,
+        start_new_session=True,
         # A test in the background ignores Ctrl-C, and so would all that it starts.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
-    wait_for(lambda: process.poll() is not None or len(list(out.glob('cells/*.json'))) >= 2,
-             'two finished runs')
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    wait_for(
+        lambda: process.poll() is not None or len(list(out.glob('cells/*.json'))) >= 2,
+        'two finished runs',
+    )
     os.killpg(process.pid, signal.SIGINT)  # Ctrl-C reaches the workers
     _, errors = end_of(process)
     assert process.returncode == 130, errors

@@ -35,16 +35,25 @@ effort:
 def test_document_is_what_ros2_prints():
     message = JointState(name=['a'], position=[-2.5e-7], effort=[float('nan')])
     message.header.stamp.sec, message.header.stamp.nanosec = 1, 2
-    for field, text in (('', JOINTS), ('header.stamp', 'sec: 1\nnanosec: 2\n---'),
-                        ('header.stamp.sec', '1\n---'), ('name', '- a\n---')):
+    for field, text in (
+        ('', JOINTS),
+        ('header.stamp', 'sec: 1\nnanosec: 2\n---'),
+        ('header.stamp.sec', '1\n---'),
+        ('name', '- a\n---'),
+    ):
         assert document(message, field) == text
-    for field, known in (('efort', 'header, name, position, velocity, effort'),
-                         ('name.x', 'no further fields')):
-        with pytest.raises(ConfigError, match=f'--field: expected one of {known}, got '):
+    for field, known in (
+        ('efort', 'header, name, position, velocity, effort'),
+        ('name.x', 'no further fields'),
+    ):
+        with pytest.raises(
+            ConfigError, match=f'--field: expected one of {known}, got '
+        ):
             document(message, field)
     for message in (PoseStamped(), PointCloud2(data=b'\x01\xff')):
         assert list(yaml.safe_load(document(message)[:-3])) == list(
-            message.get_fields_and_field_types())
+            message.get_fields_and_field_types()
+        )
 
 
 @pytest.fixture(scope='module')
@@ -62,7 +71,9 @@ def start():
             number = 0
             while not stop.wait(0.04):
                 number += 1
-                forces.publish(messages.joint_state_message(number, ['a'], effort=[number]))
+                forces.publish(
+                    messages.joint_state_message(number, ['a'], effort=[number])
+                )
 
         talker = threading.Thread(target=talk)
         talker.start()
@@ -76,41 +87,58 @@ def start():
 def test_list_and_echo_show_a_running_graph(start):
     output, errors = end_of(start('list', '--wait', '5'))
     assert errors == '' and 'hidden' not in output
-    assert {'/left/forces [sensor_msgs/msg/JointState]',
-            '/description [std_msgs/msg/String]'} <= set(output.splitlines())
+    assert {
+        '/left/forces [sensor_msgs/msg/JointState]',
+        '/description [std_msgs/msg/String]',
+    } <= set(output.splitlines())
     process = start('echo', 'left/forces', '--timeout', str(PATIENCE))
     lines = [process.stdout.readline() for _ in range(60)]
     process.send_signal(signal.SIGINT)
     rest, errors = end_of(process)
     assert (process.returncode, errors) == (0, '')
-    numbers = [each['effort'][0] for each in yaml.safe_load_all(''.join(lines) + rest) if each]
+    numbers = [
+        each['effort'][0] for each in yaml.safe_load_all(''.join(lines) + rest) if each
+    ]
     assert numbers == [numbers[0] + k for k in range(len(numbers))]
-    assert end_of(start('echo', '/description', '--once', '--timeout', str(PATIENCE))) == (
-        'data: an arm\n---\n', '')
+    assert end_of(
+        start('echo', '/description', '--once', '--timeout', str(PATIENCE))
+    ) == ('data: an arm\n---\n', '')
     for arguments, code, message in (
-            (('/nothing', '--timeout', '0.5'), 1, '/nothing: expected a publisher within 0.5 s'),
-            (('joint states',), 2, 'TOPIC: expected a name of a topic')):
+        (
+            ('/nothing', '--timeout', '0.5'),
+            1,
+            '/nothing: expected a publisher within 0.5 s',
+        ),
+        (('joint states',), 2, 'TOPIC: expected a name of a topic'),
+    ):
         process = start('echo', *arguments)
         _, errors = end_of(process)
-        assert process.returncode == code and message in errors and errors.count('\n') == 1
+        assert (
+            process.returncode == code and message in errors and errors.count('\n') == 1
+        )
 
 
 @pytest.mark.ros
 def test_hz_shows_how_often_messages_arrive(start):
     """Of 25 Hz, on a machine that may be busy; and of a topic with one message."""
-    text, errors = end_of(start('hz', '/left/forces', '--once', '--timeout', str(PATIENCE)))
+    text, errors = end_of(
+        start('hz', '/left/forces', '--once', '--timeout', str(PATIENCE))
+    )
     found = re.fullmatch(
         r'([\d.]+) Hz: [\d.]+ to [\d.]+ ms apart, standard deviation [\d.]+ ms, (\d+) messages\n',
-        text)
+        text,
+    )
     assert errors == '' and found, text + errors
     assert 1.0 < float(found[1]) < 50.0 and 2 <= int(found[2]) <= 50
-    assert end_of(start('hz', '/description', '--once', '--timeout', str(PATIENCE))) == (
-        'no two messages within a second\n', '')
+    assert end_of(
+        start('hz', '/description', '--once', '--timeout', str(PATIENCE))
+    ) == ('no two messages within a second\n', '')
 
 
 def test_rate_is_that_of_the_arrivals():
     assert describe_rate([0, 2_000_000, 4_000_000, 9_000_000]) == (
-        '333.3 Hz: 2.00 to 5.00 ms apart, standard deviation 1.41 ms, 4 messages')
+        '333.3 Hz: 2.00 to 5.00 ms apart, standard deviation 1.41 ms, 4 messages'
+    )
 
 
 @pytest.mark.parametrize('domain', ['abc', '500'])

@@ -59,8 +59,10 @@ def test_couple_column_is_a_difference_of_forces_at_both_ends():
         np.testing.assert_allclose(N[:, column], 0.5 * (ends[0] - ends[1]), atol=1e-15)
     # Forces at both ends are read as their sum and their difference.
     records = columns([FORCE, ALONG])
-    wrench = sum(force * point_column(POINT + side * HALF * along)
-                 for side, force in ((-1.0, 4.0), (1.0, 9.0)))
+    wrench = sum(
+        force * point_column(POINT + side * HALF * along)
+        for side, force in ((-1.0, 4.0), (1.0, 9.0))
+    )
     assert measure_contacts(control(wrench), records, SPACE)
     np.testing.assert_allclose(records['alpha_meas'], [13.0, 5.0], atol=1e-12)
 
@@ -71,21 +73,29 @@ def test_measured_forces_are_generalised_least_squares():
     records = columns([FORCE, ALONG], friction=0.3)
     N = normal_space(records, np.eye(3))
     shift = np.eye(6)  # moves a wrench from the operational point to the sensor
-    shift[3:, :3] = -np.array([[0, -lever[2], lever[1]], [lever[2], 0, -lever[0]],
-                               [-lever[1], lever[0], 0]])
+    shift[3:, :3] = -np.array(
+        [[0, -lever[2], lever[1]], [lever[2], 0, -lever[0]], [-lever[1], lever[0], 0]]
+    )
     across = np.eye(3) - np.outer(NORMAL, NORMAL)
     T = np.vstack([across, np.cross(POINT, across.T).T])
     turn = np.concatenate([np.zeros(3), NORMAL])
-    W = np.diag([0.05 ** 2] * 3 + [0.004 ** 2] * 3) + shift @ (
-        0.3 ** 2 * (T @ T.T + HALF ** 2 * np.outer(turn, turn))) @ shift.T
+    W = (
+        np.diag([0.05**2] * 3 + [0.004**2] * 3)
+        + shift @ (0.3**2 * (T @ T.T + HALF**2 * np.outer(turn, turn))) @ shift.T
+    )
     A, weight = shift @ N, np.linalg.inv(W)
     expected = np.linalg.solve(A.T @ weight @ A, A.T @ weight @ shift @ wrench)
-    assert measure_contacts(control(wrench, separated=True, lever=lever), records, SPACE)
+    assert measure_contacts(
+        control(wrench, separated=True, lever=lever), records, SPACE
+    )
     np.testing.assert_allclose(records['alpha_meas'], expected, rtol=1e-9)
     residual = shift @ (wrench - N @ expected)
     np.testing.assert_allclose(
-        records['friction'][0], 0.3 ** 2 * (shift @ T).T @ weight @ residual, rtol=1e-8,
-        atol=1e-12)
+        records['friction'][0],
+        0.3**2 * (shift @ T).T @ weight @ residual,
+        rtol=1e-8,
+        atol=1e-12,
+    )
 
 
 def test_contacts_that_cannot_be_told_apart_keep_what_was_measured():
@@ -139,12 +149,32 @@ def follow(velocity, ticks=1):
     return contacts['normal'][0]
 
 
-@pytest.mark.parametrize(('velocity', 'slides'), [
-    *((velocity, True) for velocity in (
-        0.05 * DOWNHILL, -0.05 * DOWNHILL, [0.0, 0.05, 0.0], 0.04 * DOWNHILL + [0.0, 0.04, 0.0])),
-    *((velocity, False) for velocity in (  # too slow to have a direction, and bounces
-        0.02 * DOWNHILL, 0.2 * TRUE_NORMAL, -0.2 * TRUE_NORMAL, [0.0, 0.0, 0.1],
-        [0.05, 0.0, 0.1]))])
+@pytest.mark.parametrize(
+    ('velocity', 'slides'),
+    [
+        *(
+            (velocity, True)
+            for velocity in (
+                0.05 * DOWNHILL,
+                -0.05 * DOWNHILL,
+                [0.0, 0.05, 0.0],
+                0.04 * DOWNHILL + [0.0, 0.04, 0.0],
+            )
+        ),
+        *(
+            (velocity, False)
+            for velocity in (  # too slow to have a direction, and bounces
+                0.02 * DOWNHILL,
+                0.2 * TRUE_NORMAL,
+                -0.2 * TRUE_NORMAL,
+                [0.0, 0.0, 0.1],
+                [0.05, 0.0, 0.1],
+            )
+        ),
+    ],
+)
 def test_normal_follows_the_surface_that_is_slid_along(velocity, slides):
     normal = follow(np.array(velocity), ticks=300 if slides else 1)
-    np.testing.assert_allclose(normal, TRUE_NORMAL if slides else [0.0, 0.0, -1.0], atol=1e-9)
+    np.testing.assert_allclose(
+        normal, TRUE_NORMAL if slides else [0.0, 0.0, -1.0], atol=1e-9
+    )

@@ -10,7 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from multicontact_control.algebra import multiply, solve_cholesky
 from multicontact_control.contact.geometry import normal_space, placed_way
-from multicontact_control.contact.projections import compose_acceleration, factorise_contacts
+from multicontact_control.contact.projections import (
+    compose_acceleration,
+    factorise_contacts,
+)
 from multicontact_control.control.law import drive_coordinates, force_law
 from multicontact_control.force.plant import delayed_plant, place_poles
 from multicontact_control.records import CONTACT, LAW
@@ -31,7 +34,9 @@ def factorised(N, Lambda=None):
     contacts = np.zeros(N.shape[1], dtype=CONTACT)
     contacts['N'], contacts['answer']['active'] = N.T, True
     rows = np.ascontiguousarray(N.T)
-    weighted = rows if Lambda is None else np.ascontiguousarray(np.linalg.solve(Lambda, N).T)
+    weighted = (
+        rows if Lambda is None else np.ascontiguousarray(np.linalg.solve(Lambda, N).T)
+    )
     factor = np.empty((len(rows), len(rows)))
     assert factorise_contacts(contacts, False, rows, weighted, factor)
     return rows, weighted, factor
@@ -41,9 +46,13 @@ def projections(N, Lambda=None):
     """Return Omega_f, as the dual of Omega_c, and Omega_m."""
     Omega_m, Omega_c, column = np.empty((6, 6)), np.empty((6, 6)), np.empty(6)
     for k, unit in enumerate(np.eye(6)):
-        for matrix, f_t, f_c in ((Omega_m, unit, np.zeros(6)), (Omega_c, np.zeros(6), unit)):
+        for matrix, f_t, f_c in (
+            (Omega_m, unit, np.zeros(6)),
+            (Omega_c, np.zeros(6), unit),
+        ):
             compose_acceleration(
-                *factorised(N, Lambda), f_t, f_c, np.empty(N.shape[1]), column)
+                *factorised(N, Lambda), f_t, f_c, np.empty(N.shape[1]), column
+            )
             matrix[:, k] = column
     np.testing.assert_allclose(Omega_c, np.eye(6) - Omega_m, atol=1e-12)
     return Omega_c.T, Omega_m
@@ -54,8 +63,16 @@ def allocate_force(N, alpha_star, allocation):
     law, f_c = np.zeros(1, dtype=LAW), np.empty(6)
     law['decoupled'] = allocation == 'decoupled'
     contacts = np.zeros(len(rows), dtype=CONTACT)
-    force_law(law[0], rows, factor, np.zeros(6), contacts, np.array(alpha_star),
-                  np.empty(len(rows)), f_c)
+    force_law(
+        law[0],
+        rows,
+        factor,
+        np.zeros(6),
+        contacts,
+        np.array(alpha_star),
+        np.empty(len(rows)),
+        f_c,
+    )
     return f_c
 
 
@@ -93,24 +110,32 @@ def task_inertia(metric, scale=1.0):
     root = np.random.default_rng(26).standard_normal((6, 6))
     inertia = np.diag([4.0] * 3 + [0.1] * 3) + 0.02 * root @ root.T
     inverse = np.diag([1.0 / scale] * 3 + [1.0] * 3)  # of twists in this unit
-    return scale ** 2 * inverse @ inertia @ inverse
+    return scale**2 * inverse @ inertia @ inverse
 
 
-@given(st.integers(0, 2 ** 32 - 1), st.integers(0, 4))
+@given(st.integers(0, 2**32 - 1), st.integers(0, 4))
 def test_contact_normals_are_those_of_the_equation(seed, count):
     random = np.random.default_rng(seed)
     normals, levers = random.standard_normal((2, count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    np.testing.assert_allclose(contact_normals(normals, levers),
-                               equations.contact_normals(normals, levers), atol=1e-14)
+    np.testing.assert_allclose(
+        contact_normals(normals, levers),
+        equations.contact_normals(normals, levers),
+        atol=1e-14,
+    )
 
 
 def test_operational_stiffness_of_the_planar_example():
     """k_s = k_env (1 + l^2 sin^2 gamma) (P04 eq. 21): the loop commands so much less."""
     l, gamma = 0.7, 0.6
-    normal, lever = np.array([0.0, 1.0, 0.0]), l * np.array([np.sin(gamma), np.cos(gamma), 0.0])
+    normal, lever = (
+        np.array([0.0, 1.0, 0.0]),
+        l * np.array([np.sin(gamma), np.cos(gamma), 0.0]),
+    )
     expected = 6000.0 * (1.0 + (l * np.sin(gamma)) ** 2)
-    assert operational_stiffness(6000.0, normal, lever) == pytest.approx(expected, rel=1e-14)
+    assert operational_stiffness(6000.0, normal, lever) == pytest.approx(
+        expected, rel=1e-14
+    )
     alpha_star = coordinate_inputs(contact_normals(normal[None], lever[None]), [1.0])
     assert 6000.0 / alpha_star[0] == pytest.approx(expected, rel=1e-14)
 
@@ -118,8 +143,10 @@ def test_operational_stiffness_of_the_planar_example():
 def test_force_loop_for_k_s_commands_the_share_k_env_over_k_s():
     """Of what the loop for k_env does (eq. 36), which has the inputs under way likewise."""
     ratio, h = 1.7, 0.002
-    k_env, k_s = (place_poles(delayed_plant(k, 20.0, 0.006, h), h, time_constant=0.02).L
-                  for k in (6000.0, ratio * 6000.0))
+    k_env, k_s = (
+        place_poles(delayed_plant(k, 20.0, 0.006, h), h, time_constant=0.02).L
+        for k in (6000.0, ratio * 6000.0)
+    )
     np.testing.assert_allclose(k_s[:2], k_env[:2] / ratio, rtol=1e-9)
     np.testing.assert_allclose(k_s[2:], k_env[2:], rtol=1e-9)
 
@@ -131,11 +158,17 @@ def test_paper_allocation_of_oblique_contacts_is_that_of_the_equations():
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     N = equations.contact_normals(normals, levers)
     assert np.abs(np.triu(N.T @ N, 1)).max() > 0.3
-    k_s = np.array([operational_stiffness(6000.0, *pair) for pair in zip(normals, levers)])
+    k_s = np.array(
+        [operational_stiffness(6000.0, *pair) for pair in zip(normals, levers)]
+    )
     alpha_star = INPUTS * 6000.0 / k_s
     f_c = allocate_force(N, coordinate_inputs(N, INPUTS), 'paper')
-    np.testing.assert_allclose(f_c, equations.allocate_force(N, alpha_star, 'paper'), rtol=1e-12)
-    np.testing.assert_allclose(6000.0 * N.T @ f_c, 6000.0 * N.T @ N @ alpha_star, rtol=1e-12)
+    np.testing.assert_allclose(
+        f_c, equations.allocate_force(N, alpha_star, 'paper'), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        6000.0 * N.T @ f_c, 6000.0 * N.T @ N @ alpha_star, rtol=1e-12
+    )
 
 
 def test_euclidean_projections_of_the_planar_example():
@@ -145,15 +178,19 @@ def test_euclidean_projections_of_the_planar_example():
     Omega_f, Omega_m = projections(N)
     plane = np.ix_([0, 1, 5], [0, 1, 5])  # x, y and the rotation about z
     np.testing.assert_allclose(
-        Omega_f[plane], [[0, 0, 0], [0, 0.5, -0.5], [0, -0.5, 0.5]], atol=1e-15)
+        Omega_f[plane], [[0, 0, 0], [0, 0.5, -0.5], [0, -0.5, 0.5]], atol=1e-15
+    )
     np.testing.assert_allclose(
-        Omega_m[plane], [[1, 0, 0], [0, 0.5, 0.5], [0, 0.5, 0.5]], atol=1e-15)
+        Omega_m[plane], [[1, 0, 0], [0, 0.5, 0.5], [0, 0.5, 0.5]], atol=1e-15
+    )
 
 
 def test_projections_are_those_of_the_equations_in_full_matrices():
     N, Lambda = overlapping(), task_inertia('inertia')
-    for result, expected in ((projections(N), equations.euclidean_projections(N)),
-                             (projections(N, Lambda), equations.inertia_projections(N, Lambda))):
+    for result, expected in (
+        (projections(N), equations.euclidean_projections(N)),
+        (projections(N, Lambda), equations.inertia_projections(N, Lambda)),
+    ):
         np.testing.assert_allclose(result, expected, atol=1e-11)
 
 
@@ -163,12 +200,17 @@ def test_contact_coordinates_are_the_forces_for_any_free_part():
     wrench = N @ INPUTS + free_motions(N) @ random.standard_normal(3)
     np.testing.assert_allclose(contact_rates(N, wrench, 'paper'), INPUTS, atol=1e-12)
     for allocation in ('paper', 'decoupled'):
-        np.testing.assert_allclose(contact_rates(
-            N, allocate_force(N, INPUTS, allocation), allocation), INPUTS, atol=1e-12)
+        np.testing.assert_allclose(
+            contact_rates(N, allocate_force(N, INPUTS, allocation), allocation),
+            INPUTS,
+            atol=1e-12,
+        )
 
 
 @pytest.mark.parametrize('metric', ['euclidean', 'inertia'])
-def test_decoupled_allocation_gives_every_force_its_own_acceleration_in_any_unit(metric):
+def test_decoupled_allocation_gives_every_force_its_own_acceleration_in_any_unit(
+    metric,
+):
     """
     N^T Omega_c f_c = a to 1e-9.
 
@@ -181,7 +223,9 @@ def test_decoupled_allocation_gives_every_force_its_own_acceleration_in_any_unit
         Omega_c = projections(N, task_inertia(metric, scale))[0].T
         for allocation in ('decoupled', 'paper'):
             f_c = allocate_force(N, scale * INPUTS, allocation)
-            accelerations[allocation, scale] = N.T @ Omega_c @ f_c / scale  # back in m/s^2
+            accelerations[allocation, scale] = (
+                N.T @ Omega_c @ f_c / scale
+            )  # back in m/s^2
         np.testing.assert_allclose(accelerations['decoupled', scale], INPUTS, rtol=1e-9)
     paper, N = accelerations['paper', 1.0], overlapping()
     np.testing.assert_allclose(paper, N.T @ N @ INPUTS, rtol=1e-9)
@@ -194,18 +238,32 @@ def test_paper_allocation_decouples_orthogonal_contacts():
     normals = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     levers = np.array([[0.0, 0.0, 0.24], [0.0, -0.16, 0.19]])
     N = contact_normals(normals, levers)
-    k_s = [operational_stiffness(6000.0, normal, l) for normal, l in zip(normals, levers)]
+    k_s = [
+        operational_stiffness(6000.0, normal, l) for normal, l in zip(normals, levers)
+    ]
     np.testing.assert_allclose(
-        6000.0 * N.T @ allocate_force(N, INPUTS[:2], 'paper'), k_s * INPUTS[:2], rtol=1e-12)
+        6000.0 * N.T @ allocate_force(N, INPUTS[:2], 'paper'),
+        k_s * INPUTS[:2],
+        rtol=1e-12,
+    )
 
 
 def test_placed_way_is_what_normals_and_axes_of_couples_take_of_a_way():
     """Of an edge along x on a level surface, and of a point on an oblique one."""
     down, oblique = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.6, -0.8])
-    force, couple = np.append(down, [0.1, 0.2, 0.0]), np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0])
+    force, couple = (
+        np.append(down, [0.1, 0.2, 0.0]),
+        np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0]),
+    )
     way = np.array([0.3, 0.0, 0.5, 0.1, 0.2, 0.3])
     np.testing.assert_allclose(
-        placed_way(way, np.array([force, couple])), [0.0, 0.0, 0.5, 0.0, 0.2, 0.0], atol=1e-15)
-    np.testing.assert_allclose(placed_way(way, np.append(oblique, np.zeros(3))[None])[:3],
-                               oblique * (oblique @ way[:3]), atol=1e-15)
+        placed_way(way, np.array([force, couple])),
+        [0.0, 0.0, 0.5, 0.0, 0.2, 0.0],
+        atol=1e-15,
+    )
+    np.testing.assert_allclose(
+        placed_way(way, np.append(oblique, np.zeros(3))[None])[:3],
+        oblique * (oblique @ way[:3]),
+        atol=1e-15,
+    )
     np.testing.assert_array_equal(placed_way(way, np.empty((0, 6))), 0.0)

@@ -12,7 +12,10 @@ import pinocchio as pin
 from sim_bridge.plant import Plant
 
 H, K = 0.002, 200.0
-FAR = {'table': {'point_world': [0.0, 0.55, -5.0]}, 'board': {'point_world': [0.0, 5.0, 0.46]}}
+FAR = {
+    'table': {'point_world': [0.0, 0.55, -5.0]},
+    'board': {'point_world': [0.0, 5.0, 0.46]},
+}
 PUSH, TOOL_PUSH = np.array([12.0, -5.0, 8.0]), np.array([3.0, -6.0, 4.0])
 
 
@@ -41,33 +44,65 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
     robot = RobotModel(config.robot, config_dir())
     controls = np.zeros(1, dtype=CONTROL)
     controls['tool'] = tool_record(config.tool, np.array(config.robot.gravity_world))
-    controls['law']['friction_speed'], controls['momentum']['config']['bandwidth'] = 1.0, K
+    controls['law']['friction_speed'], controls['momentum']['config']['bandwidth'] = (
+        1.0,
+        K,
+    )
     arm = ArmState(robot, controls, np.zeros(0, dtype=CONTACT))
     arm.joints['watch']['threshold'] = 1.0
-    plant = Plant(plant_config(
-        'rigid', surfaces=FAR, substep=2.5e-4, push_start=[0.5], push_duration=[9.0],
-        push_force_world=PUSH.tolist(), sensor={'noise': False, 'quantise': False}),
-        rate=1.0 / H, seed=0)
+    plant = Plant(
+        plant_config(
+            'rigid',
+            surfaces=FAR,
+            substep=2.5e-4,
+            push_start=[0.5],
+            push_duration=[9.0],
+            push_force_world=PUSH.tolist(),
+            sensor={'noise': False, 'quantise': False},
+        ),
+        rate=1.0 / H,
+        seed=0,
+    )
     rows, tip = [], plant.model.getFrameId('tip_board')
     try:
         sample = plant.reset()
         plant.push(TOOL_PUSH, 9.0, tool=True)
         for k in range(500):
-            controls['wrench'], arm.joints['watch']['effort'] = sample.wrench, sample.effort
+            controls['wrench'], arm.joints['watch']['effort'] = (
+                sample.wrench,
+                sample.effort,
+            )
             controls['momentum']['elapsed'] = H if k else 0.0
             arm.motion[:] = sample.q, sample.qd
             arm.refresh()
             state = robot.update(sample.q, sample.qd)
-            felt = pin.computeFrameJacobian(
-                plant.model, plant.model.createData(), sample.q, tip,
-                pin.LOCAL_WORLD_ALIGNED)[:3].T @ TOOL_PUSH
+            felt = (
+                pin.computeFrameJacobian(
+                    plant.model,
+                    plant.model.createData(),
+                    sample.q,
+                    tip,
+                    pin.LOCAL_WORLD_ALIGNED,
+                )[:3].T
+                @ TOOL_PUSH
+            )
             residual = arm.joints['watch']['residual'].copy()
-            rows.append((residual, bool(arm.flags & TOUCHED) * np.ones(6),
-                         -state.jacobian[:3].T @ PUSH * (k * H > 0.55), sample.q, sample.qd,
-                         sample.effort + felt))
+            rows.append(
+                (
+                    residual,
+                    bool(arm.flags & TOUCHED) * np.ones(6),
+                    -state.jacobian[:3].T @ PUSH * (k * H > 0.55),
+                    sample.q,
+                    sample.qd,
+                    sample.effort + felt,
+                )
+            )
             wanted = HOME + 0.15 * np.sin(6.0 * k * H)
-            sample = plant.step(state.gravity + state.coriolis + state.mass_matrix @ (
-                400.0 * (wanted - sample.q) - 40.0 * sample.qd))
+            sample = plant.step(
+                state.gravity
+                + state.coriolis
+                + state.mass_matrix @ (400.0 * (wanted - sample.q) - 40.0 * sample.qd)
+            )
         residuals, touched, expected, q, v, torque = np.swapaxes(rows, 0, 1)
         reference = classic_observer(plant.model, q, v, torque)
     finally:

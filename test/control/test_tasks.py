@@ -22,7 +22,8 @@ POSE = Pose(np.array([0.0, 0.5, 0.6]), np.eye(3))
 
 def _scenario(**values):
     source = ScenarioTask(
-        ReferenceConfig(**values), rate=RATE, names=('table', 'board'))
+        ReferenceConfig(**values), rate=RATE, names=('table', 'board')
+    )
     source.start(POSE, NORMALS)
     return source
 
@@ -41,22 +42,32 @@ def test_approach_moves_towards_every_untouched_surface():
     assert position[-1, 2] == pytest.approx(position[505, 2])
     assert position[-1, 1] > position[505, 1] + 0.039
     assert [list(r.active) for r in (touched[400], touched[-1])] == [
-        [False, False], [True, False]]
+        [False, False],
+        [True, False],
+    ]
 
 
 def test_force_steps_apply_to_touched_contacts_and_a_force_of_0_wants_none():
     source = _scenario(
         approach=ApproachConfig(start_time=0.0, preload=2.0),
-        force_steps=(ForceStepConfig(time=0.2, forces={'table': 10.0, 'board': 10.0}),
-                     ForceStepConfig(time=0.4, forces={'board': 15.0}),
-                     ForceStepConfig(time=0.8, forces={'board': 0.0}),
-                     ForceStepConfig(time=1.2, forces={'board': 6.0})))
+        force_steps=(
+            ForceStepConfig(time=0.2, forces={'table': 10.0, 'board': 10.0}),
+            ForceStepConfig(time=0.4, forces={'board': 15.0}),
+            ForceStepConfig(time=0.8, forces={'board': 0.0}),
+            ForceStepConfig(time=1.2, forces={'board': 6.0}),
+        ),
+    )
     run = _run(source, 0.6, lambda t: np.array([3.0, 3.0 if t > 0.3 else 0.0]))
     np.testing.assert_array_equal(
         [run[k].alpha_des for k in (50, 100, 160, 200)],
-        [[2.0, 0.0], [10.0, 0.0], [10.0, 10.0], [10.0, 15.0]])
+        [[2.0, 0.0], [10.0, 0.0], [10.0, 10.0], [10.0, 15.0]],
+    )
     assert [source.task(t).active.tolist() for t in (0.1, 0.6, 1.0, 1.4)] == [
-        [True, True], [True, True], [True, False], [True, True]]
+        [True, True],
+        [True, True],
+        [True, False],
+        [True, True],
+    ]
 
 
 def test_sine_motion_derivatives_agree_with_differences():
@@ -66,7 +77,9 @@ def test_sine_motion_derivatives_agree_with_differences():
     values = np.array([sine_motion(config, t) for t in times])
     ahead = np.array([sine_motion(config, t + h) for t in times])
     behind = np.array([sine_motion(config, t - h) for t in times])
-    np.testing.assert_allclose(values[1:, 1:], ((ahead - behind) / (2 * h))[1:, :2], atol=1e-5)
+    np.testing.assert_allclose(
+        values[1:, 1:], ((ahead - behind) / (2 * h))[1:, :2], atol=1e-5
+    )
     assert sine_motion(config, 1.0) == (0.0, 0.0, 0.0)
     assert max(abs(v) for v in sine_motion(config, 1.0 + 1e-4)) < 1e-4
 
@@ -75,7 +88,8 @@ def test_twist_of_a_motion_expires_when_none_follows():
     source = CommandedTask(('table', 'board'))
     source.start(POSE, NORMALS)
     motion = MotionReading(
-        POSE.position_world, np.array([0, 0, 0, 1.0]), np.ones(6), np.ones(6))
+        POSE.position_world, np.array([0, 0, 0, 1.0]), np.ones(6), np.ones(6)
+    )
     for start in (0.0, 1.0):
         source.set_motion(motion, FREE, lasting=0.2)
         for time in (start, start + 0.19):
@@ -96,8 +110,13 @@ def test_commanded_task_is_the_same_object_until_something_else_is_commanded():
     pressing = source.task(0.2)
     assert pressing.active.tolist() == [True, False]
     assert pressing.pose_des is first.pose_des
-    source.set_motion(MotionReading(
-        POSE.position_world, np.array([0, 0, 0, 1.0]), np.ones(6), np.ones(6)), FREE, lasting=0.2)
+    source.set_motion(
+        MotionReading(
+            POSE.position_world, np.array([0, 0, 0, 1.0]), np.ones(6), np.ones(6)
+        ),
+        FREE,
+        lasting=0.2,
+    )
     moving = source.task(0.3)
     assert moving is not pressing and moving.alpha_des is pressing.alpha_des
     assert source.task(0.49) is moving
@@ -106,8 +125,9 @@ def test_commanded_task_is_the_same_object_until_something_else_is_commanded():
 
 
 def test_parts_of_a_scenario_are_the_same_objects_while_they_do_not_change():
-    source = _scenario(motion=SineConfig(start_time=1.0),
-                       approach=ApproachConfig(start_time=0.0))
+    source = _scenario(
+        motion=SineConfig(start_time=1.0), approach=ApproachConfig(start_time=0.0)
+    )
     at_rest, later, moving = (source.task(time) for time in (0.2, 0.4, 1.5))
     for part in ('twist_des', 'acceleration_des', 'active', 'alpha_des'):
         assert getattr(at_rest, part) is getattr(later, part)

@@ -10,16 +10,23 @@ from robots import robot_parameters
 from scipy.spatial.transform import Rotation
 
 WEIGHS = 'weigh as if gravity were'
-LATE, AXES = 'the wrench reads what the torques have shown about', 'the wrench sensor reads'
+LATE, AXES = (
+    'the wrench reads what the torques have shown about',
+    'the wrench sensor reads',
+)
 EXCHANGED = {
-    'x and y': ([1, 0, 2], [1.0, 1.0, 1.0]), 'x and z': ([2, 1, 0], [1.0, 1.0, 1.0]),
-    'z turned round': ([0, 1, 2], [1.0, 1.0, -1.0])}
+    'x and y': ([1, 0, 2], [1.0, 1.0, 1.0]),
+    'x and z': ([2, 1, 0], [1.0, 1.0, 1.0]),
+    'z turned round': ([0, 1, 2], [1.0, 1.0, -1.0]),
+}
 
 
 def findings(robot, ticks=600, push=None, **plant):
     """Return what is found on an arm that has begun to be controlled."""
-    loop = ClosedLoop(resolve('quick', robot=robot, plant='rigid', plant_overrides=plant),
-                      commanded=True)
+    loop = ClosedLoop(
+        resolve('quick', robot=robot, plant='rigid', plant_overrides=plant),
+        commanded=True,
+    )
     found = []
     if push is not None:
         loop.plant.push(np.array(push), 1.0)
@@ -30,19 +37,30 @@ def findings(robot, ticks=600, push=None, **plant):
     return found
 
 
-@pytest.mark.parametrize(('robot', 'degrees', 'axis'), [
-    ('puma', 10.0, 'y'), ('ur5', 10.0, 'x'), ('panda', 10.0, 'x'), ('panda', 20.0, 'y')])
+@pytest.mark.parametrize(
+    ('robot', 'degrees', 'axis'),
+    [
+        ('puma', 10.0, 'y'),
+        ('ur5', 10.0, 'x'),
+        ('panda', 10.0, 'x'),
+        ('panda', 20.0, 'y'),
+    ],
+)
 def test_base_that_is_tilted_is_told_by_what_arm_and_tool_weigh(robot, degrees, axis):
     turn = Rotation.from_rotvec(np.radians(degrees) * np.eye(3)['xyz'.index(axis)])
     found = findings(robot, gravity_world=turn.apply([0.0, 0.0, -9.81]).tolist())
     line = next(text for text in found if WEIGHS in text)
     true = [float(x) for x in line.partition('[')[2].partition(']')[0].split(',')]
     np.testing.assert_allclose(true, turn.apply([0.0, 0.0, -9.81]), atol=0.35)
-    assert float(line.partition('m/s^2, ')[2].split()[0]) == pytest.approx(degrees, abs=1.5)
+    assert float(line.partition('m/s^2, ')[2].split()[0]) == pytest.approx(
+        degrees, abs=1.5
+    )
 
 
 @pytest.mark.parametrize('robot', ['puma', 'ur5'])
-@pytest.mark.parametrize('push', [[40.0, 0.0, 0.0], [0.0, 40.0, 0.0], [20.0, 20.0, -20.0]])
+@pytest.mark.parametrize(
+    'push', [[40.0, 0.0, 0.0], [0.0, 40.0, 0.0], [20.0, 20.0, -20.0]]
+)
 def test_push_from_the_first_sample_on_is_not_taken_for_gravity(robot, push):
     found = findings(robot, push=push)
     assert found and not any(WEIGHS in text for text in found)
@@ -54,7 +72,9 @@ def found_with(robot, corrupt, **options):
     found = []
     for _ in range(loop.setup.ticks):
         loop.advance(corrupt)
-        found += [text for text in loop.control.supervisor.findings if text not in found]
+        found += [
+            text for text in loop.control.supervisor.findings if text not in found
+        ]
     loop.close()
     return found
 
@@ -66,14 +86,17 @@ def late(ticks):
     def corrupt(inputs):
         past.append(inputs.wrench.wrench.copy())
         return inputs._replace(wrench=inputs.wrench._replace(wrench=past[0]))
+
     return corrupt
 
 
 def exchanged(order, signs):
     """Return what gives the sensor other axes."""
+
     def corrupt(inputs):
         wrench = inputs.wrench.wrench.reshape(2, 3)[:, order] * signs
         return inputs._replace(wrench=inputs.wrench._replace(wrench=wrench.ravel()))
+
     return corrupt
 
 
@@ -87,10 +110,18 @@ def test_wrench_that_comes_late_is_told_by_the_collisions_that_pass(robot):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('robot', 'axes', 'said'), [
-    ('puma', 'x and y', 'its x is y'), ('ur5', 'x and y', 'its x is y'),
-    ('puma', 'x and z', 'its x is z'), ('puma', 'z turned round', 'its z is -z')])
-def test_axes_of_the_sensor_that_are_exchanged_are_told_by_the_torques(robot, axes, said):
+@pytest.mark.parametrize(
+    ('robot', 'axes', 'said'),
+    [
+        ('puma', 'x and y', 'its x is y'),
+        ('ur5', 'x and y', 'its x is y'),
+        ('puma', 'x and z', 'its x is z'),
+        ('puma', 'z turned round', 'its z is -z'),
+    ],
+)
+def test_axes_of_the_sensor_that_are_exchanged_are_told_by_the_torques(
+    robot, axes, said
+):
     found = found_with(robot, exchanged(*EXCHANGED[axes]))
     told = [text for text in found if AXES in text]
     assert told and all(said in text for text in told)

@@ -11,20 +11,33 @@ RATE = 60.0  # rad/s
 
 def swing(delay=0):
     """Return positions and velocities of joints that swing once in 52 samples, shape (50, 2)."""
-    phase = np.repeat(RATE * PERIOD * (np.arange(50) - delay)[:, None], len(NAMES), axis=1)
+    phase = np.repeat(
+        RATE * PERIOD * (np.arange(50) - delay)[:, None], len(NAMES), axis=1
+    )
     return 0.3 - 0.2 / RATE * np.cos(phase), 0.2 * np.sin(phase)
 
 
 Q, QD = swing()
 
 
-@pytest.mark.parametrize(('velocity', 'likely'), [
-    (np.degrees(QD), 'degrees per second'), (QD / (2.0 * np.pi), 'revolutions per second'),
-    (0.02 * QD, '0.02 times'), (-QD, 'opposite sign'), (Q, 'equal to its position'),
-    (QD + 0.3, 'offset'), (0.0 * QD + 0.3, 'frozen'), (0.0 * QD + np.inf, 'finite'),
-    (swing(13)[1], 'delay')])
+@pytest.mark.parametrize(
+    ('velocity', 'likely'),
+    [
+        (np.degrees(QD), 'degrees per second'),
+        (QD / (2.0 * np.pi), 'revolutions per second'),
+        (0.02 * QD, '0.02 times'),
+        (-QD, 'opposite sign'),
+        (Q, 'equal to its position'),
+        (QD + 0.3, 'offset'),
+        (0.0 * QD + 0.3, 'frozen'),
+        (0.0 * QD + np.inf, 'finite'),
+        (swing(13)[1], 'delay'),
+    ],
+)
 def test_what_is_wrong_with_a_velocity_is_named(velocity, likely):
-    text = explain_velocities(np.hstack([Q, velocity]), np.array([1.5, 2.0]), NAMES, PERIOD)
+    text = explain_velocities(
+        np.hstack([Q, velocity]), np.array([1.5, 2.0]), NAMES, PERIOD
+    )
     assert text.startswith('joint2: its velocity is') and likely in text
 
 

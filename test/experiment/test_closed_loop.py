@@ -29,7 +29,9 @@ def test_first_touch_stays_below_three_preloads_and_its_switches_do_not_step_the
     data = run_of(setup).data.part(0, 700)
     assert data.alpha_true.max() < 3 * 2.0
     np.testing.assert_allclose(data.alpha_true[-50:].mean(axis=0), 2.0, atol=0.1)
-    steps = np.abs(np.diff(data.torque, axis=0) / setup.controller.torque_limit).max(axis=1)
+    steps = np.abs(np.diff(data.torque, axis=0) / setup.controller.torque_limit).max(
+        axis=1
+    )
     switched = np.diff(data.alpha_des > 0.0, axis=0).any(axis=1)
     assert switched.sum() == 2
     assert steps[switched].max() <= steps[100:][~switched[100:]].max()
@@ -39,8 +41,13 @@ def test_limited_slew_of_the_variance_leaves_a_force_step_its_speed():
     """A step lifts R, which slows the board's steps on flexible drives."""
     rises = []
     for slew_time in (0.0, 0.03):
-        setup = resolve('quick', plant='puma', duration=6.5, preset='paper',
-                        noise_estimator={'slew_time': slew_time})
+        setup = resolve(
+            'quick',
+            plant='puma',
+            duration=6.5,
+            preset='paper',
+            noise_estimator={'slew_time': slew_time},
+        )
         steps = RunMetrics(run_of(setup).data, setup).contact_summary(1)['steps']
         rises.append([step['rise_63_s'] for step in steps])
     assert min(rises[0]) > 0.08
@@ -48,25 +55,47 @@ def test_limited_slew_of_the_variance_leaves_a_force_step_its_speed():
 
 
 # Files are laid over those of config/, as a user's own would be.
-WALL = {'normal_world': [1.0, 0.0, 0.0], 'point_operational': [0.0, 0.0, 0.24],
-        'stiffness': 6000.0}
+WALL = {
+    'normal_world': [1.0, 0.0, 0.0],
+    'point_operational': [0.0, 0.0, 0.24],
+    'stiffness': 6000.0,
+}
 NAMES = ['table', 'board', 'wall']
 
 
 def test_contact_is_added_without_code():
     """A third surface, to the side of the first tip; the controller reads a filtered wrench."""
     setup = resolve(
-        'quick', plant='rigid', duration=6.0,
-        controller={'contact_names': NAMES, 'contacts': {'wall': WALL},
-                    'wrench_input': 'filtered'},
+        'quick',
+        plant='rigid',
+        duration=6.0,
+        controller={
+            'contact_names': NAMES,
+            'contacts': {'wall': WALL},
+            'wrench_input': 'filtered',
+        },
         noise_estimator={'contact_names': NAMES},
-        plant_overrides={'contact_names': NAMES, 'surfaces': {'wall': {
-            'tip_link': 'tip_table', 'point_world': [0.006, 0.55, 0.41],
-            'normal_world': [1.0, 0.0, 0.0], 'friction': 0.1}}},
-        scenario_overrides={'reference': {'force_steps': [
-            {'time': 2.5, 'forces': dict.fromkeys(NAMES, 10.0)}], 'motion': None}})
+        plant_overrides={
+            'contact_names': NAMES,
+            'surfaces': {
+                'wall': {
+                    'tip_link': 'tip_table',
+                    'point_world': [0.006, 0.55, 0.41],
+                    'normal_world': [1.0, 0.0, 0.0],
+                    'friction': 0.1,
+                }
+            },
+        },
+        scenario_overrides={
+            'reference': {
+                'force_steps': [{'time': 2.5, 'forces': dict.fromkeys(NAMES, 10.0)}],
+                'motion': None,
+            }
+        },
+    )
     result = run_of(setup)
     assert not result.ended_early
     late = result.data.time > 5.0
     np.testing.assert_allclose(
-        result.data.alpha_true[late].mean(axis=0), [10.0] * 3, atol=0.3)
+        result.data.alpha_true[late].mean(axis=0), [10.0] * 3, atol=0.3
+    )

@@ -14,14 +14,28 @@ import pytest
 from runs import run_of
 
 NOISE = 0.1  # N, per axis
-SURFACES = {'table': {'stiffness': 4000.0, 'damping': 20.0},
-            'board': {'stiffness': 9000.0, 'damping': 50.0}}
+SURFACES = {
+    'table': {'stiffness': 4000.0, 'damping': 20.0},
+    'board': {'stiffness': 9000.0, 'damping': 50.0},
+}
 
 
 def recorded(**plant):
-    setup = resolve('quick', plant='rigid', seed=3, duration=6.0, plant_overrides={
-        'surfaces': SURFACES, **plant,
-        'sensor': {'force_noise_std': NOISE, 'torque_noise_std': 0.0, 'quantise': False}})
+    setup = resolve(
+        'quick',
+        plant='rigid',
+        seed=3,
+        duration=6.0,
+        plant_overrides={
+            'surfaces': SURFACES,
+            **plant,
+            'sensor': {
+                'force_noise_std': NOISE,
+                'torque_noise_std': 0.0,
+                'quantise': False,
+            },
+        },
+    )
     data = run_of(setup).data
     return setup, data, identify_contacts(data, setup)
 
@@ -35,12 +49,15 @@ def recording():
 def test_surface_is_identified_within_its_errors(recording, contact):
     estimate, true = recording[2][contact], SURFACES[contact]
     assert estimate['explained'] > 0.95
-    for name, value in (('stiffness_n_m', true['stiffness']), ('damping_n_s_m', true['damping']),
-                        ('tool_mass_kg', 0.491)):
+    for name, value in (
+        ('stiffness_n_m', true['stiffness']),
+        ('damping_n_s_m', true['damping']),
+        ('tool_mass_kg', 0.491),
+    ):
         assert abs(estimate[name]['value'] - value) < 2.0 * estimate[name]['std'], name
     assert estimate['stiffness_n_m']['std'] < 0.1 * true['stiffness']
     # A force alone has the noise of its axis; lever arms add to it.
-    assert NOISE ** 2 < 1.2 * estimate['noise_variance_n2']['value'] < 4.0 * NOISE ** 2
+    assert NOISE**2 < 1.2 * estimate['noise_variance_n2']['value'] < 4.0 * NOISE**2
 
 
 def test_more_delay_of_the_actuator_is_identified(recording):
@@ -54,11 +71,16 @@ def test_more_delay_of_the_actuator_is_identified(recording):
 def test_error_of_the_noise_is_that_of_many_recordings():
     """White noise in 2000 recordings of one contact at rest: the scatter of what is found."""
     random, rest = np.random.default_rng(4), np.zeros(200)
-    estimates = [noise_at_rest(ContactSignals(
-        NOISE * random.normal(size=200), rest + 10.0, *[rest] * 5))
-        for _ in range(2000)]
-    values, errors = (np.array([each[name] for each in estimates]) for name in ('value', 'std'))
-    assert values.mean() == pytest.approx(NOISE ** 2, rel=0.05)
+    estimates = [
+        noise_at_rest(
+            ContactSignals(NOISE * random.normal(size=200), rest + 10.0, *[rest] * 5)
+        )
+        for _ in range(2000)
+    ]
+    values, errors = (
+        np.array([each[name] for each in estimates]) for name in ('value', 'std')
+    )
+    assert values.mean() == pytest.approx(NOISE**2, rel=0.05)
     assert errors.mean() == pytest.approx(values.std(), rel=0.07)
 
 

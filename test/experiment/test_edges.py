@@ -36,15 +36,20 @@ class Course(NamedTuple):
         out, _, _ = quintic(time, self.duration)
         share, rate, change = quintic(time - self.duration - REST, self.duration)
         if time < self.duration + REST:
-            share, rate, change = (1.0 - x if n == 0 else -x for n, x in enumerate(
-                quintic(time, self.duration)))
+            share, rate, change = (
+                1.0 - x if n == 0 else -x
+                for n, x in enumerate(quintic(time, self.duration))
+            )
         way = self.distance * (1.0 - share)
         direction = np.array(self.direction)
         twist, acceleration = np.zeros(6), np.zeros(6)
         part = slice(3, 6) if self.turns else slice(0, 3)
         twist[part] = -rate * self.distance * direction
         acceleration[part] = -change * self.distance * direction
-        position, rotation = start.position_world, Rotation.from_matrix(start.rotation_world)
+        position, rotation = (
+            start.position_world,
+            Rotation.from_matrix(start.rotation_world),
+        )
         if self.turns:
             rotation = Rotation.from_rotvec(way * direction) * rotation
         else:
@@ -66,10 +71,22 @@ class Seen(NamedTuple):
 def follow(course, *, pressing, stops=None, **chosen):
     """Follow a course with one contact, or in the air; return the limits and what was seen."""
     names = {'contact_names': ['table']}
-    limits = {'workspace_lower': [-9.0] * 3, 'workspace_upper': [9.0] * 3, **(stops or {})}
-    setup = resolve('one_contact', controller={**names, 'limits': limits}, noise_estimator=names,
-                    plant_overrides={**names, 'surfaces': {'table': {'roughness_std': 0.0}},
-                                     **chosen.pop('plant_overrides', {})}, **chosen)
+    limits = {
+        'workspace_lower': [-9.0] * 3,
+        'workspace_upper': [9.0] * 3,
+        **(stops or {}),
+    }
+    setup = resolve(
+        'one_contact',
+        controller={**names, 'limits': limits},
+        noise_estimator=names,
+        plant_overrides={
+            **names,
+            'surfaces': {'table': {'roughness_std': 0.0}},
+            **chosen.pop('plant_overrides', {}),
+        },
+        **chosen,
+    )
     loop = ClosedLoop(setup, commanded=True)
     period, rows, limited, reactions = setup.controller.period, [], set(), set()
     try:
@@ -84,8 +101,14 @@ def follow(course, *, pressing, stops=None, **chosen):
             loop.control.set_motion(course.at(tick * period, start))
             loop.advance()
             arm = loop.plant.arm
-            rows.append((arm.q.copy(), arm.qd.copy(), loop.sample.contact_force[0],
-                         loop.control.output.pose.position_world))
+            rows.append(
+                (
+                    arm.q.copy(),
+                    arm.qd.copy(),
+                    loop.sample.contact_force[0],
+                    loop.control.output.pose.position_world,
+                )
+            )
             limited.update(loop.status.limits)
             reactions.add(loop.status.reaction)
     finally:
@@ -128,10 +151,17 @@ def test_joint_led_to_its_stop_holds_there_and_the_force_stays(robot, joint, pre
     base = resolve('one_contact', robot=robot).controller.limits
     lower, upper = np.array(base.joint_lower), np.array(base.joint_upper)
     lower[joint], upper[joint] = home[joint] - 0.15, home[joint] + 0.15
-    course = Course((1.0, 0.0, 0.0), 0.25, 0.1) if joint == 0 else (
-        Course((0.0, 0.0, 1.0), 0.6, 0.4, turns=True))
-    limits, seen = follow(course, pressing=pressing, robot=robot, stops={
-        'joint_lower': lower.tolist(), 'joint_upper': upper.tolist()})
+    course = (
+        Course((1.0, 0.0, 0.0), 0.25, 0.1)
+        if joint == 0
+        else (Course((0.0, 0.0, 1.0), 0.6, 0.4, turns=True))
+    )
+    limits, seen = follow(
+        course,
+        pressing=pressing,
+        robot=robot,
+        stops={'joint_lower': lower.tolist(), 'joint_upper': upper.tolist()},
+    )
     assert_safe(limits, seen, pressing=pressing)
     if len(home) == 6:  # with a seventh joint the others go around it
         assert 'joint' in seen.limits
@@ -149,15 +179,22 @@ def foreign(tmp_path_factory):
 @pytest.mark.slow
 @pytest.mark.parametrize('direction', DIRECTIONS)
 def test_foreign_arm_in_mujoco_ends_at_the_edge_of_its_reach(foreign, direction):
-    limits, seen = follow(Course(direction, 0.5, 0.3), pressing=True, robot=foreign,
-                          plant_overrides={'engine': 'mujoco'})
+    limits, seen = follow(
+        Course(direction, 0.5, 0.3),
+        pressing=True,
+        robot=foreign,
+        plant_overrides={'engine': 'mujoco'},
+    )
     assert_safe(limits, seen, pressing=True)
 
 
 def test_box_of_a_new_robot_is_reached_everywhere(foreign):
     robot = find_robot(foreign)
     model, home = robot.arm.model(), np.array(robot.file.home)
-    lower, upper = np.array(robot.file.workspace_lower), np.array(robot.file.workspace_upper)
+    lower, upper = (
+        np.array(robot.file.workspace_lower),
+        np.array(robot.file.workspace_upper),
+    )
     pose, rng = frame_pose(model, home), np.random.default_rng(1)
     assert (lower < pose.translation).all() and (pose.translation < upper).all()
     assert (upper - lower > 0.15).all()

@@ -24,7 +24,11 @@ from mcap.writer import IndexType, Writer
 from multicontact_control.cli.application import app
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.experiment.display import print_summary
-from multicontact_control.experiment.figures import draw_figures, interactive_figures, run_figures
+from multicontact_control.experiment.figures import (
+    draw_figures,
+    interactive_figures,
+    run_figures,
+)
 from multicontact_control.experiment.judge import judge, verdict_text
 from multicontact_control.experiment.metrics import RunMetrics
 from multicontact_control.experiment.recording import gaps_of
@@ -57,24 +61,35 @@ def verdict_shown(run):
 def test_names_rate_and_commands_are_those_of_the_messages(bag):
     run = load(bag)
     assert (run.data.contact_names, run.data.joint_names, run.data.rate) == (
-        ('wall',), JOINTS, RATE)
+        ('wall',),
+        JOINTS,
+        RATE,
+    )
     # From when the contact was made on: the way to the surface is no answer.
     time, command = run.data.time, run.data.command[:, 0]
     np.testing.assert_array_equal(command[time >= MADE], COMMAND)
-    assert not command[time < AT].any() and not command[(time > AT) & (time < MADE)].any()
+    assert (
+        not command[time < AT].any() and not command[(time > AT) & (time < MADE)].any()
+    )
     contact = run.summary['contacts']['wall']
     assert contact['step_rise_63_s'] == pytest.approx(0.05, abs=0.012)
     assert contact['rest']['measured_error_rms_n'] == pytest.approx(0.05, rel=0.2)
-    assert contact['rest']['true_error_rms_n'] is contact['rest']['estimate_error_rms_n'] is None
+    assert (
+        contact['rest']['true_error_rms_n']
+        is contact['rest']['estimate_error_rms_n']
+        is None
+    )
 
 
-@pytest.mark.parametrize(('rate', 'jitter', 'expected'), [
-    (250.0 / 3.0, 0.0, 250.0 / 3.0), (125.0, 0.1, 125.0), (125.01, 0.0, 125.0)])
+@pytest.mark.parametrize(
+    ('rate', 'jitter', 'expected'),
+    [(250.0 / 3.0, 0.0, 250.0 / 3.0), (125.0, 0.1, 125.0), (125.01, 0.0, 125.0)],
+)
 def test_rate_is_that_of_the_stamps(tmp_path, monkeypatch, rate, jitter, expected):
     def late(message):
         stamp = message.header.stamp
-        ns = stamp.sec * 10 ** 9 + stamp.nanosec
-        share = np.random.default_rng(ns % 2 ** 32).uniform(-jitter, jitter)
+        ns = stamp.sec * 10**9 + stamp.nanosec
+        share = np.random.default_rng(ns % 2**32).uniform(-jitter, jitter)
         message.header = header(max(ns + int(share * 1e9 / rate), 0))
         return message
 
@@ -94,9 +109,14 @@ def test_run_without_truth_is_not_judged_and_its_report_says_so(bag, tmp_path):
     text = (tmp_path / 'report.html').read_text(encoding='utf-8')
     assert 'no ground truth' in text and 'measured error rms' in text
     assert {path.stem for path in (tmp_path / 'figures').iterdir()} == {
-        'fig3_force_wall', 'fig5_motion', 'fig6_noise_variance'}
-    assert all('no ground truth' in panel.label
-               for panel in run_figures(run.data, run.setup)[0].panels)
+        'fig3_force_wall',
+        'fig5_motion',
+        'fig6_noise_variance',
+    }
+    assert all(
+        'no ground truth' in panel.label
+        for panel in run_figures(run.data, run.setup)[0].panels
+    )
 
 
 @pytest.mark.parametrize('topic', TOPICS)
@@ -104,16 +124,20 @@ def test_recording_that_lacks_a_topic_is_shown_as_far_as_it_goes(tmp_path, topic
     run = load(write_bag(tmp_path / 'bag', without=(TRUTH, topic), seconds=2.5))
     assert verdict_shown(run)
     draw_figures(run.data, run.setup, run.summary, tmp_path, formats=())
-    assert (topic == COMMANDED) or any(topic in remark for remark in run.summary['remarks'])
+    assert (topic == COMMANDED) or any(
+        topic in remark for remark in run.summary['remarks']
+    )
     if topic == MEASURED:
-        assert verdict_text(run.summary) == 'not judged: neither true nor measured forces'
+        assert (
+            verdict_text(run.summary) == 'not judged: neither true nor measured forces'
+        )
 
 
 def test_recording_that_is_cut_off_is_read_up_to_there(bag, tmp_path):
     counts = []
     for share in (0.3, 0.6, 0.9):
         path = tmp_path / f'{share}.mcap'
-        path.write_bytes(bag.read_bytes()[:int(share * bag.stat().st_size)])
+        path.write_bytes(bag.read_bytes()[: int(share * bag.stat().st_size)])
         run = load(path)
         verdict_shown(run)
         assert 'the recording is cut off' in run.summary['remarks']
@@ -128,30 +152,57 @@ def metadata_of(folder):
     for path in files:
         with path.open('rb') as stream:
             count += make_reader(stream).get_summary().statistics.message_count
-    (folder / 'metadata.yaml').write_text(yaml.safe_dump({'rosbag2_bagfile_information': {
-        'relative_file_paths': [path.name for path in files], 'message_count': count}}))
+    (folder / 'metadata.yaml').write_text(
+        yaml.safe_dump(
+            {
+                'rosbag2_bagfile_information': {
+                    'relative_file_paths': [path.name for path in files],
+                    'message_count': count,
+                }
+            }
+        )
+    )
 
 
 def cut(path):
-    path.write_bytes(path.read_bytes()[:path.stat().st_size // 2])
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
 
-@pytest.mark.parametrize(('damage', 'expected'), [
-    (lambda folder: (folder / 'bag_9.mcap').unlink(),
-     'no samples before the first one that is there'),
-    (lambda folder: (folder / 'bag_10.mcap').unlink(), 'no samples from 1.34 to 2.67 s'),
-    (lambda folder: (folder / 'bag_11.mcap').unlink(), 'no samples from 2.66 s on'),
-    (lambda folder: cut(folder / 'bag_11.mcap'), r'no samples from 3.\d+ s on'),
-    (lambda folder: cut(folder / 'bag_10.mcap'), r'no samples from 2.\d+ to 2.67 s')])
+@pytest.mark.parametrize(
+    ('damage', 'expected'),
+    [
+        (
+            lambda folder: (folder / 'bag_9.mcap').unlink(),
+            'no samples before the first one that is there',
+        ),
+        (
+            lambda folder: (folder / 'bag_10.mcap').unlink(),
+            'no samples from 1.34 to 2.67 s',
+        ),
+        (lambda folder: (folder / 'bag_11.mcap').unlink(), 'no samples from 2.66 s on'),
+        (lambda folder: cut(folder / 'bag_11.mcap'), r'no samples from 3.\d+ s on'),
+        (
+            lambda folder: cut(folder / 'bag_10.mcap'),
+            r'no samples from 2.\d+ to 2.67 s',
+        ),
+    ],
+)
 def test_recording_that_lost_a_part_says_from_when_to_when_and_is_not_judged(
-        tmp_path, damage, expected):
-    rewritten(write_bag(tmp_path / 'whole', without=()), tmp_path, parts=3,
-              writing={'chunk_size': 4096})
+    tmp_path, damage, expected
+):
+    rewritten(
+        write_bag(tmp_path / 'whole', without=()),
+        tmp_path,
+        parts=3,
+        writing={'chunk_size': 4096},
+    )
     metadata_of(tmp_path)
     whole = load(tmp_path)
     assert (whole.summary['verdict'], whole.summary['missing']) == ('stable', [])
     damage(tmp_path)
-    result = CliRunner().invoke(app, ['report', str(tmp_path), '--out', str(tmp_path / 'out')])
+    result = CliRunner().invoke(
+        app, ['report', str(tmp_path), '--out', str(tmp_path / 'out')]
+    )
     page = (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8')
     for text in (result.output, page, verdict_shown(load(tmp_path))):
         assert re.search(f'not judged: {expected}; what is there passed no limit', text)
@@ -166,7 +217,8 @@ def test_recording_whose_file_has_another_name_lacks_nothing(tmp_path, renamed):
     if renamed:
         (tmp_path / 'bag_9.mcap').rename(tmp_path / 'mine.mcap')
     assert load(tmp_path).summary['remarks'] == [
-        'not in the recording: ft_sensor/wrench_filtered, contact_forces/innovation']
+        'not in the recording: ft_sensor/wrench_filtered, contact_forces/innovation'
+    ]
 
 
 @pytest.mark.parametrize('away', [(1.4, 2.4), (1.52, 2.0)])
@@ -182,7 +234,9 @@ def test_step_is_not_judged_across_what_is_missing(tmp_path, away):
     run = RunMetrics(data, setup)
     assert run.step_responses(0) == []
     assert not run.windows.loaded[part].any()
-    assert judge(data, setup, missing=gaps_of(data)).unjudged.startswith('no samples from ')
+    assert judge(data, setup, missing=gaps_of(data)).unjudged.startswith(
+        'no samples from '
+    )
 
 
 def test_force_that_is_not_known_for_a_while_is_not_judged(tmp_path):
@@ -190,16 +244,20 @@ def test_force_that_is_not_known_for_a_while_is_not_judged(tmp_path):
     for series in (run.data.alpha_true, run.data.alpha_meas):
         series[(run.data.time > 2.0) & (run.data.time < 2.3)] = np.nan
     assert judge(run.data, run.setup).unjudged == (
-        'wall: no force from 2.01 to 2.30 s; what is there passed no limit')
+        'wall: no force from 2.01 to 2.30 s; what is there passed no limit'
+    )
 
 
 def test_run_whose_recording_is_damaged_later_is_judged_by_what_is_left(tmp_path):
     bag = write_bag(tmp_path / 'bag', without=())
     run = load(bag, [controller_file(tmp_path)])
     replace(run.setup, noise_estimator=resolve('quick').noise_estimator).write(
-        tmp_path / 'config')
-    write_json(tmp_path / 'summary.json', {
-        **run.summary, 'mode': 'external', 'supervised': False})
+        tmp_path / 'config'
+    )
+    write_json(
+        tmp_path / 'summary.json',
+        {**run.summary, 'mode': 'external', 'supervised': False},
+    )
     assert load_run(tmp_path).summary['verdict'] == 'stable'
     cut(bag)
     summary = load_run(tmp_path).summary
@@ -208,8 +266,14 @@ def test_run_whose_recording_is_damaged_later_is_judged_by_what_is_left(tmp_path
 
 
 # As of a recorder that was killed: neither index, nor statistics, nor summary.
-BARE = {'index_types': IndexType.NONE, 'use_chunking': False, 'use_statistics': False,
-        'use_summary_offsets': False, 'repeat_schemas': False, 'repeat_channels': False}
+BARE = {
+    'index_types': IndexType.NONE,
+    'use_chunking': False,
+    'use_statistics': False,
+    'use_summary_offsets': False,
+    'repeat_schemas': False,
+    'repeat_channels': False,
+}
 
 
 def rewritten(bag, folder, pack=bytes, parts=1, shuffled=False, writing=None):
@@ -225,17 +289,34 @@ def rewritten(bag, folder, pack=bytes, parts=1, shuffled=False, writing=None):
             writer.start()
             for schema, channel, message in (messages[row] for row in rows):
                 if channel.id not in channels:
-                    kind = writer.register_schema(schema.name, schema.encoding, schema.data)
-                    channels[channel.id] = writer.register_channel(channel.topic, 'cdr', kind)
-                writer.add_message(channels[channel.id], message.log_time, pack(message.data),
-                                   message.publish_time)
+                    kind = writer.register_schema(
+                        schema.name, schema.encoding, schema.data
+                    )
+                    channels[channel.id] = writer.register_channel(
+                        channel.topic, 'cdr', kind
+                    )
+                writer.add_message(
+                    channels[channel.id],
+                    message.log_time,
+                    pack(message.data),
+                    message.publish_time,
+                )
             writer.finish()
 
 
-@pytest.mark.parametrize('options', [
-    {'pack': zstandard.compress}, {'parts': 3}, {'shuffled': True}, {'writing': BARE},
-    {'shuffled': True, 'writing': BARE, 'parts': 2}])
-def test_recording_split_compressed_shuffled_or_without_an_index_is_read(bag, tmp_path, options):
+@pytest.mark.parametrize(
+    'options',
+    [
+        {'pack': zstandard.compress},
+        {'parts': 3},
+        {'shuffled': True},
+        {'writing': BARE},
+        {'shuffled': True, 'writing': BARE, 'parts': 2},
+    ],
+)
+def test_recording_split_compressed_shuffled_or_without_an_index_is_read(
+    bag, tmp_path, options
+):
     rewritten(bag, tmp_path, **options)
     whole = sorted(tmp_path.glob('*.mcap'))[-1]  # rosbag2 compresses messages, or files
     whole.with_suffix('.mcap.zstd').write_bytes(zstandard.compress(whole.read_bytes()))
@@ -247,9 +328,19 @@ def test_recording_split_compressed_shuffled_or_without_an_index_is_read(bag, tm
 
 def test_parameter_file_that_does_not_fit_is_refused_or_remarked(bag, tmp_path):
     file = controller_file(tmp_path)
-    assert load(bag, [file]).summary['torque']['max_fraction_of_limit'] == pytest.approx(0.03)
-    file = controller_file(tmp_path, contact_names=['floor'], contacts={'floor': {
-        'normal_world': [0.0, 0.0, -1.0], 'point_operational': [0.0, 0.0, 0.0]}})
+    assert load(bag, [file]).summary['torque'][
+        'max_fraction_of_limit'
+    ] == pytest.approx(0.03)
+    file = controller_file(
+        tmp_path,
+        contact_names=['floor'],
+        contacts={
+            'floor': {
+                'normal_world': [0.0, 0.0, -1.0],
+                'point_operational': [0.0, 0.0, 0.0],
+            }
+        },
+    )
     run = load(bag, [file])
     assert 'contact_forces/measured: expected floor, got wall' in run.summary['remarks']
     assert verdict_shown(run) == 'not judged: neither true nor measured forces'

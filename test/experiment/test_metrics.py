@@ -31,7 +31,7 @@ def test_windows_are_those_of_the_definition(setup, data):
 
 def test_losses_are_counted_under_load(setup, data):
     for start, samples in ((1000, 50), (3000, 20), (4000, 2), (5000, 1)):
-        data.alpha_true[start:start + samples, 1] = 0.0
+        data.alpha_true[start : start + samples, 1] = 0.0
     run = RunMetrics(data, setup)
     assert run.losses(1, run.windows.loaded) == [(3000, 3020), (4000, 4002)]
     data.alpha_true[3010, 1] = np.nan
@@ -41,7 +41,9 @@ def test_losses_are_counted_under_load(setup, data):
 
 def test_contact_errors_are_root_mean_squares_in_their_window(setup, data):
     judged = RunMetrics(data, setup).windows
-    data.alpha_true[judged.rest, 0] += 0.5 * np.where(np.arange(judged.rest.sum()) % 2, 1, -1)
+    data.alpha_true[judged.rest, 0] += 0.5 * np.where(
+        np.arange(judged.rest.sum()) % 2, 1, -1
+    )
     data.alpha_true[~judged.rest & (data.time > 4.5) & (data.time < 5.0), 0] += 3.0
     rest = RunMetrics(data, setup).contact_summary(0)['rest']
     assert rest['true_error_rms_n'] == pytest.approx(0.5)
@@ -49,7 +51,9 @@ def test_contact_errors_are_root_mean_squares_in_their_window(setup, data):
     assert RunMetrics(data, setup).contact_summary(1)['rest']['true_error_rms_n'] == 0.0
 
 
-@pytest.mark.parametrize(('commanded', 'start', 'steps'), [(False, 2.5, 2), (True, 3.0, 1)])
+@pytest.mark.parametrize(
+    ('commanded', 'start', 'steps'), [(False, 2.5, 2), (True, 3.0, 1)]
+)
 def test_step_response_of_a_known_lag(setup, data, commanded, start, steps):
     """Of the scenario, and of a topic: from the force that was pressed before."""
     t = data.time - start
@@ -66,11 +70,15 @@ def test_step_response_of_a_known_lag(setup, data, commanded, start, steps):
     assert first.overshoot_percent == pytest.approx(10.0)
     assert first.settling_s == pytest.approx(-0.05 * np.log(0.05), abs=0.003)
     assert first.steady_error_n == pytest.approx(0.0, abs=1e-6)
-    assert RunMetrics(data, setup).contact_summary(0)['step_rise_63_s'] == first.rise_63_s
+    assert (
+        RunMetrics(data, setup).contact_summary(0)['step_rise_63_s'] == first.rise_63_s
+    )
 
 
 @pytest.mark.parametrize(('error', 'settling'), [(0.3, 0.0), (0.5, None)])
-def test_step_that_stays_off_its_command_has_a_steady_error(setup, data, error, settling):
+def test_step_that_stays_off_its_command_has_a_steady_error(
+    setup, data, error, settling
+):
     """Within 5 % of the step of 8 N, and beyond."""
     data.alpha_true[data.time > 2.5, 0] += error
     first = RunMetrics(data, setup).step_responses(0)[0]
@@ -93,8 +101,9 @@ def test_rise_over_the_design_is_known_of_the_law_that_is_designed(setup, data):
     data.alpha_true[:] = delayed(data, 0.05)
     run = RunMetrics(data, setup)
     assert run.rise_over_design(0, run.largest_step(0)) == pytest.approx(1.02, abs=0.01)
-    other = setup.controller.model_copy(update={
-        'force': setup.controller.force.model_copy(update={'law': 'pi'})})
+    other = setup.controller.model_copy(
+        update={'force': setup.controller.force.model_copy(update={'law': 'pi'})}
+    )
     run = RunMetrics(data, replace(setup, controller=other))
     assert run.rise_over_design(0, run.largest_step(0)) is None
 
@@ -104,12 +113,18 @@ def test_couple_has_no_loss_and_its_steps_begin_at_zero():
     edge = resolve('edge', plant='rigid')
     data = perfect_run(edge)
     data.alpha_true[:] = edge.commanded(data.time)
-    assert [(step.time_s, step.size_n) for step in RunMetrics(data, edge).step_responses(1)] == [
-        (6.0, 3.0), (7.5, -3.0)]
+    assert [
+        (step.time_s, step.size_n) for step in RunMetrics(data, edge).step_responses(1)
+    ] == [(6.0, 3.0), (7.5, -3.0)]
     data.alpha_true[::2, 1] = -1.0
-    force, couple = (RunMetrics(data, edge).contact_summary(i)['moving'] for i in (0, 1))
-    assert (force['contact_loss_fraction'], couple['contact_loss_fraction']) == (0.0, None)
-    assert couple['true_error_rms_n'] == pytest.approx(0.5 ** 0.5, rel=1e-3)
+    force, couple = (
+        RunMetrics(data, edge).contact_summary(i)['moving'] for i in (0, 1)
+    )
+    assert (force['contact_loss_fraction'], couple['contact_loss_fraction']) == (
+        0.0,
+        None,
+    )
+    assert couple['true_error_rms_n'] == pytest.approx(0.5**0.5, rel=1e-3)
 
 
 def test_motion_error_counts_in_free_directions_and_in_its_window(setup, data):
@@ -140,19 +155,32 @@ def with_error(data, start, end, error, contact=0):
     return replace(data, alpha_true=true)
 
 
-@pytest.mark.parametrize(('push', 'errors', 'recovery'), [
-    (0, [(PUSH, PUSH + 0.35, 2.0)], 0.25),  # from the end of a short push
-    (1, [(LASTING, LASTING + 0.4, 2.0)], 0.4),  # from the start of a lasting one
-    (0, [(PUSH, PUSH + 0.5, 0.7)], 0.0),  # within the band
-    (0, [(PUSH, PUSH + 0.2, 2.0), (PUSH + 0.25, PUSH + 0.3, -2.0)], 0.2),  # out of it again
-    (0, [(PUSH, LASTING, 2.0)], None)])  # not before the next event
-def test_recovery_is_the_time_until_the_error_stays_in_the_band(pushed, push, errors, recovery):
+@pytest.mark.parametrize(
+    ('push', 'errors', 'recovery'),
+    [
+        (0, [(PUSH, PUSH + 0.35, 2.0)], 0.25),  # from the end of a short push
+        (1, [(LASTING, LASTING + 0.4, 2.0)], 0.4),  # from the start of a lasting one
+        (0, [(PUSH, PUSH + 0.5, 0.7)], 0.0),  # within the band
+        (
+            0,
+            [(PUSH, PUSH + 0.2, 2.0), (PUSH + 0.25, PUSH + 0.3, -2.0)],
+            0.2,
+        ),  # out of it again
+        (0, [(PUSH, LASTING, 2.0)], None),
+    ],
+)  # not before the next event
+def test_recovery_is_the_time_until_the_error_stays_in_the_band(
+    pushed, push, errors, recovery
+):
     data = perfect_run(pushed)
     for error in errors:
         data = with_error(data, *error)
     answer = RunMetrics(data, pushed).recoveries(0, None)[push]
     assert answer['recovery'] == (
-        recovery if recovery is None else pytest.approx(recovery, abs=0.003))
+        recovery if recovery is None else pytest.approx(recovery, abs=0.003)
+    )
     assert answer['peak'] == pytest.approx(max(abs(size) for *_, size in errors))
-    early = RunMetrics(data, pushed).recoveries(0, 4.0)  # of a run that is unstable by then
+    early = RunMetrics(data, pushed).recoveries(
+        0, 4.0
+    )  # of a run that is unstable by then
     assert early and all(answer['recovery'] is None for answer in early)

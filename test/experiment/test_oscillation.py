@@ -58,7 +58,9 @@ def test_gaps_alone_are_no_oscillation_and_hide_none():
     missing = np.random.default_rng(1).random(TIME.shape) < 0.05
     for second in range(0, 6, 2):
         missing |= (TIME >= second + 0.5) & (TIME < second + 0.53)
-    quiet = np.where(missing, np.nan, noise(1.0) + 3.0 * np.sin(2.0 * np.pi * 0.5 * TIME))
+    quiet = np.where(
+        missing, np.nan, noise(1.0) + 3.0 * np.sin(2.0 * np.pi * 0.5 * TIME)
+    )
     assert detect(quiet) == []
     (one,) = detect(np.where(missing, np.nan, tone(42.0, 2.0)))
     assert one.frequency == pytest.approx(42.0, abs=1.0)

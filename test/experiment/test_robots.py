@@ -23,9 +23,14 @@ def run(**options):
     return run_of(setup).data, list(summary['contacts'].values())
 
 
-@pytest.mark.parametrize(('plant', 'name'), [
-    *(pytest.param('', *name.values, marks=name.marks) for name in OTHERS),
-    ('flexible', 'panda'), pytest.param('flexible', 'iiwa', marks=nightly)])
+@pytest.mark.parametrize(
+    ('plant', 'name'),
+    [
+        *(pytest.param('', *name.values, marks=name.marks) for name in OTHERS),
+        ('flexible', 'panda'),
+        pytest.param('flexible', 'iiwa', marks=nightly),
+    ],
+)
 def test_robot_presses_on_two_surfaces_and_slides_along_them(name, plant):
     """Noisy sensor, rough surfaces with friction, rigid or flexible drives: 15 N on each."""
     data, contacts = run(robot=name, plant=plant)
@@ -43,22 +48,39 @@ def test_engines_agree_in_the_loop_and_on_their_own_contacts():
     same = {'plant_overrides': {'engine': 'mujoco'}}
     native = {'plant_overrides': {'engine': 'mujoco', 'contact': 'native'}}
     (here, one), (there, other), (_, smooth) = (
-        run(robot='panda', **options) for options in ({}, same, native))
+        run(robot='panda', **options) for options in ({}, same, native)
+    )
     np.testing.assert_allclose(here.q, there.q, atol=1e-3)
     for a, b, c in zip(one, other, smooth):
         for window in ('rest', 'moving'):
             assert a[window]['true_error_rms_n'] == pytest.approx(
-                b[window]['true_error_rms_n'], abs=0.02)
+                b[window]['true_error_rms_n'], abs=0.02
+            )
             assert c[window]['true_error_rms_n'] < 0.3
 
 
-@pytest.mark.parametrize(('rate', 'force'), [
-    (125.0, {'damping_rate': 40.0, 'input_delay': 0.012, 'time_constant': 0.05}), (1000.0, {})])
+@pytest.mark.parametrize(
+    ('rate', 'force'),
+    [
+        (125.0, {'damping_rate': 40.0, 'input_delay': 0.012, 'time_constant': 0.05}),
+        (1000.0, {}),
+    ],
+)
 def test_a_robot_of_another_rate_presses_without_any_reaction(rate, force):
     """Ages, gaps and bounces are counted in periods: a single sample says nothing of a surface."""
-    loop = ClosedLoop(resolve('quick', plant='rigid', noise_estimator={'rate': rate}, controller={
-        'rate': rate, 'force': force,
-        'watchdog': {'frozen_joint_ticks': 0}}), commanded=True)
+    loop = ClosedLoop(
+        resolve(
+            'quick',
+            plant='rigid',
+            noise_estimator={'rate': rate},
+            controller={
+                'rate': rate,
+                'force': force,
+                'watchdog': {'frozen_joint_ticks': 0},
+            },
+        ),
+        commanded=True,
+    )
     forces = []
     free = loop.sample.wrench
     loop.advance()
@@ -66,8 +88,12 @@ def test_a_robot_of_another_rate_presses_without_any_reaction(rate, force):
     for _ in range(round(3.0 * rate)):
         loop.advance()
         forces.append(loop.sample.contact_force)
-    np.testing.assert_allclose(np.mean(forces[-round(0.2 * rate):], axis=0), 10.0, atol=0.5)
-    loop.advance(lambda inputs: inputs._replace(wrench=inputs.wrench._replace(wrench=free)))
+    np.testing.assert_allclose(
+        np.mean(forces[-round(0.2 * rate) :], axis=0), 10.0, atol=0.5
+    )
+    loop.advance(
+        lambda inputs: inputs._replace(wrench=inputs.wrench._replace(wrench=free))
+    )
     for _ in range(round(0.5 * rate)):
         loop.advance()
     loop.close()
@@ -78,13 +104,25 @@ def test_a_robot_of_another_rate_presses_without_any_reaction(rate, force):
 
 def test_encoder_with_steps_is_not_taken_for_a_frozen_one():
     """A joint that moves by less than a step in a period repeats itself."""
-    step = 2.0 * np.pi / 2 ** 16
-    loop = ClosedLoop(resolve('quick', plant='rigid', controller={
-        'watchdog': {'frozen_joint_ticks': WatchdogConfig().frozen_joint_ticks}}))
+    step = 2.0 * np.pi / 2**16
+    loop = ClosedLoop(
+        resolve(
+            'quick',
+            plant='rigid',
+            controller={
+                'watchdog': {'frozen_joint_ticks': WatchdogConfig().frozen_joint_ticks}
+            },
+        )
+    )
     for _ in range(700):
-        loop.advance(lambda inputs: inputs._replace(joints=inputs.joints._replace(
-            q=step * np.round(inputs.joints.q / step),
-            qd=1e-3 * np.round(1e3 * inputs.joints.qd))))
+        loop.advance(
+            lambda inputs: inputs._replace(
+                joints=inputs.joints._replace(
+                    q=step * np.round(inputs.joints.q / step),
+                    qd=1e-3 * np.round(1e3 * inputs.joints.qd),
+                )
+            )
+        )
     loop.close()
     assert set(loop.control.events.reactions) == {'none'}
 
@@ -93,21 +131,44 @@ CONFIG = PushTestConfig()
 LENGTH, GAP = 2.0 * PHASE_TIME + 0.2, 0.8  # s, of a push and between two
 
 
-@pytest.mark.parametrize(('plant', 'mounting', 'verdict'), [
-    ('puma', np.eye(3), 'passed'),
-    ('rigid', [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], 'rotated by 90 deg about the axis (0, 1, 0)')])
+@pytest.mark.parametrize(
+    ('plant', 'mounting', 'verdict'),
+    [
+        ('puma', np.eye(3), 'passed'),
+        (
+            'rigid',
+            [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+            'rotated by 90 deg about the axis (0, 1, 0)',
+        ),
+    ],
+)
 def test_push_test_names_the_fault_of_the_mounting(plant, mounting, verdict):
     """Tared first, so that nothing is wrong at rest."""
-    pushes = dict(zip((500 + round(500 * i * (LENGTH + GAP)) for i in itertools.count()),
-                      CONFIG.force * CONFIG.directions_world))
-    loop = ClosedLoop(resolve('quick', plant=plant, plant_overrides={
-        'sensor': {'mounting': np.ravel(mounting).tolist(), 'bias': [3.0, -2.0, 4.0, 0, 0.1, 0]}},
-        controller={'sensor': {'require_push_test': True}}))
+    pushes = dict(
+        zip(
+            (500 + round(500 * i * (LENGTH + GAP)) for i in itertools.count()),
+            CONFIG.force * CONFIG.directions_world,
+        )
+    )
+    loop = ClosedLoop(
+        resolve(
+            'quick',
+            plant=plant,
+            plant_overrides={
+                'sensor': {
+                    'mounting': np.ravel(mounting).tolist(),
+                    'bias': [3.0, -2.0, 4.0, 0, 0.1, 0],
+                }
+            },
+            controller={'sensor': {'require_push_test': True}},
+        )
+    )
     control, gate = loop.control, loop.control.push_gate
     for _ in range(150):
         loop.advance()
     tool = control.config.tool.model_copy(
-        update={'bias_sensor': tuple(control.tare().tolist())})
+        update={'bias_sensor': tuple(control.tare().tolist())}
+    )
     control.reconfigure(control.config.model_copy(update={'tool': tool}))
     control.push_test(CONFIG)
     for tick in itertools.count(150):

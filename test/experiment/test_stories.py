@@ -39,24 +39,32 @@ class Pressing:
 
     def slide(self, speed, ticks):
         """Slide along x with a speed [m/s]; return the true forces."""
-        pose, twist = self.loop.control.output.pose_des, np.array([speed, 0, 0, 0, 0, 0])
+        pose, twist = (
+            self.loop.control.output.pose_des,
+            np.array([speed, 0, 0, 0, 0, 0]),
+        )
         forces = []
         for k in range(ticks):
             way = k * self.loop.setup.controller.period * twist[:3]
-            self.loop.control.set_motion(MotionReading(
-                pose.position_world + way, pose.quaternion_xyzw, twist, np.zeros(6)))
+            self.loop.control.set_motion(
+                MotionReading(
+                    pose.position_world + way, pose.quaternion_xyzw, twist, np.zeros(6)
+                )
+            )
             forces.append(self.advance()[0])
         return np.array(forces)
 
 
 def pressing(plant, corrupt=None, **arguments):
-    return Pressing(ClosedLoop(resolve('quick', plant=plant, **arguments), commanded=True),
-                    corrupt)
+    return Pressing(
+        ClosedLoop(resolve('quick', plant=plant, **arguments), commanded=True), corrupt
+    )
 
 
 @pytest.mark.parametrize('plant', ['rigid', 'puma'])
 def test_wrench_at_a_fifth_of_the_rate_presses_and_slides(plant):
     """The readings between are missing, as of a sensor of 100 Hz."""
+
     def seldom(inputs):
         new = round(inputs.time * 500.0) % 5 == 0
         return inputs if new else inputs._replace(wrench=None)
@@ -72,11 +80,13 @@ def test_wrench_at_a_fifth_of_the_rate_presses_and_slides(plant):
 @pytest.mark.parametrize('plant', ['rigid', 'puma'])
 def test_encoders_of_12_bits_beside_measured_speeds_press_and_slide(plant):
     """Steps of 1.5 mrad are 1 mm at the tip: what is pressed does not move by as much."""
-    step = 2.0 * np.pi / 2 ** 12
+    step = 2.0 * np.pi / 2**12
 
     def coarse(inputs):
         joints = inputs.joints
-        return inputs._replace(joints=joints._replace(q=np.round(joints.q / step) * step))
+        return inputs._replace(
+            joints=joints._replace(q=np.round(joints.q / step) * step)
+        )
 
     run = pressing(plant, coarse, controller={'watchdog': {'frozen_joint_ticks': 0}})
     with closing(run.loop):
@@ -109,8 +119,9 @@ def test_every_law_takes_over_while_it_presses():
             changes = {'force': {'law': law}}
             if law != 'aob':
                 changes = merge(changes, preset_values(f'laws/{law}')['controller'])
-            run.loop.control.reconfigure(validate(ControllerConfig, merge(
-                config.model_dump(), changes)))
+            run.loop.control.reconfigure(
+                validate(ControllerConfig, merge(config.model_dump(), changes))
+            )
             assert run.loop.control.config.force.law == law
             before = run.loop.command
             forces = run.advance(150)
@@ -139,7 +150,10 @@ def test_arm_that_was_moved_while_inactive_begins_where_it_is(force):
         loop.control.restart()
         before, measured = loop.command, loop.sample.effort
         loop.advance()
-        assert min(np.abs(loop.command - torque).max() for torque in (before, measured)) < 1e-6
+        assert (
+            min(np.abs(loop.command - torque).max() for torque in (before, measured))
+            < 1e-6
+        )
         assert not any(loop.control.commanded_forces.values())
         run.advance(400)
         assert np.abs(loop.sample.q - moved).max() < 2e-3

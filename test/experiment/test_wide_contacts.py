@@ -14,8 +14,10 @@ H = 0.002
 FRICTION = 0.1  # of the simulated surfaces
 
 
-@pytest.mark.parametrize(('scenario', 'plant', 'bound'), [
-    ('edge', 'rigid', 1.0), ('edge', 'puma', 1.0), ('plane', 'puma', 1.5)])
+@pytest.mark.parametrize(
+    ('scenario', 'plant', 'bound'),
+    [('edge', 'rigid', 1.0), ('edge', 'puma', 1.0), ('plane', 'puma', 1.5)],
+)
 def test_forces_and_couples_are_kept_at_rest_and_while_sliding(scenario, plant, bound):
     setup = resolve(scenario, plant=plant, seed=1, duration=13.0)
     data = run_of(setup).data
@@ -31,14 +33,25 @@ def test_forces_and_couples_are_kept_at_rest_and_while_sliding(scenario, plant, 
     assert data.alpha_true[held, 1].mean() == pytest.approx(3.0, abs=0.1)
 
 
-def press(changes, *, ticks, each=lambda loop, k: None, plant=None, only=None, motion=None):
+def press(
+    changes, *, ticks, each=lambda loop, k: None, plant=None, only=None, motion=None
+):
     """Return the error of the last contact's true force while something happens [N]."""
     names = ['table', 'board'] if only is None else [only]
-    setup = resolve('quick', plant='rigid', duration=20.0, controller={
-        'contact_names': names, 'contacts': changes}, noise_estimator={'contact_names': names},
-        plant_overrides={'contact_names': names, 'surfaces': plant or {}}, scenario_overrides={
-            'reference': {'force_steps': [{'time': 2.0, 'forces': dict.fromkeys(names, 15.0)}],
-                          'motion': motion}})
+    setup = resolve(
+        'quick',
+        plant='rigid',
+        duration=20.0,
+        controller={'contact_names': names, 'contacts': changes},
+        noise_estimator={'contact_names': names},
+        plant_overrides={'contact_names': names, 'surfaces': plant or {}},
+        scenario_overrides={
+            'reference': {
+                'force_steps': [{'time': 2.0, 'forces': dict.fromkeys(names, 15.0)}],
+                'motion': motion,
+            }
+        },
+    )
     loop, errors = ClosedLoop(setup), []
     for k in range(ticks):
         each(loop, k)
@@ -53,12 +66,15 @@ def test_a_moving_surface_is_pressed_as_one_that_rests():
 
     Forces along the line between both contacts, near the board's normal, no wrist sensor feels.
     """
+
     def receding(loop, k):
         if k * H > 3.0:
             loop.plant.contacts.shift(1, (0.02 if k * H <= 4.0 else -0.02) * H)
 
-    settings = {'table': {'friction_coefficient': FRICTION},
-                'board': {'friction_coefficient': FRICTION, 'surface_speed_limit': 0.1}}
+    settings = {
+        'table': {'friction_coefficient': FRICTION},
+        'board': {'friction_coefficient': FRICTION, 'surface_speed_limit': 0.1},
+    }
     contacts, errors = press(settings, ticks=2500, each=receding)
     assert np.sqrt((errors[1750:2000] ** 2).mean()) < 0.3
     assert np.sqrt((errors[2250:2500] ** 2).mean()) < 0.3
@@ -68,23 +84,36 @@ def test_a_moving_surface_is_pressed_as_one_that_rests():
     assert np.sqrt((bare[1750:] ** 2).mean()) > 1.0
 
 
-@pytest.mark.parametrize(('degrees', 'limit', 'expected'), [(20.0, {}, 20.0), (30.0, {
-    'normal_range': 0.2}, np.degrees(0.2))])
-def test_unknown_tilt_is_followed_while_sliding_within_its_range(degrees, limit, expected):
+@pytest.mark.parametrize(
+    ('degrees', 'limit', 'expected'),
+    [(20.0, {}, 20.0), (30.0, {'normal_range': 0.2}, np.degrees(0.2))],
+)
+def test_unknown_tilt_is_followed_while_sliding_within_its_range(
+    degrees, limit, expected
+):
     tilt = np.radians(degrees)
     surface = {'table': {'normal_world': [np.sin(tilt), 0.0, -np.cos(tilt)]}}
     motion = {'start_time': 2.5, 'amplitude': 0.1, 'period': 6.0, 'blend_time': 1.0}
     contacts, errors = press(
-        {'table': {'friction_std': 3.0, 'normal_turn_rate': 3.0, **limit}}, ticks=3200,
-        plant=surface, only='table', motion=motion)
+        {'table': {'friction_std': 3.0, 'normal_turn_rate': 3.0, **limit}},
+        ticks=3200,
+        plant=surface,
+        only='table',
+        motion=motion,
+    )
     normal = contacts['normal'][0]
-    assert np.degrees(np.arctan2(normal[0], -normal[2])) == pytest.approx(expected, abs=1.0)
+    assert np.degrees(np.arctan2(normal[0], -normal[2])) == pytest.approx(
+        expected, abs=1.0
+    )
     assert np.linalg.norm(normal) == pytest.approx(1.0)
     if not limit:
-        smooth = np.convolve(errors[2100:], np.full(25, 1 / 25), 'valid')  # without roughness
-        assert np.sqrt((smooth ** 2).mean()) < 0.3
-        _, bare = press({'table': {'friction_std': 3.0}}, ticks=1250, plant=surface,
-                        only='table')
+        smooth = np.convolve(
+            errors[2100:], np.full(25, 1 / 25), 'valid'
+        )  # without roughness
+        assert np.sqrt((smooth**2).mean()) < 0.3
+        _, bare = press(
+            {'table': {'friction_std': 3.0}}, ticks=1250, plant=surface, only='table'
+        )
         assert bare[-100:].mean() > 0.8
 
 
@@ -101,4 +130,6 @@ def test_centres_of_pressure_follow_the_force_and_stay_inside():
         loop.advance()
     np.testing.assert_allclose(loop.sample.contact_force, [20.0, 4.0], atol=0.3)
     loop.control.set_forces({'edge': 5.0})  # 4 N of its couple would be too much there
-    assert loop.control.commanded_forces == pytest.approx({'edge': 5.0, 'edge/along': 1.0})
+    assert loop.control.commanded_forces == pytest.approx(
+        {'edge': 5.0, 'edge/along': 1.0}
+    )

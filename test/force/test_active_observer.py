@@ -33,12 +33,17 @@ def test_delayed_plant_agrees_with_the_continuous_one(k_2, delay):
     states = [np.zeros(plant.Phi.shape[0])]
     for value in inputs:
         states.append(plant.Phi @ states[-1] + plant.Gamma * value)
-    late = np.concatenate([np.zeros(round(delay * fine / H)), np.repeat(inputs, fine), [0.0]])
+    late = np.concatenate(
+        [np.zeros(round(delay * fine / H)), np.repeat(inputs, fine), [0.0]]
+    )
     count = len(inputs) * fine + 1
     system = ([[0.0, 1.0], [0.0, -k_2]], [[0.0], [K]], np.eye(2), np.zeros((2, 1)))
-    _, expected, _ = lsim(system, late[:count], H / fine * np.arange(count), interp=False)
+    _, expected, _ = lsim(
+        system, late[:count], H / fine * np.arange(count), interp=False
+    )
     np.testing.assert_allclose(
-        np.array(states)[:, :2], expected[::fine], rtol=1e-8, atol=1e-9)
+        np.array(states)[:, :2], expected[::fine], rtol=1e-8, atol=1e-9
+    )
 
 
 def test_delayed_plant_refuses_more_than_ten_periods_of_delay():
@@ -52,8 +57,11 @@ def test_place_poles_places_the_designed_poles(delay):
     loop = design_force_loop(input_delay=delay)
     pole, n = np.exp(-H / 0.02), len(loop.L)
     np.testing.assert_allclose(
-        np.poly(loop.closed_loop), np.poly([pole, pole] + [0.0] * (n - 2)), atol=1e-9)
-    settled = np.linalg.solve(np.eye(n) - loop.closed_loop, loop.plant.Gamma * loop.L[0] * 10.0)
+        np.poly(loop.closed_loop), np.poly([pole, pole] + [0.0] * (n - 2)), atol=1e-9
+    )
+    settled = np.linalg.solve(
+        np.eye(n) - loop.closed_loop, loop.plant.Gamma * loop.L[0] * 10.0
+    )
     assert settled[0] == pytest.approx(10.0, rel=1e-9)
 
 
@@ -78,19 +86,27 @@ def test_observer_is_equations_34_to_41_in_full_matrices(loop, order, every):
     options = {'order': order, 'process_noise': 2e-3}
     observer, random = ActiveObserver(loop, **options), np.random.default_rng(4)
     literal = equations.Observer(
-        loop.plant.Phi, loop.plant.Gamma, loop.L, initial_covariance=1e-3, **options)
+        loop.plant.Phi, loop.plant.Gamma, loop.L, initial_covariance=1e-3, **options
+    )
     literal.reset(1.0)
     for k in range(200):
-        force, variance = random.normal(5.0) if k else 1.0, 10.0 ** random.uniform(-2, 2)
+        force, variance = (
+            random.normal(5.0) if k else 1.0,
+            10.0 ** random.uniform(-2, 2),
+        )
         measured = every == 1 or k % every > 0
         observer.update(force, variance, measured)
         literal.update(force, variance if measured else np.inf)
         for name in ('x_est', 'P'):
             np.testing.assert_allclose(
-                getattr(observer, name), getattr(literal, name), rtol=1e-8, atol=1e-10)
+                getattr(observer, name), getattr(literal, name), rtol=1e-8, atol=1e-10
+            )
         if measured:
-            np.testing.assert_allclose(np.ravel(astuple(observer.innovation)), [
-                literal.innovation, literal.prior_variance, literal.variance_used], rtol=1e-8)
+            np.testing.assert_allclose(
+                np.ravel(astuple(observer.innovation)),
+                [literal.innovation, literal.prior_variance, literal.variance_used],
+                rtol=1e-8,
+            )
         assert observer.command(10.0) == pytest.approx(literal.command(10.0), rel=1e-8)
 
 
@@ -107,8 +123,13 @@ def update_covariance(observers, variances, spaces):
 def test_covariance_stays_symmetric_positive_and_right_over_hours(order, damping_rate):
     """R jumps between floor and ceiling: every tick, at random times and every 20 000 ticks."""
     random, third = np.random.default_rng(11), 100_000
-    high = np.concatenate([np.arange(third) % 2, np.cumsum(random.random(third) < 0.01) % 2,
-                           np.arange(third) // 20_000 % 2])
+    high = np.concatenate(
+        [
+            np.arange(third) % 2,
+            np.cumsum(random.random(third) < 0.01) % 2,
+            np.arange(third) // 20_000 % 2,
+        ]
+    )
     observer, fresh = (observer_of(order, damping_rate) for _ in range(2))
     for each in (observer, fresh):
         each.update(0.0, 0.6)  # begins
@@ -153,4 +174,6 @@ def test_observer_that_continues_knows_its_disturbance_and_others_begin_anew(loo
     observers['x_est'][:, :6] = [8.0, 3.0, 0.1, 0.2, 0.3, 0.7]
     continue_at(observers, np.array([True, False]), np.array([5.0, 6.0]))
     assert observers['running'].tolist() == [True, False]
-    np.testing.assert_array_equal(observers['x_est'][0, :6], [5.0, 0.0, 0.0, 0.0, 0.0, 0.7])
+    np.testing.assert_array_equal(
+        observers['x_est'][0, :6], [5.0, 0.0, 0.0, 0.0, 0.0, 0.7]
+    )

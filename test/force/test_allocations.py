@@ -1,7 +1,11 @@
 """Nothing is allocated between a sample and its answer."""
 
 from multicontact_control.experiment.scenario import resolve
-from multicontact_control.force.force_law import answer_forces, FORCE_SPACE, make_force_laws
+from multicontact_control.force.force_law import (
+    answer_forces,
+    FORCE_SPACE,
+    make_force_laws,
+)
 from multicontact_control.records import CONTACT, CONTROL
 from numba import njit
 from numba.core.runtime import _nrt_python, rtsys
@@ -20,12 +24,25 @@ def answer_again(count, laws, contacts, controls, inputs, spaces):
 def test_force_laws_allocate_nothing(preset):
     """As much for one answer as for many: what their arguments take."""
     config = resolve('quick', preset=preset).controller
-    laws, contacts = make_force_laws(config), np.zeros(len(config.columns), dtype=CONTACT)
+    laws, contacts = (
+        make_force_laws(config),
+        np.zeros(len(config.columns), dtype=CONTACT),
+    )
     control, space = np.zeros(1, dtype=CONTROL), np.zeros(1, dtype=FORCE_SPACE)
     contacts['answer']['active'], control['measured'] = True, True
-    contacts['alpha_meas'], contacts['noise_variance'], contacts['mobility'] = 5.0, 0.6, 1.0
-    contacts['N'], control['frame']['twist'] = np.eye(6)[2], [0.01, 0.0, 0.02, 0.0, 0.0, 0.0]
-    control['law']['period'], control['law']['K_2'] = config.period, config.force.damping_rate
+    contacts['alpha_meas'], contacts['noise_variance'], contacts['mobility'] = (
+        5.0,
+        0.6,
+        1.0,
+    )
+    contacts['N'], control['frame']['twist'] = (
+        np.eye(6)[2],
+        [0.01, 0.0, 0.02, 0.0, 0.0, 0.0],
+    )
+    control['law']['period'], control['law']['K_2'] = (
+        config.period,
+        config.force.damping_rate,
+    )
     inputs, allocations = np.zeros(len(contacts)), []
     _nrt_python.memsys_enable_stats()
     for count in (1, 1, 100):  # the first compiles

@@ -50,26 +50,36 @@ H, K, DELAY = 0.002, 6000.0, 0.006
 SPACE = np.zeros(1, dtype=FORCE_SPACE)[0]
 LINEAR = [name for name in LAWS if name != 'aob']
 OTHER_GAINS = {
-    'time_constant': 0.031, 'second_pole_ratio': 1.7, 'active_state_order': 2,
-    'process_noise': 2.3e-3, 'fed_forward': 'estimate',
+    'time_constant': 0.031,
+    'second_pole_ratio': 1.7,
+    'active_state_order': 2,
+    'process_noise': 2.3e-3,
+    'fed_forward': 'estimate',
     'pi': PiConfig(bandwidth=11.0, integral_rate=3.0, filter_cutoff=19.0),
     'dob': DobConfig(observer_bandwidth=31.0, bandwidth=17.0),
     'lqg': LqgConfig(noise_variance=1.3, input_weight=2.0),
-    'admittance': AdmittanceConfig(bandwidth=13.0, inertia_time=0.007, integral_rate=3.0),
-    'impedance': ImpedanceConfig(natural_frequency=21.0)}
+    'admittance': AdmittanceConfig(
+        bandwidth=13.0, inertia_time=0.007, integral_rate=3.0
+    ),
+    'impedance': ImpedanceConfig(natural_frequency=21.0),
+}
 INTEGRATING = ('aob', 'pi', 'dob', 'lqg', 'admittance')
 
 
 def config_of(law, **force):
-    return resolve('quick', controller={'force': {
-        'law': law, 'damping_rate': 100.0, **force}}).controller
+    return resolve(
+        'quick', controller={'force': {'law': law, 'damping_rate': 100.0, **force}}
+    ).controller
 
 
 def law_of(name, **force):
     config = config_of(name, **force)
     design = design_law(name, config.force, loop_model(config, K))
-    return design if isinstance(design, LinearLaw) else steady_law(
-        design, steady_gain(design, 0.6))
+    return (
+        design
+        if isinstance(design, LinearLaw)
+        else steady_law(design, steady_gain(design, 0.6))
+    )
 
 
 def run_steps(law, alphas, desired, speeds, extra=None):
@@ -81,14 +91,19 @@ def run_steps(law, alphas, desired, speeds, extra=None):
         if k and extra is not None:
             record['extra'] = extra[k - 1]
         u = step_linear(record, contact, values[2], np.empty(MAX_STATES))
-        answers.append((u, float(contact['answer']['alpha_est']), float(record['p_est'])))
+        answers.append(
+            (u, float(contact['answer']['alpha_est']), float(record['p_est']))
+        )
     return np.array(answers)
 
 
 def series(seed=3, count=200):
     random = np.random.default_rng(seed)
-    return (10.0 + random.standard_normal(count), np.full(count, 12.0),
-            0.01 * random.standard_normal(count))
+    return (
+        10.0 + random.standard_normal(count),
+        np.full(count, 12.0),
+        0.01 * random.standard_normal(count),
+    )
 
 
 @pytest.mark.parametrize('name', LINEAR)
@@ -100,13 +115,17 @@ def test_compiled_law_is_its_matrices(name):
     x = law.start_force * alphas[0]
     for k, y in enumerate(zip(alphas, desired, speeds)):
         x = x + (law.E * extra[k - 1] if k else 0.0)
-        np.testing.assert_allclose(outputs[k], law.C @ x + law.D @ y, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(
+            outputs[k], law.C @ x + law.D @ y, rtol=1e-9, atol=1e-12
+        )
         x = law.A @ x + law.B @ y
 
 
 def test_pi_is_proportional_and_integral():
     alphas, desired, speeds = series()
-    outputs = run_steps(law_of('pi', pi={'filter_cutoff': 0.0}), alphas, desired, speeds)[:, 0]
+    outputs = run_steps(
+        law_of('pi', pi={'filter_cutoff': 0.0}), alphas, desired, speeds
+    )[:, 0]
     gain = 24.0 * 100.0 / K
     error = desired - alphas
     integral = np.concatenate([[0.0], np.cumsum(0.5 * H * (error[1:] + error[:-1]))])
@@ -118,8 +137,11 @@ def test_pi_is_proportional_and_integral():
 def test_impedance_is_a_spring_from_the_touch_on():
     alphas, desired, speeds = series()
     outputs = run_steps(law_of('impedance'), alphas, desired, speeds)[:, 0]
-    depth = alphas[0] / K + np.concatenate(
-        [[0.0], np.cumsum(0.5 * H * (speeds[1:] + speeds[:-1]))]) + 0.5 * H * speeds[0]
+    depth = (
+        alphas[0] / K
+        + np.concatenate([[0.0], np.cumsum(0.5 * H * (speeds[1:] + speeds[:-1]))])
+        + 0.5 * H * speeds[0]
+    )
     np.testing.assert_allclose(outputs, 900.0 * (desired / K - depth), rtol=1e-9)
 
 
@@ -170,8 +192,13 @@ def test_law_compensates_a_constant_disturbance_if_it_integrates(name):
         assert forces[-1] > 100.0  # it has nothing to hold the contact with
 
 
-@pytest.mark.parametrize(('before', 'after'), [
-    *(('aob', after) for after in INTEGRATING), *((before, 'dob') for before in INTEGRATING[1:])])
+@pytest.mark.parametrize(
+    ('before', 'after'),
+    [
+        *(('aob', after) for after in INTEGRATING),
+        *((before, 'dob') for before in INTEGRATING[1:]),
+    ],
+)
 def test_law_that_takes_over_knows_force_and_disturbance(before, after):
     """At rest under a disturbance that by itself moves the force by more than half a newton."""
     laws, before_it, x = settled(before)
@@ -188,13 +215,24 @@ def test_law_that_takes_over_knows_force_and_disturbance(before, after):
 def test_law_knows_what_acts_beyond_its_answer(name):
     estimates = []
     for aware in (True, False):
-        laws, inputs, (contacts, control) = laws_of(name), np.empty(1), one_contact(20.0)
+        laws, inputs, (contacts, control) = (
+            laws_of(name),
+            np.empty(1),
+            one_contact(20.0),
+        )
         for _ in range(100):  # everything is clipped: nothing moves
             answer_forces(laws, contacts, control[0], inputs, SPACE)
             if aware:
                 act_beyond(laws, np.array([True]), -inputs)
-        part = laws[0]['linear']['p_est'] if laws['is_linear'][0] else (
-            laws[0]['observer']['x_est'][laws[0]['observer']['design']['states'] - 1])
+        part = (
+            laws[0]['linear']['p_est']
+            if laws['is_linear'][0]
+            else (
+                laws[0]['observer']['x_est'][
+                    laws[0]['observer']['design']['states'] - 1
+                ]
+            )
+        )
         estimates.append(abs(float(part)))
     assert estimates[0] < 0.02 < 0.1 < estimates[1]
 
@@ -207,7 +245,9 @@ def test_margins_are_where_the_loop_becomes_unstable(name):
     if np.isfinite(stiffest):
         assert spectral_radius(contact_loop(law, model, 0.98 * stiffest)) < 1.0
         assert spectral_radius(contact_loop(law, model, 1.02 * stiffest)) > 1.0
-        if name != 'impedance':  # which reads the speed, that does not grow with the stiffness
+        if (
+            name != 'impedance'
+        ):  # which reads the speed, that does not grow with the stiffness
             assert margins.gain == pytest.approx(stiffest, rel=0.01)
     for share, stable in ((0.97, True), (1.03, False)):
         delay = DELAY + share * margins.delay
@@ -218,28 +258,42 @@ def test_margins_are_where_the_loop_becomes_unstable(name):
 
 
 @pytest.mark.parametrize('name', LAWS)
-def test_design_for_a_range_has_its_margins_on_every_surface_and_its_file_is_read(tmp_path, name):
+def test_design_for_a_range_has_its_margins_on_every_surface_and_its_file_is_read(
+    tmp_path, name
+):
     """A law knows no contacts: their stiffness is in a setting beside its file."""
     result = design_for_range(
-        name, input_delay=DELAY, softest=2000.0, stiffest=8000.0, noise_variance=2.0)
+        name, input_delay=DELAY, softest=2000.0, stiffest=8000.0, noise_variance=2.0
+    )
     force = ForceConfig(**result.values)
     config = resolve('quick').controller.model_copy(update={'force': force})
     design = design_law(name, force, loop_model(config, result.stiffness))
-    law = design if isinstance(design, LinearLaw) else steady_law(design, steady_gain(design, 2.0))
+    law = (
+        design
+        if isinstance(design, LinearLaw)
+        else steady_law(design, steady_gain(design, 2.0))
+    )
     for stiffness in (2000.0, 4000.0, 8000.0, 15900.0):
         model = loop_model(config, stiffness)
         assert spectral_radius(contact_loop(law, model)) < 1.0 + 1e-9
-    late = loop_model(config.model_copy(update={'force': force.model_copy(
-        update={'input_delay': DELAY + 0.99 * H})}), 8000.0)
+    late = loop_model(
+        config.model_copy(
+            update={'force': force.model_copy(update={'input_delay': DELAY + 0.99 * H})}
+        ),
+        8000.0,
+    )
     assert spectral_radius(contact_loop(law, late)) < 1.0 + 1e-9
     path = tmp_path / 'law.yaml'
     write_design(result, path)
     for text in (show_design(result), path.read_text()):
         _, setting = shlex.split(re.search(r"--set '[^']+'", text)[0])
-        read = SetupOptions(scenario='quick', preset=str(path), settings=[setting]).setup()
+        read = SetupOptions(
+            scenario='quick', preset=str(path), settings=[setting]
+        ).setup()
         assert read.controller.force == force
-        assert [x.stiffness for x in read.controller.contacts.values()] == pytest.approx(
-            [result.stiffness] * 2, abs=0.5)
+        assert [
+            x.stiffness for x in read.controller.contacts.values()
+        ] == pytest.approx([result.stiffness] * 2, abs=0.5)
 
 
 def test_registry_has_every_law_in_every_place():
@@ -270,6 +324,10 @@ def test_live_change_of_what_adaptive_limits_do_not_read_computes_none_anew():
         force = config.force.model_copy(update={field: OTHER_GAINS[field]})
         make_force_laws(config.model_copy(update={'force': force}))
     assert largest_ratio.cache_info().misses == known
-    force = config.force.model_copy(update={'time_constant': OTHER_GAINS['time_constant']})
-    limits = make_force_laws(config.model_copy(update={'force': force}))['stiffness']['config']
+    force = config.force.model_copy(
+        update={'time_constant': OTHER_GAINS['time_constant']}
+    )
+    limits = make_force_laws(config.model_copy(update={'force': force}))['stiffness'][
+        'config'
+    ]
     assert (limits['ratio_limit'] != laws['stiffness']['config']['ratio_limit']).all()

@@ -26,18 +26,29 @@ def stiffness_of(k=6000.0, delay=0.006, mass=0.5, period=H, **values):
     loop = design_force_loop(k, 100.0, delay, period)
     observer = make_observers([design_observer(loop)])[0]
     record = np.zeros(1, dtype=STIFFNESS)[0]
-    adopt_stiffness(record, loop.plant, k, config, period=period, tool_mass=mass,
-                    ratio_limits=np.linspace(5.0, 1.0, 8).tolist())
+    adopt_stiffness(
+        record,
+        loop.plant,
+        k,
+        config,
+        period=period,
+        tool_mass=mass,
+        ratio_limits=np.linspace(5.0, 1.0, 8).tolist(),
+    )
     return record, observer
 
 
 def follow(observer, record):
     """Let the model follow the fits as they are: nothing is felt."""
     laws, contacts, controls = (
-        np.zeros(1, dtype=dtype) for dtype in (FORCE_LAW, CONTACT, CONTROL))
+        np.zeros(1, dtype=dtype) for dtype in (FORCE_LAW, CONTACT, CONTROL)
+    )
     laws['observer'], laws['stiffness'], controls['measured'] = observer, record, True
     learn_stiffness(laws, contacts, 0, controls[0], 0.0, SPACE)
-    for part, changed in ((observer, laws['observer'][0]), (record, laws['stiffness'][0])):
+    for part, changed in (
+        (observer, laws['observer'][0]),
+        (record, laws['stiffness'][0]),
+    ):
         for name in part.dtype.names:
             part[name] = changed[name]
 
@@ -48,31 +59,44 @@ def test_feedback_of_another_stiffness_is_that_of_ackermann(delay):
     record, observer = stiffness_of(delay=delay, mass=0.0)
     for k in (300.0, 20_000.0, 6000.0):
         use_stiffness(observer, record, k, 0.0)
-        wanted = make_observers([design_observer(design_force_loop(k, 100.0, delay))])['design'][0]
+        wanted = make_observers([design_observer(design_force_loop(k, 100.0, delay))])[
+            'design'
+        ][0]
         for name in ('Phi_n', 'Gamma', 'feedback'):
             np.testing.assert_allclose(
-                observer['design'][name], wanted[name], rtol=1e-6,
-                atol=1e-9 * np.abs(wanted[name]).max())
+                observer['design'][name],
+                wanted[name],
+                rtol=1e-6,
+                atol=1e-9 * np.abs(wanted[name]).max(),
+            )
 
 
 def test_poles_are_limited_by_tool_and_surface():
     record, observer = stiffness_of()
     use_stiffness(observer, record, 300.0, 20.0)
     design = observer['design']
-    loop = design['Phi_n'][:5, :5] - np.outer(design['Gamma'][:5], design['feedback'][:5])
+    loop = design['Phi_n'][:5, :5] - np.outer(
+        design['Gamma'][:5], design['feedback'][:5]
+    )
     poles = np.sort(-np.log(np.sort(np.abs(np.linalg.eigvals(loop)))[-2:]) / H)
-    np.testing.assert_allclose(poles, [300.0 / 20.0, np.sqrt(0.8 * 300.0 / 0.5)], rtol=1e-4)
+    np.testing.assert_allclose(
+        poles, [300.0 / 20.0, np.sqrt(0.8 * 300.0 / 0.5)], rtol=1e-4
+    )
 
 
 def signals(k, c, mu, mass, seed=1, count=150, noise=0.0):
     """Return samples of a surface that is pressed and let go: z, v, w and what is measured."""
     random = np.random.default_rng(seed)
     t = H * np.arange(count)
-    depth = 2e-3 * (1.0 - np.cos(2.0 * np.pi * 5.0 * t)) + 3e-4 * np.sin(2.0 * np.pi * 9.0 * t)
+    depth = 2e-3 * (1.0 - np.cos(2.0 * np.pi * 5.0 * t)) + 3e-4 * np.sin(
+        2.0 * np.pi * 9.0 * t
+    )
     speed = np.gradient(depth, H)
-    others = 10.0 * speed / np.sqrt(speed ** 2 + 0.003 ** 2)
+    others = 10.0 * speed / np.sqrt(speed**2 + 0.003**2)
     alpha = k * depth + c * speed + mu * others + mass * np.gradient(speed, H)
-    return np.column_stack([depth, speed, others, alpha + noise * random.standard_normal(count)])
+    return np.column_stack(
+        [depth, speed, others, alpha + noise * random.standard_normal(count)]
+    )
 
 
 def fit_to(samples):
@@ -84,8 +108,9 @@ def fit_to(samples):
     return fit
 
 
-@pytest.mark.parametrize(('k', 'c', 'mu'), [
-    (300.0, 30.0, 0.1), (6000.0, 0.0, 0.0), (60_000.0, 50.0, 0.3)])
+@pytest.mark.parametrize(
+    ('k', 'c', 'mu'), [(300.0, 30.0, 0.1), (6000.0, 0.0, 0.0), (60_000.0, 50.0, 0.3)]
+)
 def test_fit_recovers_stiffness_damping_and_friction(k, c, mu):
     fit = fit_to(signals(k, c, mu, 0.5))
     assert fit['k'] == pytest.approx(k, rel=0.03)
@@ -106,8 +131,9 @@ def test_fit_takes_samples_after_a_touch_or_a_step_alone():
     record, _ = stiffness_of()
     weights = []
     for k, sample in enumerate(signals(6000.0, 0.0, 0.0, 0.5, count=600)):
-        find_stiffness(record, 5.0 + sample[3], 15.0 if k > 400 else 10.0, sample[1], 0.0,
-                       SPACE)
+        find_stiffness(
+            record, 5.0 + sample[3], 15.0 if k > 400 else 10.0, sample[1], 0.0, SPACE
+        )
         weights.append(float(record['slow']['weight']))
     assert weights[149] > 10.0
     assert weights[160] == weights[400]
@@ -130,7 +156,11 @@ def test_model_follows_at_its_rates_within_its_range():
 
 def test_force_does_not_jump_when_the_model_changes():
     record, observer = stiffness_of()
-    observer['x_est'][:2], observer['P'][0, 1], observer['P'][1, 1] = (10.0, 40.0), 2.0, 3.0
+    observer['x_est'][:2], observer['P'][0, 1], observer['P'][1, 1] = (
+        (10.0, 40.0),
+        2.0,
+        3.0,
+    )
     use_stiffness(observer, record, 12_000.0, 24.0)
     assert observer['x_est'][:2].tolist() == [10.0, 80.0]
     assert (observer['P'][0, 1], observer['P'][1, 1]) == (4.0, 12.0)

@@ -13,7 +13,10 @@ from ros_graph import Middleware
 @pytest.fixture(scope='session')
 def domain_id():
     """Reserve a domain that nothing else on this machine uses."""
-    with reserve_domain() as number, GuestNode('keeper', number):  # one participant for all tests
+    with (
+        reserve_domain() as number,
+        GuestNode('keeper', number),
+    ):  # one participant for all tests
         yield number
 
 
@@ -50,8 +53,15 @@ class Host(Middleware):
     def make(self, *parameters):
         """Make a controller of the PUMA, unconfigured."""
         options = [part for text in parameters for part in ('-p', text)]
-        self.hosted = ControllerNode(context=self.node.context, cli_args=[
-            '--ros-args', '--params-file', str(config_dir() / 'controller.yaml'), *options])
+        self.hosted = ControllerNode(
+            context=self.node.context,
+            cli_args=[
+                '--ros-args',
+                '--params-file',
+                str(config_dir() / 'controller.yaml'),
+                *options,
+            ],
+        )
         self.spinner = Spinner(self.hosted, [])
         return self.hosted
 
@@ -78,8 +88,11 @@ class Host(Middleware):
 @pytest.fixture(scope='module')
 def host_domain():
     """Reserve a domain for hosted nodes: what is left of them answers no other test."""
-    with reserve_domain() as number, GuestNode('keeper', number), (
-            pytest.MonkeyPatch.context()) as patch:
+    with (
+        reserve_domain() as number,
+        GuestNode('keeper', number),
+        pytest.MonkeyPatch.context() as patch,
+    ):
         patch.setattr(lifecycle, 'SPIN_TIMEOUT', 0.001)
         patch.setattr(diagnostics, 'PERIOD', 200_000_000)
         yield number

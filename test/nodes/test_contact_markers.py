@@ -30,13 +30,23 @@ def test_arrows_are_as_long_as_the_measured_forces_and_end_at_the_tips():
     arrows = arrows_of(FORCES, [True, False])
     assert [arrow.action for arrow in arrows] == [Marker.ADD, Marker.DELETE]
     assert len({arrow.id for arrow in arrows}) == 2
-    assert arrows[0].color != arrows[1].color  # of an active contact, and of one that is not
-    for arrow, name, force, normal in zip(arrows, CONFIG.contact_names, FORCES, NORMALS):
+    assert (
+        arrows[0].color != arrows[1].color
+    )  # of an active contact, and of one that is not
+    for arrow, name, force, normal in zip(
+        arrows, CONFIG.contact_names, FORCES, NORMALS
+    ):
         tail, tip = (np.array([point.x, point.y, point.z]) for point in arrow.points)
         np.testing.assert_allclose(tip - tail, 0.01 * force * normal, atol=1e-12)
-        np.testing.assert_allclose(tip, POSE.position_world + POSE.rotation_world @ (
-            CONFIG.contacts[name].point_operational))
-        assert (arrow.header.frame_id, arrow.header.stamp.sec) == ('world', STAMP // 10 ** 9)
+        np.testing.assert_allclose(
+            tip,
+            POSE.position_world
+            + POSE.rotation_world @ (CONFIG.contacts[name].point_operational),
+        )
+        assert (arrow.header.frame_id, arrow.header.stamp.sec) == (
+            'world',
+            STAMP // 10**9,
+        )
 
 
 def test_number_that_is_not_finite_is_not_drawn():

@@ -21,9 +21,13 @@ NO_FORCE = {'table': 0.0, 'board': 0.0}
 def arm(module_middleware):
     """Start one controller for all tests; each leaves it as it was."""
     module_middleware.start(
-        'multicontact_control.nodes.controller_node', *PARAMETERS,
-        'transition.torque_rate:=100.0', 'transition.blend_time:=0.02',
-        files=(config_dir() / 'controller.yaml',), flags=('--autostart',))
+        'multicontact_control.nodes.controller_node',
+        *PARAMETERS,
+        'transition.torque_rate:=100.0',
+        'transition.blend_time:=0.02',
+        files=(config_dir() / 'controller.yaml',),
+        flags=('--autostart',),
+    )
     arm = FakeArm(module_middleware)
     arm.connect()
     for publisher in (arm.force_command, arm.motion_command):
@@ -33,15 +37,18 @@ def arm(module_middleware):
 
 
 def send_forces(arm, **forces):
-    arm.force_command.publish(JointState(name=list(forces), effort=map(float, forces.values())))
+    arm.force_command.publish(
+        JointState(name=list(forces), effort=map(float, forces.values()))
+    )
 
 
 def send_position(arm, move=(0.0, 0.0, 0.0)):
     """Command a position this far from where the arm is [m]."""
     pose = Transform()
     for part, names, values in (
-            (pose.translation, 'xyz', arm.state.pose.position_world + move),
-            (pose.rotation, 'xyzw', arm.state.pose.quaternion_xyzw)):
+        (pose.translation, 'xyz', arm.state.pose.position_world + move),
+        (pose.rotation, 'xyzw', arm.state.pose.quaternion_xyzw),
+    ):
         for name, value in zip(names, values):
             setattr(part, name, float(value))
     arm.motion_command.publish(MultiDOFJointTrajectoryPoint(transforms=[pose]))
@@ -51,17 +58,26 @@ def command(arm, **forces):
     """Command forces, press so, and wait until they are desired; the others are 0."""
     send_forces(arm, **forces)
     arm.press(**(NO_FORCE | forces))
-    wait_for(lambda: arm.step() is not None and arm.forces('desired') == NO_FORCE | forces,
-             f'forces {forces}')
+    wait_for(
+        lambda: arm.step() is not None and arm.forces('desired') == NO_FORCE | forces,
+        f'forces {forces}',
+    )
 
 
 def test_gains_change_live_and_hold_begins_without_a_bump(arm, driver):
     command(arm, table=3.0)
-    for name, value in (('force.time_constant', 0.05), ('motion.natural_frequency', 10.0),
-                        ('force.damping_rate', 30.0), ('force.time_constant', 0.02),
-                        ('motion.natural_frequency', 30.0), ('force.damping_rate', 100.0),
-                        ('force.law', 'dob'), ('force.fed_forward', 'estimate'),
-                        ('force.law', 'aob'), ('force.fed_forward', 'mixed')):
+    for name, value in (
+        ('force.time_constant', 0.05),
+        ('motion.natural_frequency', 10.0),
+        ('force.damping_rate', 30.0),
+        ('force.time_constant', 0.02),
+        ('motion.natural_frequency', 30.0),
+        ('force.damping_rate', 100.0),
+        ('force.law', 'dob'),
+        ('force.fed_forward', 'estimate'),
+        ('force.law', 'aob'),
+        ('force.fed_forward', 'mixed'),
+    ):
         before = arm.step()
         driver.set_parameters(NAME, {name: value})
         assert driver.parameters(NAME, name) == [value]
@@ -70,8 +86,13 @@ def test_gains_change_live_and_hold_begins_without_a_bump(arm, driver):
     np.testing.assert_array_equal(arm.step(), before)
     send_forces(arm, table=8.0)
     # A report is made in steps: what is in it may be some samples apart.
-    report = arm.diagnostics(lambda x: any('~/hold' in key for key in x['messages'][2]) and float(
-        x['loop'][2]['rate_hz']) > 1.0 and x['contacts'][2]['held'] == 'True')
+    report = arm.diagnostics(
+        lambda x: (
+            any('~/hold' in key for key in x['messages'][2])
+            and float(x['loop'][2]['rate_hz']) > 1.0
+            and x['contacts'][2]['held'] == 'True'
+        )
+    )
     assert report['life cycle'][2]['state'] == 'active'
     loop, (level, _, values) = report['loop'][2], report['inputs']
     assert 0.0 < float(loop['latency_us_p50']) <= float(loop['latency_us_p99'])
@@ -85,11 +106,15 @@ def test_gains_change_live_and_hold_begins_without_a_bump(arm, driver):
 def test_refused_values_change_nothing(arm, driver):
     before = arm.settle()
     for law, name, value in (
-            ('aob', 'force.time_constant', -1.0), ('aob', 'motion.damping_ratio', 6.0),
-            ('aob', 'force.damping_rate', 'high'), ('aob', 'force.input_delay', 0.004),
-            ('aob', 'limits.workspace_lower', [-1.0] * 3), ('aob', 'tool.bias_sensor', [1.0]),
-            ('pi', 'force.pi.filter_cutoff', 1e308),  # for which there is no design
-            ('lqg', 'force.lqg.noise_variance', 1e300)):
+        ('aob', 'force.time_constant', -1.0),
+        ('aob', 'motion.damping_ratio', 6.0),
+        ('aob', 'force.damping_rate', 'high'),
+        ('aob', 'force.input_delay', 0.004),
+        ('aob', 'limits.workspace_lower', [-1.0] * 3),
+        ('aob', 'tool.bias_sensor', [1.0]),
+        ('pi', 'force.pi.filter_cutoff', 1e308),  # for which there is no design
+        ('lqg', 'force.lqg.noise_variance', 1e300),
+    ):
         driver.set_parameters(NAME, {'force.law': law})
         old = driver.parameters(NAME, name)
         with pytest.raises(RunError, match=name.rpartition('.')[0]):
@@ -117,14 +142,18 @@ def test_set_points_are_obeyed_and_the_limits_can_be_moved(arm, driver):
     driver.set_parameters(NAME, {'command.force_ceiling': 30.0})
 
 
-def test_tare_makes_the_compensated_wrench_zero_and_is_refused_under_force_control(arm, driver):
+def test_tare_makes_the_compensated_wrench_zero_and_is_refused_under_force_control(
+    arm, driver
+):
     bias = np.array([1.0, -2.0, 3.0, 0.1, 0.0, -0.1])
     arm.wrench = arm.wrench + bias
     arm.settle(120)
     assert max(abs(x) for x in arm.forces('measured').values()) > 1.0
     answer = driver.call(NAME, Trigger, 'tare', Trigger.Request())
     assert answer.success, answer.message
-    np.testing.assert_allclose(*driver.parameters(NAME, 'tool.bias_sensor'), bias, atol=1e-9)
+    np.testing.assert_allclose(
+        *driver.parameters(NAME, 'tool.bias_sensor'), bias, atol=1e-9
+    )
     arm.settle(120)
     np.testing.assert_allclose(list(arm.forces('measured').values()), 0.0, atol=1e-9)
     arm.wrench = arm.wrench - bias

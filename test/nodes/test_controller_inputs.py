@@ -19,7 +19,12 @@ from std_msgs.msg import Float64MultiArray
 pytestmark = pytest.mark.ros
 
 # Far longer than the pauses of a busy machine, so that only what is left out is missed.
-PATIENT = ('sensor.frozen_ticks:=0', UNFELT, 'patience:=50.0', 'watchdog.rate_band:=50.0')
+PATIENT = (
+    'sensor.frozen_ticks:=0',
+    UNFELT,
+    'patience:=50.0',
+    'watchdog.rate_band:=50.0',
+)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 BOTH = {'joints', 'wrench'}
 
@@ -31,13 +36,17 @@ class StrangeArm(FakeArm):
 
     def send_parts(self, stamp, parts):
         message = messages.joint_state_message(
-            stamp, ['left_finger', *reversed(self.config.robot.joint_names), 'right_finger'],
-            velocity=np.zeros(8))
+            stamp,
+            ['left_finger', *reversed(self.config.robot.joint_names), 'right_finger'],
+            velocity=np.zeros(8),
+        )
         position, effort = ([np.nan, *reversed(x), 0.04] for x in (HOME, EFFORT))
-        message.position, message.effort = list(map(float, position)), list(map(float, effort))
+        message.position, message.effort = (
+            list(map(float, position)),
+            list(map(float, effort)),
+        )
         self._joints.publish(message)
-        self._wrench.publish(wrench_message(
-            stamp + 50_000, self.frame, self.wrench))
+        self._wrench.publish(wrench_message(stamp + 50_000, self.frame, self.wrench))
 
 
 def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host):
@@ -49,16 +58,24 @@ def test_parts_that_are_left_out_get_their_reaction_and_commands_go_on(host):
 
     def commanded():
         arm.newest_command()
-        wait_for(lambda: send() or arm.newest_command(), f'commands while there is {parts}')
+        wait_for(
+            lambda: send() or arm.newest_command(), f'commands while there is {parts}'
+        )
 
     def supervisor_with(reaction, cause=''):
-        return arm.diagnostics(lambda x: (
-            (values := x['supervisor'][2])['reaction'] == reaction
-            and cause in values.get('causes', '')), send)['supervisor']
+        return arm.diagnostics(
+            lambda x: (
+                (values := x['supervisor'][2])['reaction'] == reaction
+                and cause in values.get('causes', '')
+            ),
+            send,
+        )['supervisor']
 
     commanded()  # before the first one nothing is missing
-    for parts, reaction, cause in (({'joints'}, 'hold', 'wrench_stale'),
-                                   ({'wrench'}, 'float', 'joints_stale')):
+    for parts, reaction, cause in (
+        ({'joints'}, 'hold', 'wrench_stale'),
+        ({'wrench'}, 'float', 'joints_stale'),
+    ):
         level, _, values = supervisor_with(reaction, cause)
         assert level == 2 and int(values[f'ticks with {reaction}']) > 0
         commanded()
@@ -80,11 +97,18 @@ def test_older_sample_is_refused_and_a_clock_that_was_set_back_is_not(host):
     for _ in range(3):
         send()
         before, torque = torque, arm.step()
-        np.testing.assert_allclose(torque, before, atol=0.2)  # the blend at the start goes on
-    report = arm.diagnostics(lambda x: any(
-        'stamp: expected one after' in key for key in x['messages'][2]),
-        lambda: (send(), arm.step()))
-    assert report['supervisor'][2].keys().isdisjoint({'ticks with hold', 'ticks with float'})
+        np.testing.assert_allclose(
+            torque, before, atol=0.2
+        )  # the blend at the start goes on
+    report = arm.diagnostics(
+        lambda x: any('stamp: expected one after' in key for key in x['messages'][2]),
+        lambda: (send(), arm.step()),
+    )
+    assert (
+        report['supervisor'][2]
+        .keys()
+        .isdisjoint({'ticks with hold', 'ticks with float'})
+    )
     arm.k -= 1000
     arm.connect()
     report = arm.diagnostics(lambda x: 'ticks with hold' in x['supervisor'][2])
@@ -103,11 +127,16 @@ def test_driver_of_another_robot_is_understood_and_a_wrong_frame_is_refused(host
     arm.diagnostics(lambda x: any('header.frame_id' in key for key in x['messages'][2]))
 
 
-@pytest.mark.parametrize(('joints', 'wrench', 'part', 'text'), [
-    (1, None, 'inputs', 'ft_sensor/wrench'),  # without a publisher
-    (1, 10 ** 9, 'loop', 'ms apart'),
-    (4, 0, 'loop', 'expected 500 Hz'),
-    (0, 0, 'loop', 'all with the same stamp')], ids=['missing', 'apart', 'rate', 'still'])
+@pytest.mark.parametrize(
+    ('joints', 'wrench', 'part', 'text'),
+    [
+        (1, None, 'inputs', 'ft_sensor/wrench'),  # without a publisher
+        (1, 10**9, 'loop', 'ms apart'),
+        (4, 0, 'loop', 'expected 500 Hz'),
+        (0, 0, 'loop', 'all with the same stamp'),
+    ],
+    ids=['missing', 'apart', 'rate', 'still'],
+)
 def test_samples_that_cannot_be_used_are_named(host, joints, wrench, part, text):
     """Joint states come with stamps so many periods apart, wrenches so much later, or not."""
     host.activate(*PARAMETERS)
@@ -126,15 +155,20 @@ def test_second_node_that_publishes_joints_or_commands_is_named(host, host_domai
     host.activate(*PARAMETERS, 'effort_output_topic:=/bare')
     arm = FakeArm(host)
     arm.connect()
-    topics = {'joint_states': JointState, 'joint_effort_command': JointState,
-              '/bare': Float64MultiArray}
+    topics = {
+        'joint_states': JointState,
+        'joint_effort_command': JointState,
+        '/bare': Float64MultiArray,
+    }
     level, _, counts = arm.diagnostics(lambda x: 'publishers' in x)['publishers']
     assert (level, [counts[topic] for topic in topics]) == (0, ['1'] * 3)
     with GuestNode('intruder', host_domain) as guest:
         for topic, message in topics.items():
             guest.node.create_publisher(message, topic, 1)
-        level, text, _ = arm.diagnostics(lambda x: all(
-            x['publishers'][2][topic] == '2' for topic in topics), arm.step)['publishers']
+        level, text, _ = arm.diagnostics(
+            lambda x: all(x['publishers'][2][topic] == '2' for topic in topics),
+            arm.step,
+        )['publishers']
     assert level == 1
     assert all(name in text for name in ('intruder', *topics))
     assert 'joint_states has 2 publishers, expected 1: intruder, sim_node' in text
@@ -144,16 +178,24 @@ def test_second_publisher_of_the_same_node_is_counted_and_not_named_twice(host):
     host.activate(*PARAMETERS)
     arm, second = FakeArm(host), FakeArm(host)
     arm.connect()
-    text = arm.diagnostics(lambda x: x['publishers'][2]['joint_states'] == '2')['publishers'][1]
+    text = arm.diagnostics(lambda x: x['publishers'][2]['joint_states'] == '2')[
+        'publishers'
+    ][1]
     assert 'joint_states has 2 publishers, expected 1: sim_node (2 times, ' in text
     assert second.k == 0
 
 
-@pytest.mark.parametrize(('topic', 'options', 'missed'), [
-    (JOINT_STATES, {}, True), (JOINT_STATES, {'may_pause': True}, False),
-    (NOISE_VARIANCE, {}, False)])
+@pytest.mark.parametrize(
+    ('topic', 'options', 'missed'),
+    [
+        (JOINT_STATES, {}, True),
+        (JOINT_STATES, {'may_pause': True}, False),
+        (NOISE_VARIANCE, {}, False),
+    ],
+)
 def test_input_that_came_before_is_missed_only_from_a_robot_that_goes_on(
-        middleware, capfd, topic, options, missed):
+    middleware, capfd, topic, options, missed
+):
     inputs = Inputs(middleware.node, 500.0, topic, **options)
     publisher = middleware.node.create_publisher(topic.message, topic.name, 1)
     wait_for(lambda: middleware.node.count_publishers(topic.name), 'it is known')
@@ -165,7 +207,9 @@ def test_input_that_came_before_is_missed_only_from_a_robot_that_goes_on(
     middleware.node.destroy_publisher(publisher)
 
 
-def test_input_is_told_once_each_time_that_it_falls_silent_and_comes_again(middleware, capfd):
+def test_input_is_told_once_each_time_that_it_falls_silent_and_comes_again(
+    middleware, capfd
+):
     inputs = Inputs(middleware.node, 500.0, JOINT_STATES, WRENCH)
 
     def logged(joints, wrench):
@@ -178,9 +222,11 @@ def test_input_is_told_once_each_time_that_it_falls_silent_and_comes_again(middl
     for _ in range(2):
         now = time.monotonic_ns()
         assert logged(now, now) == []
-        silent = now - 2 * 10 ** 9
+        silent = now - 2 * 10**9
         assert logged(silent, now) == ['no message on /joint_states']
         assert logged(silent, silent) == ['no message on /ft_sensor/wrench']
         now = time.monotonic_ns()
         assert logged(now, now) == [
-            'messages on /joint_states come now', 'messages on /ft_sensor/wrench come now']
+            'messages on /joint_states come now',
+            'messages on /ft_sensor/wrench come now',
+        ]

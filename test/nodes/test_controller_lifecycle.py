@@ -5,8 +5,18 @@ import re
 
 from fake_arm import EFFORT, FakeArm, UNFELT
 from fake_arm import PARAMETERS as STILL
-from multicontact_control.nodes.lifecycle import FAILURE, FINALIZED, SUCCESS, UNCONFIGURED
-from multicontact_control.nodes.link import ACTIVATE, CONFIGURE, DEACTIVATE, TransitionError
+from multicontact_control.nodes.lifecycle import (
+    FAILURE,
+    FINALIZED,
+    SUCCESS,
+    UNCONFIGURED,
+)
+from multicontact_control.nodes.link import (
+    ACTIVATE,
+    CONFIGURE,
+    DEACTIVATE,
+    TransitionError,
+)
 from multicontact_control.paths import config_dir
 import numpy as np
 import pytest
@@ -19,7 +29,11 @@ MODULE = 'multicontact_control.nodes.controller_node'
 NAME = 'controller_node'
 FILE = config_dir() / 'controller.yaml'
 RATE, BLEND = 100.0, 0.02  # transition.torque_rate [N m/s], transition.blend_time [s]
-PARAMETERS = (*STILL, f'transition.torque_rate:={RATE}', f'transition.blend_time:={BLEND}')
+PARAMETERS = (
+    *STILL,
+    f'transition.torque_rate:={RATE}',
+    f'transition.blend_time:={BLEND}',
+)
 LARGEST_STEP = RATE * 0.002 * (1.0 + 1e-9)
 
 
@@ -31,7 +45,9 @@ def test_controller_goes_through_every_transition_again_and_again(host):
         arm.send()
         assert controller.trigger_activate() == SUCCESS
         arm.connect()
-        assert controller.trigger_deactivate() == controller.trigger_activate() == SUCCESS
+        assert (
+            controller.trigger_deactivate() == controller.trigger_activate() == SUCCESS
+        )
         np.testing.assert_array_equal(arm.step(), EFFORT)  # nothing is remembered
         assert 0.0 < np.abs(arm.step() - EFFORT).max() <= LARGEST_STEP
         np.testing.assert_allclose(arm.settle(), gravity, atol=1e-6)
@@ -45,7 +61,9 @@ def test_controller_goes_through_every_transition_again_and_again(host):
     assert controller.state == FINALIZED
 
 
-def test_sample_that_comes_again_after_a_deactivation_is_answered_by_the_safe_behaviour(host):
+def test_sample_that_comes_again_after_a_deactivation_is_answered_by_the_safe_behaviour(
+    host,
+):
     """The answer to it is lost, and the robot waits for one."""
     controller = host.activate(*PARAMETERS, 'safe_behaviour:=zero_torque')
     arm = FakeArm(host)
@@ -57,7 +75,9 @@ def test_sample_that_comes_again_after_a_deactivation_is_answered_by_the_safe_be
     assert 0.0 < np.abs(arm.step() - torque).max() <= LARGEST_STEP
 
 
-def test_reaction_that_ends_by_a_deactivation_is_not_said_to_end_in_control(host, capfd):
+def test_reaction_that_ends_by_a_deactivation_is_not_said_to_end_in_control(
+    host, capfd
+):
     controller = host.activate('sensor.frozen_ticks:=0', UNFELT, 'patience:=50.0')
     arm = FakeArm(host)
     arm.connect()
@@ -69,9 +89,12 @@ def test_reaction_that_ends_by_a_deactivation_is_not_said_to_end_in_control(host
     assert 'control goes on' not in logged.partition('deactivated: ')[2]
 
 
-def test_process_obeys_possible_transitions_and_leaves_the_arm_safely(middleware, driver):
+def test_process_obeys_possible_transitions_and_leaves_the_arm_safely(
+    middleware, driver
+):
     process = middleware.start(
-        MODULE, *PARAMETERS, 'safe_behaviour:=zero_torque', files=(FILE,))
+        MODULE, *PARAMETERS, 'safe_behaviour:=zero_torque', files=(FILE,)
+    )
     for transition in (ACTIVATE, DEACTIVATE):  # not possible yet
         with pytest.raises(TransitionError):
             driver.change(NAME, transition)
@@ -92,18 +115,32 @@ def test_process_obeys_possible_transitions_and_leaves_the_arm_safely(middleware
             torques.append(np.array(command.effort))
     assert process.returncode == 0
     first, last = (np.abs(torques[i]).max() for i in (0, -1))
-    assert len(torques) < 20 or last < first - LARGEST_STEP  # few: the samples came too late
+    assert (
+        len(torques) < 20 or last < first - LARGEST_STEP
+    )  # few: the samples came too late
 
 
 def test_configure_refuses_what_is_wrong_until_it_is_repaired(host, tmp_path):
     weightless = tmp_path / 'weightless.urdf'
-    weightless.write_text(re.sub('<inertial>.*?</inertial>', '', (
-        config_dir() / 'puma560.urdf').read_text(), flags=re.DOTALL))
-    node = host.make('robot.urdf:=nowhere.urdf', 'rate:=-500.0',
-                     "effort_output_topic:='bare efforts'")
-    for name, value in (('rate', 500.0), ('robot.urdf', str(weightless)),
-                        ('robot.urdf', str(config_dir() / 'puma560.urdf')),
-                        ('effort_output_topic', '~/efforts')):
+    weightless.write_text(
+        re.sub(
+            '<inertial>.*?</inertial>',
+            '',
+            (config_dir() / 'puma560.urdf').read_text(),
+            flags=re.DOTALL,
+        )
+    )
+    node = host.make(
+        'robot.urdf:=nowhere.urdf',
+        'rate:=-500.0',
+        "effort_output_topic:='bare efforts'",
+    )
+    for name, value in (
+        ('rate', 500.0),
+        ('robot.urdf', str(weightless)),
+        ('robot.urdf', str(config_dir() / 'puma560.urdf')),
+        ('effort_output_topic', '~/efforts'),
+    ):
         assert node.trigger_configure() == FAILURE
         assert node.state == UNCONFIGURED
         assert node.set_parameters([Parameter(name, value=value)])[0].successful
@@ -112,11 +149,15 @@ def test_configure_refuses_what_is_wrong_until_it_is_repaired(host, tmp_path):
 
 def test_autostart_begins_alone_or_ends_with_the_reason(middleware):
     bad = middleware.start(
-        MODULE, 'force.time_constant:=-1.0', files=(FILE,), flags=('--autostart',))
-    process = middleware.start(MODULE, *PARAMETERS, files=(FILE,), flags=('--autostart',))
+        MODULE, 'force.time_constant:=-1.0', files=(FILE,), flags=('--autostart',)
+    )
+    process = middleware.start(
+        MODULE, *PARAMETERS, files=(FILE,), flags=('--autostart',)
+    )
     FakeArm(middleware).connect()
     assert process.poll() is None
     _, errors = end_of(bad)
     assert bad.returncode == 2
     assert errors.splitlines()[-1].endswith(
-        'force.time_constant: expected greater than 0, got -1.0')
+        'force.time_constant: expected greater than 0, got -1.0'
+    )

@@ -32,9 +32,17 @@ LATE = LateConfig()
 ConnectionLost = type('ConnectionLost', (RuntimeError,), {})
 
 
-@pytest.mark.parametrize(('age', 'kind', 'wanted'), [
-    (0.006, 'commanded', 1.0), (0.007, 'held', 1.0), (0.02, 'held', 1.0), (0.021, 'damped', -4.0),
-    (0.5, 'damped', -4.0), (0.501, 'stopped', None)])
+@pytest.mark.parametrize(
+    ('age', 'kind', 'wanted'),
+    [
+        (0.006, 'commanded', 1.0),
+        (0.007, 'held', 1.0),
+        (0.02, 'held', 1.0),
+        (0.021, 'damped', -4.0),
+        (0.5, 'damped', -4.0),
+        (0.501, 'stopped', None),
+    ],
+)
 def test_late_rule_holds_damps_and_ends_within_the_rate_and_counts(age, kind, wanted):
     rule, before = LateRule(LATE), np.zeros(7)
     for _ in range(10):
@@ -58,23 +66,35 @@ class Bench:
         self.robot = MagicMock(read_once=self.state)
         self.robot.load_model.return_value.gravity.return_value = GRAVITY
         self.robot.start_torque_control = lambda: SimpleNamespace(
-            readOnce=lambda: (self.state('Move'), None), writeOnce=self.write)
-        self.robot.automatic_error_recovery.side_effect = lambda: setattr(self, 'mode', 'Idle')
+            readOnce=lambda: (self.state('Move'), None), writeOnce=self.write
+        )
+        self.robot.automatic_error_recovery.side_effect = lambda: setattr(
+            self, 'mode', 'Idle'
+        )
         self.library = SimpleNamespace(
-            FrankaException=ValueError, NetworkException=ConnectionLost,
-            RealtimeConfig=SimpleNamespace(kEnforce=0, kIgnore=1), Robot=MagicMock(
-                return_value=self.robot), Torques=lambda tau: SimpleNamespace(
-                    tau_J=tau, motion_finished=False))
+            FrankaException=ValueError,
+            NetworkException=ConnectionLost,
+            RealtimeConfig=SimpleNamespace(kEnforce=0, kIgnore=1),
+            Robot=MagicMock(return_value=self.robot),
+            Torques=lambda tau: SimpleNamespace(tau_J=tau, motion_finished=False),
+        )
         self.middleware, node, self._stop = middleware, middleware.node, []
-        self._bridge = FrankaBridge(self.library, context=node.context, parameter_overrides=[
-            Parameter('address', value='127.0.0.1')])
+        self._bridge = FrankaBridge(
+            self.library,
+            context=node.context,
+            parameter_overrides=[Parameter('address', value='127.0.0.1')],
+        )
         self._spinner = Spinner(self._bridge, self._stop)
         self._thread = Thread(target=self._bridge.run, args=(self._spinner,))
         self._thread.start()
         self.samples, self.wrenches, self._statuses = (
-            node.create_subscription(message, name, lambda _: None, 10) for message, name in (
-                (JointState, 'joint_states'), (WrenchStamped, 'ft_sensor/wrench'),
-                (DiagnosticStatus, 'franka_bridge/status')))
+            node.create_subscription(message, name, lambda _: None, 10)
+            for message, name in (
+                (JointState, 'joint_states'),
+                (WrenchStamped, 'ft_sensor/wrench'),
+                (DiagnosticStatus, 'franka_bridge/status'),
+            )
+        )
         self._commands = node.create_publisher(JointState, 'joint_effort_command', 10)
         self._sensor = node.create_publisher(WrenchStamped, 'franka_bridge/wrench', 10)
 
@@ -92,10 +112,16 @@ class Bench:
         if failure is not None:
             raise failure
         return SimpleNamespace(
-            time=SimpleNamespace(to_sec=lambda now=1e-3 * self.time: now), q=[0.1] * 7,
-            dq=[0.2] * 7, tau_J=GRAVITY + self.torque, tau_J_d=self.torque, O_ddP_O=[0, 0, -9.81],
-            robot_mode=f'RobotMode.{mode or self.mode}', current_errors='[]',
-            control_command_success_rate=1.0)
+            time=SimpleNamespace(to_sec=lambda now=1e-3 * self.time: now),
+            q=[0.1] * 7,
+            dq=[0.2] * 7,
+            tau_J=GRAVITY + self.torque,
+            tau_J_d=self.torque,
+            O_ddP_O=[0, 0, -9.81],
+            robot_mode=f'RobotMode.{mode or self.mode}',
+            current_errors='[]',
+            control_command_success_rate=1.0,
+        )
 
     def write(self, torques):
         self.sent.append(torques)
@@ -111,9 +137,12 @@ class Bench:
     def command(self, effort):
         """Answer the newest sample, with a wrench of the sensor beside it."""
         if (sample := self.newest(self.samples)) is not None:
-            self._sensor.publish(wrench_message(0, '', [0.0, 0.0, effort, 0.0, 0.0, 0.0]))
-            self._commands.publish(JointState(
-                header=sample.header, name=JOINTS[::-1], effort=[effort] * 7))
+            self._sensor.publish(
+                wrench_message(0, '', [0.0, 0.0, effort, 0.0, 0.0, 0.0])
+            )
+            self._commands.publish(
+                JointState(header=sample.header, name=JOINTS[::-1], effort=[effort] * 7)
+            )
         return sample
 
     def press(self, effort):
@@ -122,10 +151,15 @@ class Bench:
 
     def wait_for_status(self, condition):
         """Wait until a status has message and values as a condition wants."""
+
         def matches():
             if (new := self.newest(self._statuses)) is not None:
-                self.status = {'message': new.message, **{x.key: x.value for x in new.values}}
+                self.status = {
+                    'message': new.message,
+                    **{x.key: x.value for x in new.values},
+                }
             return self.status and condition(self.status)
+
         wait_for(matches, 'a status', lambda: self.status)
 
 
@@ -139,9 +173,13 @@ def bench(middleware):
 
 
 @pytest.mark.ros
-def test_bridge_publishes_pairs_without_gravity_and_obeys_until_commands_stay_away(bench):
+def test_bridge_publishes_pairs_without_gravity_and_obeys_until_commands_stay_away(
+    bench,
+):
     bench.press(2.5)
-    sample = wait_for(lambda: (x := bench.command(2.5)) and x.effort[0] == 2.5 and x, 'a sample')
+    sample = wait_for(
+        lambda: (x := bench.command(2.5)) and x.effort[0] == 2.5 and x, 'a sample'
+    )
     wrench = wait_for(lambda: bench.newest(bench.wrenches), 'a wrench')
     assert (list(sample.name), wrench.wrench.force.z) == (JOINTS, 2.5)
     assert [list(sample.velocity), list(sample.effort)] == [[0.2] * 7, [2.5] * 7]
@@ -155,24 +193,31 @@ def test_bridge_publishes_pairs_without_gravity_and_obeys_until_commands_stay_aw
     assert np.abs(np.diff(torques[:, 0])).max() < 1.0
     assert np.count_nonzero(torques[:, 0] == 2.5) <= 25  # 20 ms
     np.testing.assert_allclose(torques[-1], -0.2 * np.array(LATE.damping), rtol=1e-6)
-    bench.wait_for_status(lambda status: int(status['damped']) > 400 and status['stopped'] == '1')
+    bench.wait_for_status(
+        lambda status: int(status['damped']) > 400 and status['stopped'] == '1'
+    )
     starts = int(bench.status['starts'])
     bench.press(1.0)  # the next command starts anew
     bench.wait_for_status(lambda status: int(status['starts']) == starts + 1)
 
 
 @pytest.mark.ros
-def test_bridge_waits_for_recovery_after_reflex_user_stop_and_lost_connection(bench, driver):
+def test_bridge_waits_for_recovery_after_reflex_user_stop_and_lost_connection(
+    bench, driver
+):
     def recover():
         return driver.call('franka_bridge', Trigger, 'recover', Trigger.Request())
 
     for effort, failure, mode in (
-            (1.5, RuntimeError('aborted by reflex'), 'Reflex'),
-            (2.0, RuntimeError('aborted by user stop'), 'UserStopped'),
-            (2.5, ConnectionLost('libfranka: UDP receive: Timeout'), 'Idle')):
+        (1.5, RuntimeError('aborted by reflex'), 'Reflex'),
+        (2.0, RuntimeError('aborted by user stop'), 'UserStopped'),
+        (2.5, ConnectionLost('libfranka: UDP receive: Timeout'), 'Idle'),
+    ):
         bench.press(effort)
         bench.failure, bench.mode = failure, mode
-        bench.wait_for_status(lambda status: status['message'].endswith('; call ~/recover'))
+        bench.wait_for_status(
+            lambda status: status['message'].endswith('; call ~/recover')
+        )
         assert bench.status['message'].split(';')[0].split('1: ')[-1] in str(failure)
         sent = len(bench.sent)
         for _ in range(5):
@@ -186,8 +231,14 @@ def test_bridge_waits_for_recovery_after_reflex_user_stop_and_lost_connection(be
             bench.wait_for_status(lambda status: status['robot_mode'] == 'Idle')
         assert (answer := recover()).success, answer.message
     bench.press(0.5)
-    bench.wait_for_status(lambda status: status['aborts'] == '3' and status['message'] == 'ok')
-    assert bench.robot.automatic_error_recovery.call_count == bench.library.Robot.call_count == 2
+    bench.wait_for_status(
+        lambda status: status['aborts'] == '3' and status['message'] == 'ok'
+    )
+    assert (
+        bench.robot.automatic_error_recovery.call_count
+        == bench.library.Robot.call_count
+        == 2
+    )
 
 
 @pytest.mark.ros
@@ -197,18 +248,39 @@ def test_documented_way_presses_ten_newtons_with_a_simulated_fr3(domain_id, tmp_
         pytest.importorskip(name, reason=f'{name} is not installed: extra [franka]')
     text = (ROOT / 'docs/franka.md').read_text(encoding='utf-8')
     simulate, simulator, bridge, run = re.findall(
-        r'^(?:multicontact|python docs|franka_bridge)[^#\n]*', text, re.MULTILINE)[:4]
+        r'^(?:multicontact|python docs|franka_bridge)[^#\n]*', text, re.MULTILINE
+    )[:4]
     for name in ('docs', 'config'):
         (tmp_path / name).symlink_to(ROOT / name)
-    (tmp_path / 'press.py').write_text(re.search(r'```python\n(.*?)```', text, re.DOTALL)[1])
-    printed = subprocess.run(['timeout', str(PATIENCE), 'bash', '-ec', f"""
+    (tmp_path / 'press.py').write_text(
+        re.search(r'```python\n(.*?)```', text, re.DOTALL)[1]
+    )
+    printed = subprocess.run(
+        [
+            'timeout',
+            str(PATIENCE),
+            'bash',
+            '-ec',
+            f"""
         trap 'kill $(jobs -p)' EXIT
         {simulate} > log; {simulator} > log &
         {bridge} -p late.hold_time:=5.0 -p late.stop_time:=9.0 &
         {run} > run.log &
         until grep ready run.log >&2; do sleep 0.5; done
-        python press.py"""], cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=True, env={
-            **os.environ, 'PYTHONPATH': str(ROOT), 'ROS_DOMAIN_ID': str(domain_id), 'PATH':
-            f'{os.path.dirname(sys.executable)}:{os.environ["PATH"]}'}).stdout
+        python press.py""",
+        ],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+        env={
+            **os.environ,
+            'PYTHONPATH': str(ROOT),
+            'ROS_DOMAIN_ID': str(domain_id),
+            'PATH': f'{os.path.dirname(sys.executable)}:{os.environ["PATH"]}',
+        },
+    ).stdout
     forces = [float(force) for force in re.findall(r"': ([\d.]+)", printed)]
-    assert forces == pytest.approx([10.0, 10.0], abs=2.0)  # at one time; 0.5 is for their mean
+    assert forces == pytest.approx(
+        [10.0, 10.0], abs=2.0
+    )  # at one time; 0.5 is for their mean

@@ -42,14 +42,23 @@ class Relay:
         self._random, self.rough, self.samples = random, False, 0
         self._newest, self._late = (0, 0), deque()
         for topic, source, sink in (
-                *((topic, FAR + topic.name, topic.name) for topic in SAMPLES),
-                (topics.EFFORT_COMMAND, topics.EFFORT_COMMAND.name,
-                 FAR + topics.EFFORT_COMMAND.name)):
+            *((topic, FAR + topic.name, topic.name) for topic in SAMPLES),
+            (
+                topics.EFFORT_COMMAND,
+                topics.EFFORT_COMMAND.name,
+                FAR + topics.EFFORT_COMMAND.name,
+            ),
+        ):
             publisher = node.create_publisher(topic.message, sink, qos.INPUT)
             node.create_subscription(
-                topic.message, source,
+                topic.message,
+                source,
                 lambda data, topic=topic, send=publisher.publish: self._pass_on(
-                    topic, data, send), qos.INPUT, raw=True)
+                    topic, data, send
+                ),
+                qos.INPUT,
+                raw=True,
+            )
 
     def _pass_on(self, topic, data, send):
         if topic is topics.JOINT_STATES:
@@ -90,12 +99,23 @@ def start_simulator(domain_id, tmp_path):
     started = []
 
     def start(arm, controller):
-        remappings = [part for topic in (*SAMPLES, topics.EFFORT_COMMAND)
-                      for part in ('-r', f'{topic.name}:={FAR}{topic.name}')]
-        started.append(start_python(
-            ROOT / 'docs/minimal_simulator.py', arm, controller, '--ros-args', *remappings,
-            env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
-            stdout=(tmp_path / 'simulator.log').open('w'), stderr=subprocess.STDOUT))
+        remappings = [
+            part
+            for topic in (*SAMPLES, topics.EFFORT_COMMAND)
+            for part in ('-r', f'{topic.name}:={FAR}{topic.name}')
+        ]
+        started.append(
+            start_python(
+                ROOT / 'docs/minimal_simulator.py',
+                arm,
+                controller,
+                '--ros-args',
+                *remappings,
+                env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+                stdout=(tmp_path / 'simulator.log').open('w'),
+                stderr=subprocess.STDOUT,
+            )
+        )
         return started[-1]
 
     yield start
@@ -122,19 +142,27 @@ def relay(middleware):
     thread.join()
 
 
-@pytest.mark.parametrize(('settings', 'count', 'longest'), [
-    ({}, 10, 0.3),
-    pytest.param({}, 200, LONGEST, marks=pytest.mark.nightly),
-    pytest.param({'patience': 0.0}, 50, LONGEST, marks=pytest.mark.nightly),
-    pytest.param('simulated_arm.yaml', 50, LONGEST, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    ('settings', 'count', 'longest'),
+    [
+        ({}, 10, 0.3),
+        pytest.param({}, 200, LONGEST, marks=pytest.mark.nightly),
+        pytest.param({'patience': 0.0}, 50, LONGEST, marks=pytest.mark.nightly),
+        pytest.param('simulated_arm.yaml', 50, LONGEST, marks=pytest.mark.nightly),
+    ],
+)
 def test_simulator_that_waits_goes_on_after_stalls_and_lost_late_and_doubled_messages(
-        middleware, relay, robot_files, start_simulator, settings, count, longest):
+    middleware, relay, robot_files, start_simulator, settings, count, longest
+):
     arm, controller = robot_files
     if isinstance(settings, str):
         settings = read_parameters(ROOT / 'config' / settings)
     write_parameters(controller, {'/**': merge(read_parameters(controller), settings)})
-    middleware.start('multicontact_control.nodes.controller_node', files=(controller,),
-                     flags=('--autostart',))
+    middleware.start(
+        'multicontact_control.nodes.controller_node',
+        files=(controller,),
+        flags=('--autostart',),
+    )
     simulator = start_simulator(arm, controller)
 
     def go_on(what):

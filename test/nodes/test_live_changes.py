@@ -12,8 +12,16 @@ from ros_graph import wait_for
 
 pytestmark = pytest.mark.ros
 
-PARTS = ['life cycle', 'loop', 'inputs', 'publishers', 'contacts', 'sensor', 'messages',
-         'supervisor']
+PARTS = [
+    'life cycle',
+    'loop',
+    'inputs',
+    'publishers',
+    'contacts',
+    'sensor',
+    'messages',
+    'supervisor',
+]
 
 
 class Asker:
@@ -24,13 +32,20 @@ class Asker:
         self.node = Node('asker', context=context, start_parameter_services=False)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self.node)
-        self._client = self.node.create_client(SetParameters, 'controller_node/set_parameters')
+        self._client = self.node.create_client(
+            SetParameters, 'controller_node/set_parameters'
+        )
         wait_for(lambda: host.pause() or self._client.service_is_ready(), 'the service')
 
     def ask(self, **values):
-        return self._client.call_async(SetParameters.Request(parameters=[
-            Parameter(name.replace('__', '.'), value=value).to_parameter_msg()
-            for name, value in values.items()]))
+        return self._client.call_async(
+            SetParameters.Request(
+                parameters=[
+                    Parameter(name.replace('__', '.'), value=value).to_parameter_msg()
+                    for name, value in values.items()
+                ]
+            )
+        )
 
     def answered(self, future):
         self._executor.spin_once(timeout_sec=0.0)
@@ -71,8 +86,11 @@ def released(controller):
 
 
 def test_samples_are_answered_while_a_change_is_computed_and_it_is_in_force_when_answered(
-        arm, controller, asker, released):
-    future = asker.ask(force__time_constant=0.05, force__damping_rate=-1.0, force__law='pi')
+    arm, controller, asker, released
+):
+    future = asker.ask(
+        force__time_constant=0.05, force__damping_rate=-1.0, force__law='pi'
+    )
     for _ in range(50):
         arm.step()
         assert not asker.answered(future)
@@ -80,7 +98,9 @@ def test_samples_are_answered_while_a_change_is_computed_and_it_is_in_force_when
     released.set()
     wait_for(lambda: arm.step() is not None and asker.answered(future), 'the answer')
     assert [x.successful for x in future.result().results] == [True, False, True]
-    assert 'force.damping_rate: expected greater than' in future.result().results[1].reason
+    assert (
+        'force.damping_rate: expected greater than' in future.result().results[1].reason
+    )
     force = controller._loop.config.force
     assert (force.time_constant, force.damping_rate, force.law) == (0.05, 100.0, 'pi')
 
@@ -90,7 +110,9 @@ def test_change_that_is_made_meanwhile_is_kept(arm, controller, asker, released)
     for _ in range(50):
         arm.step()
     released.set()
-    changed = controller.set_parameters([Parameter('motion.natural_frequency', value=15.0)])
+    changed = controller.set_parameters(
+        [Parameter('motion.natural_frequency', value=15.0)]
+    )
     assert changed[0].successful
     wait_for(lambda: arm.step() is not None and asker.answered(future), 'the answer')
     config = controller._loop.config
@@ -98,7 +120,9 @@ def test_change_that_is_made_meanwhile_is_kept(arm, controller, asker, released)
     assert (config.force.time_constant, config.motion.natural_frequency) == (0.05, 15.0)
 
 
-def test_diagnostics_collect_one_part_a_turn_and_are_one_report(arm, controller, monkeypatch):
+def test_diagnostics_collect_one_part_a_turn_and_are_one_report(
+    arm, controller, monkeypatch
+):
     diagnostics, collected, per_turn = controller._diagnostics, [], []
     collect, poll = diagnostics._collect, diagnostics.poll
 
@@ -114,7 +138,9 @@ def test_diagnostics_collect_one_part_a_turn_and_are_one_report(arm, controller,
 
     monkeypatch.setattr(diagnostics, '_collect', collect_watched)
     monkeypatch.setattr(diagnostics, 'poll', poll_watched)
-    wait_for(lambda: arm.step() is not None and sum(map(bool, collected)) >= len(PARTS),
-             'a whole report')
+    wait_for(
+        lambda: arm.step() is not None and sum(map(bool, collected)) >= len(PARTS),
+        'a whole report',
+    )
     assert max(per_turn) == 1
     assert list(arm.diagnostics(lambda parts: True)) == PARTS

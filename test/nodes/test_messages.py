@@ -35,27 +35,57 @@ NAN, INF = math.nan, math.inf
 ANY = settings(max_examples=120, deadline=None, suppress_health_check=list(HealthCheck))
 NUMBER = st.one_of(st.floats(width=64), st.floats(-3, 3), st.just(0.0), st.just(1e308))
 SIX = st.lists(NUMBER, min_size=6, max_size=6)
-NUMBERS = st.one_of(st.lists(NUMBER, max_size=8), SIX, st.lists(NUMBER, min_size=2, max_size=2))
+NUMBERS = st.one_of(
+    st.lists(NUMBER, max_size=8), SIX, st.lists(NUMBER, min_size=2, max_size=2)
+)
 STAMP = st.one_of(
-    st.builds(Time, sec=st.integers(-2 ** 31, 2 ** 31 - 1), nanosec=st.integers(0, 2 ** 32 - 1)),
-    st.integers(0, 400).map(lambda k: messages.ns_to_stamp(k * PERIOD)))
+    st.builds(
+        Time, sec=st.integers(-(2**31), 2**31 - 1), nanosec=st.integers(0, 2**32 - 1)
+    ),
+    st.integers(0, 400).map(lambda k: messages.ns_to_stamp(k * PERIOD)),
+)
 HEADER = st.builds(Header, stamp=STAMP)
-NAMES = st.one_of(st.just(JOINTS), st.permutations(JOINTS), st.just(CONTACTS), st.just(['table']),
-                  st.lists(st.sampled_from([*JOINTS, *CONTACTS, 'x']), max_size=7))
+NAMES = st.one_of(
+    st.just(JOINTS),
+    st.permutations(JOINTS),
+    st.just(CONTACTS),
+    st.just(['table']),
+    st.lists(st.sampled_from([*JOINTS, *CONTACTS, 'x']), max_size=7),
+)
 JOINT_STATE = st.builds(
-    JointState, header=HEADER, name=NAMES, position=NUMBERS, velocity=NUMBERS, effort=NUMBERS)
+    JointState,
+    header=HEADER,
+    name=NAMES,
+    position=NUMBERS,
+    velocity=NUMBERS,
+    effort=NUMBERS,
+)
 VECTOR = st.builds(geo.Vector3, x=NUMBER, y=NUMBER, z=NUMBER)
-WRENCH = st.builds(geo.WrenchStamped, header=HEADER,
-                   wrench=st.builds(geo.Wrench, force=VECTOR, torque=VECTOR))
-ROTATION = st.one_of(st.builds(geo.Quaternion, x=NUMBER, y=NUMBER, z=NUMBER, w=NUMBER),
-                     st.just(geo.Quaternion(w=1.0)))
+WRENCH = st.builds(
+    geo.WrenchStamped,
+    header=HEADER,
+    wrench=st.builds(geo.Wrench, force=VECTOR, torque=VECTOR),
+)
+ROTATION = st.one_of(
+    st.builds(geo.Quaternion, x=NUMBER, y=NUMBER, z=NUMBER, w=NUMBER),
+    st.just(geo.Quaternion(w=1.0)),
+)
 TWISTS = st.lists(st.builds(geo.Twist, linear=VECTOR, angular=VECTOR), max_size=2)
 MOTION = st.builds(
-    MultiDOFJointTrajectoryPoint, velocities=TWISTS, accelerations=TWISTS, transforms=st.lists(
-        st.builds(geo.Transform, translation=VECTOR, rotation=ROTATION), max_size=2))
+    MultiDOFJointTrajectoryPoint,
+    velocities=TWISTS,
+    accelerations=TWISTS,
+    transforms=st.lists(
+        st.builds(geo.Transform, translation=VECTOR, rotation=ROTATION), max_size=2
+    ),
+)
 TAKEN = {
-    topics.JOINT_STATES: JOINT_STATE, topics.WRENCH: WRENCH, topics.NOISE_VARIANCE: JOINT_STATE,
-    topics.FORCE_COMMAND: JOINT_STATE, topics.MOTION_COMMAND: MOTION}
+    topics.JOINT_STATES: JOINT_STATE,
+    topics.WRENCH: WRENCH,
+    topics.NOISE_VARIANCE: JOINT_STATE,
+    topics.FORCE_COMMAND: JOINT_STATE,
+    topics.MOTION_COMMAND: MOTION,
+}
 EVENT = st.one_of(*(st.tuples(st.tuples(st.just(x), TAKEN[x])) for x in TAKEN))
 ABC = ('a', 'b', 'c')
 
@@ -63,7 +93,9 @@ ABC = ('a', 'b', 'c')
 def by_hand(message, names, field):
     """Return the numbers of a field by name, or None where there are none that can be used."""
     values = getattr(message, field)
-    if len(values) != len(message.name) or any(message.name.count(x) != 1 for x in names):
+    if len(values) != len(message.name) or any(
+        message.name.count(x) != 1 for x in names
+    ):
         return None
     ours = [values[message.name.index(name)] for name in names]
     return ours if math.isfinite(sum(ours)) else None
@@ -81,20 +113,29 @@ def read(message, names, fields, optional=()):
 
 @ANY
 @given(message=JOINT_STATE, names=st.permutations(JOINTS))
-@example(JointState(name=[*JOINTS, JOINTS[0]], **dict.fromkeys(JOINT_FIELDS, [0.0] * 7)), JOINTS)
+@example(
+    JointState(name=[*JOINTS, JOINTS[0]], **dict.fromkeys(JOINT_FIELDS, [0.0] * 7)),
+    JOINTS,
+)
 def test_joint_readers_read_by_name_or_refuse(message, names):
     q, qd, effort = (by_hand(message, names, x) for x in JOINT_FIELDS)
     assert read(message, names, JOINT_FIELDS[:1], JOINT_FIELDS[1:]) == (
-        None if q is None else [q, qd, effort])
+        None if q is None else [q, qd, effort]
+    )
     assert read(message, names, JOINT_FIELDS) == (
-        None if None in (q, qd, effort) else [q, qd, effort])
+        None if None in (q, qd, effort) else [q, qd, effort]
+    )
 
 
 def test_joints_of_others_are_passed_over_whatever_their_numbers():
     message = JointState(
-        name=['f', *JOINTS, 'g'], position=[NAN, *np.arange(6.0), INF], effort=[1.0] * 2)
+        name=['f', *JOINTS, 'g'], position=[NAN, *np.arange(6.0), INF], effort=[1.0] * 2
+    )
     assert read(message, JOINTS[::-1], JOINT_FIELDS[:1], JOINT_FIELDS[1:]) == [
-        [5.0, 4.0, 3.0, 2.0, 1.0, 0.0], None, None]
+        [5.0, 4.0, 3.0, 2.0, 1.0, 0.0],
+        None,
+        None,
+    ]
 
 
 @ANY
@@ -107,11 +148,16 @@ def test_read_wrench_reads_every_bit_or_refuses(message, frame):
             messages.read_wrench(message, 'ft')
     else:
         stamp, wrench = messages.read_wrench(message, 'ft')
-        assert (stamp, wrench.tolist()) == (messages.stamp_to_ns(message.header.stamp), numbers)
+        assert (stamp, wrench.tolist()) == (
+            messages.stamp_to_ns(message.header.stamp),
+            numbers,
+        )
 
 
 @ANY
-@given(sent=st.lists(JOINT_STATE, min_size=1, max_size=4), names=st.permutations(JOINTS))
+@given(
+    sent=st.lists(JOINT_STATE, min_size=1, max_size=4), names=st.permutations(JOINTS)
+)
 def test_reader_in_place_reads_what_message_objects_have(sent, names):
     """What one message has taught it must not spoil the next."""
     fields = {'names': names, 'fields': JOINT_FIELDS[:1], 'optional': JOINT_FIELDS[1:]}
@@ -127,15 +173,20 @@ def test_reader_in_place_reads_what_message_objects_have(sent, names):
 
 
 def test_efforts_of_some_joints_are_read_beside_those_that_are_no_numbers():
-    fields = {'names': JOINTS, 'fields': JOINT_FIELDS[:1], 'optional': JOINT_FIELDS[1:2],
-              'partial': JOINT_FIELDS[2:]}
+    fields = {
+        'names': JOINTS,
+        'fields': JOINT_FIELDS[:1],
+        'optional': JOINT_FIELDS[1:2],
+        'partial': JOINT_FIELDS[2:],
+    }
     reader = MessageReader(JointState, partial(messages.read_named, **fields))
     message = six()
     for number in (1.0, math.nan, 2.0):
         message.effort[2] = number
         effort = reader(serialize_message(message))[3]
-        np.testing.assert_array_equal(effort, [message.effort[message.name.index(name)]
-                                               for name in JOINTS])
+        np.testing.assert_array_equal(
+            effort, [message.effort[message.name.index(name)] for name in JOINTS]
+        )
     message.effort = message.effort[:-1]
     assert reader(serialize_message(message))[3] is None
 
@@ -143,51 +194,100 @@ def test_efforts_of_some_joints_are_read_beside_those_that_are_no_numbers():
 def six(scale=1.0):
     numbers = np.arange(6.0)
     return messages.joint_state_message(
-        START, JOINTS, position=scale * numbers, velocity=-numbers, effort=numbers ** 2)
+        START, JOINTS, position=scale * numbers, velocity=-numbers, effort=numbers**2
+    )
 
 
 @pytest.mark.ros
 def test_stream_writes_what_rclpy_reads(middleware):
-    numbers, store = np.random.default_rng(0).standard_normal(7), get_typestore(Stores.ROS2_JAZZY)
+    numbers, store = (
+        np.random.default_rng(0).standard_normal(7),
+        get_typestore(Stores.ROS2_JAZZY),
+    )
     for topic, pattern, expected, written in (
-            (topics.POSE, geo.PoseStamped(), geo.PoseStamped(
-                header=Header(stamp=messages.ns_to_stamp(START)), pose=geo.Pose(
+        (
+            topics.POSE,
+            geo.PoseStamped(),
+            geo.PoseStamped(
+                header=Header(stamp=messages.ns_to_stamp(START)),
+                pose=geo.Pose(
                     position=geo.Point(**dict(zip('xyz', numbers))),
-                    orientation=geo.Quaternion(**dict(zip('xyzw', numbers[3:]))))), (numbers,)),
-            (topics.WRENCH, wrench_message(0, 'ft_face', np.zeros(6)),
-             wrench_message(START, 'ft_face', numbers[:6]), (numbers[:6],)),
-            (topics.JOINT_STATES, six(), six(2.0),
-             (2.0 * np.arange(6.0), -np.arange(6.0), np.arange(6.0) ** 2)),
-            (topics.MEASURED_FORCES, messages.joint_state_message(0, ABC, effort=np.zeros(3)),
-             messages.joint_state_message(START, ABC, effort=numbers[:3]), (numbers[:3],)),
-            *((topics.EFFORT_COMMAND, *(messages.joint_state_message(
-                stamp, ['x' * size] * 7, effort=effort)
-                for stamp, effort in ((0, np.zeros(7)), (START, numbers))), (numbers,))
-              for size in range(1, 9))):  # whatever bytes there are between
+                    orientation=geo.Quaternion(**dict(zip('xyzw', numbers[3:]))),
+                ),
+            ),
+            (numbers,),
+        ),
+        (
+            topics.WRENCH,
+            wrench_message(0, 'ft_face', np.zeros(6)),
+            wrench_message(START, 'ft_face', numbers[:6]),
+            (numbers[:6],),
+        ),
+        (
+            topics.JOINT_STATES,
+            six(),
+            six(2.0),
+            (2.0 * np.arange(6.0), -np.arange(6.0), np.arange(6.0) ** 2),
+        ),
+        (
+            topics.MEASURED_FORCES,
+            messages.joint_state_message(0, ABC, effort=np.zeros(3)),
+            messages.joint_state_message(START, ABC, effort=numbers[:3]),
+            (numbers[:3],),
+        ),
+        *(
+            (
+                topics.EFFORT_COMMAND,
+                *(
+                    messages.joint_state_message(stamp, ['x' * size] * 7, effort=effort)
+                    for stamp, effort in ((0, np.zeros(7)), (START, numbers))
+                ),
+                (numbers,),
+            )
+            for size in range(1, 9)
+        ),
+    ):  # whatever bytes there are between
         data = StreamPublisher(middleware.node, topic, pattern).write(START, *written)
         assert deserialize_message(data, type(pattern)) == expected
-        store.deserialize_cdr(data, topic.type_name)  # which refuses bytes beyond the message
+        store.deserialize_cdr(
+            data, topic.type_name
+        )  # which refuses bytes beyond the message
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize(('stamp', 'number'), [
-    (START, NAN), (START, INF), (START, -INF), (2 ** 31 * 10 ** 9, 1.0)])
+@pytest.mark.parametrize(
+    ('stamp', 'number'),
+    [(START, NAN), (START, INF), (START, -INF), (2**31 * 10**9, 1.0)],
+)
 def test_stream_refuses_what_is_not_finite_and_a_stamp_beyond_those_of_ros(
-        middleware, stamp, number):
-    stream, ones = StreamPublisher(middleware.node, topics.JOINT_STATES, six()), np.ones(6)
+    middleware, stamp, number
+):
+    stream, ones = (
+        StreamPublisher(middleware.node, topics.JOINT_STATES, six()),
+        np.ones(6),
+    )
     before = stream.write(START, ones, ones, ones)
     with pytest.raises(MessageError):
         stream.write(stamp, ones, np.full(6, number), ones)
     assert stream.write(START, ones, ones, ones) == before
 
 
-@pytest.mark.parametrize(('names', 'efforts', 'positions', 'expected'), [
-    (['c'], [5.0], [], ({'c': 5.0}, {})),
-    (['a', 'c'], [], [0.01, -0.02], ({}, {'a': 0.01, 'c': -0.02})),
-    (['d'], [1.0], [], None), (['a', 'a'], [1.0, 2.0], [], None), ([], [], [], None),
-    (['a'], [], [], None), (['a'], [NAN], [], None), (['a'], [5.0], [0.01], None)])
+@pytest.mark.parametrize(
+    ('names', 'efforts', 'positions', 'expected'),
+    [
+        (['c'], [5.0], [], ({'c': 5.0}, {})),
+        (['a', 'c'], [], [0.01, -0.02], ({}, {'a': 0.01, 'c': -0.02})),
+        (['d'], [1.0], [], None),
+        (['a', 'a'], [1.0, 2.0], [], None),
+        ([], [], [], None),
+        (['a'], [], [], None),
+        (['a'], [NAN], [], None),
+        (['a'], [5.0], [0.01], None),
+    ],
+)
 def test_force_command_has_forces_or_centres_of_some_contacts(
-        names, efforts, positions, expected):
+    names, efforts, positions, expected
+):
     message = JointState(name=names, effort=efforts, position=positions)
     if expected is None:
         with pytest.raises(MessageError):
@@ -197,59 +297,106 @@ def test_force_command_has_forces_or_centres_of_some_contacts(
 
 
 def motion_point(turn=1.0005, height=0.0, poses=1, twists=1):
-    pose, twist = geo.Transform(), geo.Twist(linear=geo.Vector3(y=0.1), angular=geo.Vector3(z=0.2))
+    pose, twist = (
+        geo.Transform(),
+        geo.Twist(linear=geo.Vector3(y=0.1), angular=geo.Vector3(z=0.2)),
+    )
     pose.translation.x, pose.translation.z, pose.rotation.w = 0.5, height, turn
     return MultiDOFJointTrajectoryPoint(
-        transforms=[pose] * poses, velocities=[twist] * twists,
-        accelerations=[twist] * min(twists, 1))
+        transforms=[pose] * poses,
+        velocities=[twist] * twists,
+        accelerations=[twist] * min(twists, 1),
+    )
 
 
 def test_read_motion_normalises_its_quaternion_and_takes_no_twist_for_rest():
     for twists in (0, 1):
         motion = messages.read_motion(motion_point(twists=twists))
         np.testing.assert_array_equal(motion.position_world, [0.5, 0.0, 0.0])
-        np.testing.assert_allclose(motion.quaternion_xyzw, [0.0, 0.0, 0.0, 1.0], atol=1e-15)
+        np.testing.assert_allclose(
+            motion.quaternion_xyzw, [0.0, 0.0, 0.0, 1.0], atol=1e-15
+        )
         for twist in (motion.twist_world, motion.acceleration_world):
-            np.testing.assert_array_equal(twist, [0.0, 0.1 * twists, 0.0, 0.0, 0.0, 0.2 * twists])
+            np.testing.assert_array_equal(
+                twist, [0.0, 0.1 * twists, 0.0, 0.0, 0.0, 0.2 * twists]
+            )
 
 
-@pytest.mark.parametrize(('spoiled', 'field'), [
-    ({'turn': 0.5}, 'rotation'), ({'height': INF}, 'translation'), ({'poses': 0}, 'transforms'),
-    ({'twists': 2}, 'velocities')])
+@pytest.mark.parametrize(
+    ('spoiled', 'field'),
+    [
+        ({'turn': 0.5}, 'rotation'),
+        ({'height': INF}, 'translation'),
+        ({'poses': 0}, 'transforms'),
+        ({'twists': 2}, 'velocities'),
+    ],
+)
 def test_read_motion_refuses_by_field(spoiled, field):
     with pytest.raises(MessageError, match=f'^{field}: expected'):
         messages.read_motion(motion_point(**spoiled))
 
 
-@pytest.mark.parametrize(('build', 'field'), [
-    (lambda x: messages.joint_state_message(START, ABC, effort=[0.0, x, 0.0]), 'effort'),
-    (lambda x: messages.joint_state_message(START, ABC, effort=[1.0, 2.0]), 'effort'),
-    (lambda x: messages.motion_message([x] * 3, [0.0] * 4, [0.0] * 6, [0.0] * 6), 'translation'),
-    (lambda x: messages.motion_message(
-        [0.0] * 3, [0.0] * 4, [0.0] * 5 + [x], [0.0] * 6), 'velocities')])
+@pytest.mark.parametrize(
+    ('build', 'field'),
+    [
+        (
+            lambda x: messages.joint_state_message(START, ABC, effort=[0.0, x, 0.0]),
+            'effort',
+        ),
+        (
+            lambda x: messages.joint_state_message(START, ABC, effort=[1.0, 2.0]),
+            'effort',
+        ),
+        (
+            lambda x: messages.motion_message([x] * 3, [0.0] * 4, [0.0] * 6, [0.0] * 6),
+            'translation',
+        ),
+        (
+            lambda x: messages.motion_message(
+                [0.0] * 3, [0.0] * 4, [0.0] * 5 + [x], [0.0] * 6
+            ),
+            'velocities',
+        ),
+    ],
+)
 def test_building_refuses_numbers_that_are_not_finite_and_a_wrong_count(build, field):
     for value in (NAN, INF):
         with pytest.raises(MessageError, match=f'^{field}: expected'):
             build(value)
 
 
-PUBLISHED = [topic for topic in topics.TOPICS
-             if topic.publisher == topics.CONTROLLER and topic.rate == 'control']
+PUBLISHED = [
+    topic
+    for topic in topics.TOPICS
+    if topic.publisher == topics.CONTROLLER and topic.rate == 'control'
+]
 
 
 def sample(stamp, position, velocity, wrench):
     """Return both messages of a sample that fits together, whatever numbers it holds."""
     header = Header(stamp=stamp)
     force, torque = (geo.Vector3(x=x, y=y, z=z) for x, y, z in (wrench[:3], wrench[3:]))
-    return ((topics.WRENCH, geo.WrenchStamped(
-                header=header, wrench=geo.Wrench(force=force, torque=torque))),
-            (topics.JOINT_STATES, JointState(
-                header=header, name=JOINTS, position=position, velocity=velocity)))
+    return (
+        (
+            topics.WRENCH,
+            geo.WrenchStamped(
+                header=header, wrench=geo.Wrench(force=force, torque=torque)
+            ),
+        ),
+        (
+            topics.JOINT_STATES,
+            JointState(
+                header=header, name=JOINTS, position=position, velocity=velocity
+            ),
+        ),
+    )
 
 
 def resting_sample(k):
     noise = 0.01 * np.random.default_rng(k).standard_normal(6)
-    return sample(messages.ns_to_stamp(k * PERIOD), HOME.tolist(), [0.0] * 6, noise.tolist())
+    return sample(
+        messages.ns_to_stamp(k * PERIOD), HOME.tolist(), [0.0] * 6, noise.tolist()
+    )
 
 
 SAMPLE = st.builds(sample, STAMP, st.one_of(st.just(HOME.tolist()), SIX), SIX, SIX)
@@ -261,7 +408,11 @@ def numbers_in(value):
         value = [getattr(value, field) for field in value.get_fields_and_field_types()]
     if isinstance(value, (int, float)):
         return [float(value)]
-    return [] if isinstance(value, (str, bytes)) else [x for y in value for x in numbers_in(y)]
+    return (
+        []
+        if isinstance(value, (str, bytes))
+        else [x for y in value for x in numbers_in(y)]
+    )
 
 
 class Live:
@@ -272,10 +423,17 @@ class Live:
         self.restart()
         ends = {x.topic_name.lstrip('/'): x for x in self.node.subscriptions}
         self.callbacks = {
-            topic: (lambda message, end=ends[topic.name]: end.callback(
-                serialize_message(message) if end.raw else message)) for topic in TAKEN}
-        self._outputs = [host.node.create_subscription(topic.message, topic.name, ignore, 1000)
-                         for topic in PUBLISHED]
+            topic: (
+                lambda message, end=ends[topic.name]: end.callback(
+                    serialize_message(message) if end.raw else message
+                )
+            )
+            for topic in TAKEN
+        }
+        self._outputs = [
+            host.node.create_subscription(topic.message, topic.name, ignore, 1000)
+            for topic in PUBLISHED
+        ]
         for subscription in self._outputs:
             wait_for(subscription.get_publisher_count, 'connection')
         self.k = self.received = 0
@@ -306,7 +464,9 @@ class Live:
 @pytest.fixture(scope='module', params=[True, False], ids=['supervised', 'bare'])
 def live(request, make_host):
     with make_host() as host:
-        host.activate(f'supervised:={str(request.param).lower()}').get_logger().set_level(50)
+        host.activate(
+            f'supervised:={str(request.param).lower()}'
+        ).get_logger().set_level(50)
         yield Live(host, request.param)
 
 
@@ -330,12 +490,16 @@ def test_good_samples_are_answered_after_all_that_and_leave_nothing_behind(live)
     before = live.received
     wait_for(lambda: live.good() or live.received > before + 50, 'answers')
     if live.supervised:
-        wait_for(lambda: live.good() or live.values('supervisor')['reaction'] == 'none',
-                 'control')
-    samples = [sample for k in range(live.k + 1, live.k + 3001) for sample in resting_sample(k)]
+        wait_for(
+            lambda: live.good() or live.values('supervisor')['reaction'] == 'none',
+            'control',
+        )
+    samples = [
+        sample for k in range(live.k + 1, live.k + 3001) for sample in resting_sample(k)
+    ]
 
     def feed(first, last):
-        for topic, message in samples[2 * first:2 * last]:
+        for topic, message in samples[2 * first : 2 * last]:
             live.callbacks[topic](message)
         gc.collect()
         # rclpy looks fields up by names made anew, of which the interpreter keeps up to 4096.

@@ -9,9 +9,17 @@ from arms import controller_config, seven_joint_urdf
 from multicontact_control.config import Config, ControllerConfig, parameter, Vector
 from multicontact_control.errors import ConfigError
 from multicontact_control.experiment.parameter_file import write_parameters
-from multicontact_control.experiment.scenario import dotted, read_controller_files, resolve
+from multicontact_control.experiment.scenario import (
+    dotted,
+    read_controller_files,
+    resolve,
+)
 from multicontact_control.nodes.link import GuestNode
-from multicontact_control.nodes.parameters import folder_of, load_parameters, ParameterSet
+from multicontact_control.nodes.parameters import (
+    folder_of,
+    load_parameters,
+    ParameterSet,
+)
 from multicontact_control.nodes.private import parameter_overrides
 from multicontact_control.paths import config_dir
 import pytest
@@ -39,64 +47,104 @@ class Whole(Config):
 def make_node(domain_id, tmp_path, monkeypatch):
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros'))
     with GuestNode('context', domain_id) as guest, contextlib.ExitStack() as nodes:
+
         def make(*arguments, file=None):
             files = ['--params-file', str(file)] if file else []
             options = [part for argument in arguments for part in ('-p', argument)]
-            node = Node('controller_node', context=guest.context, use_global_arguments=False,
-                        start_parameter_services=False,
-                        cli_args=['--ros-args', *files, *options])
+            node = Node(
+                'controller_node',
+                context=guest.context,
+                use_global_arguments=False,
+                start_parameter_services=False,
+                cli_args=['--ros-args', *files, *options],
+            )
             nodes.callback(node.destroy_node)
             return node
+
         yield make
 
 
 def test_load_parameters_reads_what_a_file_says(make_node, tmp_path):
     node = make_node(file=CONTROLLER_FILE)
-    config, = load_parameters(node, ControllerConfig)
+    (config,) = load_parameters(node, ControllerConfig)
     assert config == controller_config()
     name = 'contacts.board.stiffness'
     assert node.get_parameter(name).value == config.contacts['board'].stiffness
-    file = tmp_path / 'parameters.yaml'  # YAML has no type for whole numbers and empty lists
-    file.write_text('/**:\n  ros__parameters:\n    size: 500\n    gains:\n      weights: []\n')
-    config, = load_parameters(make_node(file=file), Whole)
+    file = (
+        tmp_path / 'parameters.yaml'
+    )  # YAML has no type for whole numbers and empty lists
+    file.write_text(
+        '/**:\n  ros__parameters:\n    size: 500\n    gains:\n      weights: []\n'
+    )
+    (config,) = load_parameters(make_node(file=file), Whole)
     assert isinstance(config.size, float) and config.gains.weights == ()
 
 
 def new_robot_file(folder):
-    new_robot(seven_joint_urdf(folder), 'wrist', 'wrist', folder / 'mine.yaml',
-              folder / 'controller.yaml')
+    new_robot(
+        seven_joint_urdf(folder),
+        'wrist',
+        'wrist',
+        folder / 'mine.yaml',
+        folder / 'controller.yaml',
+    )
     return folder / 'controller.yaml'
 
 
 def gantry_file(folder):
     """Names and numbers that rcl takes for something else, or not at all."""
-    write_parameters(folder / 'gantry.yaml', {'controller_node': {
-        'watchdog': {}, 'robot': {'joint_names': ['x', 'y', '1e5', 'n']},
-        'tool': {'mass': 1, 'com_sensor': [0, 0.05, 0]}, 'contact_names': []}})
+    write_parameters(
+        folder / 'gantry.yaml',
+        {
+            'controller_node': {
+                'watchdog': {},
+                'robot': {'joint_names': ['x', 'y', '1e5', 'n']},
+                'tool': {'mass': 1, 'com_sensor': [0, 0.05, 0]},
+                'contact_names': [],
+            }
+        },
+    )
     return folder / 'gantry.yaml'
 
 
-@pytest.mark.parametrize('write', [
-    new_robot_file, gantry_file,
-    lambda folder: resolve('quick').write(folder)['controller_node']])
+@pytest.mark.parametrize(
+    'write',
+    [
+        new_robot_file,
+        gantry_file,
+        lambda folder: resolve('quick').write(folder)['controller_node'],
+    ],
+)
 def test_file_that_a_command_writes_is_read_by_nodes_and_commands_alike(
-        make_node, tmp_path, write):
+    make_node, tmp_path, write
+):
     file = write(tmp_path)
     overrides = parameter_overrides(make_node(file=file))
     read = read_controller_files([file])
     expected = dotted(read.controller | read.node)
     assert expected and expected == {
         name: list(x.value or ()) if isinstance(expected.get(name), list) else x.value
-        for name, x in overrides.items()}
+        for name, x in overrides.items()
+    }
 
 
-@pytest.mark.parametrize(('arguments', 'match'), [
-    ((), 'size: expected a value, got nothing'),
-    (('size:=-1.0',), 'size: expected greater than 0, got -1.0'),
-    (('size:=tall',), "size: expected a valid number, got 'tall'"),
-    (('size:=1.0', 'sise:=2.0'), "sise: expected a known parameter .*got unknown 'sise'"),
-    (('size:=1.0', 'gains.order:=1.5'), 'gains.order: expected a valid integer'),
-    (('size:=1.0', 'gains:=3'), 'gains: expected a mapping of keys to values, got 3')])
+@pytest.mark.parametrize(
+    ('arguments', 'match'),
+    [
+        ((), 'size: expected a value, got nothing'),
+        (('size:=-1.0',), 'size: expected greater than 0, got -1.0'),
+        (('size:=tall',), "size: expected a valid number, got 'tall'"),
+        (
+            ('size:=1.0', 'sise:=2.0'),
+            "sise: expected a known parameter .*got unknown 'sise'",
+        ),
+        (('size:=1.0', 'gains.order:=1.5'), 'gains.order: expected a valid integer'),
+        (
+            ('size:=1.0', 'gains:=3'),
+            'gains: expected a mapping of keys to values, got 3',
+        ),
+    ],
+)
 def test_load_parameters_refuses_in_one_line(make_node, arguments, match):
     with pytest.raises(ConfigError, match=match) as caught:
         load_parameters(make_node(*arguments), Whole)
@@ -116,28 +164,46 @@ def test_parameter_set_applies_changes_that_pass_the_check_as_a_whole(make_node)
 
     parameters.use = use
     parameters.refuse = lambda name, error: refused.append((name, str(error)))
-    for value, reason in ((5.0, 'gains.soft: expected less than stiff, got 5.0'),
-                          (0.0, 'no solution')):
+    for value, reason in (
+        (5.0, 'gains.soft: expected less than stiff, got 5.0'),
+        (0.0, 'no solution'),
+    ):
         result = node.set_parameters([Parameter('gains.soft', value=value)])[0]
         assert (result.successful, result.reason) == (False, reason)
         assert refused[-1] == ('gains.soft', reason)
     assert node.get_parameter('gains.soft').value == 1.0 and not applied
-    assert node.set_parameters_atomically([
-        Parameter('gains.soft', value=5.0), Parameter('gains.stiff', value=6.0)]).successful
+    assert node.set_parameters_atomically(
+        [Parameter('gains.soft', value=5.0), Parameter('gains.stiff', value=6.0)]
+    ).successful
     assert [(x.gains.soft, x.gains.stiff) for x in applied] == [(5.0, 6.0)]
 
 
-@pytest.mark.parametrize(('given', 'folder'), [
-    (('mine', 'launch'), 'mine'), (('launch', 'mine'), 'mine'), (('mine', 'other'), 'other'),
-    (('mine', 'dotted'), 'dotted'), (('launch', 'stranger'), ''), ((), '')])
+@pytest.mark.parametrize(
+    ('given', 'folder'),
+    [
+        (('mine', 'launch'), 'mine'),
+        (('launch', 'mine'), 'mine'),
+        (('mine', 'other'), 'other'),
+        (('mine', 'dotted'), 'dotted'),
+        (('launch', 'stranger'), ''),
+        ((), ''),
+    ],
+)
 def test_path_is_relative_to_the_last_file_that_sets_it(tmp_path, given, folder):
     """A launch file's own, which is temporary, often comes last."""
     contents = {
-        'mine': {'/**': {'ros__parameters': {'robot': {'urdf': 'a.urdf', 'joint_names': []}}}},
-        'other': {'left': {'controller_node': {'ros__parameters': {'robot': {'urdf': 'b'}}}}},
-        'dotted': {'/left/controller_node': {'ros__parameters': {'robot.urdf': 'c.urdf'}}},
+        'mine': {
+            '/**': {'ros__parameters': {'robot': {'urdf': 'a.urdf', 'joint_names': []}}}
+        },
+        'other': {
+            'left': {'controller_node': {'ros__parameters': {'robot': {'urdf': 'b'}}}}
+        },
+        'dotted': {
+            '/left/controller_node': {'ros__parameters': {'robot.urdf': 'c.urdf'}}
+        },
         'stranger': {'sim_node': {'ros__parameters': {'robot': {'urdf': 'd.urdf'}}}},
-        'launch': {'/**': {'ros__parameters': {'robot': {'armature': [0.1]}}}}}
+        'launch': {'/**': {'ros__parameters': {'robot': {'armature': [0.1]}}}},
+    }
     arguments = ['--ros-args', '-p', 'rate:=500.0']
     for name in given:
         (tmp_path / name).mkdir()
@@ -147,4 +213,7 @@ def test_path_is_relative_to_the_last_file_that_sets_it(tmp_path, given, folder)
     expected = tmp_path / folder if folder else Path()
     assert folder_of('robot.urdf', 'controller_node', arguments) == expected
     for text in ('robot.urdf:=here.urdf', 'controller_node:robot.urdf:=here.urdf'):
-        assert folder_of('robot.urdf', 'controller_node', [*arguments, '-p', text]) == Path()
+        assert (
+            folder_of('robot.urdf', 'controller_node', [*arguments, '-p', text])
+            == Path()
+        )

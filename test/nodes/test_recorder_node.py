@@ -34,22 +34,35 @@ CONTROLLER = controller_config()
 @pytest.fixture
 def publishers(middleware):
     return {
-        topic: middleware.node.create_publisher(topic.message, topic.name, topic.profile)
-        for topic in topics.TOPICS if topic.publisher == topics.SIM}
+        topic: middleware.node.create_publisher(
+            topic.message, topic.name, topic.profile
+        )
+        for topic in topics.TOPICS
+        if topic.publisher == topics.SIM
+    }
 
 
 @pytest.fixture
 def record(middleware, tmp_path):
     """Return what starts a recorder of a simulator that this test is."""
+
     def start():
         process = middleware.start(
-            'multicontact_control.nodes.recorder_node', f'folder:={tmp_path / "bag"}',
-            f'timing_file:={tmp_path / "counts.json"}', 'startup_peers:=[sim_node]')
+            'multicontact_control.nodes.recorder_node',
+            f'folder:={tmp_path / "bag"}',
+            f'timing_file:={tmp_path / "counts.json"}',
+            'startup_peers:=[sim_node]',
+        )
         ready = READY + topics.RECORDER
-        wait_for(lambda: process.poll() is not None
-                 or middleware.node.count_publishers(ready), 'recorder connected')
+        wait_for(
+            lambda: (
+                process.poll() is not None or middleware.node.count_publishers(ready)
+            ),
+            'recorder connected',
+        )
         assert process.poll() is None, process.communicate()[1]
         return process
+
     return start
 
 
@@ -58,9 +71,15 @@ def publish(publishers, first, count):
         for topic in RECORDED:
             publishers[topic].publish(
                 wrench_message(PERIOD * (1 + k), 'ft_face', [k] * 6)
-                if topic is topics.WRENCH else messages.joint_state_message(
-                    PERIOD * (1 + k), CONTROLLER.robot.joint_names, position=[0.001 * k] * 6,
-                    velocity=[0.0] * 6, effort=[k] * 6))
+                if topic is topics.WRENCH
+                else messages.joint_state_message(
+                    PERIOD * (1 + k),
+                    CONTROLLER.robot.joint_names,
+                    position=[0.001 * k] * 6,
+                    velocity=[0.0] * 6,
+                    effort=[k] * 6,
+                )
+            )
         time.sleep(0.0005)  # a few times faster than the graph, not without a limit
 
 
@@ -73,7 +92,8 @@ def counts_after(process, folder, number=signal.SIGINT):
 
 
 def test_recorder_keeps_every_message_and_what_was_latched_before_it_came(
-        publishers, record, tmp_path):
+    publishers, record, tmp_path
+):
     publishers[topics.ROBOT_DESCRIPTION].publish(String(data='before it came'))
     process = record()
     publish(publishers, 0, COUNT)
@@ -83,17 +103,27 @@ def test_recorder_keeps_every_message_and_what_was_latched_before_it_came(
         assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
     counts = counts_after(process, tmp_path, signal.SIGTERM)
     for topic in RECORDED[:2]:
-        assert [x.effort[0] for x in recorded(tmp_path / 'bag', topic.name)] == [*range(COUNT)]
-    assert [counts['counts'][f'/{topic.name}'] for topic in RECORDED] == [COUNT] * len(RECORDED)
+        assert [x.effort[0] for x in recorded(tmp_path / 'bag', topic.name)] == [
+            *range(COUNT)
+        ]
+    assert [counts['counts'][f'/{topic.name}'] for topic in RECORDED] == [COUNT] * len(
+        RECORDED
+    )
     assert counts['lost'] == 0
-    assert [x.data for x in recorded(tmp_path / 'bag', 'robot_description')] == ['before it came']
+    assert [x.data for x in recorded(tmp_path / 'bag', 'robot_description')] == [
+        'before it came'
+    ]
 
 
-def test_recorder_that_is_killed_leaves_a_bag_that_is_read(publishers, record, tmp_path):
+def test_recorder_that_is_killed_leaves_a_bag_that_is_read(
+    publishers, record, tmp_path
+):
     process, folder = record(), tmp_path / 'bag'
 
     def flushed():
-        with contextlib.suppress(MulticontactError):  # as long as there is little to read
+        with contextlib.suppress(
+            MulticontactError
+        ):  # as long as there is little to read
             return read_bag(folder, CONTROLLER).data.ticks >= COUNT
 
     publish(publishers, 0, COUNT)
@@ -108,7 +138,8 @@ def test_recorder_that_is_killed_leaves_a_bag_that_is_read(publishers, record, t
 
 
 def test_recorder_whose_disk_is_full_ends_in_a_line_and_leaves_a_bag_that_is_read(
-        publishers, record, tmp_path):
+    publishers, record, tmp_path
+):
     process = record()
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (200_000, 200_000))
     for first in range(0, 1_000_000, 50):
@@ -121,12 +152,17 @@ def test_recorder_whose_disk_is_full_ends_in_a_line_and_leaves_a_bag_that_is_rea
     assert 0 < read_bag(tmp_path / 'bag', CONTROLLER).data.ticks < first
 
 
-@pytest.mark.parametrize(('parameters', 'field'), [
-    ([], 'folder'), (['effort_output_topic:=a b'], 'effort_output_topic')])
+@pytest.mark.parametrize(
+    ('parameters', 'field'),
+    [([], 'folder'), (['effort_output_topic:=a b'], 'effort_output_topic')],
+)
 def test_recorder_refuses_what_it_cannot_record(domain_id, tmp_path, parameters, field):
     chosen = [f'folder:={tmp_path / "bag"}', *parameters] if parameters else []
-    rclpy.init(args=['--ros-args', *(part for x in chosen for part in ('-p', x))],
-               domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(
+        args=['--ros-args', *(part for x in chosen for part in ('-p', x))],
+        domain_id=domain_id,
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
     try:
         with pytest.raises(ConfigError, match=f'^{field}: expected'):
             RecorderNode()
@@ -137,8 +173,13 @@ def test_recorder_refuses_what_it_cannot_record(domain_id, tmp_path, parameters,
 
 def test_bag_gives_back_bytes_times_and_qualities_of_service(tmp_path):
     folder = tmp_path / 'bag'
-    sent = [(START + k * PERIOD, serialize_message(wrench_message(
-        START, 'ft_face', [k, 0, 0, 0, 0, -k]))) for k in range(COUNT)]
+    sent = [
+        (
+            START + k * PERIOD,
+            serialize_message(wrench_message(START, 'ft_face', [k, 0, 0, 0, 0, -k])),
+        )
+        for k in range(COUNT)
+    ]
     with contextlib.closing(Bag(folder)) as bag:
         wrench = bag.add_topic('/wrench', 'geometry_msgs/msg/WrenchStamped', qos.STREAM)
         bag.add_topic('/silent', 'std_msgs/msg/String', qos.LATCHED)
@@ -148,7 +189,9 @@ def test_bag_gives_back_bytes_times_and_qualities_of_service(tmp_path):
     with Reader(folder) as reader:
         profiles = [x.ext.offered_qos_profiles[0] for x in reader.connections]
         assert [x.durability for x in profiles] == [
-            QosDurability.VOLATILE, QosDurability.TRANSIENT_LOCAL]
+            QosDurability.VOLATILE,
+            QosDurability.TRANSIENT_LOCAL,
+        ]
         assert profiles[0].reliability == QosReliability.RELIABLE
         assert [(time, bytes(data)) for _, time, data in reader.messages()] == sent
     with pytest.raises(RunError, match='expected a folder that does not exist yet'):

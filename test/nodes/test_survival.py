@@ -15,18 +15,27 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 CONTROLLER = 'multicontact_control.nodes.controller_node'
 ESTIMATOR = 'multicontact_control.nodes.noise_estimator_node'
 SIM = 'sim_bridge.sim_node'
-FILES = {CONTROLLER: 'controller.yaml', ESTIMATOR: 'noise_estimator.yaml', SIM: 'plant_puma.yaml'}
+FILES = {
+    CONTROLLER: 'controller.yaml',
+    ESTIMATOR: 'noise_estimator.yaml',
+    SIM: 'plant_puma.yaml',
+}
 
 
 def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be_restarted(
-        middleware):
-    commands, diagnostics = (middleware.node.create_subscription(
-        topic.message, topic.name, ignore, qos.INPUT) for topic in (
-            topics.EFFORT_COMMAND, topics.DIAGNOSTICS))
+    middleware,
+):
+    commands, diagnostics = (
+        middleware.node.create_subscription(
+            topic.message, topic.name, ignore, qos.INPUT
+        )
+        for topic in (topics.EFFORT_COMMAND, topics.DIAGNOSTICS)
+    )
 
     def start(module, *parameters, flags=('--autostart',)):
         return middleware.start(
-            module, *parameters, files=(config_dir() / FILES[module],), flags=flags)
+            module, *parameters, files=(config_dir() / FILES[module],), flags=flags
+        )
 
     def report(part, condition):
         """Wait for such a message of a node's part; return the variances in its values."""
@@ -34,14 +43,18 @@ def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be
 
         def satisfied():
             message = middleware.take(diagnostics)
-            seen.extend(x for x in (message.status if message else ()) if x.name == part)
+            seen.extend(
+                x for x in (message.status if message else ()) if x.name == part
+            )
             return seen and condition(seen[-1])
 
         wait_for(satisfied, f'{part} as wanted', lambda: seen[-1:])
         return variances(seen[-1])
 
     def variances(status):
-        return [float(x.value) for x in status.values if x.key.endswith('noise_variance_n2')]
+        return [
+            float(x.value) for x in status.values if x.key.endswith('noise_variance_n2')
+        ]
 
     def commanded():
         """Wait for commands of newer samples."""
@@ -49,7 +62,9 @@ def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be
 
         def enough():
             message = middleware.take(commands)
-            stamps.update([messages.stamp_to_ns(message.header.stamp)] if message else [])
+            stamps.update(
+                [messages.stamp_to_ns(message.header.stamp)] if message else []
+            )
             return len(stamps) > 20
 
         middleware.take(commands)
@@ -76,19 +91,26 @@ def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be
     commanded()
 
 
-def test_simulator_times_a_command_from_the_first_sending_of_its_sample(middleware, tmp_path):
+def test_simulator_times_a_command_from_the_first_sending_of_its_sample(
+    middleware, tmp_path
+):
     samples = middleware.node.create_subscription(
-        topics.JOINT_STATES.message, topics.JOINT_STATES.name, ignore, qos.INPUT)
+        topics.JOINT_STATES.message, topics.JOINT_STATES.name, ignore, qos.INPUT
+    )
     commands = middleware.node.create_publisher(
-        JointState, topics.EFFORT_COMMAND.name, topics.EFFORT_COMMAND.profile)
+        JointState, topics.EFFORT_COMMAND.name, topics.EFFORT_COMMAND.profile
+    )
     path = tmp_path / 'sim.json'
-    sim = middleware.start(SIM, 'ticks:=2', f'timing_file:={path}', files=(
-        config_dir() / FILES[SIM],))
+    sim = middleware.start(
+        SIM, 'ticks:=2', f'timing_file:={path}', files=(config_dir() / FILES[SIM],)
+    )
     sent = Counter()
     while sim.poll() is None:
         if sample := middleware.take(samples):
             sent[sample.header.stamp.nanosec] += 1
-            if sent[sample.header.stamp.nanosec] >= len(sent):  # the second one: not at once
+            if sent[sample.header.stamp.nanosec] >= len(
+                sent
+            ):  # the second one: not at once
                 commands.publish(sample)  # its effort is the torque that holds the arm
         middleware.pause()
     assert sim.returncode == 0, end_of(sim)

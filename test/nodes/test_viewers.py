@@ -10,14 +10,20 @@ import yaml
 KNOWN = {f'/{topic.name.lstrip("/")}': topic for topic in TOPICS}
 # What comes with RViz 2 and the type of the topic that it shows.
 DISPLAYS = {
-    'RobotModel': 'std_msgs/msg/String', 'MarkerArray': 'visualization_msgs/msg/MarkerArray',
-    'Wrench': 'geometry_msgs/msg/WrenchStamped', 'Pose': 'geometry_msgs/msg/PoseStamped'}
-DRAWN = set(DISPLAYS.values()) - {'geometry_msgs/msg/WrenchStamped'}  # by Foxglove's 3D panel
+    'RobotModel': 'std_msgs/msg/String',
+    'MarkerArray': 'visualization_msgs/msg/MarkerArray',
+    'Wrench': 'geometry_msgs/msg/WrenchStamped',
+    'Pose': 'geometry_msgs/msg/PoseStamped',
+}
+DRAWN = set(DISPLAYS.values()) - {
+    'geometry_msgs/msg/WrenchStamped'
+}  # by Foxglove's 3D panel
 
 
 def test_rviz_shows_topics_as_they_are_published():
     manager = yaml.safe_load((config_dir() / 'multicontact.rviz').read_text())[
-        'Visualization Manager']
+        'Visualization Manager'
+    ]
     assert manager['Global Options']['Fixed Frame'] == WORLD_FRAME
     shown = set()
     for display in manager['Displays']:
@@ -32,13 +38,17 @@ def test_rviz_shows_topics_as_they_are_published():
 
 
 def test_foxglove_shows_fields_that_there_are():
-    layout = json.loads((config_dir() / 'foxglove_layout.json').read_text(encoding='utf-8'))
+    layout = json.loads(
+        (config_dir() / 'foxglove_layout.json').read_text(encoding='utf-8')
+    )
     for panel, config in layout['configById'].items():
         if panel.startswith('3D'):
             assert {config['followTf']} | {
-                layer['frameId'] for layer in config['layers'].values()} == {WORLD_FRAME}
+                layer['frameId'] for layer in config['layers'].values()
+            } == {WORLD_FRAME}
             assert {KNOWN[topic].type_name for topic in config['topics']} <= DRAWN
         for path in config.get('paths', ()):
             name, _, field = path['value'].partition('.')
             assert not field or hasattr(
-                KNOWN[name].message(), re.split(r'[.\[{]', field)[0]), path
+                KNOWN[name].message(), re.split(r'[.\[{]', field)[0]
+            ), path

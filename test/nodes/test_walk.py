@@ -8,8 +8,12 @@ from fake_arm import FakeArm, PARAMETERS
 import multicontact_control
 import pytest
 
-pytestmark = [pytest.mark.ros, pytest.mark.skipif(
-    sys.version_info < (3, 11), reason='code objects have no qualified names')]
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.skipif(
+        sys.version_info < (3, 11), reason='code objects have no qualified names'
+    ),
+]
 
 PACKAGE = Path(multicontact_control.__file__).parent
 PAGE = PACKAGE.parent / 'docs' / 'architecture.md'
@@ -29,7 +33,11 @@ class Walk:
     def __call__(self, frame, event, argument):
         if self.published:
             return
-        if event == 'c_call' and argument.__name__ in ('publish', 'publish_raw') and self.hops:
+        if (
+            event == 'c_call'
+            and argument.__name__ in ('publish', 'publish_raw')
+            and self.hops
+        ):
             self.published = True
         path, name = Path(frame.f_code.co_filename), frame.f_code.co_qualname
         if event == 'return' and name == CALLBACK:

@@ -9,7 +9,12 @@ from multicontact_control.config import ToolConfig
 from multicontact_control.contact.wrench import contact_wrench
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CalibrationError
-from multicontact_control.sensor.tool import identify_tool, PoseReading, tare_bias, weight_reading
+from multicontact_control.sensor.tool import (
+    identify_tool,
+    PoseReading,
+    tare_bias,
+    weight_reading,
+)
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -17,7 +22,9 @@ from scipy.spatial.transform import Rotation
 GRAVITY, STRAIGHT = np.array([0.0, 0.0, -9.81]), np.eye(3)
 BIAS = (1.0, -2.0, 3.0, 0.1, -0.2, 0.05)
 TOOL = ToolConfig(mass=0.5, com_sensor=(0.01, -0.02, 0.08), bias_sensor=BIAS)
-TILTS = Rotation.from_euler('XZ', [[0, 0], [0.8, 0], [-0.8, 0], [0.8, 1.5], [-0.8, 1.5]])
+TILTS = Rotation.from_euler(
+    'XZ', [[0, 0], [0.8, 0], [-0.8, 0], [0.8, 1.5], [-0.8, 1.5]]
+)
 POSES = Rotation.random(8, rng=np.random.default_rng(1)).as_matrix()
 
 
@@ -25,8 +32,12 @@ def readings(rotations, tool=TOOL, noise=0.0, mounting=STRAIGHT, seed=0):
     rng, made = np.random.default_rng(seed), []
     for rotation in rotations.as_matrix():
         wrench = weight_reading(rotation, tool, GRAVITY).reshape(2, 3) @ mounting.T
-        made.append(PoseReading(
-            rotation, wrench.ravel() + tool.bias_sensor + noise * rng.standard_normal(6)))
+        made.append(
+            PoseReading(
+                rotation,
+                wrench.ravel() + tool.bias_sensor + noise * rng.standard_normal(6),
+            )
+        )
     return made
 
 
@@ -34,23 +45,36 @@ def assert_compensates(tool):
     """Check that readings without contact give no wrench in any pose."""
     for rotation in POSES:
         reading = weight_reading(rotation, TOOL, GRAVITY) + BIAS
-        np.testing.assert_allclose(contact_wrench(
-            reading, Pose(np.ones(3), rotation), np.zeros(3), tool, GRAVITY), 0.0, atol=1e-11)
+        np.testing.assert_allclose(
+            contact_wrench(
+                reading, Pose(np.ones(3), rotation), np.zeros(3), tool, GRAVITY
+            ),
+            0.0,
+            atol=1e-11,
+        )
 
 
 def test_contact_wrench_is_what_was_put_into_the_reading():
     rng = np.random.default_rng(2)
     pressing, weight = np.array([0.0, 0.0, -12.0]), TOOL.mass * GRAVITY
     for R in POSES:
-        sensor, tip, point = Pose(rng.standard_normal(3), R), *rng.standard_normal((2, 3))
+        sensor, tip, point = (
+            Pose(rng.standard_normal(3), R),
+            *rng.standard_normal((2, 3)),
+        )
         moment = np.cross(tip - sensor.position_world, pressing) - np.cross(
-            R @ np.array(TOOL.com_sensor), weight)
+            R @ np.array(TOOL.com_sensor), weight
+        )
         reading = np.concatenate([R.T @ (pressing - weight), R.T @ moment]) + BIAS
         wrench = contact_wrench(reading, sensor, point, TOOL, GRAVITY)
         np.testing.assert_allclose(
-            wrench, [*pressing, *np.cross(tip - point, pressing)], atol=1e-12)
+            wrench, [*pressing, *np.cross(tip - point, pressing)], atol=1e-12
+        )
         np.testing.assert_allclose(
-            wrench, equations.contact_wrench(reading, sensor, point, TOOL, GRAVITY), atol=1e-12)
+            wrench,
+            equations.contact_wrench(reading, sensor, point, TOOL, GRAVITY),
+            atol=1e-12,
+        )
 
 
 @pytest.mark.parametrize('pose', POSES[:3])
@@ -63,10 +87,17 @@ def test_tare_in_any_pose_compensates_in_every_pose(pose):
     assert_compensates(TOOL.model_copy(update={'bias_sensor': tuple(bias)}))
 
 
-@pytest.mark.parametrize(('wrenches', 'message'), [
-    (np.zeros((24, 6)), 'expected at least 25 readings, got 24'),
-    (np.full((30, 6), np.nan), 'expected finite readings'),
-    (np.outer(0.02 * np.arange(30.0), np.ones(6)), r'N m\), got 0.173 N and 0.173 N m')])
+@pytest.mark.parametrize(
+    ('wrenches', 'message'),
+    [
+        (np.zeros((24, 6)), 'expected at least 25 readings, got 24'),
+        (np.full((30, 6), np.nan), 'expected finite readings'),
+        (
+            np.outer(0.02 * np.arange(30.0), np.ones(6)),
+            r'N m\), got 0.173 N and 0.173 N m',
+        ),
+    ],
+)
 def test_tare_refuses_too_few_readings_and_any_unrest(wrenches, message):
     with pytest.raises(CalibrationError, match=f'tare: .*{message}'):
         tare_bias(wrenches, np.eye(3), TOOL, GRAVITY)
@@ -83,17 +114,23 @@ def test_identification_without_noise_is_exact():
 
 
 def test_identification_errors_are_those_of_repeated_identifications():
-    results = [identify_tool(readings(TILTS, noise=0.01, seed=k), GRAVITY) for k in range(200)]
+    results = [
+        identify_tool(readings(TILTS, noise=0.01, seed=k), GRAVITY) for k in range(200)
+    ]
     mass, com = [x.mass for x in results], np.array([x.com_sensor for x in results])
-    assert np.std(mass) == pytest.approx(np.mean([x.mass_std for x in results]), rel=0.15)
+    assert np.std(mass) == pytest.approx(
+        np.mean([x.mass_std for x in results]), rel=0.15
+    )
     np.testing.assert_allclose(
-        com.std(axis=0), np.mean([x.com_std for x in results], axis=0), rtol=0.15)
+        com.std(axis=0), np.mean([x.com_std for x in results], axis=0), rtol=0.15
+    )
     assert np.mean([x.force_residual for x in results]) == pytest.approx(0.01, rel=0.2)
 
 
 def test_identification_of_an_empty_flange_is_a_mass_of_zero_with_the_bias():
     result = identify_tool(
-        readings(TILTS, ToolConfig(bias_sensor=BIAS), noise=1e-3), GRAVITY)
+        readings(TILTS, ToolConfig(bias_sensor=BIAS), noise=1e-3), GRAVITY
+    )
     assert abs(result.mass) <= 3.0 * result.mass_std
     np.testing.assert_array_equal(result.com_sensor, np.zeros(3))
     np.testing.assert_allclose(result.bias_sensor, BIAS, atol=0.01)
@@ -102,18 +139,38 @@ def test_identification_of_an_empty_flange_is_a_mass_of_zero_with_the_bias():
 SIMILAR = '^poses: .*tilt the tool differently'
 
 
-@pytest.mark.parametrize(('poses', 'message'), [
-    (readings(TILTS[:3]), '^poses: .*expected at least 4, got 3$'),
-    (readings(TILTS[[0] * 6]), SIMILAR),
-    # Turning about the vertical alone moves no weight.
-    (readings(Rotation.from_euler('z', np.arange(6.0)[:, None])), SIMILAR),
-    # Tilting about one axis alone leaves the centre of mass along it: seen by the moments.
-    (readings(Rotation.from_euler('x', 0.02 * np.arange(6.0)[:, None])), SIMILAR),
-    (readings(TILTS, mounting=-np.eye(3)), 'mass: expected at least 0 kg, got -0.5 kg; is '),
-    *((readings(TILTS, mounting=Rotation.from_rotvec(turn).as_matrix()), 'residual|mass')
-      for turn in np.pi / 2 * np.vstack([np.eye(3), -np.eye(3)])),
-    ([*readings(TILTS[:2]), PoseReading(np.eye(3), np.array([0.0, np.nan, 0.0, 0.0, 0.0, 0.0])),
-      *readings(TILTS[3:])], 'reading of pose 2: expected finite numbers')])
-def test_identification_refuses_poor_poses_and_a_flipped_turned_or_broken_sensor(poses, message):
+@pytest.mark.parametrize(
+    ('poses', 'message'),
+    [
+        (readings(TILTS[:3]), '^poses: .*expected at least 4, got 3$'),
+        (readings(TILTS[[0] * 6]), SIMILAR),
+        # Turning about the vertical alone moves no weight.
+        (readings(Rotation.from_euler('z', np.arange(6.0)[:, None])), SIMILAR),
+        # Tilting about one axis alone leaves the centre of mass along it: seen by the moments.
+        (readings(Rotation.from_euler('x', 0.02 * np.arange(6.0)[:, None])), SIMILAR),
+        (
+            readings(TILTS, mounting=-np.eye(3)),
+            'mass: expected at least 0 kg, got -0.5 kg; is ',
+        ),
+        *(
+            (
+                readings(TILTS, mounting=Rotation.from_rotvec(turn).as_matrix()),
+                'residual|mass',
+            )
+            for turn in np.pi / 2 * np.vstack([np.eye(3), -np.eye(3)])
+        ),
+        (
+            [
+                *readings(TILTS[:2]),
+                PoseReading(np.eye(3), np.array([0.0, np.nan, 0.0, 0.0, 0.0, 0.0])),
+                *readings(TILTS[3:]),
+            ],
+            'reading of pose 2: expected finite numbers',
+        ),
+    ],
+)
+def test_identification_refuses_poor_poses_and_a_flipped_turned_or_broken_sensor(
+    poses, message
+):
     with pytest.raises(CalibrationError, match=message):
         identify_tool(poses, GRAVITY)

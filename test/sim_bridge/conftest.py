@@ -31,8 +31,9 @@ def make_plant():
 
     def make(preset='rigid', *, seed=0, surfaces=None, **changes):
         both = {'surfaces': dict.fromkeys(('table', 'board'), surfaces or {})}
-        plants.append(Plant(
-            plant_config(preset, **merge(both, changes)), rate=500.0, seed=seed))
+        plants.append(
+            Plant(plant_config(preset, **merge(both, changes)), rate=500.0, seed=seed)
+        )
         return plants[-1]
 
     yield make

@@ -20,7 +20,11 @@ NO_FRICTION = np.array([(0.0, 0.0, 0.0, 1e-3)] * 2, dtype=FRICTION)
 
 def test_flexible_drives_conserve_energy_without_damping():
     """Two rotors on two free flywheels: no drift over 20 000 steps (symplectic Euler)."""
-    inertia, wheel, stiffness = np.array([0.8, 0.2]), np.array([0.3, 0.01]), np.array([3e4, 2e3])
+    inertia, wheel, stiffness = (
+        np.array([0.8, 0.2]),
+        np.array([0.3, 0.01]),
+        np.array([3e4, 2e3]),
+    )
     drives = flexible_drives(inertia, stiffness, np.zeros(2), NO_FRICTION)
     q, qd, torque = np.zeros(2), np.array([0.5, -0.5]), np.zeros(2)
     energy, momentum = [], []
@@ -29,15 +33,21 @@ def test_flexible_drives_conserve_energy_without_damping():
         qd += SUBSTEP * torque / wheel
         q += SUBSTEP * qd
         twist = drives['q'] - q
-        energy.append(0.5 * np.sum(
-            inertia * drives['qd'] ** 2 + wheel * qd ** 2 + stiffness * twist ** 2))
+        energy.append(
+            0.5
+            * np.sum(inertia * drives['qd'] ** 2 + wheel * qd**2 + stiffness * twist**2)
+        )
         momentum.append(inertia * drives['qd'] + wheel * qd)
     assert np.mean(energy[-5000:]) == pytest.approx(np.mean(energy[:5000]), rel=1e-3)
-    np.testing.assert_allclose(momentum, np.tile(wheel * [0.5, -0.5], (20000, 1)), atol=1e-9)
+    np.testing.assert_allclose(
+        momentum, np.tile(wheel * [0.5, -0.5], (20000, 1)), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize('scale', [0.0, 0.6])
-def test_rigid_drives_make_bare_links_move_as_with_rotors_and_friction(puma, model, rng, scale):
+def test_rigid_drives_make_bare_links_move_as_with_rotors_and_friction(
+    puma, model, rng, scale
+):
     bare, table = model.copy(), joint_friction(puma, scale, 1e-3)
     model.armature = np.array(puma.armature)
     drives, applied = RigidDrives(model, table, STEP), np.zeros(6)
@@ -47,7 +57,8 @@ def test_rigid_drives_make_bare_links_move_as_with_rotors_and_friction(puma, mod
         speed = qd + STEP * pin.aba(bare, bare.createData(), q, qd, applied + load)
         friction = [friction_at(v, row)[0] for v, row in zip(speed, table, strict=True)]
         expected = qd + STEP * pin.aba(
-            model, model.createData(), q, qd, torque + load - np.array(friction))
+            model, model.createData(), q, qd, torque + load - np.array(friction)
+        )
         np.testing.assert_allclose(speed, expected, atol=1e-9)
 
 

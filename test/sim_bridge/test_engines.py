@@ -42,19 +42,28 @@ def test_steps_are_those_of_pinocchio_and_so_is_the_wrench(name, engine, rng):
             forces = dict(zip(places, largest_push * rng.uniform(-1.0, 1.0, (3, 3))))
             points = {name: frame_pose(model, q, name).translation for name in places}
             load = torque + sum(
-                frame_jacobian(model, q, name)[:3].T @ forces[name] for name in places)
+                frame_jacobian(model, q, name)[:3].T @ forces[name] for name in places
+            )
             if largest_push:
-                body.push([[*forces[name], *points[name], places[name]] for name in places])
+                body.push(
+                    [[*forces[name], *points[name], places[name]] for name in places]
+                )
             wrench = np.array(body.step(torque))
             qdd = pin.aba(model, data, q, qd, load)
             pin.forwardKinematics(model, data, q, qd, qdd)
             pose, inertia = data.oMi[n] * face, carried(arm)
             speed, acceleration = face.actInv(data.v[n]), face.actInv(data.a[n])
             acceleration.linear -= pose.rotation.T @ model.gravity.linear
-            expected = (inertia * acceleration + speed.cross(inertia * speed)).vector.copy()
+            expected = (
+                inertia * acceleration + speed.cross(inertia * speed)
+            ).vector.copy()
             local = pose.rotation.T @ forces[tip]
-            expected -= np.concatenate((local, np.cross(pose.actInv(points[tip]), local)))
-            np.testing.assert_allclose(wrench, expected, atol=1e-8 if engine == 'mujoco' else 0.1)
+            expected -= np.concatenate(
+                (local, np.cross(pose.actInv(points[tip]), local))
+            )
+            np.testing.assert_allclose(
+                wrench, expected, atol=1e-8 if engine == 'mujoco' else 0.1
+            )
             qd = qd + STEP * qdd
             q = q + STEP * qd
             np.testing.assert_allclose(body.qd, qd, atol=1e-9 if exact else 2e-4)
@@ -81,14 +90,22 @@ def test_plant_rests_at_home_and_reads_the_weight(name, engine):
     plant.close()
 
 
-@pytest.mark.parametrize(('engine', 'contact'), [
-    ('pybullet', 'compliant'), pytest.param('mujoco', 'native', marks=needs_mujoco)])
+@pytest.mark.parametrize(
+    ('engine', 'contact'),
+    [('pybullet', 'compliant'), pytest.param('mujoco', 'native', marks=needs_mujoco)],
+)
 @pytest.mark.parametrize('name', ROBOTS)
 def test_contact_is_as_stiff_as_the_surface_is_configured(name, engine, contact):
     """Pressed down with 12 N by a weak servo, the tip sinks in by 12 N over the stiffness."""
-    config = plant_config(name, engine=engine, contact=contact, contact_names=('table',))
-    surface = config.surfaces['table'].model_copy(update={'friction': 0.0, 'roughness_std': 0.0})
-    plant = Plant(config.model_copy(update={'surfaces': {'table': surface}}), rate=500.0, seed=0)
+    config = plant_config(
+        name, engine=engine, contact=contact, contact_names=('table',)
+    )
+    surface = config.surfaces['table'].model_copy(
+        update={'friction': 0.0, 'roughness_std': 0.0}
+    )
+    plant = Plant(
+        config.model_copy(update={'surfaces': {'table': surface}}), rate=500.0, seed=0
+    )
     model, data, home = plant.model, plant.model.createData(), np.array(config.home)
     servo = np.array([2000.0, 2000.0, 0.0, 100.0, 100.0, 100.0])
     damper = np.array([200.0, 200.0, 200.0, 10.0, 10.0, 10.0])
@@ -96,13 +113,21 @@ def test_contact_is_as_stiff_as_the_surface_is_configured(name, engine, contact)
     for _ in range(1000):
         jacobian = frame_jacobian(model, sample.q)
         gravity = pin.computeGeneralizedGravity(model, data, sample.q)
-        sample = plant.step(gravity - 3.0 * sample.qd + jacobian.T @ (
-            [0.0, 0.0, -12.0, 0.0, 0.0, 0.0] - servo * (jacobian @ (sample.q - home))
-            - damper * (jacobian @ sample.qd)))
+        sample = plant.step(
+            gravity
+            - 3.0 * sample.qd
+            + jacobian.T
+            @ (
+                [0.0, 0.0, -12.0, 0.0, 0.0, 0.0]
+                - servo * (jacobian @ (sample.q - home))
+                - damper * (jacobian @ sample.qd)
+            )
+        )
     force = sample.contact_force[0]
     assert force == pytest.approx(12.0, abs=0.5)
     depth = surface.point_world[2] - plant.contacts.points_world[0, 2]
     assert depth == pytest.approx(force / surface.stiffness, rel=0.05)
     assert sample.wrench[2] == pytest.approx(
-        force - 9.81 * plant.description.carried_mass, abs=0.05)
+        force - 9.81 * plant.description.carried_mass, abs=0.05
+    )
     plant.close()

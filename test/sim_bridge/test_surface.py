@@ -16,9 +16,15 @@ NORMAL = np.array([0.0, 0.6, -0.8])
 
 
 def surface(**changes):
-    values = {'tip_link': 'tip', 'point_world': (0.1, 0.2, 0.3), 'normal_world': tuple(NORMAL),
-              'roughness_std': 0.0}
-    return build_surfaces([SurfaceConfig(**{**values, **changes})], [np.random.default_rng(1)])
+    values = {
+        'tip_link': 'tip',
+        'point_world': (0.1, 0.2, 0.3),
+        'normal_world': tuple(NORMAL),
+        'roughness_std': 0.0,
+    }
+    return build_surfaces(
+        [SurfaceConfig(**{**values, **changes})], [np.random.default_rng(1)]
+    )
 
 
 def touch(surfaces, depth, velocity=(0.0, 0.0, 0.0), along=0.0):
@@ -55,7 +61,9 @@ def test_friction_stays_in_its_cone_and_along_the_sliding(rng):
         np.testing.assert_allclose(np.cross(friction, sliding), 0.0, atol=1e-12)
         assert friction @ sliding >= 0.0
     alpha, force = touch(surfaces, 1e-3, (0.5, 0.0, 0.0))
-    assert force[0] == pytest.approx(0.3 * alpha, rel=1e-4)  # Coulomb's value when it slides
+    assert force[0] == pytest.approx(
+        0.3 * alpha, rel=1e-4
+    )  # Coulomb's value when it slides
 
 
 def test_roughness_has_the_asked_deviation_and_correlation_length():
@@ -65,7 +73,7 @@ def test_roughness_has_the_asked_deviation_and_correlation_length():
     assert np.mean(profile) == pytest.approx(0.0, abs=1e-12)
     for points in (POINTS_PER_LENGTH, 2 * POINTS_PER_LENGTH):
         correlation = np.mean(profile * np.roll(profile, points)) / np.var(profile)
-        expected = np.exp(-(points / (2 * POINTS_PER_LENGTH)) ** 2)
+        expected = np.exp(-((points / (2 * POINTS_PER_LENGTH)) ** 2))
         assert correlation == pytest.approx(expected, abs=0.03)
 
 
@@ -75,7 +83,9 @@ def test_roughness_is_felt_as_depth_and_as_rate():
     spacing = record['spacing']
     for point in (0, 17, -5):
         height, slope = heights[point], slopes[point]
-        assert slope == pytest.approx((heights[point + 1] - heights[point - 1]) / (2.0 * spacing))
+        assert slope == pytest.approx(
+            (heights[point + 1] - heights[point - 1]) / (2.0 * spacing)
+        )
         alpha, _ = touch(surfaces, 1e-3, along=point * spacing)
         assert alpha == pytest.approx(6000.0 * (1e-3 + height), rel=1e-9)
         moving, _ = touch(surfaces, 1e-3, 0.1 * record['track'], point * spacing)
@@ -85,12 +95,18 @@ def test_roughness_is_felt_as_depth_and_as_rate():
 @pytest.mark.parametrize('shape', ['cylinder', 'sphere'])
 @pytest.mark.parametrize('radius', [0.5, -0.5])
 def test_curved_surface_is_pressed_towards_its_centre_or_axis(shape, radius, rng):
-    (record,), (profile,) = surface(shape=shape, radius=radius, friction=0.0, damping=0.0)
+    (record,), (profile,) = surface(
+        shape=shape, radius=radius, friction=0.0, damping=0.0
+    )
     place, track = record['place'].copy(), record['track'].copy()
     axis, centre = np.cross(NORMAL, track), place + radius * NORMAL
     for _ in range(20):
-        record['point'] = place + rng.uniform(-0.1, 0.1) * track + rng.uniform(
-            -0.1, 0.1) * axis + rng.uniform(-0.01, 0.05) * NORMAL
+        record['point'] = (
+            place
+            + rng.uniform(-0.1, 0.1) * track
+            + rng.uniform(-0.1, 0.1) * axis
+            + rng.uniform(-0.01, 0.05) * NORMAL
+        )
         press(record, np.zeros(3), profile)
         way = centre - record['point']
         if shape == 'cylinder':
@@ -98,18 +114,23 @@ def test_curved_surface_is_pressed_towards_its_centre_or_axis(shape, radius, rng
         depth = radius - np.sign(radius) * np.linalg.norm(way)
         normal = np.sign(radius) * way / np.linalg.norm(way)
         np.testing.assert_allclose(
-            record['force'], 6000.0 * max(0.0, depth) * normal, atol=1e-9)
+            record['force'], 6000.0 * max(0.0, depth) * normal, atol=1e-9
+        )
 
 
-@pytest.mark.parametrize(('scenario', 'names', 'shown'), [
-    ('plane', ['face'], 0), ('moving_surface', ['table', 'board'], 25)])
+@pytest.mark.parametrize(
+    ('scenario', 'names', 'shown'),
+    [('plane', ['face'], 0), ('moving_surface', ['table', 'board'], 25)],
+)
 def test_markers_show_a_slab_for_each_contact_where_it_is(scenario, names, shown):
     config = resolve(scenario, plant='rigid').plant
     markers = SurfaceMarkers(config, rate=500.0)
     assert sum(markers.due(tick) for tick in range(1, 501)) == shown
     places = np.arange(3.0 * len(config.met)).reshape(-1, 3)
     message = markers.message(1_500_000_000, places)
-    assert [marker.ns.rpartition('/')[2] for marker in message.markers][:len(names)] == names
+    assert [marker.ns.rpartition('/')[2] for marker in message.markers][
+        : len(names)
+    ] == names
     for marker, name in zip(message.markers, config.drawn.values()):
         at = marker.pose.position
         assert [at.x, at.y, at.z] == places[config.met.index(name)].tolist()

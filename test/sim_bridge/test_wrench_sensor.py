@@ -11,7 +11,8 @@ IDEAL = {'noise': False, 'saturate': False, 'quantise': False, 'low_pass': False
 
 def sensor(seed=0, period=PERIOD, **changes):
     return WrenchSensor(
-        SensorConfig(**{**IDEAL, **changes}), period, np.random.default_rng(seed))
+        SensorConfig(**{**IDEAL, **changes}), period, np.random.default_rng(seed)
+    )
 
 
 def readings(instrument, wrenches):
@@ -31,7 +32,9 @@ def test_reading_is_mounted_biased_saturated_and_quantised(rng):
     np.testing.assert_allclose(raw / steps, np.round(raw / steps), atol=1e-9)
     assert np.all(np.abs(raw - wrenches) <= 0.5 * steps + 1e-15)
     turned = (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-    raw, _ = readings(sensor(mounting=turned, bias=(0.5, 0, 0, 0, 0, 0)), [np.arange(1.0, 7.0)])
+    raw, _ = readings(
+        sensor(mounting=turned, bias=(0.5, 0, 0, 0, 0, 0)), [np.arange(1.0, 7.0)]
+    )
     np.testing.assert_array_equal(raw[0], [-1.5, 1.0, 3.0, -5.0, 4.0, 6.0])
     raw, _ = readings(sensor(saturate=True), [np.full(6, 1e3), np.full(6, -1e3)])
     np.testing.assert_array_equal(raw, np.outer((1, -1), [100, 100, 200, 5, 5, 5]))
@@ -39,10 +42,12 @@ def test_reading_is_mounted_biased_saturated_and_quantised(rng):
 
 def test_sensor_noise_has_the_asked_deviation():
     raw, _ = readings(sensor(noise=True), np.zeros((20000, 6)))
-    np.testing.assert_allclose(np.std(raw, axis=0), [0.047] * 3 + [0.004] * 3, rtol=0.03)
+    np.testing.assert_allclose(
+        np.std(raw, axis=0), [0.047] * 3 + [0.004] * 3, rtol=0.03
+    )
     np.testing.assert_allclose(np.mean(raw, axis=0), 0.0, atol=0.0015)
     assert np.max(np.abs(np.corrcoef(raw.T) - np.eye(6))) < 0.03
-    assert abs(np.mean(raw[1:, 0] * raw[:-1, 0])) < 0.03 * 0.047 ** 2
+    assert abs(np.mean(raw[1:, 0] * raw[:-1, 0])) < 0.03 * 0.047**2
 
 
 def test_coefficients_of_a_low_pass_are_scipys(rng):
@@ -50,6 +55,7 @@ def test_coefficients_of_a_low_pass_are_scipys(rng):
         for cutoff in (31.25, *rng.uniform(1.0, 0.49 * rate, 20)):
             if cutoff < 0.5 * rate:
                 np.testing.assert_array_equal(
-                    butterworth(cutoff, rate), butter(2, cutoff, fs=rate))
+                    butterworth(cutoff, rate), butter(2, cutoff, fs=rate)
+                )
     with pytest.raises(ConfigError, match='^sensor.low_pass_cutoff'):
         low_pass_stages(500.0, 1000.0)

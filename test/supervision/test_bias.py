@@ -17,9 +17,12 @@ class Biased:
     """An arm that is commanded to press, with something added to what its wrist sensor reads."""
 
     def __init__(self, robot, bias, *, scenario='quick', surfaces=SMOOTH, **setup):
-        self.loop = ClosedLoop(resolve(
-            scenario, robot=robot, plant_overrides={'surfaces': surfaces}, **setup),
-            commanded=True)
+        self.loop = ClosedLoop(
+            resolve(
+                scenario, robot=robot, plant_overrides={'surfaces': surfaces}, **setup
+            ),
+            commanded=True,
+        )
         self.bias, self.period = bias, self.loop.setup.controller.period
         self.true, self.measured, self.speed = [], [], []
         self.states, self.rejected, self.reactions = set(), [], set()
@@ -36,11 +39,17 @@ class Biased:
         for _ in range(round(seconds / self.period)):
             added = np.asarray(self.bias(self.loop.tick * self.period), dtype=float)
             self.true.append(self.loop.sample.contact_force[0])
-            output = self.loop.advance(lambda inputs, added=added: inputs._replace(
-                wrench=None if blind else WrenchInput(
-                    inputs.wrench.stamp, inputs.wrench.wrench + added)))
+            output = self.loop.advance(
+                lambda inputs, added=added: inputs._replace(
+                    wrench=None
+                    if blind
+                    else WrenchInput(inputs.wrench.stamp, inputs.wrench.wrench + added)
+                )
+            )
             self.measured.append(output.contacts['alpha_meas'][0])
-            self.speed.append(output.contacts['N'][0] @ output.controls['frame']['twist'][0])
+            self.speed.append(
+                output.contacts['N'][0] @ output.controls['frame']['twist'][0]
+            )
             self.states.add(self.status.contact_states[0])
             self.reactions.add(self.status.reaction)
             self.rejected += self.status.rejected
@@ -58,7 +67,7 @@ class Biased:
     @property
     def fastest(self):
         """Return the largest speed to the surface before it is touched [m/s]."""
-        return max(self.speed[:self.first])
+        return max(self.speed[: self.first])
 
 
 def constant(*bias):
@@ -70,8 +79,10 @@ def step(size, begin, axis=2):
 
 
 @pytest.mark.parametrize('robot', ROBOTS)
-@pytest.mark.parametrize('bias', [
-    (0, 0, 2.4, 0, 0, 0), (0, 0, -4.0, 0, 0, 0), (2.3, -2.3, 4.0, 0.1, -0.1, 0.1)])
+@pytest.mark.parametrize(
+    'bias',
+    [(0, 0, 2.4, 0, 0, 0), (0, 0, -4.0, 0, 0, 0), (2.3, -2.3, 4.0, 0.1, -0.1, 0.1)],
+)
 def test_bias_is_no_touch_and_is_taken_off_the_force(robot, bias):
     with closing(Biased(robot, constant(*bias))) as arm:
         arm.run(0.2)
@@ -81,7 +92,9 @@ def test_bias_is_no_touch_and_is_taken_off_the_force(robot, bias):
         assert np.mean(arm.true[-100:]) == pytest.approx(30.0, abs=0.3)
         assert arm.status.contact_states[0] == 'holding'
         line = arm.status.read_before[0]
-        assert line.startswith(f'table reads {bias[2]:+.1f} N') and line.endswith('tare')
+        assert line.startswith(f'table reads {bias[2]:+.1f} N') and line.endswith(
+            'tare'
+        )
         assert any(line in event for _, event in arm.loop.control.events.events)
 
 
@@ -120,8 +133,13 @@ def test_force_of_the_bias_is_commanded():
 def test_contact_that_yields_without_end_is_given_up_as_a_surface_that_is_not_met():
     """Two steps in free space are taken for touches, and the search goes on behind each."""
     away = {'table': {'point_world': [0.0, 0.55, -1.0], 'roughness_std': 0.0}}
-    with closing(Biased('panda', lambda time: step(2.0, 0.5)(time) + step(2.5, 2.5)(time),
-                        surfaces=away)) as arm:
+    with closing(
+        Biased(
+            'panda',
+            lambda time: step(2.0, 0.5)(time) + step(2.5, 2.5)(time),
+            surfaces=away,
+        )
+    ) as arm:
         arm.run(0.2)
         arm.press(8.0, table=30.0)
         assert not any(arm.true)
@@ -130,14 +148,19 @@ def test_contact_that_yields_without_end_is_given_up_as_a_surface_that_is_not_me
         assert arm.reactions == {'none'}
 
 
-@pytest.mark.parametrize(('stiffness', 'damping', 'most', 'seconds'), [
-    (300.0, 5.0, 15.0, 6.0), (6000.0, 30.0, 11.0, 2.0), (1e6, 100.0, 60.0, 3.0)])
+@pytest.mark.parametrize(
+    ('stiffness', 'damping', 'most', 'seconds'),
+    [(300.0, 5.0, 15.0, 6.0), (6000.0, 30.0, 11.0, 2.0), (1e6, 100.0, 60.0, 3.0)],
+)
 @pytest.mark.parametrize('size', [0.0, 3.0])
 def test_surface_answers_however_stiff_it_is(stiffness, damping, most, seconds, size):
     """A loop that is designed for 6000 N/m is slow on a soft one."""
-    surface = {'table': {
-        'roughness_std': 0.0, 'stiffness': stiffness, 'damping': damping}}
-    with closing(Biased('panda', constant(0, 0, size, 0, 0, 0), surfaces=surface)) as arm:
+    surface = {
+        'table': {'roughness_std': 0.0, 'stiffness': stiffness, 'damping': damping}
+    }
+    with closing(
+        Biased('panda', constant(0, 0, size, 0, 0, 0), surfaces=surface)
+    ) as arm:
         arm.run(0.2)
         arm.press(seconds, table=10.0)
         assert np.mean(arm.true[-100:]) == pytest.approx(10.0, abs=0.5)
@@ -162,16 +185,24 @@ def test_tip_that_rests_on_a_surface_presses_with_what_is_commanded(depth, force
 @pytest.mark.parametrize('scenario', ['edge', 'plane'])
 def test_bias_of_a_couple_does_not_turn_the_tool_in_free_space(scenario):
     name = {'edge': 'edge', 'plane': 'face'}[scenario]
-    with closing(Biased('puma', lambda time: step(2.5, 0.5)(time) + [0, 0, 0, 0.2, 0.2, 0],
-                        scenario=scenario, surfaces={})) as arm:
+    with closing(
+        Biased(
+            'puma',
+            lambda time: step(2.5, 0.5)(time) + [0, 0, 0, 0.2, 0.2, 0],
+            scenario=scenario,
+            surfaces={},
+        )
+    ) as arm:
         arm.run(0.2)
         turns = []
         arm.loop.control.set_forces({name: 10.0})
         for _ in range(100):
             arm.run(0.02)
-            turns.append(np.abs(arm.loop.control.output.controls['frame']['twist'][0][3:]).max())
+            turns.append(
+                np.abs(arm.loop.control.output.controls['frame']['twist'][0][3:]).max()
+            )
         assert arm.fastest < 1.2 * APPROACH
-        assert max(turns[:arm.first // 10 - 10]) < 0.05
+        assert max(turns[: arm.first // 10 - 10]) < 0.05
         assert np.mean(arm.measured[-100:]) == pytest.approx(10.0, abs=0.3)
         assert arm.status.contact_states[0] == 'holding'
 
@@ -195,8 +226,9 @@ def spikes(size, rate, seed=0):
     random = np.random.default_rng(seed)
     struck = random.random(10_000) < rate / 500.0
     signs = random.choice([-1.0, 1.0], 10_000)
-    return lambda time: np.eye(6)[2] * (
-        size * signs[round(time * 500)] * struck[round(time * 500)])
+    return lambda time: (
+        np.eye(6)[2] * (size * signs[round(time * 500)] * struck[round(time * 500)])
+    )
 
 
 @pytest.mark.parametrize('robot', ['puma', 'panda'])
@@ -221,11 +253,16 @@ def test_wrench_with_many_outliers_is_a_fault_of_the_sensor():
         assert max(arm.true) < 15.0
 
 
-@pytest.mark.parametrize('law', ['pi', 'admittance', 'impedance', 'feedforward', 'adaptive'])
+@pytest.mark.parametrize(
+    'law', ['pi', 'admittance', 'impedance', 'feedforward', 'adaptive']
+)
 def test_step_of_the_bias_is_no_touch_for_any_force_law(law):
     """An impedance stands still in free space, and an adaptive law must not learn from it."""
-    changes = {'preset': 'adaptive'} if law == 'adaptive' else {'controller': {
-        'force': {'law': law}}}
+    changes = (
+        {'preset': 'adaptive'}
+        if law == 'adaptive'
+        else {'controller': {'force': {'law': law}}}
+    )
     with closing(Biased('puma', step(2.4, 0.5), plant='rigid', **changes)) as arm:
         arm.run(0.2)
         arm.press(3.5, table=30.0)

@@ -30,16 +30,20 @@ def test_mobility_gradient_agrees_with_finite_differences(index):
         return np.linalg.eigvalsh(J @ np.linalg.solve(state.mass_matrix, J.T))[index]
 
     direction = np.linalg.eigh(
-        state.jacobian @ np.linalg.solve(state.mass_matrix, state.jacobian.T))[1][:, index]
+        state.jacobian @ np.linalg.solve(state.mass_matrix, state.jacobian.T)
+    )[1][:, index]
     gradient = np.empty(6)
     mobility_gradient(
-        state.jacobian, *factors(state), direction.copy(), np.empty(6), gradient)
-    expected = [(eigenvalue(q + step) - eigenvalue(q - step)) / (2.0 * h)
-                for step in h * np.eye(6)]
+        state.jacobian, *factors(state), direction.copy(), np.empty(6), gradient
+    )
+    expected = [
+        (eigenvalue(q + step) - eigenvalue(q - step)) / (2.0 * h)
+        for step in h * np.eye(6)
+    ]
     np.testing.assert_allclose(gradient, expected, rtol=1e-5, atol=1e-7)
 
 
-@given(seed=st.integers(0, 2 ** 32 - 1), count=st.integers(1, 8))
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 8))
 def test_least_change_fulfils_the_conditions_of_an_optimum(seed, count):
     """Karush, Kuhn and Tucker: feasible, stationary, multipliers of active bounds alone."""
     rng, n = np.random.default_rng(seed), 7
@@ -64,7 +68,9 @@ def test_least_change_fulfils_the_conditions_of_an_optimum(seed, count):
 @pytest.mark.parametrize('speed', [0.1, 1.0, 5.0])
 def test_allowed_speed_stops_a_joint_without_more_than_its_braking(speed):
     """A joint that follows the allowed speed comes to rest at the stop, from any speed."""
-    distance = next(d for d in np.linspace(0.0, 10.0, 100_001) if bounds.allowed_speed(d) >= speed)
+    distance = next(
+        d for d in np.linspace(0.0, 10.0, 100_001) if bounds.allowed_speed(d) >= speed
+    )
     h, fastest_change, before = 1e-4, 0.0, bounds.allowed_speed(distance)
     for _ in range(60_000):
         allowed = bounds.allowed_speed(distance)

@@ -21,8 +21,12 @@ from sim_bridge.actuator_delay import ActuatorDelay
 
 REST = np.zeros(6)
 ROBOT = RobotModel(controller_config().robot, config_dir())
-FEET = {'a': [0.05, 0.05, 0.24], 'b': [-0.05, 0.05, 0.24], 'c': [-0.05, -0.05, 0.24],
-        'd': [0.05, -0.05, 0.24]}
+FEET = {
+    'a': [0.05, 0.05, 0.24],
+    'b': [-0.05, 0.05, 0.24],
+    'c': [-0.05, -0.05, 0.24],
+    'd': [0.05, -0.05, 0.24],
+}
 LINE = {'a': [0.0, 0.0, 0.24], 'b': [0.05, 0.0, 0.24], 'c': [0.1, 0.0, 0.24]}
 
 
@@ -30,21 +34,31 @@ def aligned():
     """Return two points of which, at the first posture, one is straight above the other."""
     rotation = ROBOT.update(HOME, REST).pose.rotation_world
     table = np.array([0.0, 0.0, 0.24])
-    return {'table': table.tolist(),
-            'board': (table + 0.05 * rotation.T @ np.array([0.0, 0.0, -1.0])).tolist()}
+    return {
+        'table': table.tolist(),
+        'board': (table + 0.05 * rotation.T @ np.array([0.0, 0.0, -1.0])).tolist(),
+    }
 
 
 def pressing_down(points):
     """Return changes of a configuration with a contact at each point, all normals downwards."""
-    return {'contact_names': list(points), 'contacts': {
-        name: {'normal_world': [0.0, 0.0, -1.0], 'point_operational': point}
-        for name, point in points.items()}}
+    return {
+        'contact_names': list(points),
+        'contacts': {
+            name: {'normal_world': [0.0, 0.0, -1.0], 'point_operational': point}
+            for name, point in points.items()
+        },
+    }
 
 
-@pytest.mark.parametrize('points', [FEET, LINE], ids=['four coplanar feet', 'three in a line'])
+@pytest.mark.parametrize(
+    'points', [FEET, LINE], ids=['four coplanar feet', 'three in a line']
+)
 def test_contacts_that_depend_in_any_orientation_are_refused(points):
     with pytest.raises(ConfigError, match=f'got {", ".join(points)}, which depend'):
-        ControlLoop(still_config(**pressing_down(points)), None, CommandLimits(), config_dir())
+        ControlLoop(
+            still_config(**pressing_down(points)), None, CommandLimits(), config_dir()
+        )
 
 
 def carried(loop, ticks, sag=0.02):
@@ -63,23 +77,46 @@ def test_law_without_an_answer_leaves_the_arm_where_it_is(plant):
     with closing(ClosedLoop(resolve('quick', plant=plant, controller=changes))) as loop:
         carried(loop, 500)
         assert (loop.status.reaction, loop.status.causes) == ('hold', ('latched',))
-        assert any('law_ContactGeometryError' in what for _, what in loop.control.events.events)
+        assert any(
+            'law_ContactGeometryError' in what for _, what in loop.control.events.events
+        )
 
 
 def test_arm_that_starts_outside_its_limits_is_held_until_it_is_moved_inside():
     """The limits would have led it inside at once; joint 3 is moved by hand."""
-    third, limits = np.eye(6)[2], {'joint_upper': [2.793, 3.927, 2.9, 2.967, 1.745, 4.643]}
-    with closing(ClosedLoop(resolve('quick', plant='rigid', controller={
-            'limits': limits, 'sensor': {'frozen_ticks': 0},
-            'watchdog': {'frozen_joint_ticks': 0}}))) as loop:
+    third, limits = (
+        np.eye(6)[2],
+        {'joint_upper': [2.793, 3.927, 2.9, 2.967, 1.745, 4.643]},
+    )
+    with closing(
+        ClosedLoop(
+            resolve(
+                'quick',
+                plant='rigid',
+                controller={
+                    'limits': limits,
+                    'sensor': {'frozen_ticks': 0},
+                    'watchdog': {'frozen_joint_ticks': 0},
+                },
+            )
+        )
+    ) as loop:
         carried(loop, 500, sag=1e-4)
-        assert (loop.status.reaction, loop.status.causes) == ('hold', ('start_outside',))
+        assert (loop.status.reaction, loop.status.causes) == (
+            'hold',
+            ('start_outside',),
+        )
         assert loop.control.supervisor.findings[0].startswith('joint3: ')
         assert loop.sample.contact_force.max() == 0.0
         for k in range(400):
-            q, qd = HOME - 0.05 * min(k / 300, 1.0) * third, -0.05 / 0.6 * (k < 300) * third
+            q, qd = (
+                HOME - 0.05 * min(k / 300, 1.0) * third,
+                -0.05 / 0.6 * (k < 300) * third,
+            )
             inputs = loop.inputs()
-            loop.control.step(inputs._replace(joints=inputs.joints._replace(q=q, qd=qd)))
+            loop.control.step(
+                inputs._replace(joints=inputs.joints._replace(q=q, qd=qd))
+            )
             assert loop.control.supervisor.findings or k > 100
             loop.tick += 1
         assert loop.status.reaction == 'none' and not loop.control.supervisor.findings
@@ -119,10 +156,18 @@ class SelfCarryingLoop(ClosedLoop):
         self.tick += 1
 
 
-@pytest.mark.parametrize(('with_tool', 'supervised', 'kind'), [
-    (True, True, 'zero_torque'), (False, True, 'hold_position'),
-    (True, True, 'gravity_compensation'), (True, False, 'zero_torque')])
-def test_arm_that_carries_itself_presses_and_stays_in_every_reaction(with_tool, supervised, kind):
+@pytest.mark.parametrize(
+    ('with_tool', 'supervised', 'kind'),
+    [
+        (True, True, 'zero_torque'),
+        (False, True, 'hold_position'),
+        (True, True, 'gravity_compensation'),
+        (True, False, 'zero_torque'),
+    ],
+)
+def test_arm_that_carries_itself_presses_and_stays_in_every_reaction(
+    with_tool, supervised, kind
+):
     """
     No sag at the start, 10 N on both contacts, and limits that are less than its weight.
 
@@ -130,12 +175,26 @@ def test_arm_that_carries_itself_presses_and_stays_in_every_reaction(with_tool, 
     """
     limit, blind = [60.0, 25.0, 40.0, 24.2, 20.1, 21.3], 5 * (with_tool and supervised)
     assert (np.abs(gravity_of_the_arm(True)(HOME)) > limit).any()
-    with closing(SelfCarryingLoop(resolve('quick', plant='rigid', controller={
-            'robot': {'adds_gravity': True, 'adds_tool_gravity': with_tool},
-            'torque_limit': limit, 'safe_behaviour': kind}),
-            with_tool=with_tool, supervised=supervised, commanded=True)) as loop:
+    with closing(
+        SelfCarryingLoop(
+            resolve(
+                'quick',
+                plant='rigid',
+                controller={
+                    'robot': {'adds_gravity': True, 'adds_tool_gravity': with_tool},
+                    'torque_limit': limit,
+                    'safe_behaviour': kind,
+                },
+            ),
+            with_tool=with_tool,
+            supervised=supervised,
+            commanded=True,
+        )
+    ) as loop:
         for k in range(200):
-            loop.advance(lambda inputs, k=k: TickInputs(inputs.time) if k < blind else inputs)
+            loop.advance(
+                lambda inputs, k=k: TickInputs(inputs.time) if k < blind else inputs
+            )
             assert np.abs(loop.sample.q - HOME).max() < 1e-4
             assert np.abs(loop.command).max() < (1e-9 if k < blind else 3.0)
         if supervised:
@@ -145,7 +204,9 @@ def test_arm_that_carries_itself_presses_and_stays_in_every_reaction(with_tool, 
             assert set(loop.control.events.reactions) <= {'none', 'float'}
             for part, reaction in (('wrench', 'hold'), ('joints', 'float')):
                 for _ in range(30):
-                    loop.advance(lambda inputs, part=part: inputs._replace(**{part: None}))
+                    loop.advance(
+                        lambda inputs, part=part: inputs._replace(**{part: None})
+                    )
                 assert loop.status.reaction == reaction
                 carried(loop, 200)
         start, loop.command = loop.sample.q, loop.control.stop()
@@ -158,9 +219,18 @@ def test_arm_that_carries_itself_presses_and_stays_in_every_reaction(with_tool, 
             np.testing.assert_allclose(loop.command, 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize(('plant', 'force', 'carries_itself'), [
-    ('rigid', 0.0, False), ('puma', 0.0, False), ('puma', 10.0, False), ('rigid', 10.0, True)])
-def test_announced_tool_that_is_picked_up_is_borne_without_a_jump(plant, force, carries_itself):
+@pytest.mark.parametrize(
+    ('plant', 'force', 'carries_itself'),
+    [
+        ('rigid', 0.0, False),
+        ('puma', 0.0, False),
+        ('puma', 10.0, False),
+        ('rigid', 10.0, True),
+    ],
+)
+def test_announced_tool_that_is_picked_up_is_borne_without_a_jump(
+    plant, force, carries_itself
+):
     """1.2 kg, at rest and while pressing; also by an arm that carries itself without a tool."""
     robot = {'adds_gravity': carries_itself, 'adds_tool_gravity': False}
     make = partial(SelfCarryingLoop, with_tool=False) if carries_itself else ClosedLoop
@@ -173,8 +243,11 @@ def test_announced_tool_that_is_picked_up_is_borne_without_a_jump(plant, force, 
         for payload in (1.2, 0.0):
             loop.plant.payload, mass = payload, config.tool.mass + payload
             com = tuple((tool.mass + payload) / mass * np.array(tool.com.position))
-            loop.control.reconfigure(config.model_copy(update={
-                'tool': ToolConfig(mass=mass, com_sensor=com)}))
+            loop.control.reconfigure(
+                config.model_copy(
+                    update={'tool': ToolConfig(mass=mass, com_sensor=com)}
+                )
+            )
             for most in (5.0,) * 250 + (1.0,) * 150:  # N, up to 0.5 s and after
                 before = loop.command
                 loop.advance()

@@ -30,10 +30,14 @@ H = 0.002
 FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = contacts.NAMES
 # Every transition there is, as docs/architecture.md has them.
 GRAPH = {
-    FREE: {APPROACHING, RETRACTING}, APPROACHING: {IMPACT, GIVEN_UP, RETRACTING, FREE},
-    IMPACT: {HOLDING, LOST, RETRACTING, FREE}, HOLDING: {LOST, RETRACTING, FREE},
-    LOST: {IMPACT, APPROACHING, RETRACTING, FREE}, RETRACTING: {GIVEN_UP, FREE},
-    GIVEN_UP: {APPROACHING, RETRACTING, FREE}}
+    FREE: {APPROACHING, RETRACTING},
+    APPROACHING: {IMPACT, GIVEN_UP, RETRACTING, FREE},
+    IMPACT: {HOLDING, LOST, RETRACTING, FREE},
+    HOLDING: {LOST, RETRACTING, FREE},
+    LOST: {IMPACT, APPROACHING, RETRACTING, FREE},
+    RETRACTING: {GIVEN_UP, FREE},
+    GIVEN_UP: {APPROACHING, RETRACTING, FREE},
+}
 
 
 class Surface:
@@ -63,7 +67,9 @@ class Surface:
 
     def advance(self, wanted, alpha, asked, place, speed, escape):
         self.records['wanted'], self.records['asked'] = wanted, asked
-        contacts.advance_contact(self.contact, self.settings, alpha, place, speed, escape)
+        contacts.advance_contact(
+            self.contact, self.settings, alpha, place, speed, escape
+        )
         if self.state is not self.states[-1]:
             self.states.append(self.state)
 
@@ -71,12 +77,19 @@ class Surface:
         """Return displacement, speed, acceleration and force limit of each tick."""
         trace = []
         for _ in range(round(seconds / H)):
-            force = alpha if alpha is not None else self.stiffness * max(
-                self.place - self.depth, 0.0)
+            force = (
+                alpha
+                if alpha is not None
+                else self.stiffness * max(self.place - self.depth, 0.0)
+            )
             speed_now = self.speed if speed is None else speed
             self.advance(wanted, force, asked, self.place, speed_now, speed_now)
-            trace.append([float(self.contact[name]) for name in (
-                'displacement', 'speed', 'acceleration', 'force_limit')])
+            trace.append(
+                [
+                    float(self.contact[name])
+                    for name in ('displacement', 'speed', 'acceleration', 'force_limit')
+                ]
+            )
             if not self.pressed:
                 self.place, self.speed = trace[-1][:2]
         return np.array(trace)
@@ -90,11 +103,20 @@ def holding(**config):
     return surface
 
 
-HISTORY = st.lists(st.tuples(
-    st.integers(1, 60), st.booleans() | st.just(True),
-    st.floats(-3.0, 25.0) | st.sampled_from([0.0, 1.0, 15.0, 70.0]), st.floats(3.0, 20.0),
-    st.floats(-0.03, 0.03), st.floats(-0.05, 0.05), st.floats(-0.05, 0.05) | st.just(0.2),
-    st.sampled_from(['', '', '', 'let_go', 'again'])), min_size=1, max_size=25)
+HISTORY = st.lists(
+    st.tuples(
+        st.integers(1, 60),
+        st.booleans() | st.just(True),
+        st.floats(-3.0, 25.0) | st.sampled_from([0.0, 1.0, 15.0, 70.0]),
+        st.floats(3.0, 20.0),
+        st.floats(-0.03, 0.03),
+        st.floats(-0.05, 0.05),
+        st.floats(-0.05, 0.05) | st.just(0.2),
+        st.sampled_from(['', '', '', 'let_go', 'again']),
+    ),
+    min_size=1,
+    max_size=25,
+)
 
 
 @settings(max_examples=200, deadline=None)
@@ -124,8 +146,12 @@ def test_transitions_keep_to_the_graph_and_its_times_for_any_history_of_forces(h
                 if state is HOLDING:
                     assert ticks * H >= 0.05 and alpha >= 0.5
                 if state is LOST and escape < 0.1:
-                    below = 3 if before is HOLDING else 6  # samples: more than 4 and 10 ms
-                    assert len(felt) >= below and all(x < limit for x, limit in felt[-below:])
+                    below = (
+                        3 if before is HOLDING else 6
+                    )  # samples: more than 4 and 10 ms
+                    assert len(felt) >= below and all(
+                        x < limit for x, limit in felt[-below:]
+                    )
                 if (before, state) == (APPROACHING, GIVEN_UP):
                     assert contact['displacement'] - contact['start'] > 0.0099
                 ticks = 0
@@ -148,8 +174,9 @@ def test_way_from_free_to_holding():
         assert (surface.state, surface.contact['force_limit']) == (state, limit)
 
 
-@pytest.mark.parametrize(('touched', 'dip', 'before'), [
-    (0.3, 0.004, HOLDING), (0.01, 0.01, IMPACT)])
+@pytest.mark.parametrize(
+    ('touched', 'dip', 'before'), [(0.3, 0.004, HOLDING), (0.01, 0.01, IMPACT)]
+)
 def test_short_dip_is_no_loss_and_a_sample_more_is_one(touched, dip, before):
     """Nor is a bounce after a touch."""
     surface = Surface()
@@ -211,12 +238,16 @@ class Asked:
         """Return what is asked for where nothing is felt."""
         self.task.ask(time)
         self.limited = limit_task(
-            self.task.limits[0], self.controls[0], self.contacts, self.task.states)
+            self.task.limits[0], self.controls[0], self.contacts, self.task.states
+        )
         task = self.controls['task'][0].copy()
         return SimpleNamespace(
-            pose=Pose(task['position'], task['rotation']), twist=task['twist'],
-            acceleration=task['acceleration'], active=self.contacts['answer']['active'].copy(),
-            alpha_des=self.contacts['answer']['alpha_des'].copy())
+            pose=Pose(task['position'], task['rotation']),
+            twist=task['twist'],
+            acceleration=task['acceleration'],
+            active=self.contacts['answer']['active'].copy(),
+            alpha_des=self.contacts['answer']['alpha_des'].copy(),
+        )
 
 
 def gap(pose):
@@ -225,8 +256,15 @@ def gap(pose):
 
 def test_task_keeps_the_pose_in_the_box_and_within_reach():
     asked = Asked(operational_speed=10.0, operational_turn=1.0)
-    asked.source.set_motion(MotionReading(
-        np.array([0.0, 5.0, -5.0]), np.array([1.0, 0, 0, 0]), np.ones(6), np.zeros(6)), ())
+    asked.source.set_motion(
+        MotionReading(
+            np.array([0.0, 5.0, -5.0]),
+            np.array([1.0, 0, 0, 0]),
+            np.ones(6),
+            np.zeros(6),
+        ),
+        (),
+    )
     for tick in range(3000):
         before = asked.controls['frame'][0].copy()
         out = asked.ask(H * tick)
@@ -239,9 +277,18 @@ def test_task_keeps_the_pose_in_the_box_and_within_reach():
     np.testing.assert_allclose(out.pose.position_world[1:], [0.9, 0.3])
 
 
-@pytest.mark.parametrize(('away', 'speed'), [
-    (Pose(POSE.position_world + [0.05, 0.0, 0.0], np.eye(3)), 0.1),
-    (Pose(POSE.position_world, Rotation.from_rotvec([0.0, 0.3, 0.0]).as_matrix()), 0.4)])
+@pytest.mark.parametrize(
+    ('away', 'speed'),
+    [
+        (Pose(POSE.position_world + [0.05, 0.0, 0.0], np.eye(3)), 0.1),
+        (
+            Pose(
+                POSE.position_world, Rotation.from_rotvec([0.0, 0.3, 0.0]).as_matrix()
+            ),
+            0.4,
+        ),
+    ],
+)
 def test_task_is_caught_up_with_slowly_after_a_pause(away, speed):
     """It starts where the arm is, and comes back below a fifth of the speed limit."""
     asked = Asked()
@@ -260,9 +307,13 @@ def test_task_is_caught_up_with_slowly_after_a_pause(away, speed):
 
 def test_task_that_is_held_stands_still_and_then_goes_on_where_it_was():
     motion = ScenarioTask(
-        ReferenceConfig(approach=ApproachConfig(start_time=100.0),
-                        motion=SineConfig(start_time=0.0, amplitude=0.02)),
-        rate=1.0 / H, names=('table', 'board'))
+        ReferenceConfig(
+            approach=ApproachConfig(start_time=100.0),
+            motion=SineConfig(start_time=0.0, amplitude=0.02),
+        ),
+        rate=1.0 / H,
+        names=('table', 'board'),
+    )
     asked, here = Asked(motion), Pose(np.array([0.1, 0.2, 0.3]), np.eye(3))
     for tick in range(501):
         before = asked.ask(H * tick).pose.position_world
@@ -271,7 +322,9 @@ def test_task_that_is_held_stands_still_and_then_goes_on_where_it_was():
     for time in (1.1, 1.6):
         out = asked.ask(time)
         np.testing.assert_array_equal(out.pose.position_world, here.position_world)
-        assert not any(x.any() for x in (out.twist, out.acceleration, out.active, out.alpha_des))
+        assert not any(
+            x.any() for x in (out.twist, out.acceleration, out.active, out.alpha_des)
+        )
     asked.stay(Pose(before, np.eye(3)))
     asked.task.hold(False)
     # From rest, with a bounded acceleration.
@@ -282,8 +335,15 @@ def test_what_is_wanted_stands_beside_what_is_controlled():
     """A pose beyond the box, and a force of a contact that is not felt yet."""
     asked = Asked()
     asked.source.set_forces({'table': 5.0})
-    asked.source.set_motion(MotionReading(
-        np.array([0.0, 5.0, 0.6]), np.array([0.0, 0, 0, 1.0]), np.zeros(6), np.zeros(6)), ())
+    asked.source.set_motion(
+        MotionReading(
+            np.array([0.0, 5.0, 0.6]),
+            np.array([0.0, 0, 0, 1.0]),
+            np.zeros(6),
+            np.zeros(6),
+        ),
+        (),
+    )
     out = asked.ask(0.0)
     assert asked.controls['wanted'][0]['position'][1] == 5.0
     assert out.pose.position_world[1] < 0.9
@@ -321,7 +381,9 @@ def test_task_is_limited_without_allocating():
     _nrt_python.memsys_enable_stats()
     for count in (1, 1, 100):  # the first compiles
         before = rtsys.get_allocation_stats().alloc
-        limit_again(count, asked.task.limits, asked.controls, asked.contacts, asked.task.states)
+        limit_again(
+            count, asked.task.limits, asked.controls, asked.contacts, asked.task.states
+        )
         allocations.append(rtsys.get_allocation_stats().alloc - before)
     assert allocations[1] == allocations[2]
     assert asked.task.state_names == (HOLDING, APPROACHING)

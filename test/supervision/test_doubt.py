@@ -13,16 +13,26 @@ from multicontact_control.supervision.reactions import Steadiness
 import numpy as np
 import pytest
 from robots import robot_parameters
-from supervision.test_recovery import DEPTH, elbow_forces, ELBOW_WALL, standing, with_effort
+from supervision.test_recovery import (
+    DEPTH,
+    elbow_forces,
+    ELBOW_WALL,
+    standing,
+    with_effort,
+)
 
 H = 0.002
 PUSH = np.array([10.0, 0.0, 0.0])
 FARTHEST = 0.005  # m
 ARMS = robot_parameters(['puma', 'panda', 'iiwa', 'ur5', 'kinova', 'fr3'])
 WRONG = {
-    'three times': lambda qd: 3.0 * qd, 'flipped': lambda qd: -qd, 'degrees': np.degrees,
-    'frozen': lambda qd: 0.0 * qd + 0.08, 'offset': lambda qd: qd + 0.2,
-    'of another joint': lambda qd: np.roll(qd, 1)}
+    'three times': lambda qd: 3.0 * qd,
+    'flipped': lambda qd: -qd,
+    'degrees': np.degrees,
+    'frozen': lambda qd: 0.0 * qd + 0.08,
+    'offset': lambda qd: qd + 0.2,
+    'of another joint': lambda qd: np.roll(qd, 1),
+}
 
 
 def make_loop(plant, **options):
@@ -50,7 +60,8 @@ def place_of(loop):
 
 def with_velocity(change):
     return lambda inputs: inputs._replace(
-        joints=inputs.joints._replace(qd=change(inputs.joints.qd)))
+        joints=inputs.joints._replace(qd=change(inputs.joints.qd))
+    )
 
 
 def without_wrench(inputs):
@@ -100,7 +111,10 @@ def test_hold_by_estimates_calms_down_behind_flexible_drives(plant, wrong):
         speeds = np.abs(loop.plant.arm.qd).max()
     way = np.linalg.norm(places - places[0], axis=1)
     assert way.max() < 0.025 and way[-1] < 2e-3
-    assert speeds < 1e-3 and {status.reaction for status in statuses} <= {'none', 'hold'}
+    assert speeds < 1e-3 and {status.reaction for status in statuses} <= {
+        'none',
+        'hold',
+    }
 
 
 def test_hold_by_estimates_from_coarse_encoders_presses_on_a_stiff_surface():
@@ -113,8 +127,14 @@ def test_hold_by_estimates_from_coarse_encoders_presses_on_a_stiff_surface():
             loop.plant.contacts.scale_stiffness(surface, 10.0)
         forces = []
         for _ in range(1000):
-            loop.advance(lambda inputs: inputs._replace(wrench=None, joints=inputs.joints._replace(
-                qd=None, q=step * np.round(inputs.joints.q / step))))
+            loop.advance(
+                lambda inputs: inputs._replace(
+                    wrench=None,
+                    joints=inputs.joints._replace(
+                        qd=None, q=step * np.round(inputs.joints.q / step)
+                    ),
+                )
+            )
             forces.append(loop.sample.contact_force.max())
     assert loop.status.reaction == 'hold'
     assert max(forces) < 30.0 and max(forces[-200:]) < 10.0
@@ -130,7 +150,8 @@ def test_hold_is_as_stiff_as_the_motion_law(name):
             loop.plant.push(PUSH, 1.0)  # before the sensor
             after, statuses = advance(loop, 0.9, corrupt)
         assert (statuses[-1].reaction == 'hold') == (corrupt is not None) or (
-            'collision' in ' '.join(statuses[-1].causes))
+            'collision' in ' '.join(statuses[-1].causes)
+        )
         ways.append(np.linalg.norm(after[-1] - before[-1]))
     assert ways[1] == pytest.approx(ways[0], rel=0.15)
 
@@ -139,8 +160,11 @@ def test_holds_one_soon_after_another_return_to_where_the_first_began():
     """The wrench is missing for 0.3 s every 0.5 s, and a hand pushes all the time."""
     with make_loop('rigid') as loop:
         loop.plant.push(PUSH, 4.0)
-        places, statuses = advance(loop, 5.0, lambda inputs: (
-            without_wrench(inputs) if loop.tick % 250 > 100 else inputs))
+        places, statuses = advance(
+            loop,
+            5.0,
+            lambda inputs: without_wrench(inputs) if loop.tick % 250 > 100 else inputs,
+        )
     reactions_ = [status.reaction for status in statuses]
     assert sum(a != b for a, b in zip(reactions_, reactions_[1:])) >= 4
     first = reactions_.index('hold')
@@ -154,9 +178,14 @@ def test_hold_after_a_commanded_motion_does_not_return_to_the_one_before():
         advance(loop, 0.3)
         pose = loop.control.output.pose
         for _ in range(2):
-            loop.control.set_motion(MotionReading(
-                pose.position_world + [0.02, 0.0, 0.0], pose.quaternion_xyzw, np.zeros(6),
-                np.zeros(6)))
+            loop.control.set_motion(
+                MotionReading(
+                    pose.position_world + [0.02, 0.0, 0.0],
+                    pose.quaternion_xyzw,
+                    np.zeros(6),
+                    np.zeros(6),
+                )
+            )
             places, _ = advance(loop, 0.3)
         held, statuses = advance(loop, 1.0, without_wrench)
     assert statuses[-1].reaction == 'hold'
@@ -169,7 +198,8 @@ def shake(loop, corrupt=None):
         if not loop.control.supervisor.inputs.refuted:
             break
         loop.plant.push(
-            30.0 * (-1) ** k * np.eye(3)[k // 2 % 3], 0.15, tool=k // 6 % 2 == 0)
+            30.0 * (-1) ** k * np.eye(3)[k // 2 % 3], 0.15, tool=k // 6 % 2 == 0
+        )
         advance(loop, 0.2, corrupt)
     advance(loop, 3.0, corrupt)
 
@@ -210,7 +240,9 @@ def test_operator_resumes_control_on_estimates_until_they_are_refuted_again(way)
 
 def test_velocities_that_are_no_numbers_for_a_moment_refute_nothing():
     with make_loop('rigid') as loop:
-        _, statuses = advance(loop, 0.1, with_velocity(lambda qd: np.append(np.nan, qd[1:])))
+        _, statuses = advance(
+            loop, 0.1, with_velocity(lambda qd: np.append(np.nan, qd[1:]))
+        )
         assert statuses[-1].causes == ('joints_velocity',)
         _, statuses = advance(loop, 0.3)
     assert statuses[-1].reaction == 'none'
@@ -234,15 +266,24 @@ def test_push_test_neither_begins_nor_goes_on_while_velocities_are_in_doubt():
 
 def broken(joint, number):
     """Return a change of the effort of a joint."""
-    return with_effort(lambda effort: np.where(np.arange(len(effort)) == joint, number, effort))
+    return with_effort(
+        lambda effort: np.where(np.arange(len(effort)) == joint, number, effort)
+    )
 
 
-@pytest.mark.parametrize(('plant', 'loaded', 'name'), [
-    ('rigid', 0, 'joint{}'), ('panda/rigid', 1, 'panda_joint{}'),
-    ('iiwa/rigid', 1, 'lbr_iiwa_joint_{}')])
+@pytest.mark.parametrize(
+    ('plant', 'loaded', 'name'),
+    [
+        ('rigid', 0, 'joint{}'),
+        ('panda/rigid', 1, 'panda_joint{}'),
+        ('iiwa/rigid', 1, 'lbr_iiwa_joint_{}'),
+    ],
+)
 @pytest.mark.parametrize('number', [np.nan, 0.0])
 @pytest.mark.parametrize('begin', [0, 100])
-def test_joints_with_a_torque_are_watched_beside_one_without(plant, loaded, name, number, begin):
+def test_joints_with_a_torque_are_watched_beside_one_without(
+    plant, loaded, name, number, begin
+):
     """30 N on the elbow: seen within 6 ms, unless it is the joint that it loads alone."""
     for joint in range(3):
         with standing(plant, 0) as loop:
@@ -250,7 +291,9 @@ def test_joints_with_a_torque_are_watched_beside_one_without(plant, loaded, name
             _, before = elbow_forces(loop, 100, broken(joint, number))
             assert {status.reaction for status in before} == {'none'}
             assert name.format(joint + 1) in before[-1].unwatched
-            assert ('constantly 0' if number == 0.0 else 'not finite') in before[-1].unwatched
+            assert ('constantly 0' if number == 0.0 else 'not finite') in before[
+                -1
+            ].unwatched
             loop.plant.contacts.put_before_tip(ELBOW_WALL, -2.0 * DEPTH)
             _, statuses = elbow_forces(loop, 100, broken(joint, number))
             held = [status.reaction == 'hold' for status in statuses]
@@ -263,8 +306,12 @@ def test_joints_with_a_torque_are_watched_beside_one_without(plant, loaded, name
 def test_efforts_that_do_not_come_are_reported(change):
     with standing('rigid') as loop:
         _, statuses = elbow_forces(loop, 10, with_effort(change))
-        assert statuses[-1].unwatched.endswith('of all missing; collisions are not watched')
-        _, statuses = elbow_forces(loop, 10, lambda inputs: inputs._replace(joints=None))
+        assert statuses[-1].unwatched.endswith(
+            'of all missing; collisions are not watched'
+        )
+        _, statuses = elbow_forces(
+            loop, 10, lambda inputs: inputs._replace(joints=None)
+        )
         _, statuses = elbow_forces(loop, 10)
     assert statuses[-1].unwatched == ''
 
@@ -296,16 +343,29 @@ def test_first_torque_of_a_joint_without_a_measured_one_carries_it():
 
 
 def test_wrench_of_the_residual_needs_the_torque_of_every_joint():
-    with closing(ClosedLoop(resolve('quick', plant='rigid', controller={
-            'wrench_input': 'momentum', 'robot': {'sensor_frame': ''}}))) as loop:
+    with closing(
+        ClosedLoop(
+            resolve(
+                'quick',
+                plant='rigid',
+                controller={'wrench_input': 'momentum', 'robot': {'sensor_frame': ''}},
+            )
+        )
+    ) as loop:
         elbow_forces(loop, 100)
         _, statuses = elbow_forces(loop, 50, broken(3, np.nan))
-    assert statuses[-1].causes == ('wrench_stale',) and 'no wrench' in statuses[-1].unwatched
+    assert (
+        statuses[-1].causes == ('wrench_stale',)
+        and 'no wrench' in statuses[-1].unwatched
+    )
 
 
 def test_severer_of_two_reactions_that_take_turns_stays():
     steadiness = Steadiness(H)
-    turns = [steadiness.of(reactions.FLOAT if k % 10 < 2 else reactions.HOLD) for k in range(600)]
+    turns = [
+        steadiness.of(reactions.FLOAT if k % 10 < 2 else reactions.HOLD)
+        for k in range(600)
+    ]
     assert sum(a != b for a, b in zip(turns, turns[1:])) <= 4
     assert turns[-1] == reactions.FLOAT
     after = [steadiness.of(reactions.HOLD) for _ in range(300)]
@@ -323,6 +383,7 @@ def test_reactions_do_not_alternate_with_joints_that_come_and_go_and_a_wrong_wre
             wrench = inputs.wrench._replace(wrench=1e-3 * inputs.wrench.wrench)
             joints = inputs.joints if random.random() > 0.3 else None
             return inputs._replace(joints=joints, wrench=wrench)
+
         _, statuses = advance(loop, 1.2, corrupt)
     reactions_ = [status.reaction for status in statuses]
     assert sum(a != b for a, b in zip(reactions_, reactions_[1:])) <= 8

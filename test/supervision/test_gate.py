@@ -41,7 +41,10 @@ def make(q=HOME, velocity=REST, config=CONFIG, limit=LIMIT, guarded=True):
     assert arm.refresh()
     joints = arm.joints['config']
     joints['torque_limit'] = limit
-    joints['lower'], joints['upper'] = config.limits.joint_lower, config.limits.joint_upper
+    joints['lower'], joints['upper'] = (
+        config.limits.joint_lower,
+        config.limits.joint_upper,
+    )
     return TorqueGate(config, arm, guarded=guarded), arm
 
 
@@ -64,7 +67,9 @@ def test_gate_stops_a_joint_before_its_stop_whatever_the_others_do(joint):
     """One joint under large torque, the others held, with the arm's own dynamics (Euler)."""
     q, v, push = HOME.copy(), np.zeros(6), np.zeros(6)
     gate, arm = make()
-    lower, upper = (np.array(getattr(CONFIG.limits, f'joint_{end}')) for end in ('lower', 'upper'))
+    lower, upper = (
+        np.array(getattr(CONFIG.limits, f'joint_{end}')) for end in ('lower', 'upper')
+    )
     speed = np.array(CONFIG.limits.joint_speed)
     push[joint] = 0.5 * LIMIT[joint]
     fastest = 0.0
@@ -76,7 +81,8 @@ def test_gate_stops_a_joint_before_its_stop_whatever_the_others_do(joint):
         held[joint] = 0.0
         torque = passed(gate, -2, state.gravity + state.coriolis + held + push)
         v = v + 0.002 * np.linalg.solve(
-            state.mass_matrix, torque - state.gravity - state.coriolis)
+            state.mass_matrix, torque - state.gravity - state.coriolis
+        )
         q = q + 0.002 * v
         fastest = max(fastest, v[joint])
         assert (q < upper).all() and (q > lower).all()
@@ -97,7 +103,8 @@ def test_joint_that_starts_at_its_stop_stays_there():
         arm.refresh()
         torque = passed(gate, -2, state.gravity + state.coriolis)
         v = v + 0.002 * np.linalg.solve(
-            state.mass_matrix, torque - state.gravity - state.coriolis)
+            state.mass_matrix, torque - state.gravity - state.coriolis
+        )
         q = q + 0.002 * v
     assert abs(q[4] - start) < 1e-4
 
@@ -111,10 +118,13 @@ def test_commanded_change_starts_at_the_torque_before_and_fades_at_its_rate():
         torques = [passed(gate, -1, TORQUE.copy())]
     np.testing.assert_array_equal(torques[0], START)
     np.testing.assert_allclose(
-        passed(moved, -1, TORQUE + 0.1) - passed(calm, -1, TORQUE.copy()), 0.1)
+        passed(moved, -1, TORQUE + 0.1) - passed(calm, -1, TORQUE.copy()), 0.1
+    )
     while (torques[-1] != TORQUE).any():
         torques.append(passed(calm, -1, TORQUE.copy()))
-    assert np.abs(np.diff(torques, axis=0)[1:]).max() <= 100.0 * CONFIG.period * (1.0 + 1e-9)
+    assert np.abs(np.diff(torques, axis=0)[1:]).max() <= 100.0 * CONFIG.period * (
+        1.0 + 1e-9
+    )
     assert len(torques) >= 0.2 / CONFIG.period
 
 
@@ -137,7 +147,7 @@ SUPERVISOR = Supervisor(BIASED, ROBOT, CommandedTask(BIASED.contact_names))
 
 
 @settings(max_examples=100, deadline=None)
-@given(seed=st.integers(0, 2 ** 32 - 1), scale=st.sampled_from([0.1, 1.0, 3.0]))
+@given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([0.1, 1.0, 3.0]))
 def test_speeds_and_plausibility_equal_numpy(seed, scale):
     random = np.random.default_rng(seed)
     q, v = HOME + random.normal(size=6), scale * random.normal(size=6)
@@ -147,7 +157,8 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
     state = ROBOT.update(q, v)
     too_fast = 0
     if np.linalg.norm(state.twist_world[:3]) > 1.1 * limits.operational_speed or (
-            np.linalg.norm(state.twist_world[3:]) > 1.1 * limits.operational_turn):
+        np.linalg.norm(state.twist_world[3:]) > 1.1 * limits.operational_turn
+    ):
         too_fast += OPERATIONAL_SPEED
     if (np.abs(v) > 1.1 * np.array(limits.joint_speed)).any():
         too_fast += JOINT_SPEED
@@ -163,21 +174,33 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
     SUPERVISOR.task.states['state'] = states
 
     def check():
-        return check_plausibility(plausibility_limits(BIASED)[0], controls[0], arm.joints,
-                                  contacts, SUPERVISOR.task.states, np.empty(6))
+        return check_plausibility(
+            plausibility_limits(BIASED)[0],
+            controls[0],
+            arm.joints,
+            contacts,
+            SUPERVISOR.task.states,
+            np.empty(6),
+        )
 
     # A lost contact reads its tool's inertia at 20 m/s^2; a pull of 4 N and 5 N sideways pass.
     pull = 4.0 + np.where(states == LOST, BIASED.tool.mass * 20.0, 0.0)
     weight = BIASED.tool.mass * np.array(BIASED.robot.gravity_world)
-    normals = np.array([BIASED.contacts[name].normal_world for name in BIASED.contact_names])
+    normals = np.array(
+        [BIASED.contacts[name].normal_world for name in BIASED.contact_names]
+    )
     force = state.sensor_pose.rotation_world @ (wrench[:3] - BIAS[:3])
     sideways = force + weight - alpha @ normals
     bound = 5.0 + BIASED.watchdog.friction_bound * np.abs(alpha).sum()
     place = state.pose.position_world
     outside = (place < np.array(limits.workspace_lower) - 0.01).any() or (
-        place > np.array(limits.workspace_upper) + 0.01).any()
+        place > np.array(limits.workspace_upper) + 0.01
+    ).any()
     assert check() == (
-        NOT_FINITE * (scale == 3.0) + PULL * bool((alpha < -pull).any())
-        + SIDEWAYS * bool(np.linalg.norm(sideways) > bound) + OUTSIDE * bool(outside))
+        NOT_FINITE * (scale == 3.0)
+        + PULL * bool((alpha < -pull).any())
+        + SIDEWAYS * bool(np.linalg.norm(sideways) > bound)
+        + OUTSIDE * bool(outside)
+    )
     arm.joints['answer']['torque'], contacts['answer']['innovation'][0] = 0.0, np.inf
     assert check() & NOT_FINITE

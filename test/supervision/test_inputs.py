@@ -30,9 +30,16 @@ def make(config=CONFIG, turning=False, guarded=True):
     """Return a stage whose places are its attributes."""
     arm = SimpleNamespace(motion=np.zeros((2, 6)), joints=np.zeros(6, JOINT))
     controls, contacts = np.zeros(1, CONTROL), np.zeros(CONTACTS, CONTACT)
-    stage = Inputs(config, SimpleNamespace(
-        arm=arm, controls=controls, contacts=contacts, robot=SimpleNamespace(turning=turning)),
-        guarded=guarded)
+    stage = Inputs(
+        config,
+        SimpleNamespace(
+            arm=arm,
+            controls=controls,
+            contacts=contacts,
+            robot=SimpleNamespace(turning=turning),
+        ),
+        guarded=guarded,
+    )
     (stage.q, stage.qd), stage.wrench = arm.motion, controls['wrench'][0]
     stage.variance = contacts['noise_variance']
     return stage
@@ -42,9 +49,11 @@ def good(k, random):
     """Return the inputs of an arm that moves slowly, with the sensors' noise."""
     q = HOME + 1e-3 * np.sin(k * H) + 1e-9 * random.normal(size=6)
     return TickInputs(
-        k * H, JointInput(k * H, q, 1e-3 * np.cos(k * H) + 1e-6 * random.normal(size=6)),
+        k * H,
+        JointInput(k * H, q, 1e-3 * np.cos(k * H) + 1e-6 * random.normal(size=6)),
         WrenchInput(k * H, random.normal(size=6)),
-        VarianceInput((k - 1) * H, 0.2 + random.random(CONTACTS)))
+        VarianceInput((k - 1) * H, 0.2 + random.random(CONTACTS)),
+    )
 
 
 def changed(inputs, source, **values):
@@ -53,11 +62,13 @@ def changed(inputs, source, **values):
 
 def put(number):
     """Return a change that puts a number in the first place of a reading."""
+
     def change(inputs, source):
         name = 'q' if source == 'joints' else source
         values = getattr(getattr(inputs, source), name).copy()
         values[0] = number
         return changed(inputs, source, **{name: values})
+
     return change
 
 
@@ -70,23 +81,34 @@ def warm(ticks=20):
 
 
 FAULTS = [
-    ('joints', put(np.nan), 'joints_invalid'), ('joints', put(2e3), 'joints_invalid'),
-    ('joints', put(HOME[0] + 0.02), 'joints_jump'), ('joints', put(HOME[0] - 0.02), 'joints_jump'),
-    ('wrench', put(np.nan), 'wrench_invalid'), ('wrench', put(-np.inf), 'wrench_invalid'),
+    ('joints', put(np.nan), 'joints_invalid'),
+    ('joints', put(2e3), 'joints_invalid'),
+    ('joints', put(HOME[0] + 0.02), 'joints_jump'),
+    ('joints', put(HOME[0] - 0.02), 'joints_jump'),
+    ('wrench', put(np.nan), 'wrench_invalid'),
+    ('wrench', put(-np.inf), 'wrench_invalid'),
     ('wrench', put(100.0), 'wrench_saturated'),
-    ('variance', put(np.nan), 'variance_invalid'), ('variance', put(-1.0), 'variance_invalid'),
+    ('variance', put(np.nan), 'variance_invalid'),
+    ('variance', put(-1.0), 'variance_invalid'),
     ('joints', lambda x, s: changed(x, s, q=[0.0] * 5), 'joints_invalid'),
-    *((source, lambda x, s: changed(x, s, stamp=x.time + H), f'{source}_stamp')
-      for source in SOURCES),
-    *((source, lambda x, s: changed(x, s, stamp=x.time - 5 * H), f'{source}_stamp')
-      for source in SOURCES)]
+    *(
+        (source, lambda x, s: changed(x, s, stamp=x.time + H), f'{source}_stamp')
+        for source in SOURCES
+    ),
+    *(
+        (source, lambda x, s: changed(x, s, stamp=x.time - 5 * H), f'{source}_stamp')
+        for source in SOURCES
+    ),
+]
 
 
 @pytest.mark.parametrize(('source', 'change', 'name'), FAULTS)
 def test_fault_of_a_reading_is_named_and_its_numbers_are_not_used(source, change, name):
     stage, random = warm()
     stage.validate(good(20, random))
-    place = {'joints': stage.q, 'wrench': stage.wrench, 'variance': stage.variance}[source]
+    place = {'joints': stage.q, 'wrench': stage.wrench, 'variance': stage.variance}[
+        source
+    ]
     before = place.copy()
     inputs = good(21, random)
     seen = stage.validate(change(inputs, source))
@@ -100,8 +122,11 @@ def test_fault_of_a_reading_is_named_and_its_numbers_are_not_used(source, change
 def test_variance_keeps_to_its_limits_and_grows_while_it_is_not_renewed():
     stage, random = warm()
     for k, (given_r, used) in enumerate(
-            ((1e-3, 0.1), (7.0, 7.0), (1e5, 1e3), (7.0, 7.0)), 20):
-        inputs = changed(good(k, random), 'variance', variance=np.full(CONTACTS, given_r))
+        ((1e-3, 0.1), (7.0, 7.0), (1e5, 1e3), (7.0, 7.0)), 20
+    ):
+        inputs = changed(
+            good(k, random), 'variance', variance=np.full(CONTACTS, given_r)
+        )
         stage.validate(inputs)
         np.testing.assert_array_equal(stage.variance, used)
     variances = []
@@ -109,16 +134,23 @@ def test_variance_keeps_to_its_limits_and_grows_while_it_is_not_renewed():
         stage.validate(good(k, random)._replace(variance=None))
         variances.append(stage.variance[0])
     np.testing.assert_allclose(variances[:3], 7.0)
-    np.testing.assert_allclose(variances[3:], np.minimum(7.0 * 1.1 ** np.arange(1, 77), 1e3))
+    np.testing.assert_allclose(
+        variances[3:], np.minimum(7.0 * 1.1 ** np.arange(1, 77), 1e3)
+    )
 
 
 def test_third_identical_reading_is_frozen_and_a_wrench_is_bridged_for_one():
     stage, random = warm()
     inputs, results = good(20, random), []
     for k in range(20, 25):
-        inputs = changed(changed(inputs._replace(time=k * H), 'wrench', stamp=k * H),
-                         'joints', stamp=k * H)
-        results.append(stage.validate(inputs._replace(variance=good(k, random).variance)))
+        inputs = changed(
+            changed(inputs._replace(time=k * H), 'wrench', stamp=k * H),
+            'joints',
+            stamp=k * H,
+        )
+        results.append(
+            stage.validate(inputs._replace(variance=good(k, random).variance))
+        )
     frozen = ('joints_frozen', 'wrench_frozen')
     assert [seen.rejected for seen in results] == [()] * 2 + [frozen] * 3
     assert [seen.causes for seen in results] == [()] * 2 + [frozen[:1]] + [frozen] * 2
@@ -140,23 +172,38 @@ def swing(k):
     return HOME - 0.02 * np.cos(10.0 * k * H), 0.2 * np.sin(10.0 * k * H) + np.zeros(6)
 
 
-@pytest.mark.parametrize('wrong', [
-    lambda q, qd, k: np.degrees(qd), lambda q, qd, k: 0.02 * qd, lambda q, qd, k: -qd,
-    lambda q, qd, k: q, lambda q, qd, k: qd + 0.3, lambda q, qd, k: 0.0 * qd + 0.3,
-    lambda q, qd, k: 0.0 * qd + np.inf, lambda q, qd, k: np.append(0.0, qd[1:]),
-    lambda q, qd, k: swing(k - 60)[1]])
+@pytest.mark.parametrize(
+    'wrong',
+    [
+        lambda q, qd, k: np.degrees(qd),
+        lambda q, qd, k: 0.02 * qd,
+        lambda q, qd, k: -qd,
+        lambda q, qd, k: q,
+        lambda q, qd, k: qd + 0.3,
+        lambda q, qd, k: 0.0 * qd + 0.3,
+        lambda q, qd, k: 0.0 * qd + np.inf,
+        lambda q, qd, k: np.append(0.0, qd[1:]),
+        lambda q, qd, k: swing(k - 60)[1],
+    ],
+)
 @pytest.mark.parametrize('begin', [0, 400])
 def test_velocity_that_positions_contradict_is_a_cause_and_is_not_used(wrong, begin):
     stage, causes, random = make(), [], np.random.default_rng(0)
     for k in range(begin + 200):
         q, qd = swing(k)
-        seen = stage.validate(TickInputs(
-            k * H, JointInput(k * H, q, wrong(q, qd, k) if k >= begin else qd),
-            WrenchInput(k * H, random.normal(size=6))))
+        seen = stage.validate(
+            TickInputs(
+                k * H,
+                JointInput(k * H, q, wrong(q, qd, k) if k >= begin else qd),
+                WrenchInput(k * H, random.normal(size=6)),
+            )
+        )
         assert k >= begin or not seen.rejected
         causes += seen.causes
         if 'joints_velocity' in seen.causes:
-            np.testing.assert_allclose(stage.qd, qd, atol=0.02 if k > begin + 20 else 0.2)
+            np.testing.assert_allclose(
+                stage.qd, qd, atol=0.02 if k > begin + 20 else 0.2
+            )
         np.testing.assert_array_equal(stage.q, q)
     assert 'joints_velocity' in causes
 
@@ -167,7 +214,9 @@ def test_velocities_are_believed_again_once_they_agree_while_joints_move():
     for k in range(700):
         q, qd = swing(k if k < 100 else 157 if k < 400 else k - 243)
         qd = qd * (not 100 <= k < 400)
-        seen = stage.validate(TickInputs(k * H, JointInput(k * H, q, -qd if k < 100 else qd)))
+        seen = stage.validate(
+            TickInputs(k * H, JointInput(k * H, q, -qd if k < 100 else qd))
+        )
         assert ('joints_velocity' in seen.causes) == (20 < k < 100) or k < 250
         if k in (99, 415):
             assert not np.array_equal(stage.qd, -qd if k < 100 else qd)
@@ -181,13 +230,22 @@ def test_positions_make_up_for_velocities_that_do_not_come(silent):
         q, qd = swing(k)
         seen = stage.validate(TickInputs(k * H, JointInput(k * H, q, silent)))
         assert not any(cause.startswith('joints') for cause in seen.causes)
-        np.testing.assert_allclose(stage.qd, swing(k - 2)[1], atol=3e-3 if k > 40 else 0.2)
+        np.testing.assert_allclose(
+            stage.qd, swing(k - 2)[1], atol=3e-3 if k > 40 else 0.2
+        )
 
 
-@pytest.mark.parametrize(('times', 'causes'), [
-    ((20, 19), ('clock_backwards',)),
-    ((20, 23), ()), ((20, 23, 26), ('clock_rate',)), ((20, 20.3, 20.6), ('clock_rate',)),
-    ((20, 20), ()), ((20, 20, 20), ('clock_rate',))])
+@pytest.mark.parametrize(
+    ('times', 'causes'),
+    [
+        ((20, 19), ('clock_backwards',)),
+        ((20, 23), ()),
+        ((20, 23, 26), ('clock_rate',)),
+        ((20, 20.3, 20.6), ('clock_rate',)),
+        ((20, 20), ()),
+        ((20, 20, 20), ('clock_rate',)),
+    ],
+)
 def test_fault_of_the_clock_is_named(times, causes):
     """An odd period is one only twice in a row; joints and wrenches come in time."""
     stage, random = warm()
@@ -208,9 +266,12 @@ def sensed(wrenches, **sensor):
     return stage, np.array(passed), rejected
 
 
-@pytest.mark.parametrize(('order', 'axis', 'size'), [(0, 2, 8.0), (0, 4, -1.5), (2, 0, 40.0)])
+@pytest.mark.parametrize(
+    ('order', 'axis', 'size'), [(0, 2, 8.0), (0, 4, -1.5), (2, 0, 40.0)]
+)
 def test_single_wrench_far_from_the_others_is_left_out_and_two_in_a_row_are_taken(
-        order, axis, size):
+    order, axis, size
+):
     random = np.random.default_rng(0)
     signal = 0.05 * random.standard_normal((400, 6))
     struck, changed = signal.copy(), signal.copy()
@@ -247,15 +308,23 @@ def test_stage_without_guards_hands_over_what_came():
     bounds = CONFIG.noise_variance
     for k in range(40):
         inputs = good(k, random)
-        inputs = changed(inputs, 'joints', q=inputs.joints.q + (0.0, 2.0 * np.pi, -0.3)[k % 3])
-        inputs = changed(inputs, 'wrench', wrench=inputs.wrench.wrench * 40.0 ** (k % 4))
-        inputs = changed(inputs, 'variance', variance=np.full(CONTACTS, 10.0 ** (k % 9 - 4)))
+        inputs = changed(
+            inputs, 'joints', q=inputs.joints.q + (0.0, 2.0 * np.pi, -0.3)[k % 3]
+        )
+        inputs = changed(
+            inputs, 'wrench', wrench=inputs.wrench.wrench * 40.0 ** (k % 4)
+        )
+        inputs = changed(
+            inputs, 'variance', variance=np.full(CONTACTS, 10.0 ** (k % 9 - 4))
+        )
         assert stage.validate(inputs) is ALL_WELL
         np.testing.assert_array_equal(stage.q, inputs.joints.q)
         np.testing.assert_array_equal(stage.qd, inputs.joints.qd)
         np.testing.assert_array_equal(stage.wrench, inputs.wrench.wrench)
         np.testing.assert_array_equal(
-            stage.variance, np.clip(inputs.variance.variance, bounds.smallest, bounds.largest))
+            stage.variance,
+            np.clip(inputs.variance.variance, bounds.smallest, bounds.largest),
+        )
     stage.validate(good(40, random)._replace(variance=None))
     np.testing.assert_array_equal(stage.variance, CONFIG.initial_noise_variance)
 
@@ -281,7 +350,9 @@ def test_low_pass_is_scipys_butterworth_from_a_settled_start(order):
     signal[0] = 0.0
     b, a = butter(order, 40.0, fs=RATE)
     passed = sensed(wrench + signal, **sensor)[1]
-    np.testing.assert_allclose(passed, wrench + lfilter(b, a, signal, axis=0), atol=1e-12)
+    np.testing.assert_allclose(
+        passed, wrench + lfilter(b, a, signal, axis=0), atol=1e-12
+    )
     signal = np.tile(wrench, (30, 1))
     signal[20] = np.nan
     stage, passed, _ = sensed(signal, frozen_ticks=0, **sensor)
@@ -292,7 +363,9 @@ def test_low_pass_is_scipys_butterworth_from_a_settled_start(order):
 @pytest.mark.parametrize('order', [1, 2])
 @pytest.mark.parametrize('cutoff', [15.0, 125.0, 240.0])
 def test_filter_delay_is_the_group_delay_at_rest(order, cutoff):
-    delay = SensorFrontEndConfig(filter_order=order, filter_cutoff=cutoff).filter_delay(RATE)
+    delay = SensorFrontEndConfig(filter_order=order, filter_cutoff=cutoff).filter_delay(
+        RATE
+    )
     # scipy cannot divide where a zero of the filter lies; 0 Hz is far from it.
     _, samples = group_delay(butter(order, cutoff, fs=RATE), w=[1e-3], fs=RATE)
     assert delay == pytest.approx(samples[0] / RATE, rel=1e-4)
@@ -301,11 +374,16 @@ def test_filter_delay_is_the_group_delay_at_rest(order, cutoff):
 def test_delay_of_the_low_pass_is_in_the_controllers_model():
     """T_d of 6 ms and 3 periods of low-pass: as many delay states as 12 ms."""
     sensor = {'filter_order': 1, 'filter_cutoff': RATE / np.pi * np.arctan(1 / 6)}
-    assert controller_config(sensor=sensor).loop_delay == pytest.approx(0.006 + 3 / RATE)
+    assert controller_config(sensor=sensor).loop_delay == pytest.approx(
+        0.006 + 3 / RATE
+    )
     filtered, delayed = (
         make_force_laws(controller_config(**changes))['observer']['design']
-        for changes in ({'sensor': sensor}, {'force': {'input_delay': 0.012}}))
+        for changes in ({'sensor': sensor}, {'force': {'input_delay': 0.012}})
+    )
     assert filtered['states'].tolist() == [2 + 6 + 1] * 2
     np.testing.assert_allclose(filtered['feedback'], delayed['feedback'], rtol=1e-6)
-    with pytest.raises(ConfigError, match='force.input_delay: .*filter_cutoff .* got 0.051'):
+    with pytest.raises(
+        ConfigError, match='force.input_delay: .*filter_cutoff .* got 0.051'
+    ):
         controller_config(sensor={'filter_order': 2, 'filter_cutoff': 5.0})

@@ -8,13 +8,23 @@ import pytest
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('robot', 'plant'), [
-    ('puma', 'puma'), ('puma', 'rigid'), ('panda', 'rigid'), ('panda', 'flexible'),
-    ('ur5', 'rigid')])
-@pytest.mark.parametrize(('way', 'duration'), [
-    ([0.1, 0.0, 0.0], 0.0), ([0.0, 0.0, 0.1], 0.0), ([0.1, 0.0, 0.0], 0.375)])
+@pytest.mark.parametrize(
+    ('robot', 'plant'),
+    [
+        ('puma', 'puma'),
+        ('puma', 'rigid'),
+        ('panda', 'rigid'),
+        ('panda', 'flexible'),
+        ('ur5', 'rigid'),
+    ],
+)
+@pytest.mark.parametrize(
+    ('way', 'duration'),
+    [([0.1, 0.0, 0.0], 0.0), ([0.0, 0.0, 0.1], 0.0), ([0.1, 0.0, 0.0], 0.375)],
+)
 def test_arm_goes_where_it_is_told_within_its_limits_and_without_a_hold(
-        robot, plant, way, duration):
+    robot, plant, way, duration
+):
     """In one message, and in the shortest time that `move` accepts."""
     loop = ClosedLoop(resolve('quick', robot=robot, plant=plant), commanded=True)
     config, reactions, speeds = loop.setup.controller, set(), []
@@ -24,10 +34,18 @@ def test_arm_goes_where_it_is_told_within_its_limits_and_without_a_hold(
     place, turn = start.position_world.copy(), start.quaternion_xyzw.copy()
     step, zero = np.array(way), np.zeros(3)
     for tick in range(1500):
-        s, ds, dds = quintic(tick * config.period, duration) if duration else (1.0, 0.0, 0.0)
+        s, ds, dds = (
+            quintic(tick * config.period, duration) if duration else (1.0, 0.0, 0.0)
+        )
         if tick * config.period <= duration:
-            loop.control.set_motion(MotionReading(
-                place + s * step, turn, np.append(ds * step, zero), np.append(dds * step, zero)))
+            loop.control.set_motion(
+                MotionReading(
+                    place + s * step,
+                    turn,
+                    np.append(ds * step, zero),
+                    np.append(dds * step, zero),
+                )
+            )
         output = loop.advance()
         reactions.add(loop.control.status.reaction)
         speeds.append(np.linalg.norm(output.controls['frame']['twist'][0, :3]))

@@ -27,8 +27,12 @@ def press(controller, surface, **arguments):
     """Return the forces of 5 s on a table [N]."""
     table = {'contact_names': ['table']}
     setup = resolve(
-        'one_contact', noise_estimator=table, controller={**table, **controller},
-        plant_overrides={**table, 'surfaces': {'table': surface}}, **arguments)
+        'one_contact',
+        noise_estimator=table,
+        controller={**table, **controller},
+        plant_overrides={**table, 'surfaces': {'table': surface}},
+        **arguments,
+    )
     with closing(ClosedLoop(setup, commanded=True)) as loop:
         for _ in range(50):
             loop.advance()
@@ -42,25 +46,41 @@ def press(controller, surface, **arguments):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('robot', robot_parameters(['puma', 'panda', 'iiwa', 'ur5']))
-def test_steel_that_the_controller_is_told_of_is_met_and_held_within_a_few_newtons(robot):
-    forces = press({'contacts': {'table': {'stiffness': STEEL}}},
-                   {'stiffness': STEEL, 'roughness_std': SMOOTH}, robot=robot, plant='rigid')
+def test_steel_that_the_controller_is_told_of_is_met_and_held_within_a_few_newtons(
+    robot,
+):
+    forces = press(
+        {'contacts': {'table': {'stiffness': STEEL}}},
+        {'stiffness': STEEL, 'roughness_std': SMOOTH},
+        robot=robot,
+        plant='rigid',
+    )
     assert forces.max() < FORCE + 10.0
     np.testing.assert_allclose(forces[-300:], FORCE, atol=1.0)
 
 
 @pytest.mark.parametrize('preset', ['best', 'adaptive'])
-def test_steel_that_is_not_told_of_is_held_without_swinging_if_it_is_approached_slowly(preset):
+def test_steel_that_is_not_told_of_is_held_without_swinging_if_it_is_approached_slowly(
+    preset,
+):
     """170 times as stiff as the model, on flexible drives with friction."""
-    forces = press({'contact_state': {'approach_speed': 0.005}}, {'stiffness': STEEL},
-                   plant='puma', preset=preset)
+    forces = press(
+        {'contact_state': {'approach_speed': 0.005}},
+        {'stiffness': STEEL},
+        plant='puma',
+        preset=preset,
+    )
     np.testing.assert_allclose(forces[-500:].mean(), FORCE, atol=0.3)
     assert forces[-500:].std() < 0.3
 
 
-@pytest.mark.parametrize(('stiffness', 'mobility', 'speed'), [
-    (6000.0, 0.1, 0.02), (1e6, 0.16, 0.004), (1e6, 0.04, 0.002)])
-def test_approach_is_as_slow_as_a_touch_of_ten_newtons_asks_for(stiffness, mobility, speed):
+@pytest.mark.parametrize(
+    ('stiffness', 'mobility', 'speed'),
+    [(6000.0, 0.1, 0.02), (1e6, 0.16, 0.004), (1e6, 0.04, 0.002)],
+)
+def test_approach_is_as_slow_as_a_touch_of_ten_newtons_asks_for(
+    stiffness, mobility, speed
+):
     contact = contact_of(stiffness=stiffness)
     assert contacts.approach_speed(contact, SETTINGS, mobility) == pytest.approx(speed)
     assert speed * np.sqrt(stiffness / mobility) <= 10.0 + 1e-9
@@ -74,14 +94,24 @@ def test_approach_has_its_speed_before_the_law_has_been_asked():
 def test_contact_that_is_not_felt_returns_no_faster_than_it_may_touch(below, bound):
     """And than a surface within `normal_range` falls away where it slides."""
     contact = contact_of(
-        state=contacts.HOLDING, answered=True, below=below, approach_speed=0.02)
+        state=contacts.HOLDING, answered=True, below=below, approach_speed=0.02
+    )
     assert contacts.speed_bound(contact, 0.03) == pytest.approx(bound)
 
 
 @pytest.mark.parametrize(('felt', 'rises'), [(2.0, True), (8.0, False)])
 def test_force_after_a_loss_rises_unless_more_is_felt_than_it_asks_for(felt, rises):
     contact = contact_of(
-        state=contacts.HOLDING, wanted=True, answered=True, losses=1, origin=0.0, asked=FORCE,
-        force_limit=2.0, level=felt, stiffness=6000.0, approach_speed=0.02)
+        state=contacts.HOLDING,
+        wanted=True,
+        answered=True,
+        losses=1,
+        origin=0.0,
+        asked=FORCE,
+        force_limit=2.0,
+        level=felt,
+        stiffness=6000.0,
+        approach_speed=0.02,
+    )
     contacts.advance_contact(contact, SETTINGS, felt, 0.0, 0.0, 0.0)
     assert (contact['force_limit'] > 2.0) == rises

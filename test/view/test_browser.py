@@ -27,8 +27,13 @@ def page():
     from multicontact_control.view.page import Page
 
     with reserve_domain() as domain_id, ExitStack() as stack:
-        shown = stack.enter_context(closing(started(
-            resolve('paper', plant='rigid'), None, domain_id, stack, (), print)))
+        shown = stack.enter_context(
+            closing(
+                started(
+                    resolve('paper', plant='rigid'), None, domain_id, stack, (), print
+                )
+            )
+        )
         page = stack.enter_context(closing(Page(shown, 8481)))
         stop = threading.Event()
         thread = threading.Thread(target=page.run, args=(stop.is_set,), daemon=True)
@@ -52,7 +57,8 @@ def given(page, monkeypatch):
 
 
 def test_force_is_commanded_when_it_is_entered_and_every_browser_shows_what_is_obeyed(
-        page, given, chromium):
+    page, given, chromium
+):
     context = chromium.new_context(viewport={'width': 1100, 'height': 480})
     context.add_init_script(SELDOM)
     tabs = [Tab(context, page.url).page for _ in range(2)]
@@ -63,13 +69,18 @@ def test_force_is_commanded_when_it_is_entered_and_every_browser_shows_what_is_o
     wait_for(lambda: page.newest, 'samples')
 
     def shows(force):
-        return [thumb.get_attribute('aria-valuenow'), own.input_value(), other.input_value()] == [
-            force] * 3
+        return [
+            thumb.get_attribute('aria-valuenow'),
+            own.input_value(),
+            other.input_value(),
+        ] == [force] * 3
 
     for text, key in (('8', 'Enter'), ('15', 'Enter'), ('25', 'Tab')):
         own.select_text()
         own.press('Backspace')
-        own.press_sequentially(text, delay=80)  # as of one who types: viser sends what waits 50 ms
+        own.press_sequentially(
+            text, delay=80
+        )  # as of one who types: viser sends what waits 50 ms
         assert not shows(text)
         own.press(key)
         wait_for(lambda text=text: shows(text), f'{text} N')
@@ -105,12 +116,18 @@ def test_slider_commands_a_force_when_it_is_released(page, given, chromium):
     own.mouse.down()
     for share in (0.7, 0.6, 0.5, 0.4):
         own.mouse.move(track['x'] + share * track['width'], middle)
-        wait_for(lambda share=share: abs(
-            float(thumb.get_attribute('aria-valuenow')) - 30.0 * share) < 1.0, 'the slider')
+        wait_for(
+            lambda share=share: (
+                abs(float(thumb.get_attribute('aria-valuenow')) - 30.0 * share) < 1.0
+            ),
+            'the slider',
+        )
     assert given == [] and fields[1].input_value() == '0', 'it has not been released'
     own.mouse.up()
-    wait_for(lambda: [field.input_value() for field in fields] == ['12', '12'],
-             'the force in both browsers')
+    wait_for(
+        lambda: [field.input_value() for field in fields] == ['12', '12'],
+        'the force in both browsers',
+    )
     wait_for(lambda: page.newest.commanded['table'] == 12.0, 'the force')
     assert given == [{'table': 12.0}]
     context.close()
@@ -122,20 +139,28 @@ def test_buttons_press_and_move_and_sliders_command_forces(page, chromium):
     opened = Tab(context, page.url)
     tab = opened.page
     tab.get_by_text('Press with 10 N').wait_for()
-    wait_for(lambda: page.server.get_clients() and page.newest, 'a connection and samples')
-    tab.wait_for_function('Object.values(__viserTestpoints.uplots).every('
-                          'x => x.chart.axes.every(axis => axis._splits?.length >= 3))')
+    wait_for(
+        lambda: page.server.get_clients() and page.newest, 'a connection and samples'
+    )
+    tab.wait_for_function(
+        'Object.values(__viserTestpoints.uplots).every('
+        'x => x.chart.axes.every(axis => axis._splits?.length >= 3))'
+    )
     assert tab.title() == page.source.scene.title
     place = tab.get_by_role('tab', name='Move').bounding_box()
     tab.get_by_role('button', name='Press with 10 N').press('Enter')
     wait_for(lambda: page.newest.states == ('holding', 'holding'), 'both contacts')
-    assert tab.get_by_role('tab', name='Move').bounding_box() == place, 'a line moved it'
+    assert tab.get_by_role('tab', name='Move').bounding_box() == place, (
+        'a line moved it'
+    )
     start = page.newest.position_des.copy()
     tab.get_by_role('tab', name='Move').press('Enter')
     tab.get_by_label('drag handle').first.press('Space')
     handle = page.server.scene.get_handle_by_name('/handle')
-    wait_for(lambda: handle.visible and np.abs(handle.position - start).max() < 1e-3,
-             'the handle at the arm')
+    wait_for(
+        lambda: handle.visible and np.abs(handle.position - start).max() < 1e-3,
+        'the handle at the arm',
+    )
     tab.get_by_role('button', name='+x').first.press('Enter')
     wait_for(lambda: page.newest.position_des[0] > start[0] + 0.0099, 'the jog')
     assert page.newest.states == ('holding', 'holding')
@@ -144,22 +169,36 @@ def test_buttons_press_and_move_and_sliders_command_forces(page, chromium):
     tab.get_by_role('button', name='Press with 10 N').wait_for()
     slider = tab.get_by_role('slider').first
     # Again and again: a page that is being drawn may miss what is done with it.
-    wait_for(lambda: slider.press('End') or page.newest.commanded['table'] == 30.0, 'most force')
-    wait_for(lambda: slider.press('Home') or page.newest.commanded['table'] == 0.0, 'no force')
+    wait_for(
+        lambda: slider.press('End') or page.newest.commanded['table'] == 30.0,
+        'most force',
+    )
+    wait_for(
+        lambda: slider.press('Home') or page.newest.commanded['table'] == 0.0,
+        'no force',
+    )
     slider.press('ArrowRight')
     tab.get_by_text('force on table: expected 0 or').first.wait_for()
     for label, held in (('Hold pose and forces', True), ('Release the hold', False)):
         tab.get_by_role('button', name=label).press('Enter')
         wait_for(lambda held=held: page.newest.held is held, label)
     tab.get_by_role('tab', name='World').press('Enter')
-    thumb, goal = tab.locator('.multi-slider-thumb').first, tab.get_by_text('10 000').first
+    thumb, goal = (
+        tab.locator('.multi-slider-thumb').first,
+        tab.get_by_text('10 000').first,
+    )
 
     def dragged_to_goal():
         thumb.drag_to(goal)
-        tab.wait_for_timeout(2e3)  # a drag that begins while the last is obeyed moves it on
+        tab.wait_for_timeout(
+            2e3
+        )  # a drag that begins while the last is obeyed moves it on
         return 9e3 < page.newest.surfaces['table'].stiffness < 1.1e4
 
     wait_for(dragged_to_goal, 'a stiffer table')
-    wait_for(lambda: float(tab.get_by_label('stiffness').first.input_value()) > 9e3, 'its number')
+    wait_for(
+        lambda: float(tab.get_by_label('stiffness').first.input_value()) > 9e3,
+        'its number',
+    )
     context.close()
     assert opened.problems == []

@@ -33,7 +33,9 @@ def domain(tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def shown(domain):
-    with closing(GraphSource(resolve('paper'), namespace='arm', domain_id=domain)) as joined:
+    with closing(
+        GraphSource(resolve('paper'), namespace='arm', domain_id=domain)
+    ) as joined:
         yield joined
 
 
@@ -50,7 +52,8 @@ def test_graph_source_joins_presses_moves_and_tunes(shown):
         expected = patch_of(simulated[name])
         assert point == snapshot.places_world[name] == simulated[name].point_world
         np.testing.assert_allclose(
-            patch.vertices[patch.faces], expected.vertices[expected.faces], atol=1e-12)
+            patch.vertices[patch.faces], expected.vertices[expected.faces], atol=1e-12
+        )
     shown.command(source.FORCES, table=8.0, board=6.0)
     events = []
     innovations = []
@@ -60,16 +63,31 @@ def test_graph_source_joins_presses_moves_and_tunes(shown):
         innovations.extend(snapshot.points[:, 11:13])  # behind the time and five kinds
         return True
 
-    snapshot = until(shown, lambda snapshot: look(snapshot) and (
-        set(snapshot.states) == {'holding'}
-        and (np.abs(snapshot.measured - (8.0, 6.0)) < 0.5).all()
-        and np.nanmin(innovations) < 0.0 < np.nanmax(innovations)), 'the forces, and both signs')
+    snapshot = until(
+        shown,
+        lambda snapshot: (
+            look(snapshot)
+            and (
+                set(snapshot.states) == {'holding'}
+                and (np.abs(snapshot.measured - (8.0, 6.0)) < 0.5).all()
+                and np.nanmin(innovations) < 0.0 < np.nanmax(innovations)
+            )
+        ),
+        'the forces, and both signs',
+    )
     assert any('table holding' in text for _, text in events)
     start = snapshot.position_des
-    until(shown, lambda snapshot: len(snapshot.points) and np.isfinite(snapshot.points[-1]).all(),
-          'points of the curves')
+    until(
+        shown,
+        lambda snapshot: (
+            len(snapshot.points) and np.isfinite(snapshot.points[-1]).all()
+        ),
+        'points of the curves',
+    )
     shown.command(source.JOG, offset=[0.02, 0.0, 0.0])
-    until(shown, lambda snapshot: snapshot.position_des[0] > start[0] + 0.0199, 'the jog')
+    until(
+        shown, lambda snapshot: snapshot.position_des[0] > start[0] + 0.0199, 'the jog'
+    )
     until(shown, lambda snapshot: snapshot.moving == '', 'rest')
     gains = dict(zip(source.GAIN_NAMES, (25.0, 0.03, 60.0)))
     shown.command(source.GAINS, **gains)
@@ -81,10 +99,19 @@ def test_surface_and_push_change_the_simulated_world(shown):
     assert before.surfaces == shown.scene.simulated
     shown.command(source.SURFACE, name='table', stiffness=9000.0, friction=0.3)
     assert until(shown, bool, 'a snapshot').surfaces['table'] == (9000.0, 0.3)
-    until(shown, lambda snapshot: (
-        shown.command(source.PUSH, force=[8.0, 0.0, 0.0], tool=False)
-        or snapshot.position[0] > before.position[0] + 2e-4), 'the push')
-    until(shown, lambda snapshot: snapshot.position[0] < before.position[0] + 1e-4, 'the way back')
+    until(
+        shown,
+        lambda snapshot: (
+            shown.command(source.PUSH, force=[8.0, 0.0, 0.0], tool=False)
+            or snapshot.position[0] > before.position[0] + 2e-4
+        ),
+        'the push',
+    )
+    until(
+        shown,
+        lambda snapshot: snapshot.position[0] < before.position[0] + 1e-4,
+        'the way back',
+    )
 
 
 def test_another_client_is_shown_and_ends_a_motion(shown, domain):
@@ -95,29 +122,55 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
         until(shown, lambda snapshot: snapshot.commanded == forces, 'the forces')
         other.hold()
         events = []
-        until(shown, lambda snapshot: events.extend(snapshot.events) or (
-            snapshot.held and not snapshot.moving), 'the hold')
+        until(
+            shown,
+            lambda snapshot: (
+                events.extend(snapshot.events)
+                or (snapshot.held and not snapshot.moving)
+            ),
+            'the hold',
+        )
         with pytest.raises(MulticontactError, match='hold: the arm is held'):
             shown.command(source.JOG, offset=[0.01, 0.0, 0.0])
         refused = joint_state_message(0, ['table'], effort=[9.0])
         for _ in range(2):  # as a command whose answer is late is resent
-            wait_for(lambda: other.send(topics.FORCE_COMMAND, refused, '7') or any(
-                status.command == '7' for status in other.look()), 'the refusal')
+            wait_for(
+                lambda: (
+                    other.send(topics.FORCE_COMMAND, refused, '7')
+                    or any(status.command == '7' for status in other.look())
+                ),
+                'the refusal',
+            )
         other.hold(False)
-    released = until(shown, lambda snapshot: events.extend(snapshot.events) or not snapshot.held,
-                     'the release')
+    released = until(
+        shown,
+        lambda snapshot: events.extend(snapshot.events) or not snapshot.held,
+        'the release',
+    )
     texts = [text for _, text in events]
-    for text, count in {'pose and forces held': 1, 'refused: contact_forces/command': 1,
-                        'refused: ~/hold': 1, 'hold released': 1}.items():
+    for text, count in {
+        'pose and forces held': 1,
+        'refused: contact_forces/command': 1,
+        'refused: ~/hold': 1,
+        'hold released': 1,
+    }.items():
         assert sum(each.startswith(text) for each in texts) == count, texts
-    later = until(shown, lambda snapshot: snapshot.time > released.time + 3.0, 'the last pose')
+    later = until(
+        shown, lambda snapshot: snapshot.time > released.time + 3.0, 'the last pose'
+    )
     rest = until(shown, lambda snapshot: snapshot.time > later.time + 0.5, 'a snapshot')
-    assert rest.moving == '' and np.abs(rest.position_des - later.position_des).max() < 0.002
+    assert (
+        rest.moving == ''
+        and np.abs(rest.position_des - later.position_des).max() < 0.002
+    )
 
 
 def test_push_test_is_cancelled_and_each_refusal_told_once(shown):
     shown.command(source.FORCES, table=0.0, board=0.0)
-    events, first = [], until(shown, lambda snapshot: set(snapshot.states) == {'free'}, 'freedom')
+    events, first = (
+        [],
+        until(shown, lambda snapshot: set(snapshot.states) == {'free'}, 'freedom'),
+    )
     until(shown, lambda snapshot: snapshot.time > first.time + 3.0, 'the way back')
     shown.command(source.PUSH_TEST)
 
@@ -126,7 +179,10 @@ def test_push_test_is_cancelled_and_each_refusal_told_once(shown):
         return snapshot
 
     until(shown, lambda snapshot: gather(snapshot).push_test, 'an instruction')
-    for command, values in ((source.FORCES, {'table': 8.0}), (source.HOLD, {'on': True})):
+    for command, values in (
+        (source.FORCES, {'table': 8.0}),
+        (source.HOLD, {'on': True}),
+    ):
         with pytest.raises(MulticontactError, match='~/push_test: pass it first'):
             shown.command(command, **values)
     assert shown.command(source.CANCEL_PUSH_TEST) == 'push test cancelled'
@@ -135,8 +191,11 @@ def test_push_test_is_cancelled_and_each_refusal_told_once(shown):
     shown.command(source.FORCES, table=8.0)
     until(shown, lambda snapshot: gather(snapshot).states[0] == 'holding', 'the table')
     refusals = [text for text in events if 'refused' in text]
-    for part in ('contact_forces/command: ~/push_test: pass it first', '~/hold: ~/push_test',
-                 '~/cancel_push_test: push test: none is under way'):
+    for part in (
+        'contact_forces/command: ~/push_test: pass it first',
+        '~/hold: ~/push_test',
+        '~/cancel_push_test: push test: none is under way',
+    ):
         assert sum(part in text for text in refusals) == 1, refusals
     assert len(refusals) == 3, refusals
 
@@ -148,16 +207,23 @@ def test_stream_has_the_extremes_of_every_message_since_they_were_asked_for():
         assert np.isnan(stream.extremes()).all()
         wait_for(publisher.get_subscription_count, 'a connection')
         for k, force in enumerate([20.0, -20.0, 3.0, 5.0]):
-            publisher.publish(joint_state_message(PERIOD * k, ['other', 'board'], effort=[
-                99.0, force]))
+            publisher.publish(
+                joint_state_message(
+                    PERIOD * k, ['other', 'board'], effort=[99.0, force]
+                )
+            )
         wait_for(lambda: stream.look() or stream.newest[1] == 5.0, 'the last message')
         np.testing.assert_array_equal(
-            stream.extremes(), [[np.nan, -20.0], [np.nan, 20.0]])
+            stream.extremes(), [[np.nan, -20.0], [np.nan, 20.0]]
+        )
         np.testing.assert_array_equal(stream.extremes(), [[np.nan, 5.0]] * 2)
 
 
 @pytest.mark.parametrize('robot', robot_parameters(['panda']))
 def test_graph_of_another_arm_is_refused_and_the_right_one_named(shown, domain, robot):
-    with pytest.raises(RunError, match='robot.joint_names: expected panda_joint1, .* got joint1'
-                                       ', .*joint6; name --robot puma, and its --scenario$'):
+    with pytest.raises(
+        RunError,
+        match='robot.joint_names: expected panda_joint1, .* got joint1'
+        ', .*joint6; name --robot puma, and its --scenario$',
+    ):
         GraphSource(resolve('paper', robot=robot), namespace='arm', domain_id=domain)

@@ -21,15 +21,25 @@ def motion():
 def path(motion, ticks, period=PERIOD):
     """Return position, velocity and acceleration tick by tick, until it comes to rest."""
     readings = filter(None, (motion.advance(period) for _ in range(ticks)))
-    return [np.array(x) for x in zip(*(
-        (x.position_world, x.twist_world[:3], x.acceleration_world[:3]) for x in readings))]
+    return [
+        np.array(x)
+        for x in zip(
+            *(
+                (x.position_world, x.twist_world[:3], x.acceleration_world[:3])
+                for x in readings
+            )
+        )
+    ]
 
 
 def assert_smooth(position, velocity, acceleration):
     middle = 0.5 * (velocity[1:] + velocity[:-1])
     np.testing.assert_allclose(np.diff(position, axis=0) / PERIOD, middle, atol=2e-3)
     np.testing.assert_allclose(
-        np.diff(velocity, axis=0) / PERIOD, acceleration[1:], atol=0.02 + 0.1 * ACCELERATION)
+        np.diff(velocity, axis=0) / PERIOD,
+        acceleration[1:],
+        atol=0.02 + 0.1 * ACCELERATION,
+    )
 
 
 @pytest.mark.parametrize('period', [PERIOD, 0.1])
@@ -46,8 +56,11 @@ def test_motion_goes_to_a_point_within_its_speed_and_rests_there(motion, period)
 
 
 def test_dragged_handle_and_sine_make_no_jump(motion):
-    parts = [path(motion, 150) for goal in ([0.05, 0, 0], [0.05, -0.1, 0], [-0.1, 0, 0.2])
-             if motion.go_to(START + goal)]
+    parts = [
+        path(motion, 150)
+        for goal in ([0.05, 0, 0], [0.05, -0.1, 0], [-0.1, 0, 0.2])
+        if motion.go_to(START + goal)
+    ]
     assert_smooth(*(np.concatenate(each) for each in zip(*parts)))
     motion.start(START, np.array([0.0, 0.0, 0.0, 1.0]))
     motion.start_sine('x', 0.08, 4.0)
@@ -58,14 +71,17 @@ def test_dragged_handle_and_sine_make_no_jump(motion):
     assert_smooth(position, velocity, acceleration)
     time = PERIOD * np.arange(1000, 3000) + PERIOD
     np.testing.assert_allclose(
-        position[1000:3000, 0] - START[0], 0.08 * np.sin(0.5 * np.pi * time), atol=1e-9)
+        position[1000:3000, 0] - START[0], 0.08 * np.sin(0.5 * np.pi * time), atol=1e-9
+    )
     np.testing.assert_array_equal(velocity[-1], 0.0)
     assert motion.what == ''
 
 
 @pytest.mark.parametrize(('amplitude', 'period'), [(0.08, 4.0), (0.08, 2.0)])
 @pytest.mark.parametrize('ticks', [1500, 1700, 1900, 2100, 2400])
-def test_stop_brings_a_sine_to_rest_where_the_point_is(motion, amplitude, period, ticks):
+def test_stop_brings_a_sine_to_rest_where_the_point_is(
+    motion, amplitude, period, ticks
+):
     motion.start_sine('x', amplitude, period)
     before, speed, _ = (values[-1] for values in path(motion, ticks))
     motion.stop()
@@ -80,7 +96,9 @@ def test_stop_brings_a_sine_to_rest_where_the_point_is(motion, amplitude, period
 
 
 def test_motion_out_of_the_workspace_is_refused_and_changes_nothing(motion):
-    with pytest.raises(CommandError, match='position y: expected 0.2 to 0.9 m, got 0.95 m'):
+    with pytest.raises(
+        CommandError, match='position y: expected 0.2 to 0.9 m, got 0.95 m'
+    ):
         motion.go_to(START + [0.0, 0.4, 0.0])
     motion.jog([0.0, 0.3, 0.0])
     with pytest.raises(CommandError, match='position y'):
@@ -96,8 +114,11 @@ def test_sine_faster_than_the_limits_is_refused_and_a_slow_arm_is_led_slowly(mot
     with pytest.raises(CommandError, match='speed: expected at most 0.5 m/s'):
         motion.start_sine('x', 0.15, 2.0)
     assert motion.what == ''
-    slow = Motion(LIMITS.model_copy(update={
-        'operational_speed': 0.04, 'operational_acceleration': 0.2}))
+    slow = Motion(
+        LIMITS.model_copy(
+            update={'operational_speed': 0.04, 'operational_acceleration': 0.2}
+        )
+    )
     slow.start(START, np.array([0.0, 0.0, 0.0, 1.0]))
     slow.go_to(START + [0.1, 0.0, 0.0])
     position, velocity, acceleration = path(slow, 4000)

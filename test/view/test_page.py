@@ -28,7 +28,9 @@ class Silent:
 
     def __init__(self):
         setup = resolve('paper')
-        self.scene = Scene('nothing', setup.controller, setup.urdf_dir, surfaces_of(setup))
+        self.scene = Scene(
+            'nothing', setup.controller, setup.urdf_dir, surfaces_of(setup)
+        )
         self.given, self.poll = [], list
 
     def command(self, name, /, **values):
@@ -51,12 +53,25 @@ def test_page_is_served_to_this_machine_only_and_holds_the_scene(page):
     for headers in ({}, {'Host': urlsplit(own).netloc, 'Origin': own}):
         with urlopen(Request(page.url, headers=headers)) as answer:
             assert b'<html' in answer.read()
-    for headers in ({'Host': 'rebound.example:8080'}, {'Origin': 'https://evil.example'},
-                    {'Origin': 'http://localhost:9'}, {'Origin': 'null'}):
+    for headers in (
+        {'Host': 'rebound.example:8080'},
+        {'Origin': 'https://evil.example'},
+        {'Origin': 'http://localhost:9'},
+        {'Origin': 'null'},
+    ):
         with pytest.raises(HTTPError, match='403'):
             urlopen(Request(page.url, headers=headers))
-    for name in ('/arm/tool', '/arm/link2', '/surfaces/table', '/handle', '/forces/measured',
-                 '/forces/estimated', '/forces/desired', '/contacts/table', '/labels/board'):
+    for name in (
+        '/arm/tool',
+        '/arm/link2',
+        '/surfaces/table',
+        '/handle',
+        '/forces/measured',
+        '/forces/estimated',
+        '/forces/desired',
+        '/contacts/table',
+        '/labels/board',
+    ):
         assert page.server.scene.get_handle_by_name(name) is not None, name
     assert page.server.request_share_url() is None, 'a public tunnel'
 
@@ -73,12 +88,17 @@ def test_page_gives_the_last_command_of_an_element_and_shows_refusals_and_the_en
     assert page.source.given == [(source.FORCES, {'table': 4.0})]
     page.source.poll = Mock(side_effect=RunError('sim_node ended: <killed>'))
     page.update()
-    assert page.ended == 'sim_node ended: <killed>' and '&lt;killed&gt;' in page.status.content
+    assert (
+        page.ended == 'sim_node ended: <killed>'
+        and '&lt;killed&gt;' in page.status.content
+    )
 
 
 def test_view_without_viser_exits_with_two_and_one_line():
     code = "import sys; sys.modules['viser'] = None; import multicontact_control.cli.__main__"
-    done = subprocess.run([sys.executable, '-c', code, 'view'], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, '-c', code, 'view'], capture_output=True, text=True
+    )
     assert done.returncode == 2 and done.stderr.count('\n') == 1
     assert 'pip install viser' in done.stderr
 
@@ -87,9 +107,21 @@ def test_view_without_viser_exits_with_two_and_one_line():
 @pytest.mark.ros
 def test_view_serves_a_page_and_ends_with_the_graph_it_started(tmp_path):
     environment = {**os.environ, 'TMPDIR': str(tmp_path)}
-    with reserve_domain() as domain_id, start_command(
-            'view', '--port', PORT + 1, '--plant', 'rigid', '--domain-id', domain_id,
-            stderr=None, start_new_session=True, env=environment) as process:
+    with (
+        reserve_domain() as domain_id,
+        start_command(
+            'view',
+            '--port',
+            PORT + 1,
+            '--plant',
+            'rigid',
+            '--domain-id',
+            domain_id,
+            stderr=None,
+            start_new_session=True,
+            env=environment,
+        ) as process,
+    ):
         try:
             while 'http' not in (line := process.stdout.readline()):
                 assert line, 'it has ended'

@@ -31,7 +31,10 @@ def recorded_run(tmp_path_factory):
     setup.write(folder / CONFIG_FOLDER)
     result.data.save(folder)
     events = [{'time_s': time, 'what': what} for time, what in result.events]
-    write_json(folder / SUMMARY_FILE, {'schema': 1, 'plant': 'rigid', 'seed': 0, 'events': events})
+    write_json(
+        folder / SUMMARY_FILE,
+        {'schema': 1, 'plant': 'rigid', 'seed': 0, 'events': events},
+    )
     return folder
 
 
@@ -57,7 +60,7 @@ def test_replay_plays_pauses_and_begins_anew(replay, recorded_run, clock):
     data = RunData.load(recorded_run)
     replay.command(source.PLAY, on=True)
     clock.now += 0.5
-    snapshot, = replay.poll()
+    (snapshot,) = replay.poll()
     assert snapshot.time == pytest.approx(0.5) and snapshot.playing
     np.testing.assert_array_equal(snapshot.q, data.q[250])
     np.testing.assert_array_equal(snapshot.measured, data.alpha_meas[250])
@@ -67,32 +70,45 @@ def test_replay_plays_pauses_and_begins_anew(replay, recorded_run, clock):
     assert replay.poll()[0].time == pytest.approx(1.5)
     replay.command(source.PLAY, on=False)
     clock.now += 10.0
-    snapshot, = replay.poll()
+    (snapshot,) = replay.poll()
     assert snapshot.time == pytest.approx(1.5) and not snapshot.playing
     assert replay.poll() == [], 'nothing has changed'
     replay.command(source.PLAY, on=True)
     clock.now += 10.0
-    snapshot, = replay.poll()
+    (snapshot,) = replay.poll()
     assert snapshot.time == replay.scene.duration and not snapshot.playing
     np.testing.assert_array_equal(snapshot.q, data.q[-1])
     replay.command(source.PLAY, on=True)
     assert replay.poll()[0].time == pytest.approx(0.0)
 
 
-def test_page_plays_a_recording_from_the_first_browser_to_its_end(replay, clock, monkeypatch):
-    page_module = pytest.importorskip('multicontact_control.view.page', reason='needs viser')
+def test_page_plays_a_recording_from_the_first_browser_to_its_end(
+    replay, clock, monkeypatch
+):
+    page_module = pytest.importorskip(
+        'multicontact_control.view.page', reason='needs viser'
+    )
     with closing(page_module.Page(replay, 8472)) as page:
         page.update()
         monkeypatch.setattr(page.server, 'get_clients', lambda: {0: Mock()})
-        for wait, moment, playing in ((30.0, 0.0, False), (0.0, 0.0, True), (1.0, 1.0, True),
-                                      (30.0, replay.scene.duration, False)):
+        for wait, moment, playing in (
+            (30.0, 0.0, False),
+            (0.0, 0.0, True),
+            (1.0, 1.0, True),
+            (30.0, replay.scene.duration, False),
+        ):
             clock.now += wait
             page.update()
-            assert (page.newest.time, page.newest.playing) == (pytest.approx(moment), playing)
+            assert (page.newest.time, page.newest.playing) == (
+                pytest.approx(moment),
+                playing,
+            )
 
 
 def test_page_lists_each_event_once_however_often_it_is_sought(replay, monkeypatch):
-    page_module = pytest.importorskip('multicontact_control.view.page', reason='needs viser')
+    page_module = pytest.importorskip(
+        'multicontact_control.view.page', reason='needs viser'
+    )
     with closing(page_module.Page(replay, 8473)) as page:
         monkeypatch.setattr(page.server, 'get_clients', lambda: {0: Mock()})
         for _ in range(2):  # it begins to play
@@ -102,15 +118,19 @@ def test_page_lists_each_event_once_however_often_it_is_sought(replay, monkeypat
             replay.command(source.SEEK, time=moment)
             page.update()
             told = [mark for mark in replay.scene.marks if mark[0] <= moment]
-            assert [*page._events] == told[-page_module.LISTED:]
+            assert [*page._events] == told[-page_module.LISTED :]
 
 
 def test_seek_shows_states_events_and_curves_of_then(replay):
     snapshot = seek(replay, 2.4)
     assert snapshot.states == ('holding', 'holding') and snapshot.reaction == 'none'
-    assert len(snapshot.points) == pytest.approx(2.4 * source.RATE * source.POINTS, abs=1)
+    assert len(snapshot.points) == pytest.approx(
+        2.4 * source.RATE * source.POINTS, abs=1
+    )
     for first, force in ((1, snapshot.measured), (7, snapshot.true)):
-        np.testing.assert_allclose(snapshot.points[-1, first:first + 2], force, atol=2.0)
+        np.testing.assert_allclose(
+            snapshot.points[-1, first : first + 2], force, atol=2.0
+        )
     assert replay.scene.true_forces
     assert np.isfinite(snapshot.points).all()
     snapshot = seek(replay, 0.1)
@@ -124,10 +144,14 @@ def test_seek_shows_states_events_and_curves_of_then(replay):
 
 
 def test_replay_shows_what_happens_at_one_sample_in_its_order(replay, recorded_run):
-    paused = [(1.0, 'none |  | free, free'), (2.0, 'hold | joints_stale | free, free'),
-              (2.0, 'float | joints_stale | free, free')]
+    paused = [
+        (1.0, 'none |  | free, free'),
+        (2.0, 'hold | joints_stale | free, free'),
+        (2.0, 'float | joints_stale | free, free'),
+    ]
     played = ReplaySource(
-        replace(replay.scene, marks=()), RunData.load(recorded_run), paused)
+        replace(replay.scene, marks=()), RunData.load(recorded_run), paused
+    )
     snapshot = seek(played, 2.0)
     assert snapshot.reaction == 'float'
     assert ['hold' in what for _, what in snapshot.events[-2:]] == [True, False]
@@ -136,7 +160,9 @@ def test_replay_shows_what_happens_at_one_sample_in_its_order(replay, recorded_r
 def test_replay_draws_the_whole_of_an_oscillation(replay, recorded_run):
     data = RunData.load(recorded_run)
     wave = 20.0 * np.sin(0.7 * np.pi * np.arange(data.ticks))[:, None]  # 175 Hz
-    shaken = replace(data, alpha_meas=data.alpha_meas + wave, innovation=data.innovation + wave)
+    shaken = replace(
+        data, alpha_meas=data.alpha_meas + wave, innovation=data.innovation + wave
+    )
     for played, extra in ((replay, 0.0), (ReplaySource(replay.scene, shaken), 20.0)):
         points = seek(played, 10.0).points
         late = points[points[:, 0] > 8.0]
@@ -144,7 +170,9 @@ def test_replay_draws_the_whole_of_an_oscillation(replay, recorded_run):
         for column, middle in ((1, held), (11, data.innovation[4000:5000, 0])):
             assert late[:, column].max() == pytest.approx(middle.max() + extra, abs=2.0)
             assert late[:, column].min() == pytest.approx(middle.min() - extra, abs=2.0)
-        assert np.abs(np.diff(late[:, 1])).max() > 1.5 * extra, 'both ends of each block'
+        assert np.abs(np.diff(late[:, 1])).max() > 1.5 * extra, (
+            'both ends of each block'
+        )
 
 
 def test_recording_without_a_log_shows_when_forces_were_asked_for(replay, recorded_run):
@@ -165,16 +193,30 @@ def test_replay_takes_one_namespace_of_a_file_and_its_surfaces(tmp_path):
         for space, count in (('left', 399), ('right', 100)):
             joints = replace(topics.JOINT_STATES, name=f'{space}/joint_states')
             for k in range(1, count + 1):
-                yield joints, PERIOD * k, messages.joint_state_message(
-                    PERIOD * k, names, position=[0.1] * 6, velocity=[0.0] * 6, effort=[0.0] * 6)
+                yield (
+                    joints,
+                    PERIOD * k,
+                    messages.joint_state_message(
+                        PERIOD * k,
+                        names,
+                        position=[0.1] * 6,
+                        velocity=[0.0] * 6,
+                        effort=[0.0] * 6,
+                    ),
+                )
         surfaces = replace(topics.SURFACE_MARKERS, name='left/ground_truth/surfaces')
         for k in (1, 101, 201):
-            yield surfaces, PERIOD * k, markers.message(PERIOD * k, np.full((2, 3), 1e-3 * k))
+            yield (
+                surfaces,
+                PERIOD * k,
+                markers.message(PERIOD * k, np.full((2, 3), 1e-3 * k)),
+            )
 
     write_bag(tmp_path / 'bag', rows())
-    file, = (tmp_path / 'bag').glob('*.mcap')
+    (file,) = (tmp_path / 'bag').glob('*.mcap')
     loaded = load_replay(file, setup, '/left')
     assert loaded.scene.duration == pytest.approx(0.796)
     for moment, place in ((0.0, 0.001), (0.19, 0.001), (0.21, 0.101), (0.7, 0.201)):
         assert seek(loaded, moment).places_world == {
-            name: (place,) * 3 for name in ('table', 'board')}
+            name: (place,) * 3 for name in ('table', 'board')
+        }

@@ -19,12 +19,17 @@ TWO_JOINTS = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/>
     <origin xyz="0 0 0.2"/></joint></robot>"""
 
 
-@pytest.mark.parametrize('urdf', sorted(config_dir().glob('*.urdf')), ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    'urdf', sorted(config_dir().glob('*.urdf')), ids=lambda path: path.name
+)
 def test_shapes_are_there_for_every_massive_link_we_ship(urdf):
     root = ElementTree.parse(urdf).getroot()
-    massive = {link.get('name') for link in root.findall('link')
-               if (mass := link.find('inertial/mass')) is not None
-               and float(mass.get('value')) > 0.01}
+    massive = {
+        link.get('name')
+        for link in root.findall('link')
+        if (mass := link.find('inertial/mass')) is not None
+        and float(mass.get('value')) > 0.01
+    }
     assert massive and read_shapes(urdf).keys() >= massive
 
 

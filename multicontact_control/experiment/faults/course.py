@@ -52,9 +52,15 @@ class Course(NamedTuple):
         turns = Rotation.from_rotvec(ways[:, :1] * self.axis)
         quaternions = (turns * Rotation.from_quat(self.start.quaternion_xyzw)).as_quat()
         both = np.concatenate([self.direction, self.axis])
-        return [MotionReading(self.start.position_world + way * self.direction, quaternion,
-                              rate * both, acceleration * both)
-                for (way, rate, acceleration), quaternion in zip(ways.tolist(), quaternions)]
+        return [
+            MotionReading(
+                self.start.position_world + way * self.direction,
+                quaternion,
+                rate * both,
+                acceleration * both,
+            )
+            for (way, rate, acceleration), quaternion in zip(ways.tolist(), quaternions)
+        ]
 
 
 def _run(elapsed: float, distance: float, speed: float) -> Vector:
@@ -63,7 +69,15 @@ def _run(elapsed: float, distance: float, speed: float) -> Vector:
     for begin, sign in ((0.0, 1.0), (distance / speed, -1.0)):
         share = min(max((elapsed - begin) / RAMP_TIME, 0.0), 1.0)
         after = max(elapsed - begin - RAMP_TIME, 0.0)
-        way += sign * speed * np.array([
-            RAMP_TIME * (share ** 3 - 0.5 * share ** 4) + after,
-            share ** 2 * (3.0 - 2.0 * share), 6.0 * share * (1.0 - share) / RAMP_TIME])
+        way += (
+            sign
+            * speed
+            * np.array(
+                [
+                    RAMP_TIME * (share**3 - 0.5 * share**4) + after,
+                    share**2 * (3.0 - 2.0 * share),
+                    6.0 * share * (1.0 - share) / RAMP_TIME,
+                ]
+            )
+        )
     return way

@@ -41,38 +41,69 @@ FARTHEST_SLIDE, FARTHEST_TURN = 0.3, 0.8  # m, rad, to lead a joint to its stop
 class SituationConfig(Config):
     """What an arm is asked to do, where, and with which sensor and tool."""
 
-    contacts: int = parameter(1, 'How many of the contacts there are, the first ones.', ge=1)
+    contacts: int = parameter(
+        1, 'How many of the contacts there are, the first ones.', ge=1
+    )
     force: float = parameter(
-        10.0, 'Commanded at every contact; at 0 there are no surfaces.', unit='N', ge=0.0)
+        10.0,
+        'Commanded at every contact; at 0 there are no surfaces.',
+        unit='N',
+        ge=0.0,
+    )
     motion: Literal['line', 'sine'] = parameter(
-        'line', 'There and back by setpoints, or the sinusoid of a scenario.')
+        'line', 'There and back by setpoints, or the sinusoid of a scenario.'
+    )
     direction_world: Vector3 = parameter(
-        (0.0, 0.0, 0.0), 'Direction of the motion of the operational point; 0 for none.')
+        (0.0, 0.0, 0.0), 'Direction of the motion of the operational point; 0 for none.'
+    )
     turn_world: Vector3 = parameter(
-        (0.0, 0.0, 0.0), 'Axis of a turn about the operational point; 0 for none.')
+        (0.0, 0.0, 0.0), 'Axis of a turn about the operational point; 0 for none.'
+    )
     distance: float = parameter(
-        0.0, 'How far, less where the workspace box ends.', unit='m or rad', ge=0.0)
-    speed: float = parameter(0.1, 'Largest speed of the motion.', unit='m/s or rad/s', gt=0.0)
+        0.0, 'How far, less where the workspace box ends.', unit='m or rad', ge=0.0
+    )
+    speed: float = parameter(
+        0.1, 'Largest speed of the motion.', unit='m/s or rad/s', gt=0.0
+    )
     motion_time: float = parameter(
-        2.0, 'When the motion begins: every contact has been at its force for a while.', unit='s',
-        ge=0.0)
+        2.0,
+        'When the motion begins: every contact has been at its force for a while.',
+        unit='s',
+        ge=0.0,
+    )
     legs: int = parameter(
-        2, 'There, back, there...: how often it goes; two are a period of a sinusoid.', ge=1)
+        2,
+        'There, back, there...: how often it goes; two are a period of a sinusoid.',
+        ge=1,
+    )
     stop_joint: int = parameter(
-        0, 'Joint, from 1 on, that is led to a stop near home by the motion that turns it most; 0 '
-        'for none.', ge=0)
+        0,
+        'Joint, from 1 on, that is led to a stop near home by the motion that turns it most; 0 '
+        'for none.',
+        ge=0,
+    )
     stop_side: Literal['lower', 'upper'] = parameter('upper', 'Which of its stops.')
     stop_margin: float = parameter(0.1, 'Of that stop from home.', unit='rad', gt=0.0)
     bias_along: float = parameter(
-        0.0, "Bias of the sensor along the first contact's normal.", unit='N')
+        0.0, "Bias of the sensor along the first contact's normal.", unit='N'
+    )
     bias_across: float = parameter(0.0, 'Bias of the sensor across it.', unit='N')
     bias_appears: bool = parameter(
-        False, 'Whether the bias comes during the approach, and is not there from the start.')
+        False,
+        'Whether the bias comes during the approach, and is not there from the start.',
+    )
     farther: float = parameter(
-        0.0, 'How much farther away than usual the surfaces are.', unit='m', ge=0.0, le=0.08)
+        0.0,
+        'How much farther away than usual the surfaces are.',
+        unit='m',
+        ge=0.0,
+        le=0.08,
+    )
     tilt: float = parameter(
-        0.0, 'Of the surfaces, unknown to the controller: a motion ahead leads up if positive.',
-        unit='deg')
+        0.0,
+        'Of the surfaces, unknown to the controller: a motion ahead leads up if positive.',
+        unit='deg',
+    )
     payload: float = parameter(0.0, 'What the tool picks up.', unit='kg', ge=0.0)
     told: bool = parameter(True, 'Whether the controller is told of it.')
 
@@ -85,9 +116,17 @@ def foreign_robot() -> str:
     folder = (cache_folder() or Path(tempfile.gettempdir())) / f'foreign-{stamp}'
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / 'arm.yaml'
-    with tempfile.TemporaryDirectory(dir=folder) as unfinished:  # others may write it, too
+    with tempfile.TemporaryDirectory(
+        dir=folder
+    ) as unfinished:  # others may write it, too
         written = Path(unfinished) / file.name
-        new_robot(urdf, FOREIGN_LINK, FOREIGN_LINK, written, written.with_name('controller.yaml'))
+        new_robot(
+            urdf,
+            FOREIGN_LINK,
+            FOREIGN_LINK,
+            written,
+            written.with_name('controller.yaml'),
+        )
         written.replace(file)
     return str(file)
 
@@ -101,15 +140,20 @@ class Means(NamedTuple):
 
     def allow(self, plant: str, situation: SituationConfig) -> bool:
         """Return whether there are such a plant, so many contacts, and such a joint."""
-        return plant in self.plants and situation.contacts <= self.contacts and (
-            situation.stop_joint <= self.joints)
+        return (
+            plant in self.plants
+            and situation.contacts <= self.contacts
+            and (situation.stop_joint <= self.joints)
+        )
 
 
 @cache
 def means_of(name: str) -> Means:
     """Return what a robot has; ConfigError if it is not installed."""
     robot = find_robot(foreign_robot() if name == FOREIGN else name or DEFAULT)
-    plants = {plant: plant for plant in robot.file.plants} | dict(robot.file.plant_aliases)
+    plants = {plant: plant for plant in robot.file.plants} | dict(
+        robot.file.plant_aliases
+    )
     contacts = robot.controller_base()['contact_names']
     if name == FOREIGN and find_spec('mujoco') is None:
         raise ConfigError('engine', 'mujoco: pip install mujoco', 'none')
@@ -117,7 +161,8 @@ def means_of(name: str) -> Means:
 
 
 def situated(
-    arguments: Mapping[str, Any], situation: SituationConfig,
+    arguments: Mapping[str, Any],
+    situation: SituationConfig,
 ) -> tuple[Setup, Course]:
     """
     Return a setup, resolved from some `arguments`, in a situation, and the motion in it.
@@ -128,9 +173,10 @@ def situated(
     if given.get('robot') == FOREIGN:
         given['robot'] = foreign_robot()
         given['plant_overrides'] = merge(
-            {'engine': 'mujoco'}, given.get('plant_overrides') or {})
+            {'engine': 'mujoco'}, given.get('plant_overrides') or {}
+        )
     base = resolve(**given)
-    names = base.controller.contact_names[:situation.contacts]
+    names = base.controller.contact_names[: situation.contacts]
     course = _course(base, situation, names)
     # A surface that is farther away is touched later, at the speed of the approach.
     approach_speed = base.controller.contact_state.approach_speed
@@ -138,13 +184,24 @@ def situated(
     scenario: dict[str, Any] = {'duration': begin + course.duration + REST_TIME}
     if situation.motion == 'sine':
         scenario['reference'] = _sine_reference(situation, course, names)
-        scenario['duration'] = situation.motion_time + 0.5 * situation.legs * course.period
+        scenario['duration'] = (
+            situation.motion_time + 0.5 * situation.legs * course.period
+        )
     chosen = {'contact_names': list(names)}
-    setup = resolve(**merge(given, {
-        'controller': {**chosen, 'limits': _stops(base, situation)},
-        'noise_estimator': chosen,
-        'plant_overrides': {**chosen, 'surfaces': _tilted(base, situation, course)},
-        'scenario_overrides': scenario}))
+    setup = resolve(
+        **merge(
+            given,
+            {
+                'controller': {**chosen, 'limits': _stops(base, situation)},
+                'noise_estimator': chosen,
+                'plant_overrides': {
+                    **chosen,
+                    'surfaces': _tilted(base, situation, course),
+                },
+                'scenario_overrides': scenario,
+            },
+        )
+    )
     return setup, course
 
 
@@ -152,13 +209,19 @@ def _course(base: Setup, situation: SituationConfig, names: tuple[str, ...]) -> 
     """Return the motion of a situation, as far as the workspace box lets it go."""
     robot = RobotModel(base.controller.robot, base.urdf_dir)
     state = robot.update(np.array(base.plant.home), np.zeros(robot.joint_count))
-    direction, axis = np.array(situation.direction_world), np.array(situation.turn_world)
+    direction, axis = (
+        np.array(situation.direction_world),
+        np.array(situation.turn_world),
+    )
     distance = situation.distance
     if situation.stop_joint:
-        normals = np.array([base.controller.contacts[name].normal_world for name in names])
+        normals = np.array(
+            [base.controller.contacts[name].normal_world for name in names]
+        )
         free = null_space(normals) if situation.force else np.eye(3)
         direction, axis, distance = _towards_stop(
-            state.mass_matrix, state.jacobian, free, situation)
+            state.mass_matrix, state.jacobian, free, situation
+        )
     direction, axis = _unit(direction), _unit(axis)
     limits = base.controller.limits
     if direction.any() and limits.workspace_lower:
@@ -177,7 +240,10 @@ def _unit(vector: Vector) -> Vector:
 
 
 def _towards_stop(
-    mass_matrix: Matrix, jacobian: Matrix, free: Matrix, situation: SituationConfig,
+    mass_matrix: Matrix,
+    jacobian: Matrix,
+    free: Matrix,
+    situation: SituationConfig,
 ) -> tuple[Vector, Vector, float]:
     """
     Return direction, axis and distance of the motion that leads a joint beyond its stop.
@@ -223,12 +289,21 @@ def _tilted(base: Setup, situation: SituationConfig, course: Course) -> dict[str
 
 
 def _sine_reference(
-    situation: SituationConfig, course: Course, names: tuple[str, ...],
+    situation: SituationConfig,
+    course: Course,
+    names: tuple[str, ...],
 ) -> dict[str, Any]:
     """Return the scenario's reference: forces, then a sinusoid to either side."""
     return {
         'approach': {'start_time': COMMAND_TIME},
-        'force_steps': [{'time': STEP_TIME, 'forces': dict.fromkeys(names, situation.force)}],
+        'force_steps': [
+            {'time': STEP_TIME, 'forces': dict.fromkeys(names, situation.force)}
+        ],
         'motion': {
-            'start_time': situation.motion_time, 'direction_world': course.direction.tolist(),
-            'amplitude': course.distance, 'period': course.period, 'blend_time': BLEND_TIME}}
+            'start_time': situation.motion_time,
+            'direction_world': course.direction.tolist(),
+            'amplitude': course.distance,
+            'period': course.period,
+            'blend_time': BLEND_TIME,
+        },
+    }

@@ -18,7 +18,10 @@ from multicontact_control.experiment.faults.judge import (
     Observation,
     SituationRow,
 )
-from multicontact_control.experiment.faults.situation import COMMAND_TIME, SituationConfig
+from multicontact_control.experiment.faults.situation import (
+    COMMAND_TIME,
+    SituationConfig,
+)
 from multicontact_control.experiment.faults.unasked import across_normals, Way
 from multicontact_control.experiment.scenario import Setup
 from multicontact_control.supervision.inputs import TickInputs
@@ -34,7 +37,9 @@ APPEARING_TIME = 0.5  # s, when a bias comes: in the middle of the approach
 class SituationRun:
     """A situation in a closed loop, tick by tick, and what is seen of it."""
 
-    def __init__(self, setup: Setup, course: Course, situation: SituationConfig) -> None:
+    def __init__(
+        self, setup: Setup, course: Course, situation: SituationConfig
+    ) -> None:
         self._course, self._situation = course, situation
         self._scenario = situation.motion == 'sine'
         self.loop = ClosedLoop(setup, commanded=not self._scenario)
@@ -46,17 +51,34 @@ class SituationRun:
         self._bias = self._sensor_bias(setup)
         for surface in range(len(setup.plant.touched)):
             self.loop.plant.contacts.shift(
-                surface, situation.farther if situation.force else NOWHERE)
-        self.seen: dict[str, list[Any]] = {name: [] for name in (
-            'torque', 'force', 'q', 'qd', 'tip', 'setpoint', 'states', 'reaction', 'commanded')}
+                surface, situation.farther if situation.force else NOWHERE
+            )
+        self.seen: dict[str, list[Any]] = {
+            name: []
+            for name in (
+                'torque',
+                'force',
+                'q',
+                'qd',
+                'tip',
+                'setpoint',
+                'states',
+                'reaction',
+                'commanded',
+            )
+        }
 
     def _sensor_bias(self, setup: Setup) -> Vector:
         """Return the bias of the wrench in the sensor's axes at home, shape (6,) [N, N m]."""
         home = np.array(setup.plant.home)
-        rotation = self._robot.update(home, np.zeros(len(home))).sensor_pose.rotation_world
+        rotation = self._robot.update(
+            home, np.zeros(len(home))
+        ).sensor_pose.rotation_world
         normal = np.array(setup.controller.contacts[self._names[0]].normal_world)
         across = null_space(normal[np.newaxis])[:, 0]
-        force = self._situation.bias_along * normal + self._situation.bias_across * across
+        force = (
+            self._situation.bias_along * normal + self._situation.bias_across * across
+        )
         return np.concatenate([rotation.T @ force, np.zeros(3)])
 
     def _planned(self, setup: Setup) -> list[MotionReading]:
@@ -64,8 +86,12 @@ class SituationRun:
         times = self._period * np.arange(setup.ticks)
         start = self._situation.motion_time
         motion = setup.scenario.reference.motion
-        ways = [sine_motion(motion, time) if self._scenario and motion is not None
-                else self._course.way(time - start) for time in times.tolist()]
+        ways = [
+            sine_motion(motion, time)
+            if self._scenario and motion is not None
+            else self._course.way(time - start)
+            for time in times.tolist()
+        ]
         return self._course.readings(np.array(ways))
 
     def _biased(self, inputs: TickInputs) -> TickInputs:
@@ -101,15 +127,22 @@ class SituationRun:
     def _command(self, time: float) -> None:
         """Command forces, motion and payload when it is time."""
         situation, control = self._situation, self.loop.control
-        if situation.payload and time >= situation.motion_time and not self.loop.plant.payload:
+        if (
+            situation.payload
+            and time >= situation.motion_time
+            and not self.loop.plant.payload
+        ):
             self._pick_up()
         setpoint = self._setpoints[self.loop.tick]
         if self._scenario:
             self._setpoint = setpoint
             return
         with suppress(CommandError):  # before it has begun, or while it is held
-            if time >= COMMAND_TIME and situation.force and not any(
-                    control.commanded_forces.values()):
+            if (
+                time >= COMMAND_TIME
+                and situation.force
+                and not any(control.commanded_forces.values())
+            ):
                 control.set_forces(dict.fromkeys(self._names, situation.force))
             begun = self._course.legs and time >= situation.motion_time
             if begun and _differs(setpoint, self._setpoint):
@@ -123,23 +156,38 @@ class SituationRun:
         if situation.told:
             mass = tool.mass + situation.payload
             place = np.array(plant.description.tool.com.position)
-            com = (tool.mass * np.array(tool.com_sensor) + situation.payload * place) / mass
-            told = ToolConfig(mass=mass, com_sensor=tuple(com), bias_sensor=tool.bias_sensor)
+            com = (
+                tool.mass * np.array(tool.com_sensor) + situation.payload * place
+            ) / mass
+            told = ToolConfig(
+                mass=mass, com_sensor=tuple(com), bias_sensor=tool.bias_sensor
+            )
             self.loop.control.reconfigure(config.model_copy(update={'tool': told}))
 
     def way(self) -> Way:
         """Return where the arm was and should have been."""
         seen, contacts = self.seen, self.loop.setup.controller.contacts
         q, qd = np.array(seen['q']), np.array(seen['qd'])
-        positions = [self._robot.update(*joints).pose.position_world for joints in zip(q, qd)]
+        positions = [
+            self._robot.update(*joints).pose.position_world for joints in zip(q, qd)
+        ]
         wanted = np.array(seen['commanded']) > 0.0
         normals = np.array([contacts[name].normal_world for name in self._names])
         return Way(
-            direction=self._course.direction, q=q, qd=qd, position=np.array(positions),
-            setpoint=np.array([setpoint.position_world for setpoint in seen['setpoint']]),
-            tip=np.array(seen['tip']), tip_setpoint=self._tip_setpoints(), wanted=wanted,
-            pressed=np.array(seen['force']) > 0.0, across=across_normals(normals, wanted),
-            states=seen['states'])
+            direction=self._course.direction,
+            q=q,
+            qd=qd,
+            position=np.array(positions),
+            setpoint=np.array(
+                [setpoint.position_world for setpoint in seen['setpoint']]
+            ),
+            tip=np.array(seen['tip']),
+            tip_setpoint=self._tip_setpoints(),
+            wanted=wanted,
+            pressed=np.array(seen['force']) > 0.0,
+            across=across_normals(normals, wanted),
+            states=seen['states'],
+        )
 
     def _tip_setpoints(self) -> Any:
         """Return where the tips would be if each setpoint were reached, shape (ticks, k, 3)."""
@@ -157,7 +205,10 @@ def _differs(setpoint: MotionReading, before: MotionReading) -> bool:
 
 
 def run_situation(
-    what: str, setup: Setup, course: Course, situation: SituationConfig,
+    what: str,
+    setup: Setup,
+    course: Course,
+    situation: SituationConfig,
 ) -> SituationRow:
     """Run a situation from the start to the end, and judge it."""
     run = SituationRun(setup, course, situation)
@@ -172,7 +223,17 @@ def run_situation(
     seen = run.seen
     force, commanded = np.array(seen['force']), np.array(seen['commanded'])
     time: Vector = setup.controller.period * np.arange(float(len(force)))
-    return judge_situation(what, setup, Observation(
-        torque=np.array(seen['torque']), before=before, time=time, force=force.max(axis=1),
-        reaction=max(seen['reaction'], key=SEVERITY.index), forces=force, commands=commanded),
-        run.way())
+    return judge_situation(
+        what,
+        setup,
+        Observation(
+            torque=np.array(seen['torque']),
+            before=before,
+            time=time,
+            force=force.max(axis=1),
+            reaction=max(seen['reaction'], key=SEVERITY.index),
+            forces=force,
+            commands=commanded,
+        ),
+        run.way(),
+    )

@@ -28,7 +28,9 @@ class Way(NamedTuple):
     tip_setpoint: Any  # where the setpoint has it, without the contact, likewise
     wanted: Mask  # which contacts are commanded, shape (ticks, r)
     pressed: Mask  # which really press, likewise
-    across: Any  # what is left of a vector across the wanted normals, shape (ticks, 3, 3)
+    across: (
+        Any  # what is left of a vector across the wanted normals, shape (ticks, 3, 3)
+    )
     states: Sequence[tuple[str, ...]]  # of the contacts
 
 
@@ -47,14 +49,20 @@ def unasked_motion(setup: Setup, way: Way) -> float:
     - a tip that is sought goes towards its surface by more than the approach's speed allows.
     - a tip that has been at its surface leaves it, unless the contact is left on purpose.
     """
-    place, setpoint = (np.einsum('kij,kj->ki', way.across, points - way.position[0])
-                       for points in (way.position, way.setpoint))
+    place, setpoint = (
+        np.einsum('kij,kj->ki', way.across, points - way.position[0])
+        for points in (way.position, way.setpoint)
+    )
     along, wanted = place @ way.direction, setpoint @ way.direction
     gap = place - setpoint - np.outer(along - wanted, way.direction)
-    largest = max(_back(along, wanted), _aside(np.linalg.norm(gap, axis=1), along, wanted))
+    largest = max(
+        _back(along, wanted), _aside(np.linalg.norm(gap, axis=1), along, wanted)
+    )
     for contact, name in enumerate(setup.plant.contact_names):
         normal = np.array(setup.plant.surfaces[name].normal_world)
-        largest = max(largest, _ahead(setup, way, contact, normal), _off(way, contact, normal))
+        largest = max(
+            largest, _ahead(setup, way, contact, normal), _off(way, contact, normal)
+        )
     return largest
 
 
@@ -85,8 +93,10 @@ def _aside(beside: Vector, along: Vector, wanted: Vector) -> float:
 
 def _ahead(setup: Setup, way: Way, contact: int, normal: Vector) -> float:
     """Return how far a tip that is sought went beyond what the approach's speed allows [m]."""
-    speed = max(setup.controller.contact_state.approach_speed,
-                setup.scenario.reference.approach.speed)
+    speed = max(
+        setup.controller.contact_state.approach_speed,
+        setup.scenario.reference.approach.speed,
+    )
     own = np.diff(way.tip[:, contact] - way.tip_setpoint[:, contact], axis=0) @ normal
     sought = way.wanted[1:, contact] & ~way.pressed[1:, contact]
     return in_one_go(own - speed * setup.controller.period, ~sought)

@@ -42,8 +42,12 @@ def reserve_domain(domain_id: int | None = None) -> Iterator[int]:
 def domain_in_use(domain_id: int) -> bool:
     """Return whether a participant listens on a port that DDS gives the first ones of a domain."""
     first = PORT_BASE + PORTS_PER_DOMAIN * domain_id + FIRST_PARTICIPANT_OFFSET
-    ports = range(first, first + PORTS_PER_PARTICIPANT * PARTICIPANTS, PORTS_PER_PARTICIPANT)
-    return any(end.laddr and end.laddr.port in ports for end in psutil.net_connections('udp'))
+    ports = range(
+        first, first + PORTS_PER_PARTICIPANT * PARTICIPANTS, PORTS_PER_PARTICIPANT
+    )
+    return any(
+        end.laddr and end.laddr.port in ports for end in psutil.net_connections('udp')
+    )
 
 
 def check_namespace(namespace: str) -> str:
@@ -51,5 +55,6 @@ def check_namespace(namespace: str) -> str:
     bare = namespace.strip('/')
     if bare and not re.fullmatch(r'[A-Za-z_]\w*(/[A-Za-z_]\w*)*', bare, re.ASCII):
         raise ConfigError(
-            'namespace', 'names of letters, digits and _, joined by /', f"'{namespace}'")
+            'namespace', 'names of letters, digits and _, joined by /', f"'{namespace}'"
+        )
     return bare

@@ -24,7 +24,8 @@ MODULES = {
     'recorder_node': 'multicontact_control.nodes.recorder_node',
     'noise_estimator_node': 'multicontact_control.nodes.noise_estimator_node',
     'controller_node': 'multicontact_control.nodes.controller_node',
-    'sim_node': 'sim_bridge.sim_node'}
+    'sim_node': 'sim_bridge.sim_node',
+}
 CONTEXT = multiprocessing.get_context('forkserver')
 
 
@@ -33,9 +34,13 @@ def prepare_nodes() -> None:
     limit_threads()
     CONTEXT.set_forkserver_preload(list(MODULES.values()))
     # Inherited by the server: a run stops its nodes in order, also when its terminal closes.
-    handlers = {x: signal.signal(x, signal.SIG_IGN) for x in (signal.SIGHUP, signal.SIGINT)}
+    handlers = {
+        x: signal.signal(x, signal.SIG_IGN) for x in (signal.SIGHUP, signal.SIGINT)
+    }
     folder = os.getcwd()
-    os.chdir(sys.prefix)  # its modules would come from a checkout in which it is started
+    os.chdir(
+        sys.prefix
+    )  # its modules would come from a checkout in which it is started
     forkserver.ensure_running()
     os.chdir(folder)
     for number, handler in handlers.items():
@@ -43,7 +48,10 @@ def prepare_nodes() -> None:
 
 
 def start_node(
-    module: str, arguments: Sequence[str], environment: Mapping[str, str], log: Path,
+    module: str,
+    arguments: Sequence[str],
+    environment: Mapping[str, str],
+    log: Path,
     title: str = '',
 ) -> BaseProcess:
     """
@@ -53,14 +61,20 @@ def start_node(
     """
     prepare_nodes()
     process = CONTEXT.Process(
-        target=_run, args=(module, list(arguments), dict(environment), str(log), title),
-        daemon=True)
+        target=_run,
+        args=(module, list(arguments), dict(environment), str(log), title),
+        daemon=True,
+    )
     process.start()
     return process
 
 
 def _run(
-    module: str, arguments: list[str], environment: dict[str, str], log: str, title: str,
+    module: str,
+    arguments: list[str],
+    environment: dict[str, str],
+    log: str,
+    title: str,
 ) -> None:
     from setproctitle import setproctitle
 

@@ -16,7 +16,11 @@ from typing import Any
 
 from multicontact_control.errors import RunError
 from multicontact_control.experiment.graph.node_process import MODULES, start_node
-from multicontact_control.experiment.graph.spec import GraphSpec, node_arguments, START_ORDER
+from multicontact_control.experiment.graph.spec import (
+    GraphSpec,
+    node_arguments,
+    START_ORDER,
+)
 from multicontact_control.nodes.runtime import FULL
 from multicontact_control.nodes.topics import RECORDER, SIM
 
@@ -41,9 +45,12 @@ class NodeProcesses:
         """Start a node, again if it has ended, with parameters over those of the graph."""
         self._log(name).touch()  # it may be read before the node has opened it
         self.running[name] = start_node(
-            MODULES[name], node_arguments(name, self.spec, parameters),
-            {**os.environ, 'ROS_DOMAIN_ID': str(self.domain_id)}, self._log(name).resolve(),
-            str(self.spec.out.resolve()))
+            MODULES[name],
+            node_arguments(name, self.spec, parameters),
+            {**os.environ, 'ROS_DOMAIN_ID': str(self.domain_id)},
+            self._log(name).resolve(),
+            str(self.spec.out.resolve()),
+        )
 
     def ended(self, name: str) -> bool:
         """Return whether a node has ended."""
@@ -53,13 +60,24 @@ class NodeProcesses:
         """Check that no node has ended but a simulator at its end, or as asked; RunError."""
         for name, process in self.running.items():
             code = process.exitcode
-            if code is not None and (name, code) != (SIM, 0) and not (stopped and code in STOPPED):
+            if (
+                code is not None
+                and (name, code) != (SIM, 0)
+                and not (stopped and code in STOPPED)
+            ):
                 if code in FULL:
-                    raise RunError(f'{name}: {os.strerror(code)}; {self.spec.bag} has what was '
-                                   'recorded until then')
-                raise RunError(self.report(
-                    name, f'ended with exit code {code}' if code >= 0 else
-                    f'was killed by {signal.Signals(-code).name}'))
+                    raise RunError(
+                        f'{name}: {os.strerror(code)}; {self.spec.bag} has what was '
+                        'recorded until then'
+                    )
+                raise RunError(
+                    self.report(
+                        name,
+                        f'ended with exit code {code}'
+                        if code >= 0
+                        else f'was killed by {signal.Signals(-code).name}',
+                    )
+                )
 
     def report(self, name: str, event: str) -> str:
         """Return what happened to a node, with the end of its log."""
@@ -78,7 +96,11 @@ class NodeProcesses:
             text = self._text(name)
             warnings += WARNING.findall(text, self._seen[name])
             self._seen[name] = text.rfind('\n') + 1
-        more = f' (and {len(warnings) - 1} more in {self.spec.logs})' if len(warnings) > 1 else ''
+        more = (
+            f' (and {len(warnings) - 1} more in {self.spec.logs})'
+            if len(warnings) > 1
+            else ''
+        )
         return shorten(': '.join(warnings[-1]), LINE_LENGTH) + more if warnings else ''
 
     def _text(self, name: str) -> str:
@@ -97,7 +119,9 @@ class NodeProcesses:
             process = self.running[name]
             if process.exitcode is None and process.pid is not None:
                 end = signal.SIGTERM if hurry or name == RECORDER else signal.SIGINT
-                with contextlib.suppress(ProcessLookupError):  # it has ended this moment
+                with contextlib.suppress(
+                    ProcessLookupError
+                ):  # it has ended this moment
                     os.kill(process.pid, end)
             process.join(RECORDER_TIMEOUT if name == RECORDER else STOP_TIMEOUT)
             process.kill()  # nothing to one that has ended
@@ -106,5 +130,7 @@ class NodeProcesses:
     def timing(self) -> dict[str, dict[str, Any]]:
         """Return what each node wrote about its run; nothing for one that could not."""
         files = {name: self.spec.logs / f'{name}.json' for name in self.spec.nodes}
-        return {name: json.loads(file.read_text(encoding='utf-8')) if file.is_file() else {}
-                for name, file in files.items()}
+        return {
+            name: json.loads(file.read_text(encoding='utf-8')) if file.is_file() else {}
+            for name, file in files.items()
+        }

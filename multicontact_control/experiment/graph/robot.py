@@ -20,10 +20,16 @@ class Robot:
     """What is expected behind the topics, and for how long."""
 
     joint_names: Sequence[str]  # that it has, among others
-    wrench_input: str = 'raw'  # which wrench the controller reads: raw, filtered or momentum
-    effort_output_topic: str = ''  # that it takes efforts from instead of joint_effort_command
+    wrench_input: str = (
+        'raw'  # which wrench the controller reads: raw, filtered or momentum
+    )
+    effort_output_topic: str = (
+        ''  # that it takes efforts from instead of joint_effort_command
+    )
     timeout: float = 12.0  # time without a message after which it counts as gone [s]
-    duration: float | None = None  # of the run by its stamps [s]; None until a signal comes
+    duration: float | None = (
+        None  # of the run by its stamps [s]; None until a signal comes
+    )
 
 
 class _Stream:
@@ -53,18 +59,26 @@ class RobotWatch(GuestNode):
     def __init__(self, domain_id: int, namespace: str, robot: Robot) -> None:
         super().__init__('robot_watch', domain_id, namespace)
         self._robot = robot
-        self._streams = {topic: _Stream(
-            self.node.create_subscription(topic.message, topic.name, ignore, qos.profile(
-                100, reliable=False)),
-            robot.joint_names if topic is topics.JOINT_STATES else ())
-            for topic in (topics.JOINT_STATES, topics.WRENCHES.get(robot.wrench_input)) if topic}
+        self._streams = {
+            topic: _Stream(
+                self.node.create_subscription(
+                    topic.message, topic.name, ignore, qos.profile(100, reliable=False)
+                ),
+                robot.joint_names if topic is topics.JOINT_STATES else (),
+            )
+            for topic in (topics.JOINT_STATES, topics.WRENCHES.get(robot.wrench_input))
+            if topic
+        }
 
     def poll(self) -> None:
         """Take what has come."""
         for topic, stream in self._streams.items():
             stream.poll()
-            if stream.newest and stream.publisher == 'the robot' and (
-                    names := self._publishers(topic)):
+            if (
+                stream.newest
+                and stream.publisher == 'the robot'
+                and (names := self._publishers(topic))
+            ):
                 stream.publisher = names
 
     def _full(self, name: str) -> str:
@@ -78,14 +92,24 @@ class RobotWatch(GuestNode):
     def missing(self) -> str:
         """Return what is missing of the robot and from whom, in one line; empty if nothing is."""
         self.poll()
-        lines = [self._missing_of(topic, stream) for topic, stream in self._streams.items()]
-        efforts = [self._full(name) for name in (
-            topics.EFFORT_COMMAND.name, self._robot.effort_output_topic) if name]
-        readers = {info.node_name for name in efforts
-                   for info in self.node.get_subscriptions_info_by_topic(name)}
+        lines = [
+            self._missing_of(topic, stream) for topic, stream in self._streams.items()
+        ]
+        efforts = [
+            self._full(name)
+            for name in (topics.EFFORT_COMMAND.name, self._robot.effort_output_topic)
+            if name
+        ]
+        readers = {
+            info.node_name
+            for name in efforts
+            for info in self.node.get_subscriptions_info_by_topic(name)
+        }
         if not readers - {*OURS, UNNAMED}:
-            lines.append(f'a subscriber of {" or ".join(efforts)} (the robot is to apply these '
-                         'efforts)')
+            lines.append(
+                f'a subscriber of {" or ".join(efforts)} (the robot is to apply these '
+                'efforts)'
+            )
         return '; '.join(filter(None, lines))
 
     def _missing_of(self, topic: topics.Topic, stream: _Stream) -> str:
@@ -93,8 +117,10 @@ class RobotWatch(GuestNode):
         if stream.newest is not None:
             return ''
         if stream.other is not None:
-            return (f'the joints {", ".join(stream.lacking(stream.other))} in {name}, which has '
-                    f'{", ".join(stream.other.name) or "no names"}')
+            return (
+                f'the joints {", ".join(stream.lacking(stream.other))} in {name}, which has '
+                f'{", ".join(stream.other.name) or "no names"}'
+            )
         if publishers := self._publishers(topic):
             return f'{name} from {publishers}, which publishes nothing yet'
         return f'{name} ({topic.type_name}) from the robot: it has no publisher'
@@ -106,12 +132,16 @@ class RobotWatch(GuestNode):
             age = time.monotonic() - stream.at
             if age > self._robot.timeout:
                 of = '' if stream.other is None else ' of its joints'
-                return (f'{stream.publisher} has not published {self._full(topic.name)}{of} for '
-                        f'{age:.1f} s')
+                return (
+                    f'{stream.publisher} has not published {self._full(topic.name)}{of} for '
+                    f'{age:.1f} s'
+                )
         return ''
 
     @property
     def sources(self) -> str:
         """Say which nodes publish the robot's topics."""
-        return ', '.join(f'{self._full(topic.name)} from {stream.publisher}'
-                         for topic, stream in self._streams.items())
+        return ', '.join(
+            f'{self._full(topic.name)} from {stream.publisher}'
+            for topic, stream in self._streams.items()
+        )

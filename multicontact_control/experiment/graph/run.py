@@ -25,12 +25,20 @@ from multicontact_control.errors import RunError
 from multicontact_control.experiment.graph.domain import domain_in_use, reserve_domain
 from multicontact_control.experiment.graph.processes import NodeProcesses
 from multicontact_control.experiment.graph.robot import RobotWatch
-from multicontact_control.experiment.graph.spec import CONTROLLER, GraphSpec, MANAGED, SIM
+from multicontact_control.experiment.graph.spec import (
+    CONTROLLER,
+    GraphSpec,
+    MANAGED,
+    SIM,
+)
 from multicontact_control.nodes import link, messages, qos, topics
 from multicontact_control.nodes.graph import ignore, SAFE_TIME, take
 
 WATCH_PERIOD, PROGRESS_PERIOD = 0.05, 0.2  # s
-TELL_PERIOD, WARN_PERIOD = 5.0, 1.0  # s, between two lines on what is waited for, or is wrong
+TELL_PERIOD, WARN_PERIOD = (
+    5.0,
+    1.0,
+)  # s, between two lines on what is waited for, or is wrong
 STOPPING = 'stopping the nodes; Ctrl-C again skips the report'
 DEACTIVATION_TIMEOUT = 5.0  # s
 DISCOVERY_TIME = 1.0  # s, in which the nodes of a domain are known
@@ -58,7 +66,9 @@ class GraphResult:
     bag: Path  # folder of the recording, closed
     controlled: bool  # whether any sample was answered
     signals: Sequence[int]  # that ended it early
-    timing: Mapping[str, Mapping[str, Any]]  # counts and times that each node wrote at its end
+    timing: Mapping[
+        str, Mapping[str, Any]
+    ]  # counts and times that each node wrote at its end
     ended: str = ''  # what ended it early on the side of the user's own robot
 
 
@@ -68,7 +78,11 @@ class ProgressListener(link.GuestNode):
     def __init__(self, domain_id: int, namespace: str = '') -> None:
         super().__init__('run_progress', domain_id, namespace)
         self._forces = self.node.create_subscription(
-            topics.MEASURED_FORCES.message, topics.MEASURED_FORCES.name, ignore, qos.GLANCE)
+            topics.MEASURED_FORCES.message,
+            topics.MEASURED_FORCES.name,
+            ignore,
+            qos.GLANCE,
+        )
         self._first = self._start = 0.0
         self.heard = False  # whether anything has come yet
 
@@ -83,21 +97,33 @@ class ProgressListener(link.GuestNode):
             self.heard, self._first, self._start = True, stamp, now
         simulated, wall = stamp - self._first, now - self._start
         return GraphProgress(
-            simulated, {name: force for name, force in zip(message.name, message.effort)
-                        if math.isfinite(force)}, simulated / wall if wall else 0.0)
+            simulated,
+            {
+                name: force
+                for name, force in zip(message.name, message.effort)
+                if math.isfinite(force)
+            },
+            simulated / wall if wall else 0.0,
+        )
 
 
 class RunningGraph:
     """A graph that is up, of `running_graph`; its `robot` is None with a simulated plant."""
 
     def __init__(
-        self, spec: GraphSpec, domain_id: int, keep_waiting: Callable[[str], None],
+        self,
+        spec: GraphSpec,
+        domain_id: int,
+        keep_waiting: Callable[[str], None],
     ) -> None:
         self.spec, self.domain_id = spec, domain_id
         self.processes = NodeProcesses(spec, domain_id)
         self.progress = ProgressListener(domain_id, spec.namespace)
-        self.robot = None if spec.robot is None else RobotWatch(
-            domain_id, spec.namespace, spec.robot)
+        self.robot = (
+            None
+            if spec.robot is None
+            else RobotWatch(domain_id, spec.namespace, spec.robot)
+        )
         self._keep_waiting, self._activated = keep_waiting, False
 
     def start(self) -> None:
@@ -116,20 +142,36 @@ class RunningGraph:
         self._keep_waiting(f'{what}, in ROS domain {self.domain_id}')
 
     def _lead(self, transition: str) -> None:
-        with link.GuestNode('lifecycle_driver', self.domain_id, self.spec.namespace,
-                            keep_waiting=self._wait) as driver:
+        with link.GuestNode(
+            'lifecycle_driver',
+            self.domain_id,
+            self.spec.namespace,
+            keep_waiting=self._wait,
+        ) as driver:
             for name in MANAGED:
                 try:
                     driver.change(name, transition)
                 except link.TransitionError:
-                    raise RunError(self.processes.report(name, f'cannot {transition}')) from None
+                    raise RunError(
+                        self.processes.report(name, f'cannot {transition}')
+                    ) from None
 
     def stop(self, *, hurry: bool) -> None:
         """Stop the nodes, a robot's controller not before its safe behaviour; `hurry` to abort."""
-        if self.robot is not None and self._activated and not self.processes.ended(CONTROLLER):
-            with contextlib.suppress(RunError), link.GuestNode(
-                    'run_end', self.domain_id, self.spec.namespace,
-                    patience=DEACTIVATION_TIMEOUT) as driver:
+        if (
+            self.robot is not None
+            and self._activated
+            and not self.processes.ended(CONTROLLER)
+        ):
+            with (
+                contextlib.suppress(RunError),
+                link.GuestNode(
+                    'run_end',
+                    self.domain_id,
+                    self.spec.namespace,
+                    patience=DEACTIVATION_TIMEOUT,
+                ) as driver,
+            ):
                 driver.change(CONTROLLER, link.DEACTIVATE)
                 time.sleep(SAFE_TIME)
         self.processes.stop(hurry=hurry)
@@ -141,7 +183,8 @@ class RunningGraph:
 
 @contextlib.contextmanager
 def running_graph(
-    spec: GraphSpec, keep_waiting: Callable[[str], None] = lambda what: None,
+    spec: GraphSpec,
+    keep_waiting: Callable[[str], None] = lambda what: None,
 ) -> Iterator[RunningGraph]:
     """
     Start a graph and activate it, yield it, and stop it afterwards.
@@ -171,11 +214,13 @@ def _require_free_names(spec: GraphSpec, domain_id: int) -> None:
         if taken := {(name, f'/{spec.namespace}') for name in spec.nodes} & {*known}:
             raise RunError(
                 f'ROS domain {domain_id}: expected no {min(taken)[0]}, got that of another run; '
-                'end it, or choose another --domain-id or --namespace')
+                'end it, or choose another --domain-id or --namespace'
+            )
 
 
 def run_graph(
-    spec: GraphSpec, on_progress: Callable[[GraphProgress], None] = lambda progress: None,
+    spec: GraphSpec,
+    on_progress: Callable[[GraphProgress], None] = lambda progress: None,
     tell: Tell = lambda text: None,
 ) -> GraphResult:
     """
@@ -209,13 +254,20 @@ def run_graph(
             return GraphResult(spec.bag, controlled=False, signals=signals, timing={})
     graph.processes.check_running(stopped=True)
     return GraphResult(
-        spec.bag, graph.progress.heard or not (signals or ended), signals,
-        graph.processes.timing(), ended)
+        spec.bag,
+        graph.progress.heard or not (signals or ended),
+        signals,
+        graph.processes.timing(),
+        ended,
+    )
 
 
 def _watch(
-    graph: RunningGraph, signals: list[int], on_progress: Callable[[GraphProgress], None],
-    keep_waiting: Callable[[str], None], tell: Tell,
+    graph: RunningGraph,
+    signals: list[int],
+    on_progress: Callable[[GraphProgress], None],
+    keep_waiting: Callable[[str], None],
+    tell: Tell,
 ) -> str:
     """Look at a graph until it ends; return what ended it on the side of the user's robot."""
     processes, robot = graph.processes, graph.spec.robot
@@ -225,8 +277,13 @@ def _watch(
         processes.check_running()
         if time.monotonic() >= warning_due and (text := processes.new_warnings()):
             warning_due = time.monotonic() + WARN_PERIOD
-            if not newest or not graph.spec.ticks or (  # at the end nodes miss each other
-                    newest.time + WARN_PERIOD < graph.spec.ticks / graph.spec.rate):
+            if (
+                not newest
+                or not graph.spec.ticks
+                or (  # at the end nodes miss each other
+                    newest.time + WARN_PERIOD < graph.spec.ticks / graph.spec.rate
+                )
+            ):
                 tell(text)
         if graph.robot is not None and (silent := graph.robot.silent()):
             return silent
@@ -237,10 +294,19 @@ def _watch(
                     tell(_first_steps(graph))
                 newest = progress
                 on_progress(progress)
-            elif newest is None and not signals:  # the controller says why it cannot answer
-                keep_waiting(f'the first answered sample; {CONTROLLER}: '
-                             f'{processes.last_line(CONTROLLER)}')
-        if newest and robot and robot.duration is not None and newest.time >= robot.duration:
+            elif (
+                newest is None and not signals
+            ):  # the controller says why it cannot answer
+                keep_waiting(
+                    f'the first answered sample; {CONTROLLER}: '
+                    f'{processes.last_line(CONTROLLER)}'
+                )
+        if (
+            newest
+            and robot
+            and robot.duration is not None
+            and newest.time >= robot.duration
+        ):
             break
         time.sleep(WATCH_PERIOD)
     processes.check_running()
@@ -252,9 +318,11 @@ def _first_steps(graph: RunningGraph) -> str:
     domain, namespace = graph.domain_id, graph.spec.namespace
     topic = '/'.join(filter(None, (namespace, topics.MEASURED_FORCES.name)))
     of_the_arm = f' --namespace {namespace}' if namespace else ''
-    return ('ready; try in another terminal:\n'
-            f'  multicontact topic echo /{topic} --domain-id {domain}\n'
-            f'  multicontact view --graph --domain-id {domain}{of_the_arm}')
+    return (
+        'ready; try in another terminal:\n'
+        f'  multicontact topic echo /{topic} --domain-id {domain}\n'
+        f'  multicontact view --graph --domain-id {domain}{of_the_arm}'
+    )
 
 
 @contextlib.contextmanager
@@ -270,8 +338,11 @@ def collected_signals() -> Iterator[list[int]]:
                 if not stat.S_ISREG(os.fstat(stream).st_mode):
                     os.dup2(nowhere, stream)
 
-    previous = {number: signal.signal(number, note) for number in ENDING
-                if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN}  # nohup
+    previous = {
+        number: signal.signal(number, note)
+        for number in ENDING
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN
+    }  # nohup
     try:
         yield received
     finally:

@@ -21,19 +21,27 @@ class GraphSpec:
     """What to run; with a `robot` there is no simulator, and `ticks`, `seed`, `speed` are void."""
 
     out: Path  # folder of the run, which exists
-    parameter_files: Mapping[str, Path]  # by node name; a node without one gets its defaults
+    parameter_files: Mapping[
+        str, Path
+    ]  # by node name; a node without one gets its defaults
     ticks: int  # samples until the run ends, 0 for a signal to end it
     rate: float  # control rate [Hz]
-    free_running: bool = False  # whether the plant does not wait for commands, as a robot
+    free_running: bool = (
+        False  # whether the plant does not wait for commands, as a robot
+    )
     speed: float = 1.0  # simulated time per wall time at most; 0 for as fast as it goes
     seed: int = 0  # of the plant
-    reference_file: Path | None = None  # scenario; without it the command topics are obeyed
+    reference_file: Path | None = (
+        None  # scenario; without it the command topics are obeyed
+    )
     domain_id: int | None = None  # by default the first one without participants
     namespace: str = ''  # of all nodes, topics and services, without a leading slash
     # More parameters by node name, over those of its file; other names of topics, likewise.
     extra_parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     remappings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    realtime: bool = False  # whether the nodes that control ask for priority, and keep memory
+    realtime: bool = (
+        False  # whether the nodes that control ask for priority, and keep memory
+    )
     robot: Robot | None = None
     recorded: bool = True  # whether a recorder is among the nodes
 
@@ -55,7 +63,9 @@ class GraphSpec:
 
 
 def node_arguments(
-    name: str, spec: GraphSpec, overrides: Mapping[str, Any] | None = None,
+    name: str,
+    spec: GraphSpec,
+    overrides: Mapping[str, Any] | None = None,
 ) -> list[str]:
     """Return the command line of a node; `overrides` are parameters over those of the graph."""
     # The output is in the log of the run already.
@@ -75,15 +85,20 @@ def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
     """Return the parameters that belong to the run, not to a file."""
     values: dict[str, Any] = {
         'timing_file': str((spec.logs / f'{name}.json').resolve()),
-        'startup_peers': list(spec.nodes)}
+        'startup_peers': list(spec.nodes),
+    }
     if name == RECORDER:
         values['folder'] = str(spec.bag.resolve())
         bare = spec.extra_parameters.get(CONTROLLER, {}).get('effort_output_topic')
         if bare:
             values['effort_output_topic'] = bare
     if name == SIM:
-        values |= {'ticks': spec.ticks, 'rate': float(spec.rate), 'seed': spec.seed,
-                   'speed': float(spec.speed)}
+        values |= {
+            'ticks': spec.ticks,
+            'rate': float(spec.rate),
+            'seed': spec.seed,
+            'speed': float(spec.speed),
+        }
     if name == CONTROLLER and spec.reference_file is not None:
         values['reference_file'] = str(spec.reference_file.resolve())
     if name in (SIM, CONTROLLER):

@@ -31,13 +31,20 @@ def run_cells(study: StudyConfig) -> list[Cell]:
     A parameter that is no factor of a part has the value of its files there; other factors are
     empty, or 1 if they are multiples. ConfigError with the first value that is not acceptable.
     """
-    absent = {name: 1.0 if factor.multiples_of else ''
-              for part in study.parts.values() for name, factor in part.factors.items()}
+    absent = {
+        name: 1.0 if factor.multiples_of else ''
+        for part in study.parts.values()
+        for name, factor in part.factors.items()
+    }
     cells = []
     for title, part in study.parts.items():
-        for plant, *chosen in product(part.plants, *(
+        for plant, *chosen in product(
+            part.plants,
+            *(
                 [(name, *setting) for setting in factor.settings(name)]
-                for name, factor in part.factors.items())):
+                for name, factor in part.factors.items()
+            ),
+        ):
             job = _job(study, part, plant, chosen)
             if job is None:
                 continue
@@ -45,22 +52,39 @@ def run_cells(study: StudyConfig) -> list[Cell]:
                 setup = job.setup()
             except ConfigError as error:
                 where = ', '.join(f'{name} = {value}' for name, value, _ in chosen)
-                field = f'{title} ({where}): {error.field}'.strip() if where else error.field
+                field = (
+                    f'{title} ({where}): {error.field}'.strip()
+                    if where
+                    else error.field
+                )
                 raise error.moved(field) from None
-            factors = {'part': title, 'plant': setup.plant_name, **absent,
-                       **{name: value for name, value, _ in chosen},
-                       **{name: overrides.value_of(name, setup) for name in absent
-                          if is_parameter(name)}}
+            factors = {
+                'part': title,
+                'plant': setup.plant_name,
+                **absent,
+                **{name: value for name, value, _ in chosen},
+                **{
+                    name: overrides.value_of(name, setup)
+                    for name in absent
+                    if is_parameter(name)
+                },
+            }
             cells += seeded(factors, job, part.seeds)
     if not cells:
-        raise ConfigError('parts', 'at least one run', 'none that fulfils the conditions')
+        raise ConfigError(
+            'parts', 'at least one run', 'none that fulfils the conditions'
+        )
     return cells
 
 
 def seeded(factors: Mapping[str, Any], job: Any, seeds: Sequence[int]) -> list[Cell]:
     """Return the cells of a `RunJob` with some seeds."""
-    jobs = {seed: replace(job, arguments={**job.arguments, 'seed': seed}) for seed in seeds}
-    return [Cell({**factors, 'seed': seed}, one, one.key()) for seed, one in jobs.items()]
+    jobs = {
+        seed: replace(job, arguments={**job.arguments, 'seed': seed}) for seed in seeds
+    }
+    return [
+        Cell({**factors, 'seed': seed}, one, one.key()) for seed, one in jobs.items()
+    ]
 
 
 def is_parameter(name: str) -> bool:
@@ -69,14 +93,22 @@ def is_parameter(name: str) -> bool:
 
 
 def _job(
-    study: StudyConfig, part: PartConfig, plant: str,
+    study: StudyConfig,
+    part: PartConfig,
+    plant: str,
     chosen: Sequence[tuple[str, Any, Mapping[str, Any]]],
 ) -> RunJob | None:
     """Return the run of a combination, None where the part's conditions are not fulfilled."""
-    settings = {name: value for _, _, values in chosen for name, value in values.items()}
-    arguments = {'scenario': part.scenario, 'plant': plant, 'preset': part.preset,
-                 'duration': part.duration,
-                 **{name: settings.pop(name) for name in CHOSEN if name in settings}}
+    settings = {
+        name: value for _, _, values in chosen for name, value in values.items()
+    }
+    arguments = {
+        'scenario': part.scenario,
+        'plant': plant,
+        'preset': part.preset,
+        'duration': part.duration,
+        **{name: settings.pop(name) for name in CHOSEN if name in settings},
+    }
     base = resolve(**arguments)
     if not _fulfilled(part.where, base):
         return None
@@ -86,22 +118,36 @@ def _job(
             values |= adjustment.values
     for factor in part.factors.values():
         if factor.multiples_of:
-            settings |= _multiples(factor.sets, settings.pop(factor.sets),
-                                   factor.multiples_of, base)
+            settings |= _multiples(
+                factor.sets, settings.pop(factor.sets), factor.multiples_of, base
+            )
     laid_over = overrides.overrides_of({**values, **settings}, base, 'factors.')
     return RunJob(
-        {**arguments, **{overrides.ARGUMENTS[section]: nested
-                         for section, nested in laid_over.items()}},
-        part.supervised, part.surface_gone)
+        {
+            **arguments,
+            **{
+                overrides.ARGUMENTS[section]: nested
+                for section, nested in laid_over.items()
+            },
+        },
+        part.supervised,
+        part.surface_gone,
+    )
 
 
 def _fulfilled(where: Mapping[str, Any], setup: Setup) -> bool:
-    return all(overrides.value_of(name, setup) == value for name, value in where.items())
+    return all(
+        overrides.value_of(name, setup) == value for name, value in where.items()
+    )
 
 
 def _multiples(name: str, factor: float, of: str, setup: Setup) -> dict[str, float]:
     """Return a multiple of another parameter's value, for each contact where there is a ``*``."""
     star = name.split('.').index(overrides.EVERY) if overrides.EVERY in name else None
-    return {'.'.join(place): factor * overrides.value_of(
-        of if star is None else of.replace(overrides.EVERY, place[star]), setup)
-        for place in overrides.paths_of(name, setup, 'factors')}
+    return {
+        '.'.join(place): factor
+        * overrides.value_of(
+            of if star is None else of.replace(overrides.EVERY, place[star]), setup
+        )
+        for place in overrides.paths_of(name, setup, 'factors')
+    }

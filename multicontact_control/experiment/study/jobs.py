@@ -71,8 +71,11 @@ def code_stamp() -> str:
 
 def content_key(kind: str, content: Mapping[str, Any]) -> str:
     """Return the key of a kind of work on JSON values, which with the code decide the outcome."""
-    text = json.dumps({'kind': kind, 'code': code_stamp(), **content}, sort_keys=True,
-                      separators=(',', ':'))
+    text = json.dumps(
+        {'kind': kind, 'code': code_stamp(), **content},
+        sort_keys=True,
+        separators=(',', ':'),
+    )
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
@@ -81,9 +84,14 @@ def setup_content(setup: Setup) -> dict[str, Any]:
     urdf = (setup.urdf_dir / setup.controller.robot.urdf).read_bytes()
     configurations = {
         name: getattr(setup, name).model_dump(mode='json')
-        for name in ('scenario', 'controller', 'noise_estimator', 'plant')}
-    return {'seed': setup.seed, 'urdf': hashlib.sha256(urdf).hexdigest(),
-            'arm': repr(find_robot(setup.plant.robot).arm), **configurations}
+        for name in ('scenario', 'controller', 'noise_estimator', 'plant')
+    }
+    return {
+        'seed': setup.seed,
+        'urdf': hashlib.sha256(urdf).hexdigest(),
+        'arm': repr(find_robot(setup.plant.robot).arm),
+        **configurations,
+    }
 
 
 @dataclass(frozen=True)
@@ -92,7 +100,9 @@ class RunJob:
 
     arguments: Mapping[str, Any]  # of `resolve`
     supervised: bool = False
-    surface_gone: tuple[float, float] | None = None  # from when to when the last one is away [s]
+    surface_gone: tuple[float, float] | None = (
+        None  # from when to when the last one is away [s]
+    )
 
     def setup(self) -> Setup:
         """Return everything the run needs; see `Job.setup`."""
@@ -100,8 +110,14 @@ class RunJob:
 
     def key(self) -> str:
         """Return the hash of all that decides the outcome."""
-        return content_key('run', {**setup_content(self.setup()), 'supervised': self.supervised,
-                                   'surface_gone': self.surface_gone})
+        return content_key(
+            'run',
+            {
+                **setup_content(self.setup()),
+                'supervised': self.supervised,
+                'surface_gone': self.surface_gone,
+            },
+        )
 
     def run(self) -> dict[str, Any]:
         """Run it and measure it; see `measure_run`."""
@@ -111,7 +127,9 @@ class RunJob:
 def read_cells(folder: Path, keys: Iterable[str]) -> dict[str, dict[str, Any]]:
     """Return what was measured in those jobs that are finished in a folder, by key."""
     paths = {key: folder / CELLS / f'{key}.json' for key in keys}
-    return {key: read_json(path)['metrics'] for key, path in paths.items() if path.exists()}
+    return {
+        key: read_json(path)['metrics'] for key, path in paths.items() if path.exists()
+    }
 
 
 def prepare_folder(folder: Path, *, overwrite: bool) -> None:
@@ -125,8 +143,13 @@ def prepare_folder(folder: Path, *, overwrite: bool) -> None:
 
 
 def run_jobs(
-    jobs: Mapping[str, Job], folder: Path, *, workers: int = 0, client: Any = None,
-    console: Console | None = None, title: str = 'runs',
+    jobs: Mapping[str, Job],
+    folder: Path,
+    *,
+    workers: int = 0,
+    client: Any = None,
+    console: Console | None = None,
+    title: str = 'runs',
 ) -> dict[str, dict[str, Any]]:
     """
     Run every job without a result in a folder, and return what was measured in all, by key.
@@ -138,20 +161,34 @@ def run_jobs(
     todo = {key: job for key, job in jobs.items() if key not in done}
     if todo:
         ensure_compiled()  # here once, not in every worker at once
-    with count_bar(console) as progress, closing(_outcomes(todo, workers, client)) as outcomes:
+    with (
+        count_bar(console) as progress,
+        closing(_outcomes(todo, workers, client)) as outcomes,
+    ):
         bar = progress.add_task(title, total=len(jobs), completed=len(done))
         for key, metrics, wall_time in outcomes:
-            write_json(folder / CELLS / f'{key}.json', {
-                'key': key, 'job': asdict(todo[key]), 'wall_s': wall_time, 'metrics': metrics})
+            write_json(
+                folder / CELLS / f'{key}.json',
+                {
+                    'key': key,
+                    'job': asdict(todo[key]),
+                    'wall_s': wall_time,
+                    'metrics': metrics,
+                },
+            )
             done[key] = metrics
             progress.advance(bar)
             if progress.disable and 10 * len(done) % len(jobs) < 10:  # at every tenth
-                progress.console.print(f'{title}: {len(done)} of {len(jobs)}', highlight=False)
+                progress.console.print(
+                    f'{title}: {len(done)} of {len(jobs)}', highlight=False
+                )
     return done
 
 
 def _outcomes(
-    todo: Mapping[str, Job], workers: int, client: Any,
+    todo: Mapping[str, Job],
+    workers: int,
+    client: Any,
 ) -> Generator[Outcome, None, None]:
     """Yield the outcomes of jobs as they end: in this process, in others, or on a cluster."""
     if client is None and (len(todo) < 2 or workers == 1):
@@ -164,8 +201,11 @@ def _outcomes(
 
             # Ctrl-C reaches every process of the terminal; only this one answers it.
             executor = get_reusable_executor(
-                workers or None, env=dict.fromkeys(THREADS, '1'), initializer=signal.signal,
-                initargs=(signal.SIGINT, signal.SIG_IGN))
+                workers or None,
+                env=dict.fromkeys(THREADS, '1'),
+                initializer=signal.signal,
+                initargs=(signal.SIGINT, signal.SIG_IGN),
+            )
             stack.callback(executor.shutdown)
             stack.callback(_end_workers, others=active_children())
         else:
@@ -175,7 +215,9 @@ def _outcomes(
             executor = client.get_executor(pure=False)
             deaths = (KilledWorker, CancelledError, OSError)
         try:
-            for future in as_completed([executor.submit(_run, *item) for item in todo.items()]):
+            for future in as_completed(
+                [executor.submit(_run, *item) for item in todo.items()]
+            ):
                 yield future.result()
         except deaths:
             raise RunError(WORKER_DIED) from None
@@ -205,13 +247,19 @@ def dask_client(address: str) -> AbstractContextManager[Any]:
         from distributed import Client
         from distributed.comm import get_address_host_port
     except ImportError:
-        raise RunError('a Dask cluster needs `distributed`, which is not installed here: '
-                       'pip install distributed') from None
+        raise RunError(
+            'a Dask cluster needs `distributed`, which is not installed here: '
+            'pip install distributed'
+        ) from None
     try:
         get_address_host_port(address)  # refuses it before there is anything to close
         client: AbstractContextManager[Any] = Client(
-            address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+            address, timeout=CONNECT_TIMEOUT, set_as_default=False
+        )
     except (OSError, ValueError) as error:
-        raise ConfigError('dask', 'the address of a Dask scheduler that answers, e.g. '
-                          'tcp://127.0.0.1:8786', f'{address} ({error})') from None
+        raise ConfigError(
+            'dask',
+            'the address of a Dask scheduler that answers, e.g. tcp://127.0.0.1:8786',
+            f'{address} ({error})',
+        ) from None
     return client

@@ -17,13 +17,17 @@ LAST = 0.5  # s, the end of a run that tells whether it has settled
 SETTLED = 0.1  # of the command: with a larger error at its end a run has not settled
 SHORTEST = 2  # samples that a summary can be made of
 AWAY = 0.05  # m, by which a surface moves away
-MEAN_TIME = 0.012  # s, over which forces of a vanishing surface's neighbour are averaged
+MEAN_TIME = (
+    0.012  # s, over which forces of a vanishing surface's neighbour are averaged
+)
 IN_FULL = ('ticks', 'contacts', 'motion', 'torque', 'unstable_at_s')  # of summary.json
 Metrics = Mapping[str, Any]
 
 
 def measure_run(
-    setup: Setup, supervised: bool, surface_gone: tuple[float, float] | None = None,
+    setup: Setup,
+    supervised: bool,
+    surface_gone: tuple[float, float] | None = None,
 ) -> dict[str, Any]:
     """
     Run a setup in this process and measure it; an exception is its `error`, and ends no study.
@@ -35,18 +39,27 @@ def measure_run(
 
     try:
         result = run_in_process(
-            setup, supervised=supervised, disturb=_disturbance(setup, surface_gone))
+            setup, supervised=supervised, disturb=_disturbance(setup, surface_gone)
+        )
         if result.data.ticks < SHORTEST:
             raise RunError(result.ended_early)
         data, run = result.data, RunMetrics(result.data, setup)
         summary = summarise(
-            data, setup, mode='in_process', timing={}, ended_early=result.ended_early,
-            events=result.events if supervised else None)
+            data,
+            setup,
+            mode='in_process',
+            timing={},
+            ended_early=result.ended_early,
+            events=result.events if supervised else None,
+        )
         return {
             'summary': summary,
             'evidence': evidence_of(data, setup, summary),
-            'final_error_share': _final_error_share(run), 'activity_nm': _activity(run),
-            'neighbour_n': _neighbour_error(run, surface_gone), 'error': None}
+            'final_error_share': _final_error_share(run),
+            'activity_nm': _activity(run),
+            'neighbour_n': _neighbour_error(run, surface_gone),
+            'error': None,
+        }
     except Exception as problem:
         return {'summary': None, 'error': f'{type(problem).__name__}: {problem}'}
 
@@ -78,7 +91,11 @@ def _activity(run: RunMetrics) -> float:
     """Return the rms change of torque per period of the joint with the largest [N m]."""
     window = run.windows.moving if run.windows.moving.any() else run.windows.loaded
     change = np.diff(run.data.torque, axis=0)[window[1:]]
-    return float(np.sqrt((change * change).mean(axis=0)).max()) if len(change) else math.nan
+    return (
+        float(np.sqrt((change * change).mean(axis=0)).max())
+        if len(change)
+        else math.nan
+    )
 
 
 def _neighbour_error(run: RunMetrics, gone: tuple[float, float] | None) -> float | None:
@@ -105,30 +122,49 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
     contacts = summary.get('contacts', {}).values()
     steps = [step for contact in contacts for step in contact['steps']]
     shown = evidence.get('contacts', {}).values()
-    pushes = [push for contact in shown for push in contact['recoveries'] if not push['moving']]
+    pushes = [
+        push
+        for contact in shown
+        for push in contact['recoveries']
+        if not push['moving']
+    ]
     return {
-        'stable': bool(summary.get('stable', False)), 'verdict': summary.get('verdict'),
+        'stable': bool(summary.get('stable', False)),
+        'verdict': summary.get('verdict'),
         'error': metrics['error'] or ended,
         'instabilities': '; '.join(summary.get('instabilities', ())) or None,
         'settled': share is not None and share <= SETTLED and not ended,
         'unstable_after_motion_s': evidence.get('unstable_after_motion_s'),
-        **{f'{window}_{name}': _largest(contact[window][name] for contact in shown)
-           for window, name in (
-               ('rest', 'rms_n'), ('moving', 'rms_n'), ('moving', 'lost'),
-               ('rest', 'variance_n2'), ('moving', 'variance_n2'))},
+        **{
+            f'{window}_{name}': _largest(contact[window][name] for contact in shown)
+            for window, name in (
+                ('rest', 'rms_n'),
+                ('moving', 'rms_n'),
+                ('moving', 'lost'),
+                ('rest', 'variance_n2'),
+                ('moving', 'variance_n2'),
+            )
+        },
         'push_peak_n': _largest(push['peak'] for push in pushes),
         'push_off_s': _latest(push['recovery'] for push in pushes),
         'short_push_s': _latest(
-            push['recovery'] for push in pushes if push['duration'] < LASTING),
+            push['recovery'] for push in pushes if push['duration'] < LASTING
+        ),
         'lasting_push_s': _latest(
-            push['recovery'] for push in pushes if push['duration'] >= LASTING),
+            push['recovery'] for push in pushes if push['duration'] >= LASTING
+        ),
         'rise_s': _latest(step['rise_63_s'] for step in steps),
         'overshoot_percent': _largest(step['overshoot_percent'] for step in steps),
         **{name: metrics.get(name) for name in ('activity_nm', 'neighbour_n')},
-        **{name: value for name, value in dotted({
-            name: summary[name] for name in IN_FULL if name in summary}).items()
-           if not isinstance(value, list)},
-        'trajectory_sha256': summary.get('trajectory_sha256')}
+        **{
+            name: value
+            for name, value in dotted(
+                {name: summary[name] for name in IN_FULL if name in summary}
+            ).items()
+            if not isinstance(value, list)
+        },
+        'trajectory_sha256': summary.get('trajectory_sha256'),
+    }
 
 
 def _largest(values: Iterable[float | None]) -> float | None:

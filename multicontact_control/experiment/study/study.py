@@ -77,12 +77,25 @@ class Study:
 
     def results(self, cells: Sequence[Cell], metrics: Mapping[str, Metrics]) -> Results:
         """Return cells with what was measured in them, by key, as a table."""
-        frame = self.complete(pd.DataFrame([
-            {**cell.factors, **row, 'key': cell.key}
-            for cell in cells for row in self.rows(metrics[cell.key])]))
-        units = {name: unit_of(name, cells[0].job.setup()) for name in cells[0].factors
-                 if is_parameter(name)}
-        frame.attrs = {'factors': list(cells[0].factors), 'units': units, 'version': __version__}
+        frame = self.complete(
+            pd.DataFrame(
+                [
+                    {**cell.factors, **row, 'key': cell.key}
+                    for cell in cells
+                    for row in self.rows(metrics[cell.key])
+                ]
+            )
+        )
+        units = {
+            name: unit_of(name, cells[0].job.setup())
+            for name in cells[0].factors
+            if is_parameter(name)
+        }
+        frame.attrs = {
+            'factors': list(cells[0].factors),
+            'units': units,
+            'version': __version__,
+        }
         return Results(cells, frame, metrics)
 
     def warnings(self, results: Results) -> list[str]:
@@ -90,14 +103,19 @@ class Study:
         frame = results.frame
         failed = frame[frame['error'].notna()]
         names = dict.fromkeys([*self.config.lines, *frame.attrs['factors'], 'seed'])
-        texts = [', '.join(f'{name} {row[name]}' for name in names if row[name] != '')
-                 + f': {row["error"]}' for _, row in failed.head(MOST_WARNINGS).iterrows()]
+        texts = [
+            ', '.join(f'{name} {row[name]}' for name in names if row[name] != '')
+            + f': {row["error"]}'
+            for _, row in failed.head(MOST_WARNINGS).iterrows()
+        ]
         if len(failed) > MOST_WARNINGS:
             texts.append(f'{len(failed) - MOST_WARNINGS} more are in {CSV_FILE}')
         return texts + [
             f'columns: the table has nothing under {column.value}'
             for column in table.table_columns(frame, self.config)
-            if column.value not in frame and table.worst(frame, column.value).isna().all()]
+            if column.value not in frame
+            and table.worst(frame, column.value).isna().all()
+        ]
 
     def write(self, results: Results, folder: Path) -> None:
         """Write study, table and page into the folder."""
@@ -109,17 +127,36 @@ class Study:
         if figure is not None:
             for name in (FIGURE_FILE, PRINTED_FIGURE_FILE):
                 figure.savefig(folder / name, dpi=DPI)
-        page.write_page(folder / PAGE_FILE, f'Study {config.name}', '\n'.join([
-            f'<p>{escape(config.description)}</p>', _listed(self.findings(results)),
-            '' if figure is None else page.image(folder / FIGURE_FILE, config.name),
-            *(f'<h2>{escape(section)}</h2>' + page.table(
-                list(map(escape, lines)), [list(map(escape, line)) for line in lines.to_numpy()],
-                numbers_from=lines.attrs['labels'])
-              for section, lines in table.listing_of(frame, config).items()),
-            f'<p class=note>{escape(config.notes)} Every run is in {CSV_FILE}.</p>',
-            page.folded(counted(len(warnings), 'remarks'), _listed(warnings)) if warnings else '',
-            *(f'<h2>{escape(heading)}</h2>{text}'
-              for heading, text in self.sections(results).items())]))
+        page.write_page(
+            folder / PAGE_FILE,
+            f'Study {config.name}',
+            '\n'.join(
+                [
+                    f'<p>{escape(config.description)}</p>',
+                    _listed(self.findings(results)),
+                    ''
+                    if figure is None
+                    else page.image(folder / FIGURE_FILE, config.name),
+                    *(
+                        f'<h2>{escape(section)}</h2>'
+                        + page.table(
+                            list(map(escape, lines)),
+                            [list(map(escape, line)) for line in lines.to_numpy()],
+                            numbers_from=lines.attrs['labels'],
+                        )
+                        for section, lines in table.listing_of(frame, config).items()
+                    ),
+                    f'<p class=note>{escape(config.notes)} Every run is in {CSV_FILE}.</p>',
+                    page.folded(counted(len(warnings), 'remarks'), _listed(warnings))
+                    if warnings
+                    else '',
+                    *(
+                        f'<h2>{escape(heading)}</h2>{text}'
+                        for heading, text in self.sections(results).items()
+                    ),
+                ]
+            ),
+        )
 
 
 def _listed(texts: Sequence[str]) -> str:
@@ -127,8 +164,14 @@ def _listed(texts: Sequence[str]) -> str:
 
 
 def run_study(
-    study: Study, out: Path | None = None, *, jobs: int = 0, dask: str = '',
-    dry_run: bool = False, overwrite: bool = False, console: Console | None = None,
+    study: Study,
+    out: Path | None = None,
+    *,
+    jobs: int = 0,
+    dask: str = '',
+    dry_run: bool = False,
+    overwrite: bool = False,
+    console: Console | None = None,
 ) -> Results | None:
     """
     Run a study, write its files, and show and return what came out; None of a dry run.
@@ -142,19 +185,30 @@ def run_study(
     with dask_client(dask) as client:
         if not dry_run:
             prepare_folder(folder, overwrite=overwrite)
-        console.print(f'study {name}: {counted(len(keys), "jobs")}, '
-                      f'{len(read_cells(folder, keys))} of them finished before')
+        console.print(
+            f'study {name}: {counted(len(keys), "jobs")}, '
+            f'{len(read_cells(folder, keys))} of them finished before'
+        )
         if dry_run:
             for factor in cells[0].factors:
                 values = dict.fromkeys(str(cell.factors[factor]) for cell in cells)
                 if any(values):
-                    console.print(f'  {factor}: {", ".join(filter(None, values))}', markup=False,
-                                  soft_wrap=True)
+                    console.print(
+                        f'  {factor}: {", ".join(filter(None, values))}',
+                        markup=False,
+                        soft_wrap=True,
+                    )
             return None
 
         def run(some: Sequence[Cell]) -> dict[str, dict[str, Any]]:
-            return run_jobs({cell.key: cell.job for cell in some}, folder, workers=jobs,
-                            client=client, console=console, title=name)
+            return run_jobs(
+                {cell.key: cell.job for cell in some},
+                folder,
+                workers=jobs,
+                client=client,
+                console=console,
+                title=name,
+            )
 
         results = study.results(cells, run(cells))
         if further := study.further(results):

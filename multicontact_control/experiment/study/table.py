@@ -22,8 +22,14 @@ from rich.table import Table
 
 WIDE_RANGE = 20.0  # largest over smallest, from which an axis is logarithmic
 MARKERS = 'osD^vPp'  # one for each of COLOURS
-CROSS: dict[str, Any] = {'linestyle': '', 'marker': 'x', 'markersize': 7, 'clip_on': False,
-                         'markeredgewidth': 2.0, 'zorder': 3}
+CROSS: dict[str, Any] = {
+    'linestyle': '',
+    'marker': 'x',
+    'markersize': 7,
+    'clip_on': False,
+    'markeredgewidth': 2.0,
+    'zorder': 3,
+}
 SPREAD = 0.8  # of the room of a name, over which its series lie beside each other
 ROOM_OF_SERIES = 0.09  # inches
 NAME_WIDTH = 24  # characters of a line
@@ -34,13 +40,18 @@ NOT_FACTORS = ('part', 'plant', 'seed')
 CHOICE = {  # of columns to show
     'rise [s]': 'contacts.*.step_rise_63_s',
     'rest rms [N]': 'contacts.*.rest.true_error_rms_n',
-    'move rms [N]': 'contacts.*.moving.true_error_rms_n'}
+    'move rms [N]': 'contacts.*.moving.true_error_rms_n',
+}
 
 
 def columns_of(frame: pd.DataFrame, value: str) -> pd.DataFrame:
     """Return the columns of numbers that a name stands for, with ``*`` for one part of it."""
     pattern = '[^.*]+'.join(map(re.escape, value.split(EVERY)))
-    return frame.filter(regex=f'^{pattern}$').select_dtypes(['number', 'bool']).astype(float)
+    return (
+        frame.filter(regex=f'^{pattern}$')
+        .select_dtypes(['number', 'bool'])
+        .astype(float)
+    )
 
 
 def worst(frame: pd.DataFrame, value: str) -> pd.Series:
@@ -50,29 +61,52 @@ def worst(frame: pd.DataFrame, value: str) -> pd.Series:
 
 def table_columns(frame: pd.DataFrame, study: StudyConfig) -> list[ColumnConfig]:
     """Return the columns of a study's table, a choice if it has none."""
-    columns = study.columns or [ColumnConfig(name=study.truth), *(
-        ColumnConfig(name=name, value=value, digits=3) for name, value in CHOICE.items()
-        if worst(frame, value).notna().any())]
-    return [column if column.value else column.model_copy(update={
-        'value': column.name, 'name': column.name.rpartition(f'{EVERY}.')[2],
-        'aggregate': 'share' if column.name == study.truth else column.aggregate})
-        for column in columns]
+    columns = study.columns or [
+        ColumnConfig(name=study.truth),
+        *(
+            ColumnConfig(name=name, value=value, digits=3)
+            for name, value in CHOICE.items()
+            if worst(frame, value).notna().any()
+        ),
+    ]
+    return [
+        column
+        if column.value
+        else column.model_copy(
+            update={
+                'value': column.name,
+                'name': column.name.rpartition(f'{EVERY}.')[2],
+                'aggregate': 'share'
+                if column.name == study.truth
+                else column.aggregate,
+            }
+        )
+        for column in columns
+    ]
 
 
 def listing_of(frame: pd.DataFrame, study: StudyConfig) -> Listing:
     """Return the tables of a study: a line for each value of its factors, from all seeds."""
     columns = table_columns(frame, study)
-    lines = [name for name in study.lines or frame.attrs['factors']
-             if name not in (*NOT_FACTORS, *study.sections)
-             and frame[name].astype(str).ne('').any()]
+    lines = [
+        name
+        for name in study.lines or frame.attrs['factors']
+        if name not in (*NOT_FACTORS, *study.sections)
+        and frame[name].astype(str).ne('').any()
+    ]
     heads = [_head(frame, study, name) for name in lines]
     by = [name for name in study.sections if frame[name].nunique() > 1]
     listing = {}
     for title, section in _groups(frame, by):
-        shown = pd.DataFrame([
-            {**dict(zip(heads, map(show, label))),
-             **{column.name: _cell(column, group, study) for column in columns}}
-            for label, group in _groups(section, lines)])
+        shown = pd.DataFrame(
+            [
+                {
+                    **dict(zip(heads, map(show, label))),
+                    **{column.name: _cell(column, group, study) for column in columns},
+                }
+                for label, group in _groups(section, lines)
+            ]
+        )
         shown.attrs = {'labels': len(lines)}  # columns at the left that are no numbers
         listing[', '.join(filter(None, map(str, title)))] = shown
     return listing
@@ -87,23 +121,36 @@ def _head(frame: pd.DataFrame, study: StudyConfig, factor: str) -> str:
 
 def sentences(frame: pd.DataFrame, study: StudyConfig) -> list[str]:
     """Return in how many runs each estimator or law is good, and with which values in all."""
-    varied = [name for name in frame.attrs['factors']
-              if name not in NOT_FACTORS and frame[name].nunique() > 1]
-    subject = [name for name in varied if not pd.api.types.is_numeric_dtype(frame[name])][:1]
+    varied = [
+        name
+        for name in frame.attrs['factors']
+        if name not in NOT_FACTORS and frame[name].nunique() > 1
+    ]
+    subject = [
+        name for name in varied if not pd.api.types.is_numeric_dtype(frame[name])
+    ][:1]
     alike: dict[str, list[str]] = {}
     for (plant, *who), runs in _groups(frame, ['plant', *subject]):
         good = runs[study.truth]
         where = '; '.join(
-            f'{head} = {values} {unit}'.rstrip() for name in varied if name not in subject
+            f'{head} = {values} {unit}'.rstrip()
+            for name in varied
+            if name not in subject
             and runs[name].nunique() > 1
             and (values := good_values(runs, name, study.truth)) != 'none'
-            for head, _, unit in [_head(frame, study, name).rstrip(']').partition(' [')])
+            for head, _, unit in [_head(frame, study, name).rstrip(']').partition(' [')]
+        )
         count = 'all runs' if good.all() else f'{int(good.sum())} of {len(runs)} runs'
         also = '' if good.all() else 'in every run '
-        alike.setdefault(f'{study.truth} on {plant} in {count}' + (
-            f', {also}with {where}' if where else ''), []).extend(who or ['The arm'])
-    return [f'{", ".join(map(str, names))} {"are" if len(names) > 1 else "is"} {text}.'
-            for text, names in alike.items()]
+        alike.setdefault(
+            f'{study.truth} on {plant} in {count}'
+            + (f', {also}with {where}' if where else ''),
+            [],
+        ).extend(who or ['The arm'])
+    return [
+        f'{", ".join(map(str, names))} {"are" if len(names) > 1 else "is"} {text}.'
+        for text, names in alike.items()
+    ]
 
 
 def good_values(frame: pd.DataFrame, factor: str, truth: str) -> str:
@@ -116,7 +163,9 @@ def good_values(frame: pd.DataFrame, factor: str, truth: str) -> str:
     return ', '.join(values) or 'none'
 
 
-def _groups(frame: pd.DataFrame, by: Sequence[str]) -> Iterable[tuple[Any, pd.DataFrame]]:
+def _groups(
+    frame: pd.DataFrame, by: Sequence[str]
+) -> Iterable[tuple[Any, pd.DataFrame]]:
     """Return the rows of each combination of values, in the order in which they come first."""
     return frame.groupby(list(by) or (lambda _: ''), sort=False, dropna=False)
 
@@ -149,12 +198,20 @@ def _cell(column: ColumnConfig, group: pd.DataFrame, study: StudyConfig) -> str:
         return good_values(cells, column.value, study.truth) if chosen else '-'
     if column.aggregate in ('share', 'set'):
         values = cells.get(column.value, pd.Series(dtype=float)).dropna()
-        return f'{int(values.sum())}/{len(values)}' if column.aggregate == 'share' else (
-            ', '.join(sorted(set(map(str, values)))) or '-')
+        return (
+            f'{int(values.sum())}/{len(values)}'
+            if column.aggregate == 'share'
+            else (', '.join(sorted(set(map(str, values)))) or '-')
+        )
     numbers = columns_of(cells, column.value)
     if column.each:
-        return ' / '.join(_number(numbers[name], column)
-                          for name in numbers.dropna(axis=1, how='all')) or '-'
+        return (
+            ' / '.join(
+                _number(numbers[name], column)
+                for name in numbers.dropna(axis=1, how='all')
+            )
+            or '-'
+        )
     return _number(numbers.max(axis=1), column)
 
 
@@ -183,12 +240,15 @@ class Series(NamedTuple):
 
 def _columns_that_fit(frame: pd.DataFrame, width: int) -> list[list[str]]:
     """Return the columns beside the labels, as many together as fit into a width."""
-    labels = list(frame)[:frame.attrs['labels']]
-    room = {name: 2 + max(*map(len, _head_lines(name)), *frame[name].map(len)) for name in frame}
+    labels = list(frame)[: frame.attrs['labels']]
+    room = {
+        name: 2 + max(*map(len, _head_lines(name)), *frame[name].map(len))
+        for name in frame
+    }
     of_labels = sum(room[name] for name in labels)
     parts: list[list[str]] = []
     used = width
-    for name in list(frame)[len(labels):]:
+    for name in list(frame)[len(labels) :]:
         if used + room[name] >= width:
             parts.append([])
             used = of_labels
@@ -199,13 +259,21 @@ def _columns_that_fit(frame: pd.DataFrame, width: int) -> list[list[str]]:
 
 def _terminal_table(title: str, frame: pd.DataFrame, columns: Sequence[str]) -> Table:
     """Return the labels of a listing's lines, and some of its columns; long texts are wrapped."""
-    labels = list(frame)[:frame.attrs['labels']]
+    labels = list(frame)[: frame.attrs['labels']]
     shown = frame[[*labels, *columns]]
-    text = Table(title=escape(title), title_justify='left', box=SIMPLE_HEAD,
-                 padding=(0, 1, 0, 0), pad_edge=False)
+    text = Table(
+        title=escape(title),
+        title_justify='left',
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
     for name in shown:
-        text.add_column(escape('\n'.join(_head_lines(name))), overflow='fold',
-                        justify='left' if name in labels else 'right')
+        text.add_column(
+            escape('\n'.join(_head_lines(name))),
+            overflow='fold',
+            justify='left' if name in labels else 'right',
+        )
     for line in shown.itertuples(index=False):
         text.add_row(*map(escape, line))
     return text
@@ -225,15 +293,20 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
     factor are lines, its numbers an axis. None without a factor or a value to draw.
     """
     names = [name for name in frame.attrs['factors'] if name not in NOT_FACTORS]
-    columns = [column for column in table_columns(frame, study)
-               if column.aggregate in ('median', 'share')
-               and worst(frame, column.value).nunique() > 1][:MOST_SHOWN]
+    columns = [
+        column
+        for column in table_columns(frame, study)
+        if column.aggregate in ('median', 'share')
+        and worst(frame, column.value).nunique() > 1
+    ][:MOST_SHOWN]
     if not (study.figure and names and columns):
         return None
     lines = ['part'] if frame['part'].nunique() > 1 else []
     lines += names[1:2] or ['part'] * (not lines)
     series = series_of(frame, study, lines)
-    draw = _draw_numbers if pd.api.types.is_numeric_dtype(frame[names[0]]) else _draw_names
+    draw = (
+        _draw_numbers if pd.api.types.is_numeric_dtype(frame[names[0]]) else _draw_names
+    )
     figure = draw(frame, study, names[0], columns, series)
     shown: dict[str, Any] = {}
     for axes in figure.axes:
@@ -242,12 +315,20 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
     if not frame.groupby([names[0], 'plant', *lines])[study.truth].any().all():
         shown[f'no {study.truth} run'] = Line2D([], [], color='#222222', **CROSS)
     if len(shown) > 1:
-        figure.legend(shown.values(), shown, loc='outside lower center', fontsize=9,
-                      ncols=min(len(shown), LEGEND_COLUMNS), frameon=False)
+        figure.legend(
+            shown.values(),
+            shown,
+            loc='outside lower center',
+            fontsize=9,
+            ncols=min(len(shown), LEGEND_COLUMNS),
+            frameon=False,
+        )
     return figure
 
 
-def series_of(frame: pd.DataFrame, study: StudyConfig, lines: Sequence[str]) -> list[Series]:
+def series_of(
+    frame: pd.DataFrame, study: StudyConfig, lines: Sequence[str]
+) -> list[Series]:
     """Return the runs by part and value of the second factor, each with its name and look."""
     series = []
     for number, (values, runs) in enumerate(_groups(frame, lines)):
@@ -256,30 +337,52 @@ def series_of(frame: pd.DataFrame, study: StudyConfig, lines: Sequence[str]) -> 
             head, _, unit = _head(frame, study, name).rstrip(']').partition(' [')
             text = show(value)
             words.append(text if name == 'part' else f'{head} = {text} {unit}'.strip())
-        series.append(Series(', '.join(words), runs, {
-            'color': COLOURS[number % len(COLOURS)], 'marker': MARKERS[number % len(MARKERS)],
-            'markersize': 5}))
+        series.append(
+            Series(
+                ', '.join(words),
+                runs,
+                {
+                    'color': COLOURS[number % len(COLOURS)],
+                    'marker': MARKERS[number % len(MARKERS)],
+                    'markersize': 5,
+                },
+            )
+        )
     return series
 
 
 def _draw_numbers(
-    frame: pd.DataFrame, study: StudyConfig, factor: str, columns: Sequence[ColumnConfig],
+    frame: pd.DataFrame,
+    study: StudyConfig,
+    factor: str,
+    columns: Sequence[ColumnConfig],
     series: Sequence[Series],
 ) -> Figure:
     """Draw curves over a factor: a column of panels for each plant, a row for each value."""
     plants = list(frame['plant'].unique())
-    figure = Figure(figsize=(4.6 * len(plants) + 1.0, 2.2 * len(columns) + 1.5),
-                    layout='constrained')
-    grid = figure.subplots(len(columns), len(plants), sharex='col', sharey='row', squeeze=False)
+    figure = Figure(
+        figsize=(4.6 * len(plants) + 1.0, 2.2 * len(columns) + 1.5),
+        layout='constrained',
+    )
+    grid = figure.subplots(
+        len(columns), len(plants), sharex='col', sharey='row', squeeze=False
+    )
     for axes, (column, plant) in zip(grid.flat, product(columns, plants)):
         for each in series:
             runs = each.runs[each.runs['plant'] == plant]
             values, good = _points(runs, factor, column, study)
             values = values.sort_index()
-            axes.plot(values.index, values, '-', alpha=0.8, label=each.label, **each.style)
+            axes.plot(
+                values.index, values, '-', alpha=0.8, label=each.label, **each.style
+            )
             for value in _not_drawn(good, column):
-                axes.plot(value, 0.0, transform=axes.get_xaxis_transform(),
-                          color=each.style['color'], **CROSS)
+                axes.plot(
+                    value,
+                    0.0,
+                    transform=axes.get_xaxis_transform(),
+                    color=each.style['color'],
+                    **CROSS,
+                )
         known = np.sort(frame.loc[frame['plant'] == plant, factor].unique())
         if known[0] > 0.0 and known[-1] / known[0] >= WIDE_RANGE:
             axes.set_xscale('log')
@@ -295,30 +398,60 @@ def _draw_numbers(
 
 
 def _draw_names(
-    frame: pd.DataFrame, study: StudyConfig, factor: str, columns: Sequence[ColumnConfig],
+    frame: pd.DataFrame,
+    study: StudyConfig,
+    factor: str,
+    columns: Sequence[ColumnConfig],
     series: Sequence[Series],
 ) -> Figure:
     """Draw points beside the names of a factor: a row of panels for each plant."""
-    names = {plant: list(runs[factor].unique()) for plant, runs in frame.groupby(
-        'plant', sort=False)}
+    names = {
+        plant: list(runs[factor].unique())
+        for plant, runs in frame.groupby('plant', sort=False)
+    }
     room = 0.25 + ROOM_OF_SERIES * len(series)  # inches, of a name
     heights = [room * len(known) + 0.3 for known in names.values()]
-    figure = Figure(figsize=(2.4 * len(columns) + 2.0, sum(heights) + 1.3), layout='constrained')
-    grid = figure.subplots(len(names), len(columns), sharex='col', sharey='row', squeeze=False,
-                           height_ratios=heights)
-    for axes, ((plant, known), column) in zip(grid.flat, product(names.items(), columns)):
-        here = [each._replace(runs=each.runs[each.runs['plant'] == plant]) for each in series]
+    figure = Figure(
+        figsize=(2.4 * len(columns) + 2.0, sum(heights) + 1.3), layout='constrained'
+    )
+    grid = figure.subplots(
+        len(names),
+        len(columns),
+        sharex='col',
+        sharey='row',
+        squeeze=False,
+        height_ratios=heights,
+    )
+    for axes, ((plant, known), column) in zip(
+        grid.flat, product(names.items(), columns)
+    ):
+        here = [
+            each._replace(runs=each.runs[each.runs['plant'] == plant])
+            for each in series
+        ]
         places = _places(here, factor, known)
         for each in here:
             values, good = _points(each.runs, factor, column, study)
-            axes.plot(values, [places[name, each.label] for name in values.index], linestyle='',
-                      label=each.label, **each.style)
+            axes.plot(
+                values,
+                [places[name, each.label] for name in values.index],
+                linestyle='',
+                label=each.label,
+                **each.style,
+            )
             for name in _not_drawn(good, column):
-                axes.plot(0.0, places[name, each.label], transform=axes.get_yaxis_transform(),
-                          color=each.style['color'], **CROSS)
+                axes.plot(
+                    0.0,
+                    places[name, each.label],
+                    transform=axes.get_yaxis_transform(),
+                    color=each.style['color'],
+                    **CROSS,
+                )
         for place in range(0, len(known), 2):
             axes.axhspan(place - 0.5, place + 0.5, color='#f4f5f7', zorder=0)
-        axes.set_yticks(range(len(known)), [fill(str(name), NAME_WIDTH) for name in known])
+        axes.set_yticks(
+            range(len(known)), [fill(str(name), NAME_WIDTH) for name in known]
+        )
         axes.set_ylim(len(known) - 0.5, -0.5)
         axes.set_xlabel(_title(column), fontsize=9)
         axes.tick_params(labelsize=9)
@@ -330,7 +463,9 @@ def _draw_names(
 
 
 def _places(
-    series: Sequence[Series], factor: str, names: Sequence[Any],
+    series: Sequence[Series],
+    factor: str,
+    names: Sequence[Any],
 ) -> dict[tuple[Any, str], float]:
     """Return where each series of each name lies: beside each other, around the name's place."""
     places = {}
@@ -352,7 +487,10 @@ def _title(column: ColumnConfig) -> str:
 
 
 def _points(
-    runs: pd.DataFrame, factor: str, column: ColumnConfig, study: StudyConfig,
+    runs: pd.DataFrame,
+    factor: str,
+    column: ColumnConfig,
+    study: StudyConfig,
 ) -> tuple[pd.Series, pd.Series]:
     """Return what is drawn of runs by the value of a factor, and whether any of them is good."""
     drawn, statistic = worst(runs, column.value), 'mean'

@@ -17,11 +17,22 @@ from multicontact_control.force.noise.window import (
 )
 
 __all__ = [
-    'ESTIMATORS', 'Innovation', 'NoiseEstimator', 'lead_filter', 'make_noise_estimator']
+    'ESTIMATORS',
+    'Innovation',
+    'NoiseEstimator',
+    'lead_filter',
+    'make_noise_estimator',
+]
 
 ESTIMATORS: Mapping[str, type[NoiseEstimator]] = {
-    'lead_window': LeadWindow, 'hf_window': HfWindow, 'window': Window, 'fixed': Fixed,
-    'innovation': InnovationWindow, 'sage_husa': SageHusa, 'variational_bayes': VariationalBayes}
+    'lead_window': LeadWindow,
+    'hf_window': HfWindow,
+    'window': Window,
+    'fixed': Fixed,
+    'innovation': InnovationWindow,
+    'sage_husa': SageHusa,
+    'variational_bayes': VariationalBayes,
+}
 
 
 def make_noise_estimator(config: NoiseEstimatorConfig) -> NoiseEstimator:

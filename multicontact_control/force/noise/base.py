@@ -22,7 +22,9 @@ class Innovation:
     """
 
     innovation: Vector  # r = alpha - C x_1, shape (r,) [N]
-    prior_variance: Vector  # C P_1 C^T, what the prediction accounts for, shape (r,) [N^2]
+    prior_variance: (
+        Vector  # C P_1 C^T, what the prediction accounts for, shape (r,) [N^2]
+    )
     variance_used: Vector  # R the observer worked with, shape (r,) [N^2]
 
     @property
@@ -65,8 +67,11 @@ class NoiseEstimator(ABC):
         self._contacts = len(config.contact_names)
         self.bounded = np.zeros(self._contacts, dtype=int)
         self._alpha: Vector = np.zeros(self._contacts)
-        self._largest_step = math.exp(1.0 / (config.rate * config.slew_time)) if (
-            config.slew_time > 0.0) else math.inf
+        self._largest_step = (
+            math.exp(1.0 / (config.rate * config.slew_time))
+            if (config.slew_time > 0.0)
+            else math.inf
+        )
         self.reset()
 
     def reset(self) -> None:
@@ -101,13 +106,16 @@ class NoiseEstimator(ABC):
 
         """
         require_shape('alpha', alpha, self._alpha.shape)
-        self._alpha[:] = alpha  # whatever its layout: numba would compile anew for another one
+        self._alpha[:] = (
+            alpha  # whatever its layout: numba would compile anew for another one
+        )
         if not self._take(innovation):
             self.dropped += 1
         bounded: Vector = np.clip(self._variance, self._smallest, self._largest)
         self.bounded += bounded != self._variance
         self._given = np.clip(
-            bounded, self._given / self._largest_step, self._given * self._largest_step)
+            bounded, self._given / self._largest_step, self._given * self._largest_step
+        )
         return self._given.copy()
 
     @abstractmethod

@@ -17,8 +17,12 @@ def corrected_square(innovation: Innovation, variance: Vector) -> Vector:
 
     e = r R / (C P_1 C^T + R), and C P C^T = C P_1 C^T R / (C P_1 C^T + R); 0 for R = 0.
     """
-    share = variance / np.where(variance > 0.0, innovation.prior_variance + variance, 1.0)
-    square: Vector = (innovation.innovation * share) ** 2 + innovation.prior_variance * share
+    share = variance / np.where(
+        variance > 0.0, innovation.prior_variance + variance, 1.0
+    )
+    square: Vector = (
+        innovation.innovation * share
+    ) ** 2 + innovation.prior_variance * share
     return square
 
 
@@ -32,11 +36,19 @@ class InnovationEstimator(NoiseEstimator):
             return False
         if innovation is None:
             return True
-        if not all(usable(values) for values in (
-                innovation.innovation, innovation.prior_variance, innovation.variance_used)):
+        if not all(
+            usable(values)
+            for values in (
+                innovation.innovation,
+                innovation.prior_variance,
+                innovation.variance_used,
+            )
+        ):
             return False
         estimate, known = self._estimate_from(innovation)
-        self._variance[:] = np.where(known, self.config.variance_scale * estimate, self._variance)
+        self._variance[:] = np.where(
+            known, self.config.variance_scale * estimate, self._variance
+        )
         return True
 
     @property
@@ -62,7 +74,7 @@ class InnovationWindow(InnovationEstimator):
 
     def _estimate_from(self, innovation: Innovation) -> tuple[Vector, Mask]:
         length, valid = len(self._samples), innovation.valid
-        terms = innovation.innovation ** 2 - innovation.prior_variance
+        terms = innovation.innovation**2 - innovation.prior_variance
         contacts = np.flatnonzero(valid)
         self._samples[self._counts[contacts] % length, contacts] = terms[contacts]
         self._counts[contacts] += 1
@@ -89,8 +101,10 @@ class SageHusa(InnovationEstimator):
         weight = (1.0 - b) / (1.0 - b ** np.maximum(self._count, 1.0))
         term = corrected_square(innovation, innovation.variance_used)
         # Without the bound one wild sample would be remembered for thousands of ticks.
-        mean = np.minimum((1.0 - weight) * self._mean + weight * term,
-                          self._largest / self.config.variance_scale)
+        mean = np.minimum(
+            (1.0 - weight) * self._mean + weight * term,
+            self._largest / self.config.variance_scale,
+        )
         self._mean = np.where(valid, mean, self._mean)
         return self._mean, valid
 
@@ -119,8 +133,7 @@ class VariationalBayes(InnovationEstimator):
         for _ in range(BAYES_ITERATIONS):
             scale = prior + 0.5 * corrected_square(innovation, scale / shape)
         # Without the bound one wild sample would be remembered for thousands of ticks.
-        scale = np.minimum(
-            scale, shape * self._largest / self.config.variance_scale)
+        scale = np.minimum(scale, shape * self._largest / self.config.variance_scale)
         self._shape = shape
         self._scale = np.where(valid, scale, self._scale)
         return self._scale / self._shape, valid

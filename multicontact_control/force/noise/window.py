@@ -8,7 +8,11 @@ from typing import Literal, Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.force.noise.base import Innovation, MAX_MAGNITUDE, NoiseEstimator
+from multicontact_control.force.noise.base import (
+    Innovation,
+    MAX_MAGNITUDE,
+    NoiseEstimator,
+)
 from multicontact_control.records import (
     Record,
     record_dtype,
@@ -17,6 +21,7 @@ from multicontact_control.records import (
 import numpy as np
 
 Normalisation = Literal['dc', 'hf']
+
 
 class NoiseWindow(Record, Protocol):
     """What is set for an estimator over a window (P04 eqs 42-44); one."""
@@ -54,7 +59,10 @@ class LeadFilter:
 
 
 def lead_filter(
-    zero_frequency: float, pole_frequency: float, rate: float, normalisation: Normalisation = 'dc',
+    zero_frequency: float,
+    pole_frequency: float,
+    rate: float,
+    normalisation: Normalisation = 'dc',
 ) -> LeadFilter:
     """
     Design G_f (P04 eq. 42).
@@ -66,13 +74,20 @@ def lead_filter(
     """
     zero = math.exp(-2.0 * math.pi * zero_frequency / rate)
     pole = math.exp(-2.0 * math.pi * pole_frequency / rate)
-    gain = (1.0 - pole) / (1.0 - zero) if normalisation == 'dc' else (1.0 + pole) / (1.0 + zero)
+    gain = (
+        (1.0 - pole) / (1.0 - zero)
+        if normalisation == 'dc'
+        else (1.0 + pole) / (1.0 + zero)
+    )
     return LeadFilter(pole=pole, zero=zero, gain=gain)
 
 
 @compiled
 def take_into_window(
-    alpha: Vector, windows: Records[NoiseWindow], states: Records[FilterState], samples: Matrix,
+    alpha: Vector,
+    windows: Records[NoiseWindow],
+    states: Records[FilterState],
+    samples: Matrix,
     variance: Vector,
 ) -> bool:
     """
@@ -91,11 +106,14 @@ def take_into_window(
     if window.count == 0:
         for i in range(contacts):
             states[i].alpha = alpha[i]
-            states[i].filtered = window.gain * (1.0 - window.zero) / (1.0 - window.pole) * alpha[i]
+            states[i].filtered = (
+                window.gain * (1.0 - window.zero) / (1.0 - window.pole) * alpha[i]
+            )
     for i in range(contacts):
         state = states[i]
         state.filtered = window.pole * state.filtered + window.gain * (
-            alpha[i] - window.zero * state.alpha)
+            alpha[i] - window.zero * state.alpha
+        )
         state.alpha = alpha[i]
         samples[window.count % length, i] = state.filtered
     window.count += 1
@@ -124,15 +142,22 @@ class Window(NoiseEstimator):
         self._states = np.zeros(self._contacts, dtype=FILTER_STATE)
         self._samples: Matrix = np.zeros((config.window, self._contacts))
         take_into_window(  # so that no sample waits for it to be compiled
-            self._alpha, self._window.copy(), self._states.copy(), self._samples.copy(),
-            self._variance.copy())
+            self._alpha,
+            self._window.copy(),
+            self._states.copy(),
+            self._samples.copy(),
+            self._variance.copy(),
+        )
 
     def _design(self) -> LeadFilter:
         return LeadFilter(pole=0.0, zero=0.0, gain=1.0)  # what comes in goes out
 
     def _take(self, innovation: Innovation | None) -> bool:
-        return bool(take_into_window(
-            self._alpha, self._window, self._states, self._samples, self._variance))
+        return bool(
+            take_into_window(
+                self._alpha, self._window, self._states, self._samples, self._variance
+            )
+        )
 
 
 class LeadWindow(Window):
@@ -142,8 +167,11 @@ class LeadWindow(Window):
 
     def _design(self) -> LeadFilter:
         return lead_filter(
-            self.config.zero_frequency, self.config.pole_frequency, self.config.rate,
-            self.normalisation)
+            self.config.zero_frequency,
+            self.config.pole_frequency,
+            self.config.rate,
+            self.normalisation,
+        )
 
 
 class HfWindow(LeadWindow):

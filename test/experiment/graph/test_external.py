@@ -31,19 +31,37 @@ CLI = ('-m', 'multicontact_control.cli')
 EXTERNAL = ('run', '--external', '--controller', 'controller.yaml', '--out', 'run')
 QUICK = ['--move-time', '0.5', '--tilt', '15']  # what a test has time for
 # A simulator may be slow, and has no hand that pushes.
-NODE = {'patience': 0.0, 'push_test': {'timeout': 1.0}, 'sensor': {'require_push_test': False}}
+NODE = {
+    'patience': 0.0,
+    'push_test': {'timeout': 1.0},
+    'sensor': {'require_push_test': False},
+}
 
 
 @pytest.fixture
 def start(tmp_path, domain_id):
     """Return what starts Python in one folder and ROS domain, as in a user's terminals."""
-    running, environment = [], {
-        **os.environ, 'PYTHONPATH': str(ROOT), 'ROS_DOMAIN_ID': str(domain_id), 'COLUMNS': '200'}
+    running, environment = (
+        [],
+        {
+            **os.environ,
+            'PYTHONPATH': str(ROOT),
+            'ROS_DOMAIN_ID': str(domain_id),
+            'COLUMNS': '200',
+        },
+    )
 
     def start(*command):
         log = tmp_path / f'{len(running)}.log'
-        running.append(start_python(*command, cwd=tmp_path, env=environment,
-                                    stdout=log.open('w'), stderr=subprocess.STDOUT))
+        running.append(
+            start_python(
+                *command,
+                cwd=tmp_path,
+                env=environment,
+                stdout=log.open('w'),
+                stderr=subprocess.STDOUT,
+            )
+        )
         running[-1].text = log.read_text
         return running[-1]
 
@@ -54,7 +72,11 @@ def start(tmp_path, domain_id):
 
 
 def wait_for_line(process, words):
-    wait_for(lambda: words in process.text() or process.poll() is not None, words, process.text)
+    wait_for(
+        lambda: words in process.text() or process.poll() is not None,
+        words,
+        process.text,
+    )
     assert words in process.text()
 
 
@@ -75,14 +97,22 @@ def write_robot(folder, **changes):
 @pytest.mark.nightly
 def test_documented_way_leads_from_a_urdf_to_ten_newtons(start, tmp_path):
     page = ROOT / 'docs/your_robot.md'
-    (_, program), = blocks(page, 'python')
+    ((_, program),) = blocks(page, 'python')
     program = re.sub(r'timeout=[\d.]+', f'timeout={PATIENCE}', program)
     listed = [words[1:] for _, words in commands(page) if words[0] == 'multicontact']
     # Of what `new-robot` writes, the tool is another one than the simulated.
     write_robot(tmp_path, tool={'mass': 0.2, 'com_sensor': [0.0, 0.0, 0.0]})
-    given = [command for command in listed if command[0] not in ('new-robot', 'simulate')]
+    given = [
+        command for command in listed if command[0] not in ('new-robot', 'simulate')
+    ]
     assert [command[0] for command in given] == [
-        'run', 'calibrate', 'run', 'push-test', 'report', 'identify']
+        'run',
+        'calibrate',
+        'run',
+        'push-test',
+        'report',
+        'identify',
+    ]
     first, calibrate, second, push, report, identify = given
 
     running = start(*CLI, *first)
@@ -90,35 +120,47 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(start, tmp_path):
     arm = start(*ARM)
     wait_for_line(running, 'found /joint_states from ')
     end(start(*CLI, *calibrate, *QUICK))
-    tool = yaml.safe_load((tmp_path / 'tool.yaml').read_text())['/**']['ros__parameters']['tool']
+    tool = yaml.safe_load((tmp_path / 'tool.yaml').read_text())['/**'][
+        'ros__parameters'
+    ]['tool']
     assert tool['mass'] == pytest.approx(0.501, abs=0.02)
     np.testing.assert_allclose(tool['com_sensor'], [0.0, 0.0, 0.08], atol=3e-3)
     np.testing.assert_allclose(tool['bias_sensor'], np.zeros(6), atol=0.1)
     # With no push no force is obeyed afterwards: not in the second run, as documented.
     text = end(start(*CLI, *push), code=1)
     assert text.splitlines()[-1].startswith('push test failed'), text
-    weighed, = (tmp_path / 'runs').iterdir()  # it is the latest with its recording
+    (weighed,) = (tmp_path / 'runs').iterdir()  # it is the latest with its recording
     running.send_signal(signal.SIGINT)
     wait_for(lambda: not node_processes(weighed), 'the end of the first nodes')
     judged = running  # of which there is no need to wait for the figures
     running = start(*CLI, *second)
     wait_for_line(running, 'found /joint_states from ')
     text = end(start('-c', program))
-    assert float(re.search(r"'table': ([\d.]+)", text)[1]) == pytest.approx(10.0, abs=1.0), text
+    assert float(re.search(r"'table': ([\d.]+)", text)[1]) == pytest.approx(
+        10.0, abs=1.0
+    ), text
     text = end(running, signal.SIGINT)
     assert arm.poll() is None
     arm.kill()
     run = tmp_path / 'runs/latest'
     summary = json.loads((run / 'summary.json').read_text())
-    assert 'not judged: no ground truth; by the measured forces no limit was passed' in text
+    assert (
+        'not judged: no ground truth; by the measured forces no limit was passed'
+        in text
+    )
     assert (summary['without_truth'], summary['mode'], summary['stable']) == (
-        ['table'], 'external', None)
+        ['table'],
+        'external',
+        None,
+    )
     data = load(run).data
     assert np.nanmax(data.alpha_meas) > 9.0 and np.nanmax(data.command) == 10.0
     recorded = read_graph(run / 'bag').by_topic
     # The safe behaviour, after the controller was deactivated.
-    assert recorded['joint_effort_command'].stamps[-1] > (
-        recorded['contact_forces/measured'].stamps[-1])
+    assert (
+        recorded['joint_effort_command'].stamps[-1]
+        > (recorded['contact_forces/measured'].stamps[-1])
+    )
     end(start(*CLI, *report))
     assert 'no ground truth' in (run / 'report.html').read_text(encoding='utf-8')
     assert 'table: ' in end(start(*CLI, *identify))
@@ -126,13 +168,21 @@ def test_documented_way_leads_from_a_urdf_to_ten_newtons(start, tmp_path):
 
 
 def test_ur_presses_as_documented_and_is_left_with_the_safe_behaviour_by_a_kill(
-        start, domain_id, tmp_path):
+    start, domain_id, tmp_path
+):
     """Its driver takes bare efforts without gravity, tells currents and the opposite wrench."""
-    block, = re.findall(r'```yaml\n(.*?)```', (ROOT / 'docs/ur.md').read_text('utf-8'), re.S)
-    write_robot(tmp_path, **yaml.safe_load(block)['/**']['ros__parameters'],
-                safe_behaviour='zero_torque')
+    (block,) = re.findall(
+        r'```yaml\n(.*?)```', (ROOT / 'docs/ur.md').read_text('utf-8'), re.S
+    )
+    write_robot(
+        tmp_path,
+        **yaml.safe_load(block)['/**']['ros__parameters'],
+        safe_behaviour='zero_torque',
+    )
     start(ROOT / 'test/ur_driver.py', *ARM[1:])
-    start(ROOT / 'docs/ur_wrench.py', '/force_torque_sensor_broadcaster/wrench', 'ft_face')
+    start(
+        ROOT / 'docs/ur_wrench.py', '/force_torque_sensor_broadcaster/wrench', 'ft_face'
+    )
     running = start(*CLI, *EXTERNAL)
     with MultiContactClient(domain_id=domain_id, timeout=PATIENCE) as arm:
         arm.set_forces({'table': 10.0})
@@ -141,7 +191,8 @@ def test_ur_presses_as_documented_and_is_left_with_the_safe_behaviour_by_a_kill(
         running.kill()
         wait_for(lambda: not node_processes(tmp_path / 'run'), 'their end')
     assert 'commanding zero torque' in (
-        tmp_path / f'run/logs/{topics.CONTROLLER}.log').read_text(encoding='utf-8')
+        tmp_path / f'run/logs/{topics.CONTROLLER}.log'
+    ).read_text(encoding='utf-8')
 
 
 def test_robot_that_is_gone_ends_the_run_and_is_named(start, domain_id, tmp_path):

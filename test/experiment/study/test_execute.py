@@ -20,14 +20,22 @@ def job_of(**arguments):
     return RunJob({'scenario': 'quick', 'plant': 'rigid', 'seed': 0, **arguments})
 
 
-def test_key_changes_with_all_that_changes_the_outcome_and_with_nothing_else(monkeypatch):
+def test_key_changes_with_all_that_changes_the_outcome_and_with_nothing_else(
+    monkeypatch,
+):
     variants = [
-        job_of(), job_of(seed=1), job_of(plant='puma'), job_of(scenario='disturbance'),
-        job_of(duration=5.0), job_of(preset='paper'),
+        job_of(),
+        job_of(seed=1),
+        job_of(plant='puma'),
+        job_of(scenario='disturbance'),
+        job_of(duration=5.0),
+        job_of(preset='paper'),
         job_of(noise_estimator={'estimator': 'fixed'}),
         job_of(plant_overrides={'actuator_delay_ticks': 2}),
         job_of(scenario_overrides={'reference': {'approach': {'speed': 0.03}}}),
-        replace(job_of(), supervised=True), replace(job_of(), surface_gone=(5.0, 6.0))]
+        replace(job_of(), supervised=True),
+        replace(job_of(), surface_gone=(5.0, 6.0)),
+    ]
     keys = [job.key() for job in variants]
     assert len(set(keys)) == len(variants)
     assert keys[0] == pickle.loads(pickle.dumps(variants[0])).key()
@@ -58,9 +66,14 @@ def test_processes_and_cluster_give_the_results_of_this_process(tmp_path):
         prepare_folder(folder, overwrite=False)
     fault = FaultJob('quick', 'rigid', 'approach', 0, (((('nan', 'wrench'),), 1),))
     jobs = by_key([job_of(scenario='step', duration=1.6), fault])
-    here, there = (run_jobs(jobs, folder, workers=i + 1)
-                   for i, folder in enumerate(folders[:2]))
+    here, there = (
+        run_jobs(jobs, folder, workers=i + 1) for i, folder in enumerate(folders[:2])
+    )
     assert here == there
-    with distributed.LocalCluster(2, threads_per_worker=2, dashboard_address=None) as cluster, \
-            jobs_module.dask_client(cluster.scheduler_address) as client:
+    with (
+        distributed.LocalCluster(
+            2, threads_per_worker=2, dashboard_address=None
+        ) as cluster,
+        jobs_module.dask_client(cluster.scheduler_address) as client,
+    ):
         assert run_jobs(jobs, folders[2], client=client) == here

@@ -33,34 +33,60 @@ def study(name, law='', **choices):
 
 def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter():
     names = described('studies')
-    assert {'compare', 'laws', 'map', 'robots', 'tune', 'faults', 'delay', 'stiffness',
-            'situations'} <= {*names}
+    assert {
+        'compare',
+        'laws',
+        'map',
+        'robots',
+        'tune',
+        'faults',
+        'delay',
+        'stiffness',
+        'situations',
+    } <= {*names}
     for name in names:
         assert read_study(name).name == name
-    for name, count in {'compare': 18, 'laws': 45, 'map': 64, 'delay': 14, 'faults': 12}.items():
+    for name, count in {
+        'compare': 18,
+        'laws': 45,
+        'map': 64,
+        'delay': 14,
+        'faults': 12,
+    }.items():
         file = read_study(name)
-        cells = study(name, **{'seed': file.seeds[:1], **file.quick, 'plant': ('rigid',)}).cells()
+        cells = study(
+            name, **{'seed': file.seeds[:1], **file.quick, 'plant': ('rigid',)}
+        ).cells()
         assert len({cell.key for cell in cells}) == count
-    with pytest.raises(ConfigError, match=rf"^study: expected one of {', '.join(names)}"):
+    with pytest.raises(
+        ConfigError, match=rf'^study: expected one of {", ".join(names)}'
+    ):
         read_study('stifness')
 
 
 def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_filter():
     cells = study('compare', plant=('puma',), seed=(0,)).cells()
-    setups = {(cell.factors['part'], cell.factors['estimator']): cell.job.setup()
-              for cell in cells}
+    setups = {
+        (cell.factors['part'], cell.factors['estimator']): cell.job.setup()
+        for cell in cells
+    }
     labels = {label for part, label in setups if part == 'active state'}
     kinds = NoiseEstimatorConfig.model_fields['estimator'].annotation.__args__
     assert labels == {*kinds, 'window rescaled', 'innovation matched'}
     usual = setups['active state', 'lead_window']
     config = usual.noise_estimator
     f = lead_filter(config.zero_frequency, config.pole_frequency, config.rate)
-    gain = f.gain ** 2 * (1.0 + (f.pole - f.zero) ** 2 / (1.0 - f.pole ** 2))  # of white noise
-    rescaled, matched = (setups['active state', label]
-                         for label in ('window rescaled', 'innovation matched'))
+    gain = f.gain**2 * (
+        1.0 + (f.pole - f.zero) ** 2 / (1.0 - f.pole**2)
+    )  # of white noise
+    rescaled, matched = (
+        setups['active state', label]
+        for label in ('window rescaled', 'innovation matched')
+    )
     assert rescaled.noise_estimator.variance_scale == pytest.approx(gain, rel=1e-12)
     assert matched.controller.force.process_noise == pytest.approx(
-        usual.controller.force.process_noise / gain, rel=1e-12)
+        usual.controller.force.process_noise / gain, rel=1e-12
+    )
 
 
 def test_every_law_has_ranges_whose_ends_are_acceptable():
@@ -78,17 +104,26 @@ def test_every_law_has_ranges_whose_ends_are_acceptable():
 @pytest.mark.parametrize('damping_rate', [20.0, 60.0, 100.0])
 def test_linear_boundary_is_the_simulated_one_within_a_tenth(damping_rate):
     """With R fixed, the model's T_d that of the actuator, no friction, roughness or noise."""
+
     def setup(ratio):
         surface = {'stiffness': 6000.0 * ratio, 'roughness_std': 0.0, 'friction': 0.0}
         return resolve(
-            'step', plant='rigid', duration=3.5,
+            'step',
+            plant='rigid',
+            duration=3.5,
             noise_estimator={'estimator': 'fixed', 'fixed_variance': 0.6},
-            controller={'friction': {'coulomb': [], 'viscous': []}, 'force': {
-                'damping_rate': damping_rate, 'input_delay': 0.002}},
+            controller={
+                'friction': {'coulomb': [], 'viscous': []},
+                'force': {'damping_rate': damping_rate, 'input_delay': 0.002},
+            },
             plant_overrides={
-                'substep': 2.5e-4, 'actuator_delay_ticks': 1, 'joint_friction_scale': 0.0,
+                'substep': 2.5e-4,
+                'actuator_delay_ticks': 1,
+                'joint_friction_scale': 0.0,
                 'sensor': {'noise': False, 'quantise': False},
-                'surfaces': {'table': surface, 'board': surface}})
+                'surfaces': {'table': surface, 'board': surface},
+            },
+        )
 
     loop = ArmLoop(setup(1.0))
     linear = loop.boundary(0.6)
@@ -101,8 +136,13 @@ def test_linear_boundary_is_the_simulated_one_within_a_tenth(damping_rate):
 
 @pytest.mark.slow
 def test_row_of_a_fault_does_not_depend_on_the_faults_before_it():
-    job = FaultJob('quick', 'rigid', 'approach', 0,
-                   (((('nan', 'wrench'),), 1), ((('biased', 'wrench'),), 5)))
+    job = FaultJob(
+        'quick',
+        'rigid',
+        'approach',
+        0,
+        (((('nan', 'wrench'),), 1), ((('biased', 'wrench'),), 5)),
+    )
     later = FaultJob('quick', 'rigid', 'rest', 0, (((('nan', 'wrench'),), 1),))
     fresh = [piece.run() for piece in (later, job)]
     assert [piece.run() for piece in (job, later)] == fresh[::-1]
@@ -111,7 +151,9 @@ def test_row_of_a_fault_does_not_depend_on_the_faults_before_it():
 @pytest.mark.nightly
 @pytest.mark.parametrize('plant', ['rigid', 'puma'])
 def test_one_fault_of_every_kind_is_safe(tmp_path, plant):
-    results = run_study(study('faults', seed=(20,), plant=(plant,)), tmp_path, console=QUIET)
+    results = run_study(
+        study('faults', seed=(20,), plant=(plant,)), tmp_path, console=QUIET
+    )
     frame = results.frame
     assert frame['safe'].all() and len(frame) == len(FAULTS) + 12
     # Pairs of faults are recovered from later.
@@ -122,21 +164,36 @@ def test_every_situation_has_one_seed_and_is_of_a_robot_that_has_what_it_takes()
     """Whatever else is chosen: a share of one seed is the same share, as is that of a robot."""
     chosen = {'robot': ('ur5', 'foreign'), 'part': ('stiffness',)}
     every = [cell.key for cell in study('situations', **chosen).cells()]
-    by_seed = [cell.key for seed in range(4)
-               for cell in study('situations', seed=(seed,), **chosen).cells()]
-    assert sorted(by_seed) == sorted(set(every)) and len(every) == 15  # of two contacts: one arm
+    by_seed = [
+        cell.key
+        for seed in range(4)
+        for cell in study('situations', seed=(seed,), **chosen).cells()
+    ]
+    assert (
+        sorted(by_seed) == sorted(set(every)) and len(every) == 15
+    )  # of two contacts: one arm
     alone = study('situations', **{**chosen, 'robot': ('ur5',)}).cells()
     assert {cell.key for cell in alone} < set(every)
-    tilted = study('situations', robot=('ur5', 'panda'), part=('tilted surface',), speed=(
-        '0.1 m/s',), tilt=('3 deg',)).cells()
+    tilted = study(
+        'situations',
+        robot=('ur5', 'panda'),
+        part=('tilted surface',),
+        speed=('0.1 m/s',),
+        tilt=('3 deg',),
+    ).cells()
     assert [(cell.factors['robot'], cell.factors['plant']) for cell in tilted] == [
-        ('ur5', 'rigid'), ('panda', 'rigid'), ('panda', 'flexible')]
+        ('ur5', 'rigid'),
+        ('panda', 'rigid'),
+        ('panda', 'flexible'),
+    ]
 
 
 def test_robot_that_is_not_installed_is_named_and_the_others_are_run(monkeypatch):
     monkeypatch.setattr(situations, 'means_of', not_installed)
     one = study('situations', robot=('fr3',), part=('payload',))
-    assert not one.cells() and one.missing == {'fr3': 'urdf: expected the package x, got none'}
+    assert not one.cells() and one.missing == {
+        'fr3': 'urdf: expected the package x, got none'
+    }
 
 
 def not_installed(name):
@@ -162,23 +219,38 @@ def test_cost_adds_figures_and_refuses_what_is_not_stable():
 
 @pytest.mark.slow
 def test_best_gains_are_written_and_judged_on_other_seeds(tmp_path):
-    tried = study('tune', 'dob', plant=('rigid',), **{
-        'controller.force.damping_rate': (40.0, 100.0)})
+    tried = study(
+        'tune',
+        'dob',
+        plant=('rigid',),
+        **{'controller.force.damping_rate': (40.0, 100.0)},
+    )
     for name, factor in tried.config.parts[''].factors.items():
         if name != 'controller.force.damping_rate':
             tried.config = select(tried.config, {name: factor.values[:1]})
     frame = run_study(tried, tmp_path, console=QUIET).frame
     assert frame['part'].tolist() == ['', '', *['on other seeds'] * 3]
-    assert frame['cost'][0] <= frame['cost'][1] and frame['seed'].tolist()[2:] == [1, 2, 3]
+    assert frame['cost'][0] <= frame['cost'][1] and frame['seed'].tolist()[2:] == [
+        1,
+        2,
+        3,
+    ]
     force = resolve('quick', preset=str(tmp_path / 'dob.yaml')).controller.force
     assert (force.law, force.damping_rate) == (
-        'dob', frame['controller.force.damping_rate'][0])
+        'dob',
+        frame['controller.force.damping_rate'][0],
+    )
 
 
 @pytest.mark.slow
 def test_comparison_judges_the_claims(tmp_path):
-    small = study('compare', plant=('rigid',), seed=(0,), part=('active state',), estimator=(
-        'lead_window', 'fixed'))
+    small = study(
+        'compare',
+        plant=('rigid',),
+        seed=(0,),
+        part=('active state',),
+        estimator=('lead_window', 'fixed'),
+    )
     assert isinstance(small, CompareStudy)
     results = run_study(small, tmp_path, console=QUIET)
     sentences = small.findings(results)

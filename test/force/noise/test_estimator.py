@@ -17,11 +17,15 @@ FLOOR, CEILING = 0.1, 50.0
 
 def _sample(rng, contacts=2, size=1.0):
     return size * rng.standard_normal(contacts), Innovation(
-        size * rng.standard_normal(contacts), size ** 2 * rng.uniform(0.1, 1.0, contacts),
-        rng.uniform(FLOOR, CEILING, contacts))
+        size * rng.standard_normal(contacts),
+        size**2 * rng.uniform(0.1, 1.0, contacts),
+        rng.uniform(FLOOR, CEILING, contacts),
+    )
 
 
-@pytest.mark.parametrize('place', ['alpha', 'innovation', 'prior_variance', 'variance_used'])
+@pytest.mark.parametrize(
+    'place', ['alpha', 'innovation', 'prior_variance', 'variance_used']
+)
 @pytest.mark.parametrize('name', NAMES)
 def test_estimators_drop_and_count_samples_that_are_not_finite(name, place):
     estimator, untouched = (estimator_of(name, contacts=2) for _ in range(2))
@@ -35,15 +39,20 @@ def test_estimators_drop_and_count_samples_that_are_not_finite(name, place):
             values[k % 2] = (np.nan, np.inf, -np.inf, 1e200)[k // 10 % 4]
             if place == 'alpha' or estimator.uses_innovation:
                 np.testing.assert_array_equal(estimator.update(alpha, innovation), R)
-    assert estimator.dropped == (20 if place == 'alpha' or estimator.uses_innovation else 0)
+    assert estimator.dropped == (
+        20 if place == 'alpha' or estimator.uses_innovation else 0
+    )
     assert untouched.dropped == 0
 
 
 @pytest.mark.parametrize('name', NAMES)
 @settings(max_examples=8, deadline=None)
-@given(sizes=st.lists(
-    st.sampled_from([0.0, 1e-120, 1e-3, 1.0, 1e3, 1e40]), min_size=1, max_size=5),
-    seed=st.integers(0, 1000))
+@given(
+    sizes=st.lists(
+        st.sampled_from([0.0, 1e-120, 1e-3, 1.0, 1e3, 1e40]), min_size=1, max_size=5
+    ),
+    seed=st.integers(0, 1000),
+)
 def test_estimators_keep_within_floor_and_ceiling(name, sizes, seed):
     estimator = estimator_of(name, contacts=2)
     rng = np.random.default_rng(seed)
@@ -68,7 +77,9 @@ def test_estimators_scale_what_they_estimate_and_reset_forgets_all_samples(name)
         plain.reset(), scaled.reset()
     np.testing.assert_array_equal(*runs)
     values = runs[0][-1]
-    np.testing.assert_allclose(values[1], values[0] * (1.0 if name == 'fixed' else 3.0), rtol=1e-4)
+    np.testing.assert_allclose(
+        values[1], values[0] * (1.0 if name == 'fixed' else 3.0), rtol=1e-4
+    )
 
 
 @pytest.mark.parametrize('name', NAMES)
@@ -88,27 +99,33 @@ def test_slew_time_bounds_how_fast_every_estimate_changes(name):
 RATE = 500.0
 
 
-@pytest.mark.parametrize(('normalisation', 'at_dc', 'at_nyquist', 'factor'), [
-    ('dc', 1.0, 19.1, 269.0), ('hf', 1.0 / 19.1, 1.0, 269.0 / 366.0)])
+@pytest.mark.parametrize(
+    ('normalisation', 'at_dc', 'at_nyquist', 'factor'),
+    [('dc', 1.0, 19.1, 269.0), ('hf', 1.0 / 19.1, 1.0, 269.0 / 366.0)],
+)
 def test_lead_filter_has_the_papers_gains(normalisation, at_dc, at_nyquist, factor):
     """Zero and pole at 3 and 60 Hz, and what is left of white noise (paper notes 6)."""
     f = lead_filter(3.0, 60.0, RATE, normalisation)
     numerator, denominator = [f.gain, -f.gain * f.zero], [1.0, -f.pole]
     np.testing.assert_allclose(
-        -np.log([f.zero, f.pole]) * RATE / (2 * np.pi), [3.0, 60.0], rtol=1e-12)
+        -np.log([f.zero, f.pole]) * RATE / (2 * np.pi), [3.0, 60.0], rtol=1e-12
+    )
     _, response = freqz(numerator, denominator, worN=[0.0, np.pi])
     np.testing.assert_allclose(np.abs(response), [at_dc, at_nyquist], rtol=0.01)
     _, (impulse,) = dimpulse((numerator, denominator, 1.0), n=400)
-    assert float((impulse ** 2).sum()) == pytest.approx(factor, rel=0.01)
+    assert float((impulse**2).sum()) == pytest.approx(factor, rel=0.01)
 
 
-@pytest.mark.parametrize(('name', 'normalisation'), [
-    ('window', None), ('lead_window', 'dc'), ('hf_window', 'hf')])
+@pytest.mark.parametrize(
+    ('name', 'normalisation'),
+    [('window', None), ('lead_window', 'dc'), ('hf_window', 'hf')],
+)
 def test_window_is_the_variance_of_what_scipy_filters(name, normalisation):
     """From its steady state at the first sample, over 50 samples, known once there are 50."""
     estimator = estimator_of(name, contacts=2)
-    forces = np.linspace(0.0, 30.0, 120)[:, None] + np.random.default_rng(15).standard_normal(
-        (120, 2))
+    forces = np.linspace(0.0, 30.0, 120)[:, None] + np.random.default_rng(
+        15
+    ).standard_normal((120, 2))
     filtered = forces
     if normalisation:
         f = lead_filter(3.0, 60.0, RATE, normalisation)
@@ -118,7 +135,10 @@ def test_window_is_the_variance_of_what_scipy_filters(name, normalisation):
     values = np.array([estimator.update(force) for force in forces])
     assert (values[:49] == 0.6).all()
     np.testing.assert_allclose(
-        values[49:], [filtered[k - 49:k + 1].var(axis=0) for k in range(49, 120)], rtol=1e-9)
+        values[49:],
+        [filtered[k - 49 : k + 1].var(axis=0) for k in range(49, 120)],
+        rtol=1e-9,
+    )
 
 
 ADAPTIVE = ['innovation', 'sage_husa', 'variational_bayes']
@@ -127,8 +147,14 @@ FORCE = np.array([10.0])
 
 def _innovations(count, rng, contacts=1):
     shape = (count, contacts)
-    return [Innovation(*values) for values in zip(
-        rng.standard_normal(shape), rng.uniform(0.1, 1.0, shape), rng.uniform(0.5, 2.0, shape))]
+    return [
+        Innovation(*values)
+        for values in zip(
+            rng.standard_normal(shape),
+            rng.uniform(0.1, 1.0, shape),
+            rng.uniform(0.5, 2.0, shape),
+        )
+    ]
 
 
 def test_corrected_square_is_that_of_the_observers_residual_and_posterior_variance():
@@ -138,11 +164,15 @@ def test_corrected_square_is_that_of_the_observers_residual_and_posterior_varian
         force, variance = rng.standard_normal(), 10.0 ** rng.uniform(-3, 3)
         observer.update(force, variance)
         observer.command(1.0)
-    innovation = Innovation(*(np.append(each, 0.0) for each in astuple(observer.innovation)))
+    innovation = Innovation(
+        *(np.append(each, 0.0) for each in astuple(observer.innovation))
+    )
     np.testing.assert_array_equal(innovation.valid, [True, False])
     np.testing.assert_allclose(
         corrected_square(innovation, innovation.variance_used),
-        [(force - observer.x_est[0]) ** 2 + observer.P[0, 0], 0.0], rtol=1e-9)
+        [(force - observer.x_est[0]) ** 2 + observer.P[0, 0], 0.0],
+        rtol=1e-9,
+    )
 
 
 def test_innovation_is_the_mean_over_the_window_within_its_floor():
@@ -151,8 +181,8 @@ def test_innovation_is_the_mean_over_the_window_within_its_floor():
     innovations = _innovations(80, np.random.default_rng(18))
     values = [estimator.update(FORCE, innovation)[0] for innovation in innovations]
     assert values[:49] == [0.6] * 49
-    series = np.array([(i.innovation ** 2 - i.prior_variance)[0] for i in innovations])
-    expected = [max(series[k - 49:k + 1].mean(), 0.1) for k in range(49, 80)]
+    series = np.array([(i.innovation**2 - i.prior_variance)[0] for i in innovations])
+    expected = [max(series[k - 49 : k + 1].mean(), 0.1) for k in range(49, 80)]
     np.testing.assert_allclose(values[49:], expected, rtol=1e-10)
     small = Innovation(np.array([0.1]), np.array([6.4]), np.array([0.6]))
     assert [estimator.update(FORCE, small)[0] for _ in range(50)][-1] == 0.1
@@ -162,10 +192,18 @@ def test_sage_husa_is_its_recursion():
     """R_k = (1 - d_k) R_k-1 + d_k (e e^T + C P C^T), d_k = (1 - b) / (1 - b^k)."""
     estimator = estimator_of('sage_husa', window=10)
     R = 123.0  # forgotten with d_1 = 1
-    for k, innovation in enumerate(_innovations(60, np.random.default_rng(19)), start=1):
-        d = (1.0 - 0.9) / (1.0 - 0.9 ** k)
-        r, p, R_used = (float(v[0]) for v in (
-            innovation.innovation, innovation.prior_variance, innovation.variance_used))
+    for k, innovation in enumerate(
+        _innovations(60, np.random.default_rng(19)), start=1
+    ):
+        d = (1.0 - 0.9) / (1.0 - 0.9**k)
+        r, p, R_used = (
+            float(v[0])
+            for v in (
+                innovation.innovation,
+                innovation.prior_variance,
+                innovation.variance_used,
+            )
+        )
         e, CPC = r * R_used / (p + R_used), p * R_used / (p + R_used)
         R = (1.0 - d) * R + d * (e * e + CPC)
         assert estimator.update(FORCE, innovation)[0] == pytest.approx(R, rel=1e-12)
@@ -183,7 +221,9 @@ def test_variational_bayes_is_its_fixed_point_iteration():
             R = beta / alpha
             gain = p / (p + R)
             beta = beta_prior + 0.5 * ((1.0 - gain) * r) ** 2 + 0.5 * (1.0 - gain) * p
-        assert estimator.update(FORCE, innovation)[0] == pytest.approx(beta / alpha, rel=1e-12)
+        assert estimator.update(FORCE, innovation)[0] == pytest.approx(
+            beta / alpha, rel=1e-12
+        )
 
 
 @pytest.mark.parametrize('name', ADAPTIVE)
@@ -191,7 +231,8 @@ def test_estimators_find_the_variance_of_white_noise_and_follow_its_rise(name):
     """In their own loop: from 0.6 at rest to 100 in motion, as in the paper's Fig. 6."""
     sigma = np.where(np.arange(6000) < 3000, np.sqrt(0.6), 10.0)
     variance = run_force_loop(
-        estimator_of(name), sigma * np.random.default_rng(21).standard_normal(6000))
+        estimator_of(name), sigma * np.random.default_rng(21).standard_normal(6000)
+    )
     assert variance[500:3000].mean() == pytest.approx(0.6, rel=0.15)
     assert 50.0 < np.median(variance[3250:3500]) < 200.0  # a few windows later
     assert variance[3500:].mean() == pytest.approx(100.0, rel=0.15)
@@ -208,7 +249,8 @@ def test_estimators_leave_out_an_inactive_contact(name):
         R = both.update(np.zeros(2), Innovation(*(values * [1.0, there])))
         if there:
             assert R[1] == pytest.approx(
-                alone.update(np.zeros(1), Innovation(*values[:, 1:]))[0], rel=1e-12)
+                alone.update(np.zeros(1), Innovation(*values[:, 1:]))[0], rel=1e-12
+            )
         else:
             assert R[1] == before[1]
 
@@ -216,6 +258,8 @@ def test_estimators_leave_out_an_inactive_contact(name):
 def test_innovation_is_too_sensitive_to_a_force_on_another_contact():
     """A noise-free step of 5 N lifts R five times higher than with the filter (P04 sec. 4.2)."""
     step = 5.0 * (np.arange(600) >= 300)
-    peaks = {name: run_force_loop(estimator_of(name), leak=step)[300:].max()
-             for name in ('innovation', 'hf_window')}
+    peaks = {
+        name: run_force_loop(estimator_of(name), leak=step)[300:].max()
+        for name in ('innovation', 'hf_window')
+    }
     assert peaks['innovation'] > 5.0 * peaks['hf_window']

@@ -8,8 +8,14 @@ from multicontact_control.experiment.study.presets.situations import SituationsS
 from multicontact_control.experiment.study.presets.tune import TuneStudy
 from multicontact_control.experiment.study.study import Study
 
-KINDS = {'sweep': Study, 'compare': CompareStudy, 'map': MapStudy, 'tune': TuneStudy,
-         'faults': FaultsStudy, 'situations': SituationsStudy}
+KINDS = {
+    'sweep': Study,
+    'compare': CompareStudy,
+    'map': MapStudy,
+    'tune': TuneStudy,
+    'faults': FaultsStudy,
+    'situations': SituationsStudy,
+}
 
 
 def study_of(config: StudyConfig) -> Study:

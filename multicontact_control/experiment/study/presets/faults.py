@@ -36,7 +36,9 @@ PHASE_TIMES = {START: 0.0, APPROACH: 0.65, REST: 4.9, SLIDING: 8.2}  # s, in thi
 FAULT_TIMEOUT = 60  # s
 FAULTS_PER_JOB = 12
 PAIRS, FEW_PAIRS = 300, 12  # of faults at the same time, the latter with a single seed
-Names = tuple[tuple[str, str], ...]  # kind and input of a fault, or of two at the same time
+Names = tuple[
+    tuple[str, str], ...
+]  # kind and input of a fault, or of two at the same time
 
 
 @dataclass(frozen=True)
@@ -55,15 +57,31 @@ class FaultJob:
 
     def key(self) -> str:
         """Return the hash of all that decides the outcome."""
-        return content_key('faults', {
-            **asdict(self), **setup_content(self.setup()), 'time': PHASE_TIMES[self.phase]})
+        return content_key(
+            'faults',
+            {
+                **asdict(self),
+                **setup_content(self.setup()),
+                'time': PHASE_TIMES[self.phase],
+            },
+        )
 
     def run(self) -> dict[str, Any]:
         """Run the faults; a row for each is under `rows`."""
         world = _world_at(self)
-        return {'rows': [
-            asdict(in_fork(world, together(*map(FAULTS.__getitem__, names)), seed, self.phase))
-            for names, seed in self.faults]}
+        return {
+            'rows': [
+                asdict(
+                    in_fork(
+                        world,
+                        together(*map(FAULTS.__getitem__, names)),
+                        seed,
+                        self.phase,
+                    )
+                )
+                for names, seed in self.faults
+            ]
+        }
 
 
 # The worlds of this process by plant: faults happen in copies of them, so that a later phase
@@ -104,8 +122,19 @@ def in_fork(world: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
         row: FaultRow = ours.recv()
         return row
     except EOFError:
-        return FaultRow(fault.kind, fault.input, seed, 'died', math.inf, 0.0, 0.0, False,
-                        world.setup.plant_name, phase, 'died')
+        return FaultRow(
+            fault.kind,
+            fault.input,
+            seed,
+            'died',
+            math.inf,
+            0.0,
+            0.0,
+            False,
+            world.setup.plant_name,
+            phase,
+            'died',
+        )
     finally:
         ours.close()
         os.waitpid(child, 0)
@@ -116,10 +145,11 @@ class FaultsStudy(Study):
 
     def cells(self) -> list[Cell]:
         """Return the jobs, early phases first; of a single seed one fault of each kind."""
-        part, = self.config.parts.values()
+        (part,) = self.config.parts.values()
         plants, seeds = part.plants, part.seeds
         places: dict[tuple[str, str], list[tuple[Names, int]]] = {
-            (phase, plant): [] for phase in PHASE_TIMES for plant in plants}
+            (phase, plant): [] for phase in PHASE_TIMES for plant in plants
+        }
 
         def put(number: int, phases: tuple[str, ...], names: Names, seed: int) -> None:
             """Put a fault where it is the turn of its number: all plants, then all phases."""
@@ -129,16 +159,28 @@ class FaultsStudy(Study):
         for index, (name, fault) in enumerate(FAULTS.items()):
             phases = (START, *PHASES) if fault.from_start else PHASES
             turn = index % (len(plants) * len(PHASES))
-            for number, seed in enumerate(seeds) if len(seeds) > 1 else [(turn, seeds[0] + turn)]:
+            for number, seed in (
+                enumerate(seeds) if len(seeds) > 1 else [(turn, seeds[0] + turn)]
+            ):
                 put(number, phases, (name,), seed)
         pairs = pairs_of_faults(PAIRS if len(seeds) > 1 else FEW_PAIRS, seeds[0])
         for number, pair in enumerate(pairs):
             put(number, PHASES, pair, seeds[0] + number)
-        jobs = [FaultJob(part.scenario, plant, phase, seeds[0],
-                         tuple(faults[i:i + FAULTS_PER_JOB]))
-                for (phase, plant), faults in places.items()
-                for i in range(0, len(faults), FAULTS_PER_JOB)]
-        return [Cell({'plant': job.plant, 'phase': job.phase}, job, job.key()) for job in jobs]
+        jobs = [
+            FaultJob(
+                part.scenario,
+                plant,
+                phase,
+                seeds[0],
+                tuple(faults[i : i + FAULTS_PER_JOB]),
+            )
+            for (phase, plant), faults in places.items()
+            for i in range(0, len(faults), FAULTS_PER_JOB)
+        ]
+        return [
+            Cell({'plant': job.plant, 'phase': job.phase}, job, job.key())
+            for job in jobs
+        ]
 
     def rows(self, metrics: Metrics) -> list[dict[str, Any]]:
         """Return a row for each fault."""
@@ -147,9 +189,17 @@ class FaultsStudy(Study):
     def complete(self, frame: pd.DataFrame) -> pd.DataFrame:
         """Return the rows by kind and seed, those of pairs last; what never came is infinite."""
         order = {name: i for i, name in enumerate(FAULTS)}
-        places = [order.get(name, len(order)) for name in zip(frame['kind'], frame['input'])]
+        places = [
+            order.get(name, len(order)) for name in zip(frame['kind'], frame['input'])
+        ]
         problems = frame['problems'].where(frame['problems'] != '', frame['shortfalls'])
-        return frame.assign(
-            error=problems.where(problems != '', None), back=frame['shortfalls'] == '',
-            time_to_safe_s=frame['time_to_safe_s'].astype(float).fillna(math.inf), place=places,
-        ).sort_values(['place', 'seed'], kind='stable', ignore_index=True).drop(columns='place')
+        return (
+            frame.assign(
+                error=problems.where(problems != '', None),
+                back=frame['shortfalls'] == '',
+                time_to_safe_s=frame['time_to_safe_s'].astype(float).fillna(math.inf),
+                place=places,
+            )
+            .sort_values(['place', 'seed'], kind='stable', ignore_index=True)
+            .drop(columns='place')
+        )

@@ -44,8 +44,13 @@ class SituationJob:
 
     def key(self) -> str:
         """Return the hash of all that decides the outcome."""
-        return content_key('situation', {
-            **setup_content(self.setup()), 'situation': self._config().model_dump(mode='json')})
+        return content_key(
+            'situation',
+            {
+                **setup_content(self.setup()),
+                'situation': self._config().model_dump(mode='json'),
+            },
+        )
 
     def run(self) -> dict[str, Any]:
         """Run it and return its row."""
@@ -70,20 +75,35 @@ class SituationsStudy(Study):
 
     def cells(self) -> list[Cell]:
         """Return the jobs of the chosen seeds."""
-        return [cell for title, part in self.config.parts.items()
-                for cell in self._cells_of(title, part)]
+        return [
+            cell
+            for title, part in self.config.parts.items()
+            for cell in self._cells_of(title, part)
+        ]
 
     def _cells_of(self, title: str, part: PartConfig) -> Iterator[Cell]:
-        choices = [[(name, *setting) for setting in factor.settings(name)]
-                   for name, factor in part.factors.items()]
+        choices = [
+            [(name, *setting) for setting in factor.settings(name)]
+            for name, factor in part.factors.items()
+        ]
         for plant, *chosen in product(part.plants, *choices):
             settings = dict(part.fixed)
             for _, _, values in chosen:
                 settings |= values
-            arguments = {'scenario': part.scenario, 'plant': plant, **{
-                name: settings.pop(name) for name in (*CHOSEN, 'plant') if name in settings}}
-            situation = {name.removeprefix(SECTION): settings.pop(name)
-                         for name in list(settings) if name.startswith(SECTION)}
+            arguments = {
+                'scenario': part.scenario,
+                'plant': plant,
+                **{
+                    name: settings.pop(name)
+                    for name in (*CHOSEN, 'plant')
+                    if name in settings
+                },
+            }
+            situation = {
+                name.removeprefix(SECTION): settings.pop(name)
+                for name in list(settings)
+                if name.startswith(SECTION)
+            }
             if not self._is_possible(arguments, situation):
                 continue
             labels = {name: label for name, label, _ in chosen}
@@ -94,7 +114,11 @@ class SituationsStudy(Study):
                 continue
             job = SituationJob(what, _laid_over(arguments, settings, seed), situation)
             factors = {
-                'part': title, 'robot': robot, 'plant': arguments['plant'], 'seed': seed}
+                'part': title,
+                'robot': robot,
+                'plant': arguments['plant'],
+                'seed': seed,
+            }
             yield Cell(factors, job, job.key())
 
     def _seed_of(self, names: list[str]) -> int:
@@ -103,7 +127,9 @@ class SituationsStudy(Study):
         every = self.config.seeds
         return every[digest[0] % len(every)]
 
-    def _is_possible(self, arguments: Mapping[str, Any], situation: Mapping[str, Any]) -> bool:
+    def _is_possible(
+        self, arguments: Mapping[str, Any], situation: Mapping[str, Any]
+    ) -> bool:
         """Return whether the robot is installed and has what the situation takes."""
         robot = arguments.get('robot', '')
         if robot in self.missing:
@@ -136,15 +162,25 @@ class SituationsStudy(Study):
         return [
             f'{int(frame["safe"].sum())} of {len(frame)} situations are safe'
             + (f': {", ".join(wrong)}.' if wrong else '.'),
-            *(f'{robot} is not run: {error}' for robot, error in self.missing.items())]
+            *(f'{robot} is not run: {error}' for robot, error in self.missing.items()),
+        ]
 
 
 def _laid_over(
-    arguments: Mapping[str, Any], settings: Mapping[str, Any], seed: int,
+    arguments: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    seed: int,
 ) -> dict[str, Any]:
     """Return the arguments of `resolve` with values of parameters by dotted names."""
     robot = arguments.get('robot', '')
     named = {**arguments, 'robot': foreign_robot() if robot == FOREIGN else robot}
-    nested = overrides.overrides_of(settings, resolve(**named), 'factors.') if settings else {}
-    return {**arguments, 'seed': seed, **{
-        overrides.ARGUMENTS[section]: values for section, values in nested.items()}}
+    nested = (
+        overrides.overrides_of(settings, resolve(**named), 'factors.')
+        if settings
+        else {}
+    )
+    return {
+        **arguments,
+        'seed': seed,
+        **{overrides.ARGUMENTS[section]: values for section, values in nested.items()},
+    }

@@ -20,8 +20,14 @@ import pandas as pd
 
 JUDGED, JUDGED_ON = 'on other seeds', (1, 2, 3)
 # What each figure is divided by before they are added.
-SCALES = {'rest_rms_n': 0.05, 'moving_rms_n': 0.65, 'rise_s': 0.04, 'overshoot_percent': 8.0,
-          'push_peak_n': 0.6, 'activity_nm': 0.3}
+SCALES = {
+    'rest_rms_n': 0.05,
+    'moving_rms_n': 0.65,
+    'rise_s': 0.04,
+    'overshoot_percent': 8.0,
+    'push_peak_n': 0.6,
+    'activity_nm': 0.3,
+}
 
 
 def cost(row: Mapping[str, Any]) -> float:
@@ -36,25 +42,46 @@ class TuneStudy(Study):
     def __init__(self, config: StudyConfig) -> None:
         ranges = read_yaml(config_dir() / 'tuning.yaml')
         if config.law not in ranges:
-            raise ConfigError('law', f'one of {", ".join(ranges)} (tuning.yaml)',
-                              f"'{config.law}'")
+            raise ConfigError(
+                'law', f'one of {", ".join(ranges)} (tuning.yaml)', f"'{config.law}'"
+            )
         self.gains = list(ranges[config.law])
         self.preset = 'best' if config.law == 'aob' else f'laws/{config.law}'
-        gains = {name: FactorConfig(values=tuple(values))
-                 for name, values in ranges[config.law].items()}
-        super().__init__(config.model_copy(update={
-            'name': f'tune-{config.law}', 'parts': {
-                title: part.model_copy(update={
-                    'preset': self.preset, 'factors': {**gains, **part.factors}})
-                for title, part in config.parts.items()}}))
+        gains = {
+            name: FactorConfig(values=tuple(values))
+            for name, values in ranges[config.law].items()
+        }
+        super().__init__(
+            config.model_copy(
+                update={
+                    'name': f'tune-{config.law}',
+                    'parts': {
+                        title: part.model_copy(
+                            update={
+                                'preset': self.preset,
+                                'factors': {**gains, **part.factors},
+                            }
+                        )
+                        for title, part in config.parts.items()
+                    },
+                }
+            )
+        )
 
     def complete(self, frame: pd.DataFrame) -> pd.DataFrame:
         """Return the table with the cost of each run, by that of the worst plant, least first."""
-        frame = frame.assign(cost=[
-            cost(row) for row in frame[['stable', *SCALES]].astype(float).to_dict('records')])
+        frame = frame.assign(
+            cost=[
+                cost(row)
+                for row in frame[['stable', *SCALES]].astype(float).to_dict('records')
+            ]
+        )
         worst = frame.groupby(['part', *self.gains])['cost'].transform('max')
-        return frame.assign(rank=worst, last=frame['part'] == JUDGED).sort_values(
-            ['last', 'rank'], kind='stable', ignore_index=True).drop(columns=['last', 'rank'])
+        return (
+            frame.assign(rank=worst, last=frame['part'] == JUDGED)
+            .sort_values(['last', 'rank'], kind='stable', ignore_index=True)
+            .drop(columns=['last', 'rank'])
+        )
 
     def _best(self, frame: pd.DataFrame) -> dict[str, Any] | None:
         """Return the gains with the least cost, None if no combination is stable."""
@@ -77,14 +104,22 @@ class TuneStudy(Study):
         if best:
             plants = ', '.join(results.frame['plant'].unique())
             write_preset(
-                merge(preset_values(self.preset), overrides_of(best, first.job.setup(), 'gains.')),
+                merge(
+                    preset_values(self.preset),
+                    overrides_of(best, first.job.setup(), 'gains.'),
+                ),
                 folder / f'{law}.yaml',
-                f'{law}, tuned on seed {first.factors["seed"]} of {plants}')
+                f'{law}, tuned on seed {first.factors["seed"]} of {plants}',
+            )
 
     def findings(self, results: Results) -> list[str]:
         """Return what the best gains are."""
         best, law = self._best(results.frame), self.config.law
-        return [f'{law}.yaml holds the best: ' + ', '.join(
-            f'{name} = {value:g}' for name, value in best.items()) + '.' if best else
-            f'All combinations of {law} are unstable in the task, or lack a figure.',
-            *super().findings(results)]
+        return [
+            f'{law}.yaml holds the best: '
+            + ', '.join(f'{name} = {value:g}' for name, value in best.items())
+            + '.'
+            if best
+            else f'All combinations of {law} are unstable in the task, or lack a figure.',
+            *super().findings(results),
+        ]
