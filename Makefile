@@ -98,6 +98,7 @@ simulate: setup  ## Run the experiment in one process, without ROS
 
 lint: $(TEST_STAMP)  ## Check style and types
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
 check: $(READY) lint  ## For every commit, a minute: style, types, unit tests

@@ -280,22 +280,25 @@ def graph() -> str:
             '# Topics and services',
             MADE,
             'All names but those with a slash in front are relative: a namespace moves the whole '
-            'graph. The robot, or a simulator of yours, stands where `sim_node` does. *control*: one '
-            'message per control period; *event*: now and then. What each end does when messages '
-            'are late, missing or wrong is in [the interface](../interface.md#samples).',
+            'graph. The robot, or a simulator of yours, stands where `sim_node` does. '
+            '*control*: one message per control period; *event*: now and then. What '
+            'each end does when messages are late, missing or wrong is in '
+            '[the interface](../interface.md#samples).',
             '## Topics',
             table(['topic', 'type', 'content'], contents),
             '## Ends',
             f'`{topics.RECORDER}` reads all of them.',
             table(['topic', 'from', 'always read by', 'rate', 'published as'], ends),
-            'The controller also reads one of the two wrenches (`wrench_input`; none with `momentum`) '
-            'and the commands, which it refuses while it follows a scenario; with '
-            '`effort_output_topic` it publishes bare efforts, too (std_msgs/msg/Float64MultiArray). '
+            'The controller also reads one of the two wrenches (`wrench_input`; none with '
+            '`momentum`) and the commands, which it refuses while it follows a scenario; with '
+            '`effort_output_topic` it publishes bare efforts, too '
+            '(std_msgs/msg/Float64MultiArray). '
             'Estimators that work on innovations read `contact_forces/innovation`.',
             '## Services',
-            f'Of `{topics.CONTROLLER}`; each answers with `success`, and with words or the reason of '
-            'a refusal. Controller and noise estimator also have those of every life-cycle node '
-            '(`~/change_state`, `~/get_state`), and every node but the recorder those of parameters.',
+            f'Of `{topics.CONTROLLER}`; each answers with `success`, and with words or the reason '
+            'of a refusal. Controller and noise estimator also have those of every '
+            'life-cycle node (`~/change_state`, `~/get_state`), and every node but '
+            'the recorder those of parameters.',
             table(
                 ['service', 'type', 'what it does'],
                 [

@@ -32,7 +32,10 @@ import numpy as np
 # a tool that follows a surface leaves the height that was commanded, too.
 UNTOLD_WAY, UNTOLD_TURN = 0.005, 0.05
 STREAM_TIME = 1.0  # s; commands that come more often than this are a stream
-VELOCITIES_IN_DOUBT = 'the joint velocities are in doubt (joints_velocity): prove them in motion, or ~/retry'
+VELOCITIES_IN_DOUBT = (
+    'the joint velocities are in doubt (joints_velocity): prove them in motion, '
+    'or ~/retry'
+)
 
 
 class ControlLoop:

@@ -157,8 +157,9 @@ LAW = record_dtype(Law)
 
 class Evidence(Record, Protocol):
     """
-    What the residual of a joint has followed: `REGRESSORS` of `control.arm`; sums fade
-    within 1 s.
+    What the residual of a joint has followed.
+
+    The candidates are the `REGRESSORS` of `control.arm`; sums fade within 1 s.
     """
 
     # The newest, and the sum of their squares.
@@ -270,8 +271,10 @@ JOINT_GATE = record_dtype(JointGate)
 
 class Joint(Record, Protocol):
     """
-    One joint: what is set for it, where it is and its terms of the arm's model, and
-    what is made of that on the way to its torque.
+    One joint of the arm.
+
+    What is set for it, where it is and its terms of the arm's model, and what is made of that
+    on the way to its torque.
     """
 
     config: JointConfig
@@ -418,8 +421,9 @@ FORCE_ANSWER = record_dtype(ForceAnswer)
 
 class ContactConfig(Record, Protocol):
     """
-    What is configured of one column of N: the normal force of a contact, or one of its
-    couples.
+    What is configured of one column of N.
+
+    A column is the normal force of a contact, or one of its couples.
     """
 
     kind: int  # FORCE, ALONG or ACROSS, see `config.contact`
@@ -454,8 +458,9 @@ CONTACT_CONFIG = record_dtype(ContactConfig)
 
 class Contact(Record, Protocol):
     """
-    One column of N, couples in newtons: what is configured, measured and learnt, and
-    answered.
+    One column of N: what is configured, measured and learnt, and answered.
+
+    Couples are in newtons, as a force at their end.
     """
 
     config: ContactConfig
@@ -491,8 +496,9 @@ CONTACT = record_dtype(Contact)
 
 class Input(Record, Protocol):
     """
-    What has come in at a tick, as Python writes it; one. What of it is valid, and where
-    it goes, is in `supervision.inputs`.
+    What has come in at a tick, as Python writes it; one.
+
+    What of it is valid, and where it goes, is in `supervision.inputs`.
     """
 
     time: float  # of the tick, NaN if it is not a number [s]

@@ -23,7 +23,8 @@ import pytest
         ),
         (
             {'contacts': {'table': {'normal_world': [1.0, 0.0, 1.0]}}},
-            r'contacts.table.normal_world: expected a vector of unit length .* got \[1.0, 0.0, 1.0\]',
+            r'contacts.table.normal_world: expected a vector of unit length .* '
+            r'got \[1.0, 0.0, 1.0\]',
         ),
         (
             {'contacts': {'board': {'stiffness': float('nan')}}},
@@ -56,7 +57,8 @@ import pytest
                 'force': {'allocation': 'paper'},
                 'contacts': {'table': {'surface_speed_limit': 0.1}},
             },
-            'force.allocation: expected decoupled with contacts.table.surface_speed_limit, got paper',
+            'force.allocation: expected decoupled with '
+            'contacts.table.surface_speed_limit, got paper',
         ),
         (
             {'torque_limit': [97.6, -186.4, 89.4, 24.2, 20.1, 21.3]},

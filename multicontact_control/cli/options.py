@@ -148,8 +148,8 @@ class RunOptions(SetupOptions):
     noise_estimator: Annotated[
         Estimator | None,
         typer.Option(
-            help='How R, the variance of the force noise, is estimated, in the paper by lead_window; '
-            'that of the preset if not given.'
+            help='How R, the variance of the force noise, is estimated, in the paper by '
+            'lead_window; that of the preset if not given.'
         ),
     ] = None
     law: Annotated[

@@ -21,8 +21,8 @@ def study(
     plants: Annotated[
         str,
         typer.Option(
-            help="Plants, with commas between: names, ROBOT/PLANT, or paths; the study's own if not "
-            'given.'
+            help="Plants, with commas between: names, ROBOT/PLANT, or paths; the study's own "
+            'if not given.'
         ),
     ] = '',
     seeds: Annotated[

@@ -44,8 +44,9 @@ import numpy as np
 
 class LawSpace(Record, Protocol):
     """
-    What `control_law` works in; one. The first r rows of matrices with one per contact
-    are used.
+    The workspace of `control_law`; one.
+
+    The first r rows of matrices with one per contact are used.
     """
 
     inertia: InertiaSpace

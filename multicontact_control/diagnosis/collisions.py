@@ -29,10 +29,12 @@ NEAR_OPPOSITE, OTHER_UNIT = 0.2, 1.5
 # What to say of a residual that follows one of `REGRESSORS`.
 FOLLOWED = {
     DIRECTION: UNDECLARED,
-    SPEED: 'is {} N m s/rad times the speed: check friction.viscous and the scale of the velocities',
-    ACCELERATION: 'is {} kg m^2 times the acceleration: check robot.armature and the scale of the effort',
-    WRENCH: 'follows the wrench, of which the torques show {} times: check its sign, unit and frame '
-    '(robot.sensor_frame), and the scale of the effort',
+    SPEED: 'is {} N m s/rad times the speed: check friction.viscous and the scale of '
+    'the velocities',
+    ACCELERATION: 'is {} kg m^2 times the acceleration: check robot.armature and the '
+    'scale of the effort',
+    WRENCH: 'follows the wrench, of which the torques show {} times: check its sign, '
+    'unit and frame (robot.sensor_frame), and the scale of the effort',
 }
 
 

@@ -7,7 +7,10 @@ from collections.abc import Iterator, Sequence
 from multicontact_control.control.arm import LEARNING_TIME, RELEASE
 from multicontact_control.records import Joint, Records
 
-UNDECLARED = 'follows the sign of the speed: {} N m of friction that friction.coulomb does not declare'
+UNDECLARED = (
+    'follows the sign of the speed: {} N m of friction that friction.coulomb does not '
+    'declare'
+)
 MOVED_SHARE = (
     0.5  # of the time in motion after which all is learnt, from which on it is told
 )

@@ -387,7 +387,8 @@ def _contact_findings(run: RunMetrics, i: int, loaded: Mask) -> list[Finding]:
         total = sum(oscillation.duration for oscillation in oscillating)
         passed.append(
             Finding(
-                f'oscillates at {worst.frequency:.0f} Hz with {worst.rms:.2g} N rms for {total:.1f} s',
+                f'oscillates at {worst.frequency:.0f} Hz with {worst.rms:.2g} N rms '
+                f'for {total:.1f} s',
                 oscillating[0].known,
             )
         )

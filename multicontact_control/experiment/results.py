@@ -198,8 +198,8 @@ def summarise(
         name: run.contact_summary(i) for i, name in enumerate(data.contact_names)
     }
     if events is not None:
-        for name, count in judge.losses_seen(run, during).items():
-            contacts[name]['controller_losses'] = count
+        for name, losses in judge.losses_seen(run, during).items():
+            contacts[name]['controller_losses'] = losses
     return {
         'schema': SCHEMA,
         'scenario': setup.scenario.name,

@@ -69,8 +69,9 @@ LINEAR_DESIGN = record_dtype(LinearDesign)
 
 class Linear(Record, Protocol):
     """
-    A linear force law, from alpha_meas, alpha_des and the contact's speed to u,
-    alpha_est and p_est.
+    A linear force law.
+
+    From alpha_meas, alpha_des and the contact's speed to u, alpha_est and p_est.
     """
 
     design: LinearDesign

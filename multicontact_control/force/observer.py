@@ -25,8 +25,9 @@ INITIAL_VARIANCE = 1e-3  # of every state
 
 class ObserverGains(Record, Protocol):
     """
-    What an active observer works by. The first `states` rows and columns of matrices
-    are used.
+    The model and the noise that an active observer works by.
+
+    The first `states` rows and columns of matrices are used.
     """
 
     # N, and how many of them are active states.

@@ -83,10 +83,7 @@ WAY, RATE, FRICTION = range(
 
 
 class SignalBand(Record, Protocol):
-    """
-    What the band-pass of one signal remembers: of its high-pass, and of three low-
-    passes.
-    """
+    """The memory of one signal's band-pass: a high-pass and three low-passes."""
 
     drift: float
     first: float
@@ -99,9 +96,10 @@ SIGNAL_BAND = record_dtype(SignalBand)
 
 class StiffnessFit(Record, Protocol):
     """
-    One frequency band of a stiffness estimator: filters of four signals, and sums over
-    samples of what passes them, X of way, rate and friction and y of the force without
-    the tool's inertia.
+    One frequency band of a stiffness estimator.
+
+    It has filters of four signals, and sums over samples of what passes them: X of way, rate
+    and friction, and y of the force without the tool's inertia.
     """
 
     # Gains of the high-pass and of the three low-passes, per sample.

@@ -72,5 +72,5 @@ class LiveChanges:
             while version != parameters.version:  # another change has come first
                 version = parameters.version
                 designed = yield from self._helper.do(parameters.design_change, change)
-            results.append(parameters.set(change, designed.result))
+            results.append(parameters.apply(change, designed.result))
         answer()

@@ -151,7 +151,7 @@ class ParameterSet:
                 raise ConfigError(name, hint=f'{LOCKED}; it stays {self.value(name)}')
         return self.design(self.configurations(changes))
 
-    def set(
+    def apply(
         self,
         parameters: Sequence[Parameter],
         designed: Callable[[], Any],

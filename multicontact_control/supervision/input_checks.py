@@ -245,9 +245,9 @@ INPUT_FINDINGS = record_dtype(InputFindings)
 
 
 class InputStage(Record, Protocol):
-    """TODO"""
+    """All that the input stage works on; one."""
 
-    input: Input
+    sample: Input
     settings: InputSettings
     state: InputState
     found: InputFindings
@@ -260,8 +260,8 @@ INPUT_STAGE = record_dtype(InputStage)
 def _check_clock(stage: InputStage) -> None:
     """Check and keep the time of a tick."""
     settings, state, found = stage.settings, stage.state, stage.found
-    elapsed, h = stage.input.time - state.time, settings.period
-    state.time, found.skipped = stage.input.time, 0
+    elapsed, h = stage.sample.time - state.time, settings.period
+    state.time, found.skipped = stage.sample.time, 0
     odd = False
     found.clock.problem = FINE
     if elapsed < 0.0:
@@ -294,7 +294,7 @@ def _check_stamp(came: int, stamp: float, stamps: Stamps, latest: float) -> int:
 @compiled
 def _check_joints(stage: InputStage, tracks: Records[JointTrack], span: float) -> int:
     """Check a joint state, `span` after the one before [s], and track it."""
-    inputs, settings, state = stage.input, stage.settings, stage.state
+    inputs, settings, state = stage.sample, stage.settings, stage.state
     velocities = state.velocities
     for j in range(tracks.shape[0]):
         if not abs(inputs.q[j]) <= FARTHEST:
@@ -345,7 +345,7 @@ def _take_joints(
     velocity: Vector,
 ) -> None:
     """Check a joint state and hand it over, if it is valid."""
-    inputs, state, finding = stage.input, stage.state, stage.found.joints
+    inputs, state, finding = stage.sample, stage.state, stage.found.joints
     stamps, velocities, h = state.joints, state.velocities, stage.settings.period
     seen_before = stamps.seen
     problem = _check_stamp(
@@ -452,7 +452,7 @@ def _filter_wrench(raw: Vector, before: WrenchState, settings: InputSettings) ->
 @compiled
 def _take_wrench(stage: InputStage, wrench: Vector) -> None:
     """Check a wrench and hand it over behind the low-pass, if it is valid."""
-    inputs, settings, state = stage.input, stage.settings, stage.state
+    inputs, settings, state = stage.sample, stage.settings, stage.state
     stamps, before, finding, h = (
         state.wrench,
         state.wrenches,
@@ -491,7 +491,7 @@ def _take_wrench(stage: InputStage, wrench: Vector) -> None:
 @compiled
 def _take_variance(stage: InputStage, contacts: Records[Contact]) -> None:
     """Check an R and hand it over within its bounds, if it is valid; let an old one grow."""
-    inputs, settings, state = stage.input, stage.settings, stage.state
+    inputs, settings, state = stage.sample, stage.settings, stage.state
     stamps, finding = state.variance, stage.found.variance
     problem = _check_stamp(
         inputs.variance_came,
@@ -574,7 +574,7 @@ def _supply_torques(
 
     The period is that of two valid joint states, `elapsed` apart [s].
     """
-    inputs, settings, state = stage.input, stage.settings, stage.state
+    inputs, settings, state = stage.sample, stage.settings, stage.state
     torques, velocities, h = (
         state.torques[: joints.shape[0]],
         state.velocities,
@@ -645,7 +645,7 @@ def _hand_over_as_it_came(
     contacts: Records[Contact],
 ) -> None:
     """Hand over joints, wrench and R, valid or not; the wrench behind the low-pass."""
-    inputs, settings = stage.input, stage.settings
+    inputs, settings = stage.sample, stage.settings
     if inputs.joints_came != ABSENT:
         for j in range(q.shape[0]):
             q[j] = inputs.q[j]
@@ -698,7 +698,10 @@ def check_inputs(
     _take_wrench(stage, control.wrench)
     _take_variance(stage, contacts)
     _supply_torques(stage, joints, control.momentum, state.joints.valid - valid_before)
-    if stage.input.wrench_came == FINE and stage.input.wrench_stamp == stage.input.time:
+    if (
+        stage.sample.wrench_came == FINE
+        and stage.sample.wrench_stamp == stage.sample.time
+    ):
         _keep_wrench(state, velocity)
     if not stage.settings.guarded:
         _hand_over_as_it_came(stage, q, velocity, control.wrench, contacts)

@@ -314,7 +314,7 @@ class Inputs:
         self._tracks, self._torques = state['tracks'][:n], state['torques'][:n]
         self.raw: Vector = state['wrenches']['newest']
         self.filtered: Vector = state['wrenches']['filtered']
-        self._intake = _Intake(self._stage['input'], n, len(contacts))
+        self._intake = _Intake(self._stage['sample'], n, len(contacts))
         self.reset()
         self.validate(TickInputs(0.0))  # no tick is to wait for numba
         self.reset()

@@ -22,7 +22,8 @@ class CompareStudy(Study):
             sentences.append(
                 f'Of the claims of the paper, on {plant}, '
                 + ', '.join(
-                    f'{each.count(True)} of {len(each) - each.count(None)} agree with K_2 = {rate:g}'
+                    f'{each.count(True)} of {len(each) - each.count(None)} agree '
+                    f'with K_2 = {rate:g}'
                     for rate, each in judged.items()
                 )
                 + ' 1/s.'
