@@ -14,16 +14,16 @@ from tempfile import TemporaryDirectory
 from time import perf_counter_ns
 
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.experiment.closed_loop import (
-    estimate_variance,
-    run_in_process,
-)
-from multicontact_control.experiment.compilation import ensure_compiled
-from multicontact_control.experiment.scenario import resolve
 from multicontact_control.files import write_json
 from multicontact_control.force.noise import make_noise_estimator
 from multicontact_control.loop import ControlLoop
 from multicontact_control.process import settle_process
+from multicontact_control.runs.closed_loop import (
+    estimate_variance,
+    run_in_process,
+)
+from multicontact_control.runs.compilation import ensure_compiled
+from multicontact_control.runs.scenario import resolve
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import (
     JointInput,
@@ -210,8 +210,8 @@ def bench_contacts(count):
 
 def bench_graph(duration):
     """Run the graph [s] in lockstep and in real time: latency, misses, load of each node."""
-    from multicontact_control.experiment.graph.run import run_graph  # needs ROS
-    from multicontact_control.experiment.graph.spec import GraphSpec, START_ORDER
+    from multicontact_control.runs.graph.run import run_graph  # needs ROS
+    from multicontact_control.runs.graph.spec import GraphSpec, START_ORDER
 
     setup, results = setup_of(duration), {}
     for mode in ('lockstep', 'real_time'):

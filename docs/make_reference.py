@@ -21,15 +21,15 @@ from typing import Any, Literal, NamedTuple, Union
 from multicontact_control.cli.application import app, FOLDERS
 from multicontact_control.cli.options import described
 from multicontact_control.config import Config, ControllerConfig, NoiseEstimatorConfig
-from multicontact_control.experiment.faults.situation import SituationConfig
-from multicontact_control.experiment.scenario import ScenarioConfig
-from multicontact_control.experiment.study.config import StudyConfig
+from multicontact_control.faults.situation import SituationConfig
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.controller_node import ControllerNodeConfig
 from multicontact_control.nodes.controller_topics import SERVICES
 from multicontact_control.nodes.franka_bridge import FrankaBridgeConfig
 from multicontact_control.nodes.graph import StartupConfig
 from multicontact_control.nodes.recorder_node import RecorderConfig
+from multicontact_control.runs.scenario import ScenarioConfig
+from multicontact_control.study.config import StudyConfig
 from pydantic.fields import FieldInfo
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sim_bridge.config import PlantConfig

@@ -16,3 +16,11 @@ def require_shape(
     """Raise a ShapeError with the name of an array that has another shape."""
     if array.shape != expected:
         raise ShapeError(name, f'shape {expected}', array.shape)
+
+
+def stretches(mask: Mask) -> list[tuple[int, int]]:
+    """Return the first place of every run of True, and the place after its last."""
+    edges = np.flatnonzero(
+        np.diff(np.concatenate([[False], mask, [False]]).astype(int))
+    )
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist()))

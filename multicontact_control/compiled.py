@@ -2,7 +2,7 @@
 How the numerical kernels are compiled: once, and again when any of their sources changes.
 
 `compiled` is the only door to numba. What it makes is kept on disk, in one folder, which
-`multicontact compile` (`experiment/compilation.py`) fills.
+`multicontact compile` (`runs/compilation.py`) fills.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from multicontact_control.dynamics.robot import (
 )
 from multicontact_control.dynamics.urdf import parse_urdf
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.parameter_file import write_parameters
+from multicontact_control.runs.parameter_file import write_parameters
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm

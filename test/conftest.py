@@ -5,14 +5,14 @@ import signal
 
 from browser import chromium  # noqa: F401 - a fixture
 from hypothesis import settings
-from multicontact_control.experiment.compilation import ensure_compiled
-from multicontact_control.experiment.graph.domain import reserve_domain
+from multicontact_control.runs.compilation import ensure_compiled
+from multicontact_control.runs.graph.domain import reserve_domain
 import pytest
 
 # In one worker, one after the other: graphs in real time would take each other's processor.
 REAL_TIME = (
     'test/campaign/test_campaign.py',
-    'test/experiment/graph/test_external.py',
+    'test/runs/graph/test_external.py',
     'test/nodes/test_survival.py',
 )
 

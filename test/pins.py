@@ -13,9 +13,9 @@ import subprocess
 import sys
 import tempfile
 
-from multicontact_control.experiment.scenario import resolve
+from canonical_runs import run_of, summary_of
+from multicontact_control.runs.scenario import resolve
 import numpy as np
-from runs import run_of, summary_of
 
 ROOT = Path(__file__).resolve().parents[1]
 FILE = ROOT / 'test' / 'data' / 'pins.json'

@@ -11,14 +11,14 @@ import sys
 import time
 from typing import Any, TypeVar
 
-from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.experiment.graph.run import running_graph
-from multicontact_control.experiment.graph.spec import GraphSpec, START_ORDER
-from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes.graph import take
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.recorder_node import Bag
 from multicontact_control.nodes.topics import Topic
+from multicontact_control.runs.graph.domain import reserve_domain
+from multicontact_control.runs.graph.run import running_graph
+from multicontact_control.runs.graph.spec import GraphSpec, START_ORDER
+from multicontact_control.runs.scenario import resolve
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from multicontact_control.experiment.recording import empty_run_data, RunData
-from multicontact_control.experiment.scenario import Setup
+from multicontact_control.runs.recording import empty_run_data, RunData
+from multicontact_control.runs.scenario import Setup
 import numpy as np
 
 

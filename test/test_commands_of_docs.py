@@ -16,13 +16,13 @@ import shlex
 from multicontact_control.cli.application import app
 from multicontact_control.cli.options import RunOptions
 from multicontact_control.client import ArmState, MultiContactClient
-from multicontact_control.experiment.results import load_run
-from multicontact_control.experiment.study.config import (
+from multicontact_control.judging.results import load_run
+from multicontact_control.nodes import messages, topics
+from multicontact_control.study.config import (
     read_choices,
     read_study,
     select,
 )
-from multicontact_control.nodes import messages, topics
 import pytest
 from robots import has_urdf
 from ros_graph import ROOT, write_bag

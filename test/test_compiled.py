@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import sys
 
-from multicontact_control.experiment.compilation import ensure_compiled
+from multicontact_control.runs.compilation import ensure_compiled
 import pytest
 from ros_graph import ROOT
 

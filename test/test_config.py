@@ -8,8 +8,8 @@ from multicontact_control.config import (
     validate,
 )
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.paths import config_dir
+from multicontact_control.runs.parameter_file import write_parameters
 import numpy as np
 import pytest
 

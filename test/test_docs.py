@@ -18,7 +18,7 @@ DOCUMENTS = [
     *PAGES,
 ]
 PACKAGE = ROOT / 'multicontact_control'
-FOLDERS = (ROOT, PACKAGE, PACKAGE / 'experiment', PACKAGE / 'experiment/study')
+FOLDERS = (ROOT, PACKAGE, PACKAGE / 'study')
 
 
 @pytest.mark.parametrize(

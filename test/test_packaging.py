@@ -94,7 +94,7 @@ def test_installed_commands_compile_once_and_run_from_any_folder(tmp_path):
         ROOT,
         source,
         ignore=shutil.ignore_patterns(
-            '.*', 'build', '*.egg-info', '__pycache__', 'runs', 'test'
+            '.*', 'build', '*.egg-info', '__pycache__', 'test'
         ),
     )
     subprocess.run([sys.executable, '-m', 'venv', '--without-pip', venv], check=True)

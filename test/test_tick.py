@@ -2,8 +2,8 @@
 
 import inspect
 
-from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.runs.closed_loop import ClosedLoop
+from multicontact_control.runs.scenario import resolve
 from multicontact_control.supervision.input_checks import check_inputs
 from multicontact_control.tick import tick
 from numba.core.runtime import _nrt_python, rtsys

@@ -38,7 +38,7 @@ def design(
     period on the stiffest one, on the linear model of the contact (P04 eq. 32). The file has the
     gains only: the stiffness of the model is printed as a --set option.
     """
-    from multicontact_control.experiment import law_report
+    from multicontact_control.commissioning import law_report
 
     result = law_report.design_for_range(
         law,

@@ -15,7 +15,7 @@ from multicontact_control.paths import config_dir
 import typer
 
 if TYPE_CHECKING:
-    from multicontact_control.experiment.scenario import External, Setup
+    from multicontact_control.runs.scenario import External, Setup
 
 EXIT_FAILED, EXIT_USAGE, EXIT_SIGNAL = 1, 2, 128  # and the number of the signal
 SHORT = {
@@ -119,8 +119,8 @@ class SetupOptions:
 
     def setup(self, *, nodes: bool = False) -> Setup:
         """Return the configuration, checked, with `nodes` of a graph; ConfigError."""
-        from multicontact_control.experiment.overrides import resolve_with
-        from multicontact_control.experiment.scenario import resolve
+        from multicontact_control.runs.overrides import resolve_with
+        from multicontact_control.runs.scenario import resolve
 
         return resolve_with(
             resolve,
@@ -173,8 +173,8 @@ class RunOptions(SetupOptions):
 
     def external(self, files: Sequence[Path], context: typer.Context) -> External:
         """Return that of a robot behind the topics; scenario and preset count if given."""
-        from multicontact_control.experiment.overrides import resolve_with
-        from multicontact_control.experiment.scenario import resolve_external
+        from multicontact_control.runs.overrides import resolve_with
+        from multicontact_control.runs.scenario import resolve_external
 
         return resolve_with(
             resolve_external,

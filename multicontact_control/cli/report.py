@@ -41,15 +41,15 @@ def report(
     their table. Of a recording without ground truth the measured forces are shown, and the run is
     not judged. Names and rate are those of the messages, or of --controller.
     """
-    from multicontact_control.experiment.claims import claims_of
-    from multicontact_control.experiment.display import print_claims
-    from multicontact_control.experiment.judge import verdict_text
-    from multicontact_control.experiment.report import write_report
-    from multicontact_control.experiment.results import (
+    from multicontact_control.judging.claims import claims_of
+    from multicontact_control.judging.display import print_claims
+    from multicontact_control.judging.report import write_report
+    from multicontact_control.judging.results import (
         is_whole_run,
         load,
         report_folder,
     )
+    from multicontact_control.judging.verdict import verdict_text
     from rich.console import Console
 
     if all(map(is_whole_run, runs)):
@@ -96,11 +96,11 @@ def identify(
     others, inertia of the tool, noise of the sensor, and the delay from a commanded torque to the
     motion, each with its standard error.
     """
-    from multicontact_control.experiment.contact_identification import (
+    from multicontact_control.commissioning.contact_identification import (
         identify_contacts,
         show,
     )
-    from multicontact_control.experiment.results import load
+    from multicontact_control.judging.results import load
 
     loaded = load(run, controller or ())
     typer.echo(show(identify_contacts(loaded.data, loaded.setup)))

@@ -94,7 +94,7 @@ def calibrate(
     the controller's parameter file, --controller. The result is tool.yaml, a parameter file to lay
     over it.
     """
-    from multicontact_control.experiment import weighing
+    from multicontact_control.commissioning import weighing
 
     files = controller or ()
     if from_bag is None:
@@ -125,7 +125,7 @@ def push_test(
     Starts the push test of the running controller and prints where to push the tool: with a spring
     balance, or, if it is simulated, on the page of `view --graph` or by the topic sim_node/push.
     """
-    from multicontact_control.experiment.push_test import push_running
+    from multicontact_control.commissioning.guided_push_test import push_running
 
     if not push_running(typer.echo, namespace or '', domain_id):
         raise typer.Exit(options.EXIT_FAILED)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from multicontact_control.cli import options
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.experiment.graph.node_process import prepare_nodes
+from multicontact_control.runs.graph.node_process import prepare_nodes
 import typer
 
 OF_THE_PLANT = (
@@ -82,7 +82,7 @@ def run(
     stay the same. Exit code 0: stable, poor or not judged; 1: not stable, held by the supervisor,
     a node died, or the external robot is gone.
     """
-    from multicontact_control.experiment.graph.domain import check_namespace
+    from multicontact_control.runs.graph.domain import check_namespace
 
     namespace = check_namespace(namespace or '')
     options.end_at_signals('interrupted')
@@ -105,8 +105,8 @@ def run(
         if commanded:
             setup = setup.commanded_over_topics()
     # Only now: bad input is refused before the simulator is loaded.
-    from multicontact_control.experiment.results import run_folder
-    from multicontact_control.experiment.run import run_on_graph
+    from multicontact_control.judging.judged_run import run_on_graph
+    from multicontact_control.judging.results import run_folder
 
     with run_folder(
         chosen.out, setup.scenario.name, overwrite=chosen.overwrite, now=datetime.now()
@@ -138,8 +138,8 @@ def simulate(chosen: options.RunOptions) -> None:
     """
     options.end_at_signals('interrupted; nothing of this run is kept')
     setup = chosen.setup()
-    from multicontact_control.experiment.results import run_folder
-    from multicontact_control.experiment.run import run_simulate
+    from multicontact_control.judging.judged_run import run_simulate
+    from multicontact_control.judging.results import run_folder
 
     with run_folder(
         chosen.out, setup.scenario.name, overwrite=chosen.overwrite, now=datetime.now()
@@ -188,7 +188,7 @@ def view(
     viser is not installed.
     """
     if recording is not None:
-        from multicontact_control.experiment.results import run_of
+        from multicontact_control.judging.results import run_of
 
         options.refuse_options(context, ('seed', 'engine'), 'with a recording')
         if run_of(recording)[1]:

@@ -97,9 +97,9 @@ def study(
     """
     options.end_at_signals('interrupted; the same command goes on from there')
     # Only now: what is heavy is not loaded for the sake of an error.
-    from multicontact_control.experiment.study import config as files
-    from multicontact_control.experiment.study.presets import study_of
-    from multicontact_control.experiment.study.study import run_study
+    from multicontact_control.study import config as files
+    from multicontact_control.study.presets import study_of
+    from multicontact_control.study.study import run_study
 
     texts = [*([f'plant={plants}'] if plants else []), *(settings or ())]
     config, choices = check_all(

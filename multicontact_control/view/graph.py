@@ -10,8 +10,7 @@ from typing import Any
 from geometry_msgs.msg import Vector3Stamped
 from multicontact_control.config import Vector3
 from multicontact_control.errors import CommandError, MulticontactError, RunError
-from multicontact_control.experiment.judge import Event
-from multicontact_control.experiment.scenario import Setup
+from multicontact_control.judging.verdict import Event
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_topics import MARKER_NAMESPACE
 from multicontact_control.nodes.graph import create_publisher
@@ -21,6 +20,7 @@ from multicontact_control.nodes.messages import (
     new_identifier,
     REFUSED,
 )
+from multicontact_control.runs.scenario import Setup
 from multicontact_control.view import source
 from multicontact_control.view.motion import Motion
 from multicontact_control.view.streams import Stream

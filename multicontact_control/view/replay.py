@@ -13,16 +13,16 @@ from typing import Any
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.errors import CommandError, ConfigError
-from multicontact_control.experiment import results
-from multicontact_control.experiment.bag import MARKERS, mcap_files, read_messages
-from multicontact_control.experiment.judge import Event, read_event
-from multicontact_control.experiment.recording import (
+from multicontact_control.judging import results
+from multicontact_control.judging.verdict import Event, read_event
+from multicontact_control.runs.bag import MARKERS, mcap_files, read_messages
+from multicontact_control.runs.recording import (
     CUT_OFF,
     read_bag,
     RunData,
     SERIES_FILE,
 )
-from multicontact_control.experiment.scenario import Setup
+from multicontact_control.runs.scenario import Setup
 from multicontact_control.supervision.reactions import NONE
 from multicontact_control.view import source
 from multicontact_control.view.curves import extremes

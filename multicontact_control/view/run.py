@@ -9,9 +9,9 @@ from tempfile import TemporaryDirectory
 import webbrowser
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.compilation import ensure_compiled
-from multicontact_control.experiment.results import CONFIG_FOLDER
-from multicontact_control.experiment.scenario import Setup
+from multicontact_control.judging.results import CONFIG_FOLDER
+from multicontact_control.runs.compilation import ensure_compiled
+from multicontact_control.runs.scenario import Setup
 from multicontact_control.view.source import Source
 
 
@@ -43,7 +43,7 @@ def run_view(
         raise ConfigError(
             'view', 'viser, by pip install viser', f'none that can be loaded ({error})'
         ) from None
-    from multicontact_control.experiment.graph.run import (
+    from multicontact_control.runs.graph.run import (
         collected_signals,
         InterruptedRunError,
     )
@@ -85,13 +85,13 @@ def started(
     tell: Callable[[str], object],
 ) -> Source:
     """Start a graph that obeys commands, without a recorder, and return what joins it."""
-    from multicontact_control.experiment.graph.domain import check_namespace
-    from multicontact_control.experiment.graph.run import (
+    from multicontact_control.judging.judged_run import simulation_parameters
+    from multicontact_control.runs.graph.domain import check_namespace
+    from multicontact_control.runs.graph.run import (
         InterruptedRunError,
         running_graph,
     )
-    from multicontact_control.experiment.graph.spec import GraphSpec
-    from multicontact_control.experiment.run import simulation_parameters
+    from multicontact_control.runs.graph.spec import GraphSpec
     from multicontact_control.view.graph import GraphSource
 
     def keep_waiting(_: str) -> None:

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
-from multicontact_control.experiment.judge import Event
-from multicontact_control.experiment.scenario import Setup
+from multicontact_control.judging.verdict import Event
+from multicontact_control.runs.scenario import Setup
 from multicontact_control.supervision.reactions import NONE
 from sim_bridge.surface_patch import Patch, patch_of
 

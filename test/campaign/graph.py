@@ -18,12 +18,12 @@ import time
 from campaign.graph_faults import HALT, KILL, NodeChange
 from campaign.relay import INPUTS, PREFIX
 from multicontact_control.errors import RunError
-from multicontact_control.experiment.faults import judge
-from multicontact_control.experiment.graph import spec
-from multicontact_control.experiment.graph.processes import NodeProcesses
+from multicontact_control.faults import judge
 from multicontact_control.nodes import link, messages, qos, topics
 from multicontact_control.nodes.graph import create_publisher, ignore, take
 from multicontact_control.nodes.topics import CONTROLLER, RECORDER
+from multicontact_control.runs.graph import spec
+from multicontact_control.runs.graph.processes import NodeProcesses
 import numpy as np
 from sensor_msgs.msg import JointState
 

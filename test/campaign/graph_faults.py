@@ -3,7 +3,7 @@
 from collections import namedtuple
 from dataclasses import dataclass
 
-from multicontact_control.experiment.faults.vocabulary import (
+from multicontact_control.faults.vocabulary import (
     CLOCK,
     Fault,
     FLOAT,

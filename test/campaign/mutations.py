@@ -13,9 +13,7 @@ import sys
 import tempfile
 
 HERE = Path(__file__).resolve().parent
-LEFT_OUT = shutil.ignore_patterns(
-    '.git', '.venv', 'runs', 'build', '.*_cache', '__pycache__'
-)
+LEFT_OUT = shutil.ignore_patterns('.git', '.venv', 'build', '.*_cache', '__pycache__')
 
 
 def read_mutations():

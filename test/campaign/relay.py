@@ -9,7 +9,7 @@ from select import select
 import sys
 
 from campaign.graph_faults import ClockShift, GRAPH_FAULTS, Resending
-from multicontact_control.experiment.faults.vocabulary import CLOCK
+from multicontact_control.faults.vocabulary import CLOCK
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.runtime import EventsExecutor, start_ros
 import numpy as np

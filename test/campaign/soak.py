@@ -18,15 +18,15 @@ import sys
 from joblib import delayed, Parallel
 from multicontact_control.control.tasks import MotionReading, quintic
 from multicontact_control.errors import CommandError
-from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults import in_process
-from multicontact_control.experiment.faults.judge import (
+from multicontact_control.faults import in_process
+from multicontact_control.faults.judge import (
     MET_FORCE,
     never_allowed,
     Observation,
 )
-from multicontact_control.experiment.faults.vocabulary import FAULTS, PlantEdit
-from multicontact_control.experiment.oscillation import oscillations
+from multicontact_control.faults.vocabulary import FAULTS, PlantEdit
+from multicontact_control.judging.oscillation import oscillations
+from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.supervision.contacts import HOLDING, NAMES
 import numpy as np
 import pandas as pd

@@ -18,10 +18,10 @@ from multicontact_control.config import merge
 from multicontact_control.control.tasks import MotionReading, quintic
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, RunError
-from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.in_process import Occurrence
-from multicontact_control.experiment.faults.vocabulary import FAULTS as EVERY_FAULT
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.faults.in_process import Occurrence
+from multicontact_control.faults.vocabulary import FAULTS as EVERY_FAULT
+from multicontact_control.runs.closed_loop import ClosedLoop
+from multicontact_control.runs.scenario import resolve
 import numpy as np
 import pandas as pd
 from rich.progress import track

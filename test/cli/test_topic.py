@@ -8,9 +8,9 @@ import threading
 from geometry_msgs.msg import PoseStamped
 from multicontact_control.cli.topic import describe_rate, document
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import messages, qos
 from multicontact_control.nodes.link import GuestNode
+from multicontact_control.runs.graph.domain import reserve_domain
 import pytest
 from ros_graph import end_of, PATIENCE, start_command
 from sensor_msgs.msg import JointState, PointCloud2

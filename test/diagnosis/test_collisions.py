@@ -3,9 +3,9 @@
 from contextlib import closing
 
 from multicontact_control.diagnosis.friction import undeclared_friction
-from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.scenario import resolve
 from multicontact_control.paths import config_dir
+from multicontact_control.runs.closed_loop import ClosedLoop
+from multicontact_control.runs.scenario import resolve
 import numpy as np
 import pytest
 from supervision.test_recovery import (

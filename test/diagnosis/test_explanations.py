@@ -2,8 +2,8 @@
 
 from collections import deque
 
-from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.runs.closed_loop import ClosedLoop
+from multicontact_control.runs.scenario import resolve
 import numpy as np
 import pytest
 from robots import robot_parameters

@@ -1,12 +1,12 @@
 """Nothing is allocated between a sample and its answer."""
 
-from multicontact_control.experiment.scenario import resolve
 from multicontact_control.force.force_law import (
     answer_forces,
     FORCE_SPACE,
     make_force_laws,
 )
 from multicontact_control.records import CONTACT, CONTROL
+from multicontact_control.runs.scenario import resolve
 from numba import njit
 from numba.core.runtime import _nrt_python, rtsys
 import numpy as np

@@ -7,6 +7,15 @@ import shlex
 from typing import get_args
 
 from multicontact_control.cli.options import Law, SetupOptions
+from multicontact_control.commissioning.law_report import (
+    contact_loop,
+    design_for_range,
+    FASTER,
+    margins_of,
+    show_design,
+    stable_ratios,
+    write_design,
+)
 from multicontact_control.config import ForceConfig, read_yaml
 from multicontact_control.config.force import (
     AdmittanceConfig,
@@ -16,16 +25,6 @@ from multicontact_control.config.force import (
     LqgConfig,
     PiConfig,
 )
-from multicontact_control.experiment.law_report import (
-    contact_loop,
-    design_for_range,
-    FASTER,
-    margins_of,
-    show_design,
-    stable_ratios,
-    write_design,
-)
-from multicontact_control.experiment.scenario import resolve
 from multicontact_control.force.force_law import (
     act_beyond,
     answer_forces,
@@ -43,6 +42,7 @@ from multicontact_control.force.observer import steady_gain
 from multicontact_control.force.plant import delayed_plant
 from multicontact_control.paths import config_dir
 from multicontact_control.records import CONTACT, CONTROL, MAX_STATES
+from multicontact_control.runs.scenario import resolve
 import numpy as np
 import pytest
 

@@ -1,11 +1,11 @@
 """Real middleware for the tests of the nodes, in a ROS domain of their own."""
 
-from multicontact_control.experiment.graph.domain import reserve_domain
 from multicontact_control.nodes import diagnostics, lifecycle
 from multicontact_control.nodes.controller_node import ControllerNode
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.runtime import Spinner
 from multicontact_control.paths import config_dir
+from multicontact_control.runs.graph.domain import reserve_domain
 import pytest
 from ros_graph import Middleware
 

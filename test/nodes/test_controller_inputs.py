@@ -4,11 +4,11 @@ import time
 
 from arms import HOME
 from fake_arm import EFFORT, FakeArm, PARAMETERS, PERIOD, UNFELT, wrench_message
-from multicontact_control.experiment.graph.processes import LINE_LENGTH
 from multicontact_control.nodes import messages
 from multicontact_control.nodes.diagnostics import Inputs
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.topics import JOINT_STATES, NOISE_VARIANCE, WRENCH
+from multicontact_control.runs.graph.processes import LINE_LENGTH
 import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy

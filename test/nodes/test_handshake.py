@@ -14,9 +14,9 @@ import time
 
 from arms import seven_joint_urdf
 from multicontact_control.config import merge, read_parameters
-from multicontact_control.experiment.parameter_file import write_parameters
 from multicontact_control.nodes import qos, topics
 from multicontact_control.nodes.streams import HEADER, STAMP
+from multicontact_control.runs.parameter_file import write_parameters
 import numpy as np
 import pytest
 from rclpy.executors import SingleThreadedExecutor

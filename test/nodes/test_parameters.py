@@ -8,12 +8,6 @@ from pathlib import Path
 from arms import controller_config, seven_joint_urdf
 from multicontact_control.config import Config, ControllerConfig, parameter, Vector
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.parameter_file import write_parameters
-from multicontact_control.experiment.scenario import (
-    dotted,
-    read_controller_files,
-    resolve,
-)
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.parameters import (
     folder_of,
@@ -22,6 +16,12 @@ from multicontact_control.nodes.parameters import (
 )
 from multicontact_control.nodes.private import parameter_overrides
 from multicontact_control.paths import config_dir
+from multicontact_control.runs.parameter_file import write_parameters
+from multicontact_control.runs.scenario import (
+    dotted,
+    read_controller_files,
+    resolve,
+)
 import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter

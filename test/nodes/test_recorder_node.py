@@ -10,10 +10,10 @@ import time
 from arms import controller_config
 from fake_arm import wrench_message
 from multicontact_control.errors import ConfigError, MulticontactError, RunError
-from multicontact_control.experiment.recording import read_bag
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph import READY
 from multicontact_control.nodes.recorder_node import Bag, RecorderNode
+from multicontact_control.runs.recording import read_bag
 import pytest
 import rclpy
 from rclpy.duration import Duration

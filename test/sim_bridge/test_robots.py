@@ -10,8 +10,8 @@ from multicontact_control.cli.robot import new_robot as command
 from multicontact_control.config import ControllerConfig, read_yaml, validate
 from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.scenario import read_controller_files
 from multicontact_control.paths import config_dir
+from multicontact_control.runs.scenario import read_controller_files
 import numpy as np
 import pinocchio as pin
 import pybullet as bullet

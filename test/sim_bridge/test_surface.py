@@ -1,6 +1,6 @@
 """What is felt of a surface, and what is seen of it."""
 
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.runs.scenario import resolve
 import numpy as np
 import pytest
 from sim_bridge.config import SurfaceConfig

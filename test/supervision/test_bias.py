@@ -2,8 +2,8 @@
 
 from contextlib import closing
 
-from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.runs.closed_loop import ClosedLoop
+from multicontact_control.runs.scenario import resolve
 from multicontact_control.supervision.inputs import WrenchInput
 import numpy as np
 import pytest

@@ -8,10 +8,10 @@ from arms import controller_config, HOME, still_config
 from multicontact_control.config import ToolConfig
 from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.errors import ConfigError
-from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.scenario import resolve
 from multicontact_control.loop import ControlLoop
 from multicontact_control.paths import config_dir
+from multicontact_control.runs.closed_loop import ClosedLoop
+from multicontact_control.runs.scenario import resolve
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import TickInputs
 import numpy as np

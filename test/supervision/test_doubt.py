@@ -5,8 +5,8 @@ from contextlib import closing
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError
-from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.runs.closed_loop import ClosedLoop
+from multicontact_control.runs.scenario import resolve
 from multicontact_control.sensor.push_test import PushTestConfig
 from multicontact_control.supervision import reactions
 from multicontact_control.supervision.reactions import Steadiness

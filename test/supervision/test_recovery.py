@@ -6,10 +6,10 @@ from campaign.velocities import Cell, FARTHEST, FASTER, LARGEST_FORCE, run
 from multicontact_control.config.supervision import WatchdogConfig
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError, ConfigError
-from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.faults.in_process import with_obstacles
-from multicontact_control.experiment.faults.vocabulary import ELBOW_WALL, FAR
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.faults.in_process import with_obstacles
+from multicontact_control.faults.vocabulary import ELBOW_WALL, FAR
+from multicontact_control.runs.closed_loop import ClosedLoop
+from multicontact_control.runs.scenario import resolve
 from multicontact_control.supervision.reactions import RECOVERING, Recovery
 import numpy as np
 import pytest

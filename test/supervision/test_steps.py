@@ -1,8 +1,8 @@
 """Steps of a commanded motion are walked within the limits, without a hold."""
 
 from multicontact_control.control.tasks import MotionReading, quintic
-from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.runs.closed_loop import ClosedLoop
+from multicontact_control.runs.scenario import resolve
 import numpy as np
 import pytest
 

@@ -3,8 +3,8 @@
 from contextlib import closing
 
 from multicontact_control.config.supervision import ContactStateConfig
-from multicontact_control.experiment.closed_loop import ClosedLoop
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.runs.closed_loop import ClosedLoop
+from multicontact_control.runs.scenario import resolve
 from multicontact_control.supervision import contacts
 import numpy as np
 import pytest

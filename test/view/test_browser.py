@@ -4,8 +4,8 @@ from contextlib import closing, ExitStack
 import threading
 
 from browser import Tab
-from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.runs.graph.domain import reserve_domain
+from multicontact_control.runs.scenario import resolve
 from multicontact_control.view import source
 from multicontact_control.view.run import started
 import numpy as np

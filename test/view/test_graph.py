@@ -4,12 +4,12 @@ from contextlib import closing
 
 from multicontact_control.client import MultiContactClient
 from multicontact_control.errors import MulticontactError, RunError
-from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.experiment.scenario import resolve
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.link import GuestNode
 from multicontact_control.nodes.messages import joint_state_message
+from multicontact_control.runs.graph.domain import reserve_domain
+from multicontact_control.runs.scenario import resolve
 from multicontact_control.view import source
 from multicontact_control.view.graph import GraphSource
 from multicontact_control.view.streams import Stream

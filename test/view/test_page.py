@@ -10,8 +10,8 @@ from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
 from multicontact_control.errors import CommandError, RunError
-from multicontact_control.experiment.graph.domain import reserve_domain
-from multicontact_control.experiment.scenario import resolve
+from multicontact_control.runs.graph.domain import reserve_domain
+from multicontact_control.runs.scenario import resolve
 from multicontact_control.view import source
 from multicontact_control.view.source import Scene, surfaces_of
 import pytest

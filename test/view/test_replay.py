@@ -5,18 +5,18 @@ from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import Mock
 
+from canonical_runs import run_of
 from multicontact_control.errors import CommandError
-from multicontact_control.experiment.recording import RunData
-from multicontact_control.experiment.results import CONFIG_FOLDER, SUMMARY_FILE
-from multicontact_control.experiment.scenario import resolve
 from multicontact_control.files import write_json
+from multicontact_control.judging.results import CONFIG_FOLDER, SUMMARY_FILE
 from multicontact_control.nodes import messages, topics
+from multicontact_control.runs.recording import RunData
+from multicontact_control.runs.scenario import resolve
 from multicontact_control.view import source
 from multicontact_control.view.replay import load_replay, ReplaySource
 import numpy as np
 import pytest
 from ros_graph import write_bag
-from runs import run_of
 from sim_bridge.surface_patch import SurfaceMarkers
 
 PERIOD = 2_000_000  # ns

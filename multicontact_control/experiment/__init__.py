@@ -1,1 +1,0 @@
-"""Running, recording, judging and drawing experiments."""

@@ -1,0 +1,183 @@
+"""
+Compiling is a step of its own: every kernel a command or node may need, before any of them runs.
+
+All of it is called once, in short. A file in the cache says that it is there, for these sources,
+libraries and processor; a command that finds none compiles first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import fcntl
+import hashlib
+from importlib.metadata import version
+import os
+from pathlib import Path
+import shutil
+from subprocess import DEVNULL, PIPE, Popen
+import sys
+from typing import Any
+
+from llvmlite import binding as llvm
+from multicontact_control.compiled import cache_folder, HERE
+import numpy as np
+from rich.console import Console
+
+NO_FOLDER = (
+    'warning: no folder can be written for compiled kernels, so every process compiles '
+    'its own (a minute each): set NUMBA_CACHE_DIR to one that can'
+)
+LOCK_FILE = 'compiling.lock'
+TICKS = 3
+BESIDE = f'from {__name__} import compile_beside; compile_beside()'
+KEPT = 5  # folders, each for one state of the sources
+
+
+def ensure_compiled() -> int:
+    """
+    Compile every kernel, unless the cache has them; return how many the cache has got now.
+
+    One command at a time does so, on two cores.
+    """
+    folder = cache_folder()
+    if folder is not None and _marker(folder).is_file():
+        return 0
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    if folder is None:
+        console.print(NO_FOLDER, style='yellow')
+        return 0
+    with (folder / LOCK_FILE).open(
+        'w'
+    ) as lock:  # the system frees it when this process ends
+        console.print(
+            'compiling the numerical kernels, once (half a minute on two cores), into '
+            f'{folder}'
+        )
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if _marker(folder).is_file():
+            return 0
+        places = [str(HERE.parent), os.environ.get('PYTHONPATH', '')]
+        with Popen(
+            [sys.executable, '-c', BESIDE],
+            stdout=DEVNULL,
+            stderr=PIPE,
+            text=True,
+            env={**os.environ, 'PYTHONPATH': os.pathsep.join(places)},
+        ) as beside:
+            _compile_law()
+            _, errors = beside.communicate()
+        if beside.returncode:
+            console.print(
+                f'warning: the second compiler failed, one goes on:\n{errors}',
+                style='yellow',
+            )
+        _call_all()
+        _marker(folder).touch()
+    alike = folder.parent.glob(f'{folder.name.rpartition("-")[0]}-*')
+    for outdated in sorted(alike, key=os.path.getmtime)[:-KEPT]:
+        shutil.rmtree(outdated, ignore_errors=True)
+    return sum(1 for _ in folder.rglob('*.nbc'))  # numba's files, one for each
+
+
+def _marker(folder: Path) -> Path:
+    """Return the file that says that all is compiled, for these libraries and this processor."""
+    parts = [
+        version('numba'),
+        version('llvmlite'),
+        sys.version,
+        llvm.get_host_cpu_name(),
+        llvm.get_host_cpu_features().flatten(),
+    ]
+    return folder / f'complete-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}'
+
+
+def compile_beside() -> None:
+    """
+    Compile what works without the law: plant, inputs, task and gate.
+
+    In a process of its own, on another core. What fails there is compiled by what follows.
+    """
+    from multicontact_control.records import CONTACT, CONTROL, JOINT
+    from multicontact_control.runs.scenario import resolve
+    from multicontact_control.supervision.contact_task import limit_task, TASK_LIMITS
+    from multicontact_control.supervision.contacts import CONTACT_STATE
+    from multicontact_control.supervision.gate import GATE, pass_gate
+    from multicontact_control.supervision.input_checks import check_inputs, INPUT_STAGE
+    from sim_bridge.plant import Plant
+
+    mass_matrix, jacobian = np.eye(6, order='F'), np.eye(6)  # as pinocchio gives them
+    joints: Any = np.zeros(6, dtype=JOINT)
+    controls: Any = np.zeros(1, dtype=CONTROL)
+    contacts: Any = np.zeros(2, dtype=CONTACT)
+    states: Any = np.zeros(2, dtype=CONTACT_STATE)
+    gates: Any = np.zeros(1, dtype=GATE)
+    limits: Any = np.zeros(1, dtype=TASK_LIMITS)
+    stages: Any = np.zeros(1, dtype=INPUT_STAGE)
+    stages['settings']['commands'] = 2
+    pass_gate(gates[0], joints, controls[0], contacts, mass_matrix, jacobian, 0)
+    limit_task(limits[0], controls[0], contacts, states)
+    check_inputs(stages, np.zeros(6), np.zeros(6), joints, controls, contacts)
+    for name in ('flexible', 'rigid'):
+        setup = resolve('quick', plant=name)
+        plant = Plant(setup.plant, rate=setup.controller.rate, seed=0)
+        plant.step(plant.initial_torque)
+        plant.close()
+
+
+def _compile_law() -> None:
+    """Compile what sees the arm, and the law."""
+    from multicontact_control.control.controller import Controller
+    from multicontact_control.dynamics.robot import RobotModel
+    from multicontact_control.runs.scenario import resolve
+
+    setup = resolve('quick')
+    Controller(setup.controller, RobotModel(setup.controller.robot, setup.urdf_dir))
+
+
+def _call_all() -> None:
+    """Make numba compile all that is left, above all the tick."""
+    from multicontact_control.force.force_law import continue_laws, make_force_laws
+    from multicontact_control.force.noise import ESTIMATORS, make_noise_estimator
+    from multicontact_control.force.stiffness import (
+        find_stiffness,
+        FIT_SPACE,
+        friction_of_others,
+    )
+    from multicontact_control.records import CONTACT, FRAME
+    from multicontact_control.runs.closed_loop import run_in_process
+    from multicontact_control.runs.scenario import resolve
+
+    quick = resolve('quick')
+    for estimator in ESTIMATORS:
+        make_noise_estimator(
+            quick.noise_estimator.model_copy(update={'estimator': estimator})
+        )
+    configs = [
+        resolve('quick', preset=name).controller for name in ('adaptive', 'laws/dob')
+    ]
+    laws = [make_force_laws(config) for config in (configs[0], *configs)]
+    laws[0]['observer']['running'] = True
+    for new, old in zip(laws[1:], laws):
+        continue_laws(new, old)
+    find_stiffness(
+        laws[1][0]['stiffness'], 0.0, 0.0, 0.0, 0.0, np.zeros(1, dtype=FIT_SPACE)[0]
+    )
+    friction_of_others(np.zeros(1, dtype=FRAME)[0], np.zeros(2, dtype=CONTACT), 0)
+    for plant, friction, supervised in (
+        ('flexible', 0.25, True),
+        ('flexible', 0.25, False),
+        ('rigid', 0.0, False),
+        ('rigid', 0.25, False),
+    ):
+        setup = resolve(
+            'quick', plant=plant, plant_overrides={'joint_friction_scale': friction}
+        )
+        run_in_process(
+            replace(
+                setup,
+                scenario=setup.scenario.model_copy(
+                    update={'duration': TICKS * setup.controller.period}
+                ),
+            ),
+            supervised=supervised,
+        )

@@ -1,0 +1,108 @@
+"""What a graph is made of: which nodes, with which parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+import json
+from pathlib import Path
+from typing import Any
+
+from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, RECORDER, SIM
+from multicontact_control.runs.graph.robot import Robot
+
+START_ORDER = (RECORDER, ESTIMATOR, CONTROLLER, SIM)
+MANAGED = (ESTIMATOR, CONTROLLER)  # in the order in which they are activated
+FIFO_PRIORITY = 80  # below the kernel's own threads
+
+
+@dataclass(frozen=True)
+class GraphSpec:
+    """What to run; with a `robot` there is no simulator, and `ticks`, `seed`, `speed` are void."""
+
+    out: Path  # folder of the run, which exists
+    parameter_files: Mapping[
+        str, Path
+    ]  # by node name; a node without one gets its defaults
+    ticks: int  # samples until the run ends, 0 for a signal to end it
+    rate: float  # control rate [Hz]
+    free_running: bool = (
+        False  # whether the plant does not wait for commands, as a robot
+    )
+    speed: float = 1.0  # simulated time per wall time at most; 0 for as fast as it goes
+    seed: int = 0  # of the plant
+    reference_file: Path | None = (
+        None  # scenario; without it the command topics are obeyed
+    )
+    domain_id: int | None = None  # by default the first one without participants
+    namespace: str = ''  # of all nodes, topics and services, without a leading slash
+    # More parameters by node name, over those of its file; other names of topics, likewise.
+    extra_parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    remappings: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    realtime: bool = (
+        False  # whether the nodes that control ask for priority, and keep memory
+    )
+    robot: Robot | None = None
+    recorded: bool = True  # whether a recorder is among the nodes
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """Names of all nodes, in the order in which they are started."""
+        absent = [RECORDER] * (not self.recorded) + [SIM] * (self.robot is not None)
+        return tuple(name for name in START_ORDER if name not in absent)
+
+    @property
+    def bag(self) -> Path:
+        """Folder of the recording."""
+        return self.out / 'bag'
+
+    @property
+    def logs(self) -> Path:
+        """Folder of the nodes' logs and counts."""
+        return self.out / 'logs'
+
+
+def node_arguments(
+    name: str,
+    spec: GraphSpec,
+    overrides: Mapping[str, Any] | None = None,
+) -> list[str]:
+    """Return the command line of a node; `overrides` are parameters over those of the graph."""
+    # The output is in the log of the run already.
+    arguments = ['--ros-args', '--disable-external-lib-logs']
+    if spec.namespace:
+        arguments += ['-r', f'__ns:=/{spec.namespace}']
+    if name in spec.parameter_files:
+        arguments += ['--params-file', str(spec.parameter_files[name].resolve())]
+    for topic, other in spec.remappings.get(name, {}).items():
+        arguments += ['-r', f'{topic}:={other}']
+    for key, value in {**node_parameters(name, spec), **(overrides or {})}.items():
+        arguments += ['-p', f'{key}:={json.dumps(value)}']  # JSON keeps 500.0 a double
+    return arguments
+
+
+def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
+    """Return the parameters that belong to the run, not to a file."""
+    values: dict[str, Any] = {
+        'timing_file': str((spec.logs / f'{name}.json').resolve()),
+        'startup_peers': list(spec.nodes),
+    }
+    if name == RECORDER:
+        values['folder'] = str(spec.bag.resolve())
+        bare = spec.extra_parameters.get(CONTROLLER, {}).get('effort_output_topic')
+        if bare:
+            values['effort_output_topic'] = bare
+    if name == SIM:
+        values |= {
+            'ticks': spec.ticks,
+            'rate': float(spec.rate),
+            'seed': spec.seed,
+            'speed': float(spec.speed),
+        }
+    if name == CONTROLLER and spec.reference_file is not None:
+        values['reference_file'] = str(spec.reference_file.resolve())
+    if name in (SIM, CONTROLLER):
+        values['lockstep'] = not spec.free_running and spec.robot is None
+    if spec.realtime and name != RECORDER:
+        values |= {'fifo_priority': FIFO_PRIORITY, 'lock_memory': True}
+    return {**values, **spec.extra_parameters.get(name, {})}

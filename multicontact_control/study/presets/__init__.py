@@ -1,0 +1,23 @@
+"""The kinds of studies: what each has beside its file, such as findings or jobs of its own."""
+
+from multicontact_control.study.config import StudyConfig
+from multicontact_control.study.presets.compare import CompareStudy
+from multicontact_control.study.presets.faults import FaultsStudy
+from multicontact_control.study.presets.map import MapStudy
+from multicontact_control.study.presets.situations import SituationsStudy
+from multicontact_control.study.presets.tune import TuneStudy
+from multicontact_control.study.study import Study
+
+KINDS = {
+    'sweep': Study,
+    'compare': CompareStudy,
+    'map': MapStudy,
+    'tune': TuneStudy,
+    'faults': FaultsStudy,
+    'situations': SituationsStudy,
+}
+
+
+def study_of(config: StudyConfig) -> Study:
+    """Return the study of a configuration."""
+    return KINDS[config.kind](config)

@@ -1,0 +1,94 @@
+"""What recorded force steps say of contacts, against the plant that they were recorded on."""
+
+from dataclasses import replace
+
+from canonical_runs import run_of
+from multicontact_control.commissioning.contact_identification import (
+    ContactSignals,
+    identify_contacts,
+    noise_at_rest,
+)
+from multicontact_control.errors import RunError
+from multicontact_control.runs.scenario import resolve
+import numpy as np
+import pytest
+
+NOISE = 0.1  # N, per axis
+SURFACES = {
+    'table': {'stiffness': 4000.0, 'damping': 20.0},
+    'board': {'stiffness': 9000.0, 'damping': 50.0},
+}
+
+
+def recorded(**plant):
+    setup = resolve(
+        'quick',
+        plant='rigid',
+        seed=3,
+        duration=6.0,
+        plant_overrides={
+            'surfaces': SURFACES,
+            **plant,
+            'sensor': {
+                'force_noise_std': NOISE,
+                'torque_noise_std': 0.0,
+                'quantise': False,
+            },
+        },
+    )
+    data = run_of(setup).data
+    return setup, data, identify_contacts(data, setup)
+
+
+@pytest.fixture(scope='module')
+def recording():
+    return recorded()
+
+
+@pytest.mark.parametrize('contact', ['table', 'board'])
+def test_surface_is_identified_within_its_errors(recording, contact):
+    estimate, true = recording[2][contact], SURFACES[contact]
+    assert estimate['explained'] > 0.95
+    for name, value in (
+        ('stiffness_n_m', true['stiffness']),
+        ('damping_n_s_m', true['damping']),
+        ('tool_mass_kg', 0.491),
+    ):
+        assert abs(estimate[name]['value'] - value) < 2.0 * estimate[name]['std'], name
+    assert estimate['stiffness_n_m']['std'] < 0.1 * true['stiffness']
+    # A force alone has the noise of its axis; lever arms add to it.
+    assert NOISE**2 < 1.2 * estimate['noise_variance_n2']['value'] < 4.0 * NOISE**2
+
+
+def test_more_delay_of_the_actuator_is_identified(recording):
+    """Three periods more."""
+    later = recorded(actuator_delay_ticks=4)[2]
+    for name, estimate in recording[2].items():
+        change = later[name]['delay_s']['value'] - estimate['delay_s']['value']
+        assert change == pytest.approx(0.006, abs=0.002)
+
+
+def test_error_of_the_noise_is_that_of_many_recordings():
+    """White noise in 2000 recordings of one contact at rest: the scatter of what is found."""
+    random, rest = np.random.default_rng(4), np.zeros(200)
+    estimates = [
+        noise_at_rest(
+            ContactSignals(NOISE * random.normal(size=200), rest + 10.0, *[rest] * 5)
+        )
+        for _ in range(2000)
+    ]
+    values, errors = (
+        np.array([each[name] for each in estimates]) for name in ('value', 'std')
+    )
+    assert values.mean() == pytest.approx(NOISE**2, rel=0.05)
+    assert errors.mean() == pytest.approx(values.std(), rel=0.07)
+
+
+def test_gaps_are_left_out_and_a_recording_without_steps_is_refused(recording):
+    setup, data, whole = recording
+    q = data.q.copy()
+    q[::50] = np.nan
+    contacts = identify_contacts(replace(data, q=q), setup)
+    assert contacts['table']['samples'] < whole['table']['samples']
+    with pytest.raises(RunError):
+        identify_contacts(data.part(0, 300), setup)

@@ -1,0 +1,151 @@
+"""Weighing the tool from a recording; tests of graphs weigh that of a running robot."""
+
+from types import SimpleNamespace
+
+from arms import controller_config
+from fake_arm import wrench_message
+from foreign_bag import controller_file, JOINTS, RATE, START
+from multicontact_control.commissioning.weighing import (
+    CLEARANCE,
+    identify,
+    TILTS,
+    visit_poses,
+    way_off,
+    weigh_recording,
+    write_tool,
+)
+from multicontact_control.config import read_parameters, ToolConfig
+from multicontact_control.config.contact import ContactConfig
+from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.errors import CalibrationError
+from multicontact_control.nodes import messages, topics
+from multicontact_control.runs.scenario import read_controller_files
+from multicontact_control.sensor.tool import PoseReading, weight_reading
+import numpy as np
+import pytest
+from ros_graph import write_bag
+from scipy.spatial.transform import Rotation
+
+TOOL = ToolConfig(
+    mass=1.3,
+    com_sensor=(0.01, -0.03, 0.07),
+    bias_sensor=(2.0, -1.0, 3.0, 0.1, -0.05, 0.02),
+)
+POSES = np.zeros((5, 7))
+POSES[:, 3:6] = [
+    [0.9, 0.5, -0.8],
+    [1.4, 0.5, -0.8],
+    [0.4, 0.5, -0.8],
+    [0.9, 1.2, -0.2],
+    [0.9, -0.3, -1.3],
+]
+REST, MOVE = 2.0, 0.8  # s
+
+
+def led_arm(file, offset, touched):
+    """Yield messages of an arm led from pose to pose, whose sensor has stamps of its own."""
+    read, random = read_controller_files([file]), np.random.default_rng(0)
+    robot = RobotModel(read.config().robot, read.urdf_dir)
+    for k in range(round(len(POSES) * (REST + MOVE) * RATE)):
+        number, at = divmod(k / RATE, REST + MOVE)
+        here, there = POSES[int(number)], POSES[min(int(number) + 1, len(POSES) - 1)]
+        q = here + max(at - REST, 0.0) / MOVE * (there - here)
+        wrench = random.normal(size=6) * ([0.1] * 3 + [0.01] * 3) + TOOL.bias_sensor
+        wrench += weight_reading(
+            robot.update(q, np.zeros(7)).sensor_pose.rotation_world,
+            TOOL,
+            np.array([0.0, 0.0, -9.81]),
+        )
+        if int(number) in touched:
+            wrench[0] += 5.0 * np.sin(7.0 * at)
+        stamp = START + round(k / RATE * 1e9)
+        yield (
+            topics.JOINT_STATES,
+            stamp,
+            messages.joint_state_message(
+                stamp, JOINTS, position=q, velocity=np.zeros(7)
+            ),
+        )
+        yield (
+            topics.WRENCH,
+            stamp + offset % 10**9,
+            wrench_message(stamp + offset, 'wrist', wrench),
+        )
+
+
+@pytest.mark.parametrize('kind', ['point', 'edge', 'plane'])
+@pytest.mark.parametrize(
+    'normals',
+    [
+        [[0.0, 0.0, -1.0]],
+        [[0.0, 0.0, -1.0], [1.0, 0.0, 0.0]],
+        [[0.0, 0.6, -0.8], [0.8, 0.0, -0.6]],
+    ],
+)
+def test_tool_is_lifted_until_no_tilt_leads_into_a_surface(kind, normals):
+    contacts = {}
+    for i, normal in enumerate(normals):
+        along = np.cross(normal, [0.36, 0.48, 0.8])
+        contacts[f'c{i}'] = ContactConfig(
+            type=kind,
+            normal_world=tuple(normal),
+            point_operational=(0.05, -0.02, 0.2),
+            direction_operational=tuple(along / np.linalg.norm(along)),
+            half_width=0.08,
+        )
+    controller = SimpleNamespace(contact_names=list(contacts), contacts=contacts)
+    tilts = [Rotation.from_rotvec([0.4 * x, 0.4 * y, 0.0]) for x, y in TILTS]
+    way = way_off(controller, Rotation.identity(), tilts)
+    for contact in controller.contacts.values():
+        normal, along = (
+            np.array(x) for x in (contact.normal_world, contact.direction_operational)
+        )
+        across = contact.half_width * (kind == 'plane') * np.cross(normal, along)
+        along = contact.half_length * (kind != 'point') * along
+        corners = contact.point_operational + np.array(
+            [a * along + b * across for a in (-1, 0, 1) for b in (-1, 0, 1)]
+        )
+        for tilt in tilts:
+            depth = (tilt.apply(corners) + way - corners) @ normal
+            assert depth.max() <= -CLEARANCE + 1e-9
+    assert 0.02 < np.linalg.norm(way) < 0.3
+
+
+def test_poses_without_a_rest_are_tried_again_and_named_if_they_stay_without():
+    """The second gives one at its second try, the fifth never."""
+    tried, said = [], []
+    reading = PoseReading(np.eye(3), np.zeros(6))
+
+    def rest_at(number):
+        tried.append(number)
+        if number == 4 or tried.count(1) == 1 == number:
+            raise CalibrationError('no quiet rest')
+        return reading
+
+    found, lacking = visit_poses(5, rest_at, said.append)
+    assert (len(found), lacking) == (4, 'pose 5: no quiet rest')
+    assert tried == [0, 1, 2, 3, 4, 1, 4]
+    assert '4 of 5 poses count' in said
+    with pytest.raises(
+        CalibrationError, match='at least 4 quiet rests .*, got 3; pose 5: no qui'
+    ):
+        identify(found[:3], controller_config(), lacking)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ('offset', 'touched'), [(700_000, (2,)), (3_600_000_000_700_000, ())]
+)
+def test_tool_is_identified_from_rests_whatever_the_clocks(tmp_path, offset, touched):
+    """Stamps of the sensor beside those of the joints, or an hour off; a touched tool left out."""
+    file = controller_file(tmp_path)
+    write_bag(tmp_path / 'bag', led_arm(file, offset, touched))
+    result = weigh_recording(tmp_path / 'bag', [file])
+    assert result.poses == 5 - len(touched)
+    assert result.mass == pytest.approx(TOOL.mass, abs=0.01)
+    np.testing.assert_allclose(result.com_sensor, TOOL.com_sensor, atol=2e-3)
+    np.testing.assert_allclose(result.bias_sensor[:3], TOOL.bias_sensor[:3], atol=0.05)
+    assert (
+        controller_config(**read_parameters(write_tool(tmp_path, result))).tool
+        == result.tool()
+    )

@@ -1,0 +1,322 @@
+"""The real graph: processes, middleware, bag; run to its end, commanded, and with a death."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+
+from canonical_runs import run_of
+from multicontact_control.client import CommandRefusedError, MultiContactClient
+from multicontact_control.errors import RunError
+from multicontact_control.judging.claims import claims_of
+from multicontact_control.judging.results import load_run
+from multicontact_control.nodes import topics
+from multicontact_control.nodes.topics import (
+    CONTROLLER,
+    ESTIMATOR,
+    RECORDER,
+    SIM,
+    TOPICS,
+)
+from multicontact_control.runs.graph import domain
+from multicontact_control.runs.graph.processes import NodeProcesses
+from multicontact_control.runs.graph.run import run_graph
+from multicontact_control.runs.graph.spec import GraphSpec
+from multicontact_control.runs.scenario import resolve
+import numpy as np
+import pytest
+from ros_graph import end_of, node_processes, PATIENCE, recorded, start_command
+from rosbags.rosbag2 import Reader
+
+pytestmark = pytest.mark.ros
+
+TICKS, ENDLESS = 1000, 50_000
+CONTROL_TOPICS = [f'/{topic.name}' for topic in TOPICS if topic.rate == 'control']
+ADAPTIVE_TOPICS = [
+    f'/{topic.name}' for topic in (topics.STIFFNESS, topics.STABILITY_MARGIN)
+]
+
+
+def make_spec(
+    folder,
+    *,
+    plant='rigid',
+    ticks=TICKS,
+    seed=0,
+    estimator='lead_window',
+    preset='',
+    **options,
+):
+    setup = resolve(
+        'quick',
+        plant=plant,
+        seed=seed,
+        duration=ticks / 500.0,
+        noise_estimator={'estimator': estimator},
+        preset=preset,
+    )
+    config = folder / 'config'
+    return setup, GraphSpec(
+        out=folder,
+        parameter_files=setup.write(config),
+        ticks=ticks,
+        rate=500.0,
+        seed=seed,
+        reference_file=config / 'reference.yaml',
+        **options,
+    )
+
+
+def samples(bag, topic):
+    """Return one message for each stamp: in lockstep, a sample that waits long is sent again."""
+    stamps = (
+        (getattr(x, 'clock', None) or x.header.stamp, x) for x in recorded(bag, topic)
+    )
+    return list(
+        {(stamp.sec, stamp.nanosec): message for stamp, message in stamps}.values()
+    )
+
+
+def counts(bag):
+    return {topic: len(samples(bag, topic)) for topic in CONTROL_TOPICS}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ('plant', 'seed', 'estimator', 'supervised', 'preset', 'speed'),
+    [
+        ('puma', 0, 'lead_window', True, 'best', 1.0),
+        ('rigid', 1, 'lead_window', True, 'adaptive', 0.0),
+        ('rigid', 3, 'innovation', False, 'laws/dob', 0.0),
+    ],
+)
+def test_graph_is_the_run_in_process_bit_for_bit(
+    tmp_path, plant, seed, estimator, supervised, preset, speed
+):
+    setup, spec = make_spec(
+        tmp_path,
+        plant=plant,
+        seed=seed,
+        estimator=estimator,
+        preset=preset,
+        speed=speed,
+        extra_parameters={CONTROLLER: {'supervised': supervised}},
+    )
+    result = run_graph(spec)
+    nothing = {} if preset == 'adaptive' else dict.fromkeys(ADAPTIVE_TOPICS, 0)
+    assert counts(result.bag) == dict.fromkeys(CONTROL_TOPICS, TICKS) | nothing
+    run = run_of(setup, supervised=supervised)
+    events = [(pytest.approx(time), what) for time, what in run.events]
+    assert [tuple(event) for event in result.timing[CONTROLLER]['events']] == events
+    commands = samples(result.bag, topics.EFFORT_COMMAND.name)
+    torque = np.array([message.effort for message in commands])
+    variance = np.array(
+        [x.effort for x in samples(result.bag, topics.NOISE_VARIANCE.name)]
+    )
+    assert torque.tobytes() == run.data.torque.tobytes()
+    assert variance.tobytes() == run.data.noise_variance.tobytes()
+    for series, field in (('stiffness_est', 'position'), ('stiffness', 'effort')):
+        values = np.array(
+            [getattr(x, field) for x in samples(result.bag, topics.STIFFNESS.name)]
+        )
+        if values.size:
+            assert values.tobytes() == getattr(run.data, series).tobytes()
+    assert [message.clock for message in samples(result.bag, topics.CLOCK.name)] == [
+        message.header.stamp for message in commands
+    ]
+    sim = result.timing[SIM]
+    assert sim['ticks'] == TICKS and result.timing[RECORDER]['lost'] == 0
+    assert (sum(sim['latency_histogram']['counts']), sim['deadline_misses']) == (
+        TICKS - 1,
+        0,
+    )
+    if speed:  # never ahead of the wall clock
+        assert sim['wall_s'] > 0.94 * TICKS / 500.0 / speed
+
+
+def test_free_run_records_every_sample_at_its_rate(tmp_path):
+    _, spec = make_spec(
+        tmp_path,
+        ticks=3 * TICKS,
+        free_running=True,
+        extra_parameters={CONTROLLER: {'effort_output_topic': 'bare/efforts'}},
+    )
+    seen = []
+    result = run_graph(spec, seen.append)
+    assert result.timing[SIM]['ticks'] == 3 * TICKS
+    stamps = [message.header.stamp for message in recorded(result.bag, TOPICS[0].name)]
+    steps = np.diff([stamp.sec * 10**9 + stamp.nanosec for stamp in stamps])
+    np.testing.assert_array_equal(steps[steps > 0], 2_000_000)
+    efforts = [tuple(message.data) for message in recorded(result.bag, 'bare/efforts')]
+    commands = [
+        tuple(x.effort) for x in recorded(result.bag, topics.EFFORT_COMMAND.name)
+    ]
+    assert efforts and set(efforts) <= set(commands)
+    reporters = {
+        status.name.split(':')[0]
+        for status in sum(
+            (x.status for x in recorded(result.bag, topics.DIAGNOSTICS.name)), []
+        )
+    }
+    assert reporters == {CONTROLLER, ESTIMATOR, RECORDER, SIM}
+    assert seen and set(seen[-1].forces) == {'table', 'board'}
+    assert [x.time for x in seen] == sorted(x.time for x in seen)
+
+
+@pytest.mark.parametrize('name', [CONTROLLER, ESTIMATOR, RECORDER, SIM])
+def test_node_that_is_killed_ends_the_run_and_is_named(tmp_path, name):
+    _, spec = make_spec(tmp_path, ticks=ENDLESS)
+    kills = (os.kill(node_processes(tmp_path)[name], signal.SIGKILL) for _ in range(1))
+    with pytest.raises(
+        RunError, match=f'^{name} was killed by SIGKILL; the end of .*{name}.log'
+    ):
+        run_graph(spec, lambda progress: next(kills, None))
+    assert node_processes(tmp_path) == {}
+    if name != RECORDER:
+        assert counts(spec.bag)[CONTROL_TOPICS[0]] > 0
+
+
+def test_node_that_cannot_start_ends_the_run_with_its_log(tmp_path):
+    _, spec = make_spec(tmp_path)
+    path = spec.parameter_files[CONTROLLER]
+    path.write_text(path.read_text(encoding='utf-8').replace('joint6', 'joint7'))
+    with pytest.raises(RunError, match='controller_node cannot configure(.|\n)*joint7'):
+        run_graph(spec)
+    assert node_processes(tmp_path) == {}
+
+
+@pytest.mark.slow
+def test_second_interrupt_skips_the_report_and_says_how_to_write_it(tmp_path):
+    process = start_command(
+        'run', '--plant', 'rigid', '--out', tmp_path / 'run', cwd=tmp_path, stderr=None
+    )
+    for text in ('ready; ', 'stopping the nodes'):
+        assert any(text in line for line in process.stdout)
+        process.send_signal(signal.SIGINT)
+    text, _ = end_of(process)
+    assert (
+        process.returncode == 130 and f'multicontact report {tmp_path / "run"}' in text
+    )
+    assert any(counts(tmp_path / 'run/bag').values())
+    assert not (tmp_path / 'run/summary.json').exists()
+
+
+def test_warnings_of_nodes_are_given_once_each(tmp_path):
+    processes = NodeProcesses(GraphSpec(tmp_path, {}, ticks=1, rate=500.0), 0)
+    processes.running = {CONTROLLER: None}
+    log = tmp_path / f'logs/{CONTROLLER}.log'
+    for text, warning in (
+        ('[INFO] [1.5] [node]: fine\n', ''),
+        ('[WARN] [1.5] [node]: h', ''),
+        ('[WARN] [1.5] [node]: hot\n', 'WARN: node: hot'),
+    ):
+        log.write_text(text)
+        assert [processes.new_warnings(), processes.new_warnings()] == [warning, '']
+
+
+@pytest.mark.slow
+def test_commanded_arm_obeys_until_a_signal_and_is_judged_by_what_was_commanded(
+    tmp_path,
+):
+    out = tmp_path / 'run'
+    with domain.reserve_domain() as domain_id:
+        process = start_command(
+            'run',
+            '--commanded',
+            '--speed',
+            '0',
+            '--scenario',
+            'quick',
+            '--plant',
+            'rigid',
+            '--domain-id',
+            domain_id,
+            '--out',
+            out,
+            cwd=tmp_path,
+            stderr=subprocess.STDOUT,
+        )
+        try:
+            with MultiContactClient(domain_id=domain_id, timeout=PATIENCE) as arm:
+                arm.set_forces({'table': 10.0, 'board': 5.0})
+                state = arm.wait_until_reached(timeout=PATIENCE)
+                arm.move(state.position_world + [0.02, 0.0, 0.0], duration=1.0)
+                moved = arm.wait_until_reached(timeout=PATIENCE)
+                with pytest.raises(CommandRefusedError):
+                    arm.set_forces({'table': 5000.0})
+                with pytest.raises(
+                    RunError, match=f'^ROS domain {domain_id}: expected no '
+                ):
+                    run_graph(make_spec(tmp_path / 'second', domain_id=domain_id)[1])
+                while (
+                    end := arm.read()
+                ).time < moved.time + 1.5:  # rest begins after 1 s
+                    pass
+        finally:
+            process.send_signal(signal.SIGINT)
+            text, _ = end_of(process)
+    assert process.returncode == 0 and 'stable' in text, text
+    assert f'topic echo /contact_forces/measured --domain-id {domain_id}' in text
+    assert node_processes(out) == {}
+    summary = json.loads((out / 'summary.json').read_text(encoding='utf-8'))
+    assert (summary['verdict'], summary['commanded_by_topic']) == ('stable', True)
+    assert summary['scenario'] == 'commands'
+    assert summary['ticks'] / summary['rate_hz'] > end.time - state.time
+    assert summary['contacts']['table']['rest']['true_error_rms_n'] < 0.1
+    run = load_run(out)
+    # No scenario was played.
+    assert summary['claims'] == claims_of(run.data, run.setup, run.summary) == []
+    assert run.data.command[-1].tolist() == [10.0, 5.0]
+    assert run.setup.scenario.duration == pytest.approx(run.data.ticks / run.data.rate)
+
+
+@pytest.mark.nightly
+def test_two_graphs_in_one_domain_record_their_own_topics_only(tmp_path):
+    bags = {side: tmp_path / side / 'bag' for side in ('left', 'arms/right')}
+    with domain.reserve_domain() as domain_id:
+        runs = [
+            start_command(
+                'run',
+                '--scenario',
+                'quick',
+                '--plant',
+                'rigid',
+                '--duration',
+                TICKS / 500.0,
+                '--namespace',
+                side,
+                '--domain-id',
+                domain_id,
+                '--seed',
+                seed,
+                '--out',
+                bag.parent,
+                cwd=tmp_path,
+            )
+            for seed, (side, bag) in enumerate(bags.items())
+        ]
+        for run in runs:
+            _, errors = end_of(run)
+            assert run.returncode == 0, errors
+    for side, bag in bags.items():
+        with Reader(bag) as reader:
+            names = {x.topic for x in reader.connections}
+        assert {x for x in names if not x.startswith(f'/{side}/')} == {'/clock'}
+        for topic in (topics.JOINT_STATES, topics.EFFORT_COMMAND):
+            assert len(samples(bag, f'/{side}/{topic.name}')) == TICKS
+    wrenches = [
+        recorded(bag, f'/{side}/ft_sensor/wrench')[-1].wrench.force.z
+        for side, bag in bags.items()
+    ]
+    assert wrenches[0] != wrenches[1]  # the seeds differ, and so do the graphs
+
+
+@pytest.mark.parametrize('participant', [0, 7])
+def test_domain_is_reserved_once_and_in_use_while_any_participant_is_there(participant):
+    with domain.reserve_domain() as first, domain.reserve_domain() as domain_id:
+        assert first != domain_id and not domain.domain_in_use(domain_id)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+            listener.bind(('', 7400 + 250 * domain_id + 10 + 2 * participant))
+            assert domain.domain_in_use(domain_id)
+        assert not domain.domain_in_use(domain_id)

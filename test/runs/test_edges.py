@@ -1,0 +1,206 @@
+"""Motions that lead to joint stops and out of reach: forces stay, and the arm comes back."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from multicontact_control.control.tasks import MotionReading, quintic
+from multicontact_control.runs.closed_loop import ClosedLoop
+from multicontact_control.runs.scenario import resolve
+import numpy as np
+import pytest
+from robots import needs_mujoco, ROBOTS
+from scipy.spatial.transform import Rotation
+from sim_bridge.new_robot import new_robot
+from sim_bridge.posture import frame_pose, limits_of, reach
+from sim_bridge.robots import find_robot
+
+URDF = Path(__file__).parents[1] / 'data' / 'six_joints.urdf'
+FORCE = 10.0  # N
+REST = 1.0  # s at the far end, and after the way back
+
+
+class Course(NamedTuple):
+    """A motion out and back along a direction: a line [m], or a turn about it [rad]."""
+
+    direction: tuple[float, float, float]
+    distance: float
+    speed: float  # largest [m/s, rad/s]
+    turns: bool = False
+
+    @property
+    def duration(self):
+        return 1.875 * self.distance / self.speed  # of the quintic, one way
+
+    def at(self, time, start):
+        """Return the motion command at a time [s] after a start pose."""
+        out, _, _ = quintic(time, self.duration)
+        share, rate, change = quintic(time - self.duration - REST, self.duration)
+        if time < self.duration + REST:
+            share, rate, change = (
+                1.0 - x if n == 0 else -x
+                for n, x in enumerate(quintic(time, self.duration))
+            )
+        way = self.distance * (1.0 - share)
+        direction = np.array(self.direction)
+        twist, acceleration = np.zeros(6), np.zeros(6)
+        part = slice(3, 6) if self.turns else slice(0, 3)
+        twist[part] = -rate * self.distance * direction
+        acceleration[part] = -change * self.distance * direction
+        position, rotation = (
+            start.position_world,
+            Rotation.from_matrix(start.rotation_world),
+        )
+        if self.turns:
+            rotation = Rotation.from_rotvec(way * direction) * rotation
+        else:
+            position = position + way * direction
+        return MotionReading(position, rotation.as_quat(), twist, acceleration)
+
+
+class Seen(NamedTuple):
+    """What was seen along a course, a row for each tick."""
+
+    q: np.ndarray
+    qd: np.ndarray
+    force: np.ndarray  # true, on the table [N]
+    position: np.ndarray  # of the operational point [m]
+    limits: set
+    reactions: set
+
+
+def follow(course, *, pressing, stops=None, **chosen):
+    """Follow a course with one contact, or in the air; return the limits and what was seen."""
+    names = {'contact_names': ['table']}
+    limits = {
+        'workspace_lower': [-9.0] * 3,
+        'workspace_upper': [9.0] * 3,
+        **(stops or {}),
+    }
+    setup = resolve(
+        'one_contact',
+        controller={**names, 'limits': limits},
+        noise_estimator=names,
+        plant_overrides={
+            **names,
+            'surfaces': {'table': {'roughness_std': 0.0}},
+            **chosen.pop('plant_overrides', {}),
+        },
+        **chosen,
+    )
+    loop = ClosedLoop(setup, commanded=True)
+    period, rows, limited, reactions = setup.controller.period, [], set(), set()
+    try:
+        for _ in range(50):
+            loop.advance()
+        if pressing:
+            loop.control.set_forces({'table': FORCE})
+            for _ in range(1100):
+                loop.advance()
+        start = loop.control.output.pose_des
+        for tick in range(round((2.0 * course.duration + 3.0 * REST) / period)):
+            loop.control.set_motion(course.at(tick * period, start))
+            loop.advance()
+            arm = loop.plant.arm
+            rows.append(
+                (
+                    arm.q.copy(),
+                    arm.qd.copy(),
+                    loop.sample.contact_force[0],
+                    loop.control.output.pose.position_world,
+                )
+            )
+            limited.update(loop.status.limits)
+            reactions.add(loop.status.reaction)
+    finally:
+        loop.close()
+    columns = (np.array(column) for column in zip(*rows))
+    return setup.controller.limits, Seen(*columns, limited, reactions)
+
+
+def assert_safe(limits, seen, *, pressing):
+    """No stop is passed, no joint too fast, the force stays, and the arm is back at the end."""
+    beyond = np.maximum(limits.joint_lower - seen.q, seen.q - limits.joint_upper)
+    assert beyond.max() < 0.01
+    assert (np.abs(seen.qd) <= limits.joint_speed).all()
+    assert seen.reactions == {'none'}
+    if pressing:
+        assert np.abs(seen.force - FORCE).max() < 3.0
+    assert np.linalg.norm(seen.position[-1] - seen.position[0]) < 0.005
+
+
+DIRECTIONS = [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('robot', ROBOTS)
+@pytest.mark.parametrize('direction', [(0.0, 1.0, 0.0), (0.0, -1.0, 0.0)])
+def test_slide_out_of_reach_ends_and_comes_back_while_the_force_stays(robot, direction):
+    limits, seen = follow(Course(direction, 0.6, 0.4), pressing=True, robot=robot)
+    assert_safe(limits, seen, pressing=True)
+    assert seen.limits & {'reach', 'joint'}
+    assert 'reference' in seen.limits
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('robot', ROBOTS)
+@pytest.mark.parametrize('joint', [0, -1])
+@pytest.mark.parametrize('pressing', [True, False])
+def test_joint_led_to_its_stop_holds_there_and_the_force_stays(robot, joint, pressing):
+    """The stop is set 0.15 rad beyond home; a slide or a turn about the vertical leads there."""
+    home = np.array(find_robot(robot).plant_values('')['home'])
+    base = resolve('one_contact', robot=robot).controller.limits
+    lower, upper = np.array(base.joint_lower), np.array(base.joint_upper)
+    lower[joint], upper[joint] = home[joint] - 0.15, home[joint] + 0.15
+    course = (
+        Course((1.0, 0.0, 0.0), 0.25, 0.1)
+        if joint == 0
+        else (Course((0.0, 0.0, 1.0), 0.6, 0.4, turns=True))
+    )
+    limits, seen = follow(
+        course,
+        pressing=pressing,
+        robot=robot,
+        stops={'joint_lower': lower.tolist(), 'joint_upper': upper.tolist()},
+    )
+    assert_safe(limits, seen, pressing=pressing)
+    if len(home) == 6:  # with a seventh joint the others go around it
+        assert 'joint' in seen.limits
+
+
+@pytest.fixture(scope='module')
+def foreign(tmp_path_factory):
+    """Return the file of a robot that `new-robot` writes for an arm of another make."""
+    folder = tmp_path_factory.mktemp('foreign')
+    new_robot(URDF, 'l6', 'l6', folder / 'arm.yaml', folder / 'controller.yaml')
+    return str(folder / 'arm.yaml')
+
+
+@needs_mujoco
+@pytest.mark.slow
+@pytest.mark.parametrize('direction', DIRECTIONS)
+def test_foreign_arm_in_mujoco_ends_at_the_edge_of_its_reach(foreign, direction):
+    limits, seen = follow(
+        Course(direction, 0.5, 0.3),
+        pressing=True,
+        robot=foreign,
+        plant_overrides={'engine': 'mujoco'},
+    )
+    assert_safe(limits, seen, pressing=True)
+
+
+def test_box_of_a_new_robot_is_reached_everywhere(foreign):
+    robot = find_robot(foreign)
+    model, home = robot.arm.model(), np.array(robot.file.home)
+    lower, upper = (
+        np.array(robot.file.workspace_lower),
+        np.array(robot.file.workspace_upper),
+    )
+    pose, rng = frame_pose(model, home), np.random.default_rng(1)
+    assert (lower < pose.translation).all() and (pose.translation < upper).all()
+    assert (upper - lower > 0.15).all()
+    stops = limits_of(model)
+    for point in rng.uniform(lower, upper, (20, 3)):
+        pose.translation = point
+        q = reach(model, pose, home)
+        assert q is not None
+        assert (stops[0] <= q).all() and (q <= stops[1]).all()

@@ -1,0 +1,285 @@
+"""Scenarios, presets, and values laid over everything by name."""
+
+from multicontact_control.config import read_parameters, read_yaml
+from multicontact_control.errors import ConfigError
+from multicontact_control.judging.judged_run import simulation_parameters
+from multicontact_control.paths import config_dir
+from multicontact_control.runs.overrides import (
+    node_configs,
+    OF_THE_RUN,
+    resolve_with,
+)
+from multicontact_control.runs.scenario import preset_values, resolve
+import pytest
+import yaml
+
+NAMES = [
+    path.relative_to(config_dir() / 'presets').with_suffix('').as_posix()
+    for path in sorted((config_dir() / 'presets').rglob('*.yaml'))
+]
+
+
+@pytest.mark.parametrize(
+    'path',
+    sorted((config_dir() / 'scenarios').glob('*.yaml')),
+    ids=lambda path: path.stem,
+)
+def test_every_scenario_resolves_and_is_named_as_its_file(path):
+    assert resolve(path.stem).scenario.name == path.stem
+
+
+@pytest.mark.parametrize(
+    ('changes', 'message'),
+    [
+        (
+            {'durration': 3.0},
+            'durration: expected a known key .*duration.*, got unknown key',
+        ),
+        (
+            {'reference': {'motion': {'start_time': 1.0, 'amplitud': 0.1}}},
+            'reference.motion.amplitud: expected a known key .*amplitude',
+        ),
+        ({'duration': -1.0}, 'duration: expected greater than or equal to 1, got -1.0'),
+        (
+            {'reference': {'force_steps': [{'time': 1.0, 'forces': {'wall': 3.0}}]}},
+            "reference.force_steps.0.forces: expected contacts among table, board, got 'wall'",
+        ),
+        (
+            {
+                'reference': {
+                    'motion': {'start_time': 1.0, 'direction_world': [0.0, 0.6, 0.8]}
+                }
+            },
+            'direction_world: expected at most 30 degrees out of the surfaces of table, board',
+        ),
+        (
+            {'controller': {'rate': 250.0}},
+            "noise_estimator.rate: expected the controller's 250 Hz",
+        ),
+        (
+            {'noise_estimator': {'contact_names': ['table']}},
+            'noise_estimator.contact_names: expected the controller',
+        ),
+        ({'plant': {'substep': 0.0003}}, 'substep: expected'),
+    ],
+)
+def test_resolve_names_what_is_wrong_in_a_scenario(tmp_path, changes, message):
+    path = tmp_path / 'mine.yaml'
+    values = {**read_yaml(config_dir() / 'scenarios' / 'quick.yaml'), **changes}
+    path.write_text(yaml.safe_dump(values), encoding='utf-8')
+    with pytest.raises(ConfigError, match=message) as caught:
+        setup = resolve(str(path))
+        setup.plant.substeps(setup.controller.rate)
+    assert '\n' not in str(caught.value)
+
+
+def test_motion_along_a_normal_is_accepted_once_its_contact_is_let_go():
+    steps = [{'time': 2.0, 'forces': {'table': 0.0}}]
+    motion = {'start_time': 2.5, 'direction_world': [0.0, 0.0, 1.0]}
+    setup = resolve(
+        'quick',
+        scenario_overrides={'reference': {'force_steps': steps, 'motion': motion}},
+    )
+    assert setup.scenario.reference.motion.direction_world == (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_preset_says_what_it_sets_and_nothing_else_changes(name):
+    plain, setup = resolve('quick'), resolve('quick', preset=name)
+    given = preset_values(name)
+    for part in ('controller', 'noise_estimator'):
+        values, before = (getattr(each, part).model_dump() for each in (setup, plain))
+        assert {key for key in values if values[key] != before[key]} <= set(given[part])
+    force = setup.controller.model_dump()['force']
+    assert force == {
+        key: force[key] | value if isinstance(value, dict) else value
+        for key, value in {**force, **given['controller']['force']}.items()
+    }
+
+
+def test_estimator_has_the_bounds_of_the_controllers_variances():
+    bounds = {'smallest': 0.2, 'largest': 400.0}
+    setup = resolve('quick', controller={'noise_variance': bounds})
+    assert setup.noise_estimator.noise_variance == setup.controller.noise_variance
+    assert setup.controller.noise_variance.largest == 400.0
+    with pytest.raises(
+        ConfigError,
+        match=(
+            "noise_estimator.noise_variance: expected the controller's 0.1 to 1000 N.2, "
+            'got 0.2 to 400 N'
+        ),
+    ):
+        resolve('quick', noise_estimator={'noise_variance': bounds})
+    with pytest.raises(
+        ConfigError, match='initial_noise_variance: expected 0.7 to 1000 N.2'
+    ):
+        resolve('quick', controller={'noise_variance': {'smallest': 0.7}})
+
+
+def test_preset_paper_is_as_published():
+    force = resolve('paper', preset='paper').controller.force
+    assert (
+        force.allocation,
+        force.projection,
+        force.fed_forward,
+        force.active_state_order,
+        force.process_noise,
+        force.time_constant,
+    ) == ('paper', 'euclidean', 'estimate', 1, 1e-3, 0.02)
+
+
+def test_best_is_the_default_and_options_go_before_a_preset():
+    best, plain = resolve('quick', preset='best'), resolve('quick')
+    assert (best.controller, best.noise_estimator) == (
+        plain.controller,
+        plain.noise_estimator,
+    )
+    force = resolve(
+        'quick', preset='paper', controller={'force': {'damping_rate': 60.0}}
+    ).controller.force
+    assert (force.law, force.damping_rate, force.fed_forward) == (
+        'aob',
+        60.0,
+        'estimate',
+    )
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('sim_node:\n  ros__parameters: {}\n', 'a section of controller_node'),
+        ('controller_node:\n  ros__parameters: {force: {law: pid}}\n', 'force.law'),
+    ],
+)
+def test_preset_that_is_not_acceptable_is_refused(tmp_path, text, message):
+    path = tmp_path / 'mine.yaml'
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        resolve('quick', preset=str(path))
+
+
+def test_settings_reach_every_part():
+    setup = resolve_with(
+        resolve,
+        {'scenario': 'quick', 'plant': 'rigid'},
+        [
+            'plant.surfaces.*.stiffness=60000',
+            'controller.force.law=dob',
+            'controller.force.damping_rate=60',
+            'noise_estimator.estimator=fixed',
+            'scenario.duration=3',
+            'controller.torque_limit=[1, 2, 3, 4, 5, 6]',
+        ],
+    )
+    assert {surface.stiffness for surface in setup.plant.surfaces.values()} == {
+        60_000.0
+    }
+    assert (setup.controller.force.law, setup.controller.force.damping_rate) == (
+        'dob',
+        60.0,
+    )
+    assert setup.controller.torque_limit == (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    assert (setup.noise_estimator.estimator, setup.scenario.duration) == ('fixed', 3.0)
+
+
+@pytest.mark.ros
+def test_settings_reach_what_only_a_node_knows():
+    """Every parameter of the reference is taken, or what sets it in a run is named."""
+    setup = resolve_with(
+        resolve,
+        {'scenario': 'quick'},
+        [
+            'controller.patience=3',
+            'controller.command.force_ceiling=20',
+            'plant.payload=0.5',
+            'noise_estimator.fifo_priority=7',
+            'controller.force.damping_rate=60',
+        ],
+        nodes=True,
+    )
+    parameters = simulation_parameters(setup)
+    assert parameters['controller_node'] == {'patience': 3, 'command.force_ceiling': 20}
+    assert parameters['noise_estimator_node'] == {'fifo_priority': 7}
+    assert parameters['sim_node'] == {'payload': 0.5}
+    assert setup.controller.force.damping_rate == 60.0
+    for section, config in node_configs().items():
+        for name in config.model_fields.keys() & OF_THE_RUN.keys():
+            with pytest.raises(
+                ConfigError, match=f'--set {section}.{name}: .*(give|set|run)'
+            ):
+                resolve_with(
+                    resolve, {'scenario': 'quick'}, [f'{section}.{name}=1'], nodes=True
+                )
+
+
+@pytest.mark.parametrize(
+    ('setting', 'message'),
+    [
+        (
+            'controller.patience=0.5',
+            r'patience: expected 0, or at least 1 period, got 0.5',
+        ),
+        ('controller.patients=1', "controller and one of rate, .*'patients'"),
+    ],
+)
+@pytest.mark.ros
+def test_bad_setting_of_a_node_is_refused(setting, message):
+    with pytest.raises(ConfigError, match=message):
+        resolve_with(resolve, {'scenario': 'quick'}, [setting], nodes=True)
+
+
+@pytest.mark.parametrize(
+    ('setting', 'message'),
+    [
+        ('controller.patience=-1', 'a parameter of a node: only `run` takes it'),
+        (
+            'controller.command.force_ceiling=20',
+            'a parameter of a node: only `run` takes it',
+        ),
+        ('plant.payload=1', 'a parameter of a node: only `run` takes it'),
+        (
+            'controller.supervised=false',
+            'a parameter of a node, which `run` sets: give --bare',
+        ),
+        ('plant.speed=2', 'a parameter of a node, which `run` sets: give --speed'),
+    ],
+)
+@pytest.mark.ros
+def test_setting_of_a_node_is_named_as_one_where_there_is_no_node(setting, message):
+    key = setting.partition('=')[0]
+    with pytest.raises(ConfigError, match=f'^--set {key}: {message}'):
+        resolve_with(resolve, {'scenario': 'quick'}, [setting])
+
+
+@pytest.mark.ros
+def test_settings_of_nodes_are_in_the_files_of_a_run(tmp_path):
+    settings = ['controller.patience=3', 'controller.command.force_ceiling=20']
+    for chosen in ([], settings):
+        setup = resolve_with(resolve, {'scenario': 'quick'}, chosen, nodes=True)
+        setup.write(tmp_path)
+        assert (tmp_path / 'nodes.yaml').is_file() == bool(chosen)
+    assert read_parameters(tmp_path / 'nodes.yaml') == {
+        'patience': 3,
+        'command': {'force_ceiling': 20},
+    }
+
+
+@pytest.mark.parametrize(
+    ('setting', 'message'),
+    [
+        (
+            'controller.robot.urdf=nosuch.urdf',
+            'controller.robot.urdf: expected a URDF file, got .*nosuch.urdf',
+        ),
+        ('plant', "--set: expected KEY=VALUE.*'plant'"),
+        ('controller.force.damping_rate=[', 'a value as in a YAML file'),
+        ('controller.force.wurst=1', "one of law, .*'wurst'"),
+        ('scenario.duration=20', '--duration: give either'),
+        ('plant.surfaces.*.stiffness=-1', 'stiffness: expected greater than 0'),
+    ],
+)
+def test_bad_setting_is_refused(setting, message):
+    with pytest.raises(ConfigError, match=message):
+        resolve_with(
+            resolve, {'scenario': 'quick', 'plant': 'rigid', 'duration': 4.0}, [setting]
+        )

@@ -1,0 +1,159 @@
+"""What users of other systems have met and told in public, and is answered rightly here."""
+
+from contextlib import closing
+
+from multicontact_control.config import ControllerConfig, merge, validate
+from multicontact_control.control.tasks import MotionReading
+from multicontact_control.force.laws import LAWS
+from multicontact_control.judging.oscillation import oscillations
+from multicontact_control.runs.closed_loop import ClosedLoop
+from multicontact_control.runs.scenario import preset_values, resolve
+import numpy as np
+import pytest
+
+FORCE = 10.0  # N
+SURFACES = ('table', 'board')
+TOUCHED = 600  # ticks, after which both contacts are pressed
+
+
+def surfaces(**values):
+    return {'surfaces': dict.fromkeys(SURFACES, values)}
+
+
+class Pressing:
+    """A loop that presses on both surfaces, and what it did since."""
+
+    def __init__(self, loop, corrupt=None):
+        self.loop, self._corrupt = loop, corrupt
+        self.forces, self.reactions = [], set()
+        self.advance(20)
+        loop.control.set_forces(dict.fromkeys(SURFACES, FORCE))
+
+    def advance(self, ticks=1):
+        """Return the true forces of so many ticks, shape (ticks, 2) [N]."""
+        for _ in range(ticks):
+            self.loop.advance(self._corrupt)
+            self.forces.append(self.loop.sample.contact_force)
+            self.reactions.add(self.loop.status.reaction)
+        return np.array(self.forces[-ticks:])
+
+    def slide(self, speed, ticks):
+        """Slide along x with a speed [m/s]; return the true forces."""
+        pose, twist = (
+            self.loop.control.output.pose_des,
+            np.array([speed, 0, 0, 0, 0, 0]),
+        )
+        forces = []
+        for k in range(ticks):
+            way = k * self.loop.setup.controller.period * twist[:3]
+            self.loop.control.set_motion(
+                MotionReading(
+                    pose.position_world + way, pose.quaternion_xyzw, twist, np.zeros(6)
+                )
+            )
+            forces.append(self.advance()[0])
+        return np.array(forces)
+
+
+def pressing(plant, corrupt=None, **arguments):
+    return Pressing(
+        ClosedLoop(resolve('quick', plant=plant, **arguments), commanded=True), corrupt
+    )
+
+
+@pytest.mark.parametrize('plant', ['rigid', 'puma'])
+def test_wrench_at_a_fifth_of_the_rate_presses_and_slides(plant):
+    """The readings between are missing, as of a sensor of 100 Hz."""
+
+    def seldom(inputs):
+        new = round(inputs.time * 500.0) % 5 == 0
+        return inputs if new else inputs._replace(wrench=None)
+
+    run = pressing(plant, seldom)
+    with closing(run.loop):
+        run.advance(TOUCHED)
+        np.testing.assert_allclose(run.advance(100), FORCE, atol=0.3)
+        np.testing.assert_allclose(run.slide(0.05, 300), FORCE, atol=3.0)
+    assert run.reactions == {'none'} and np.max(run.forces) < 1.3 * FORCE
+
+
+@pytest.mark.parametrize('plant', ['rigid', 'puma'])
+def test_encoders_of_12_bits_beside_measured_speeds_press_and_slide(plant):
+    """Steps of 1.5 mrad are 1 mm at the tip: what is pressed does not move by as much."""
+    step = 2.0 * np.pi / 2**12
+
+    def coarse(inputs):
+        joints = inputs.joints
+        return inputs._replace(
+            joints=joints._replace(q=np.round(joints.q / step) * step)
+        )
+
+    run = pressing(plant, coarse, controller={'watchdog': {'frozen_joint_ticks': 0}})
+    with closing(run.loop):
+        run.advance(TOUCHED)
+        np.testing.assert_allclose(run.advance(100), FORCE, atol=0.5)
+        np.testing.assert_allclose(run.slide(0.05, 300), FORCE, atol=3.0)
+    assert run.reactions == {'none'} and np.max(run.forces) < 1.3 * FORCE
+
+
+def test_slow_slide_with_friction_in_joints_and_on_surfaces_does_not_stick_and_slip():
+    run = pressing('puma', plant_overrides=surfaces(friction=0.4, slip_speed=1e-3))
+    with closing(run.loop):
+        run.advance(TOUCHED + 150)  # friction makes the last newtons slow
+        forces = run.slide(0.005, 1500)
+    assert run.reactions == {'none'}
+    np.testing.assert_allclose(forces, FORCE, atol=3.0)
+    for error in (forces - FORCE).T:
+        steady = np.ones(len(error), dtype=bool)
+        assert not oscillations(error, np.full(len(error), FORCE), steady, 500.0)
+
+
+def test_every_law_takes_over_while_it_presses():
+    """As `ros2 param set` of gains and law does, one after the other and back."""
+    run = pressing('rigid')
+    with closing(run.loop):
+        run.advance(TOUCHED)
+        config = run.loop.setup.controller
+        rate = np.array(config.limits.torque_rate) * config.period
+        for law in (*LAWS, 'aob'):
+            changes = {'force': {'law': law}}
+            if law != 'aob':
+                changes = merge(changes, preset_values(f'laws/{law}')['controller'])
+            run.loop.control.reconfigure(
+                validate(ControllerConfig, merge(config.model_dump(), changes))
+            )
+            assert run.loop.control.config.force.law == law
+            before = run.loop.command
+            forces = run.advance(150)
+            assert (np.abs(run.loop.command - before) < rate).all()
+            assert np.abs(forces - FORCE).max() < 2.0, law
+    assert run.reactions == {'none'}
+
+
+@pytest.mark.parametrize('force', [0.0, FORCE])
+def test_arm_that_was_moved_while_inactive_begins_where_it_is(force):
+    """It is pushed to another place after a deactivation; nothing leads it back, or jumps."""
+    run = pressing('rigid')
+    with closing(run.loop):
+        loop = run.loop
+        run.advance(TOUCHED if force else 0)
+        loop.control.set_forces(dict.fromkeys(SURFACES, force))
+        run.advance(50)
+        start = loop.sample.q
+        loop.command = loop.control.stop()
+        loop.plant.push(np.array([-40.0, -30.0, 30.0]), 0.6)
+        for _ in range(700):
+            loop.act()
+            loop.command = loop.control.step(loop.inputs())
+        moved = loop.sample.q
+        assert np.abs(moved - start).max() > 0.02
+        loop.control.restart()
+        before, measured = loop.command, loop.sample.effort
+        loop.advance()
+        assert (
+            min(np.abs(loop.command - torque).max() for torque in (before, measured))
+            < 1e-6
+        )
+        assert not any(loop.control.commanded_forces.values())
+        run.advance(400)
+        assert np.abs(loop.sample.q - moved).max() < 2e-3

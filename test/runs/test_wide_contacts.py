@@ -1,0 +1,135 @@
+"""Edges, planes, moving and tilted surfaces: what the force loops make of them, in simulation."""
+
+from canonical_runs import run_of
+from multicontact_control.judging.metrics import rms_in, RunMetrics
+from multicontact_control.judging.verdict import judge, STABLE
+from multicontact_control.runs.closed_loop import ClosedLoop
+from multicontact_control.runs.scenario import resolve
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.slow
+
+H = 0.002
+FRICTION = 0.1  # of the simulated surfaces
+
+
+@pytest.mark.parametrize(
+    ('scenario', 'plant', 'bound'),
+    [('edge', 'rigid', 1.0), ('edge', 'puma', 1.0), ('plane', 'puma', 1.5)],
+)
+def test_forces_and_couples_are_kept_at_rest_and_while_sliding(scenario, plant, bound):
+    setup = resolve(scenario, plant=plant, seed=1, duration=13.0)
+    data = run_of(setup).data
+    window = RunMetrics(data, setup).windows
+    assert judge(data, setup, mode='in_process', events=()).name == STABLE
+    for i, name in enumerate(data.contact_names):
+        error = RunMetrics(data, setup).error[:, i]
+        assert rms_in(window.rest, error) < 0.2, name
+        assert rms_in(window.moving, error) < bound, name
+        assert RunMetrics(data, setup).losses(i, window.loaded) == []
+    # the couple of 3 N has moved the centre of pressure: a fifth of the half length
+    held = (data.time > 6.5) & (data.time < 7.5)
+    assert data.alpha_true[held, 1].mean() == pytest.approx(3.0, abs=0.1)
+
+
+def press(
+    changes, *, ticks, each=lambda loop, k: None, plant=None, only=None, motion=None
+):
+    """Return the error of the last contact's true force while something happens [N]."""
+    names = ['table', 'board'] if only is None else [only]
+    setup = resolve(
+        'quick',
+        plant='rigid',
+        duration=20.0,
+        controller={'contact_names': names, 'contacts': changes},
+        noise_estimator={'contact_names': names},
+        plant_overrides={'contact_names': names, 'surfaces': plant or {}},
+        scenario_overrides={
+            'reference': {
+                'force_steps': [{'time': 2.0, 'forces': dict.fromkeys(names, 15.0)}],
+                'motion': motion,
+            }
+        },
+    )
+    loop, errors = ClosedLoop(setup), []
+    for k in range(ticks):
+        each(loop, k)
+        loop.advance()
+        errors.append(loop.sample.contact_force[-1] - 15.0)
+    return loop.control.supervisor.controller.contacts, np.array(errors)
+
+
+def test_a_moving_surface_is_pressed_as_one_that_rests():
+    """
+    Half a second after it has begun to move at 2 cm/s, or turned, with the friction configured.
+
+    Forces along the line between both contacts, near the board's normal, no wrist sensor feels.
+    """
+
+    def receding(loop, k):
+        if k * H > 3.0:
+            loop.plant.contacts.shift(1, (0.02 if k * H <= 4.0 else -0.02) * H)
+
+    settings = {
+        'table': {'friction_coefficient': FRICTION},
+        'board': {'friction_coefficient': FRICTION, 'surface_speed_limit': 0.1},
+    }
+    contacts, errors = press(settings, ticks=2500, each=receding)
+    assert np.sqrt((errors[1750:2000] ** 2).mean()) < 0.3
+    assert np.sqrt((errors[2250:2500] ** 2).mean()) < 0.3
+    # The table's speed is not asked for.
+    np.testing.assert_allclose(contacts['surface_speed_est'], [0.0, -0.02], atol=2e-3)
+    _, bare = press({}, ticks=2000, each=receding)
+    assert np.sqrt((bare[1750:] ** 2).mean()) > 1.0
+
+
+@pytest.mark.parametrize(
+    ('degrees', 'limit', 'expected'),
+    [(20.0, {}, 20.0), (30.0, {'normal_range': 0.2}, np.degrees(0.2))],
+)
+def test_unknown_tilt_is_followed_while_sliding_within_its_range(
+    degrees, limit, expected
+):
+    tilt = np.radians(degrees)
+    surface = {'table': {'normal_world': [np.sin(tilt), 0.0, -np.cos(tilt)]}}
+    motion = {'start_time': 2.5, 'amplitude': 0.1, 'period': 6.0, 'blend_time': 1.0}
+    contacts, errors = press(
+        {'table': {'friction_std': 3.0, 'normal_turn_rate': 3.0, **limit}},
+        ticks=3200,
+        plant=surface,
+        only='table',
+        motion=motion,
+    )
+    normal = contacts['normal'][0]
+    assert np.degrees(np.arctan2(normal[0], -normal[2])) == pytest.approx(
+        expected, abs=1.0
+    )
+    assert np.linalg.norm(normal) == pytest.approx(1.0)
+    if not limit:
+        smooth = np.convolve(
+            errors[2100:], np.full(25, 1 / 25), 'valid'
+        )  # without roughness
+        assert np.sqrt((smooth**2).mean()) < 0.3
+        _, bare = press(
+            {'table': {'friction_std': 3.0}}, ticks=1250, plant=surface, only='table'
+        )
+        assert bare[-100:].mean() > 0.8
+
+
+def test_centres_of_pressure_follow_the_force_and_stay_inside():
+    loop = ClosedLoop(resolve('edge', plant='rigid'), commanded=True)
+    loop.advance()
+    loop.control.set_forces({'edge': 10.0}, {'edge/along': 0.01})
+    for _ in range(1400):
+        loop.advance()
+    force, couple = loop.sample.contact_force
+    assert 0.05 * couple / force == pytest.approx(0.01, abs=5e-4)
+    loop.control.set_forces({'edge': 20.0})
+    for _ in range(300):
+        loop.advance()
+    np.testing.assert_allclose(loop.sample.contact_force, [20.0, 4.0], atol=0.3)
+    loop.control.set_forces({'edge': 5.0})  # 4 N of its couple would be too much there
+    assert loop.control.commanded_forces == pytest.approx(
+        {'edge': 5.0, 'edge/along': 1.0}
+    )

@@ -1,0 +1,274 @@
+"""Studies from the file to the table, its lines and its page."""
+
+import io
+import re
+
+from multicontact_control.runs import closed_loop
+from multicontact_control.study.config import read_study, select, StudyConfig
+from multicontact_control.study.measure import metrics_row
+from multicontact_control.study.presets import study_of
+from multicontact_control.study.study import run_study
+from multicontact_control.study.table import (
+    draw_study,
+    good_values,
+    listing_of,
+    sentences,
+    terminal_tables,
+)
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+import yaml
+
+RISE = 'contacts.*.step_rise_63_s'
+STUDY = {
+    'name': 'small',
+    'scenario': 'step',
+    'plants': ['rigid'],
+    'seeds': 2,
+    'duration': 1.6,
+    'factors': {
+        'plant.surfaces.*.stiffness': [600.0, 6.0e5],
+        'noise_estimator.estimator': ['fixed'],
+    },
+}
+FILES = {
+    'cells',
+    'study.json',
+    'study.csv',
+    'study.parquet',
+    'study.png',
+    'study.pdf',
+    'study.html',
+}
+
+
+@pytest.fixture(name='frame')
+def fixture_frame():
+    """Return two combinations with three seeds, of which the last is not stable."""
+    frame = pd.DataFrame(
+        {
+            'part': '',
+            'plant': 'rigid',
+            'k': [600.0] * 3 + [6e4] * 3,
+            'seed': [0, 1, 2] * 2,
+            'stable': [True] * 5 + [False],
+            'error': [None] * 6,
+            'late': [0.25, np.inf, np.inf, np.nan, 0.125, 0.5],
+            'contacts.table.step_rise_63_s': [0.0, 1.0, 2.0, 3.0, 4.0, 5.0],
+            'contacts.board.step_rise_63_s': [np.nan, 9.0, 0.5, 0.5, 0.5, 0.5],
+            'contacts.board.rest.true_error_rms_n': [0.1] * 6,
+        }
+    )
+    frame.attrs = {'factors': ['part', 'plant', 'k', 'seed'], 'units': {'k': 'N/m'}}
+    return frame
+
+
+def cells_of(frame, **study):
+    config = StudyConfig(name='s', scenario='step', **study)
+    (shown,) = listing_of(frame, config).values()
+    return list(shown), shown.to_numpy().tolist()
+
+
+def test_lines_are_statistics_over_the_seeds(frame):
+    assert cells_of(frame) == (
+        ['k [N/m]', 'stable', 'rise [s]', 'rest rms [N]'],
+        [['600', '3/3', '2.000', '0.100'], ['60000', '2/3', '4.000', '0.100']],
+    )
+    columns = [
+        {'name': 'n', 'value': 'stable', 'aggregate': 'share'},
+        {'name': 'ms', 'value': 'late', 'scale': 1000.0, 'digits': 0},
+        {'name': 'most', 'value': RISE, 'aggregate': 'max', 'digits': 1},
+        {'name': 'all', 'value': 'contacts.*.step_rise_63_s', 'each': True},
+        {'name': 'of a part not chosen', 'value': 'delay', 'aggregate': 'good_values'},
+    ]
+    assert cells_of(frame, columns=columns)[1] == [
+        ['600', '3/3', 'never', '9.0', '1 / 4.75', '-'],
+        ['60000', '2/3', '312', '5.0', '4 / 0.5', '-'],
+    ]
+
+
+@pytest.mark.parametrize(
+    'values', [[600.0] * 3 + [6e4] * 3, ['soft'] * 3 + ['stiff'] * 3]
+)
+def test_figure_has_a_cross_where_no_run_is_good_and_no_point_upon_another(
+    frame, values
+):
+    both = pd.concat(
+        [frame.assign(law=law) for law in ('pi', 'dob')], ignore_index=True
+    )
+    both['k'] = values * 2
+    both.loc[9:, 'stable'] = False  # of the second law at the second value
+    both.attrs = {'factors': ['part', 'plant', 'k', 'law', 'seed'], 'units': {}}
+    figure = draw_study(both, StudyConfig(name='s', scenario='step'))
+    share, rise = figure.axes[:2]
+    crosses = [line for line in rise.lines if line.get_marker() == 'x']
+    assert (
+        len(crosses) == 1
+        and [line.get_marker() for line in share.lines].count('x') == 0
+    )
+    legend = {text.get_text() for text in figure.legends[0].get_texts()}
+    assert legend == {'law = pi', 'law = dob', 'no stable run'}
+    if values[0] == 'soft':
+        first, second = (line.get_ydata() for line in rise.lines if line not in crosses)
+        assert second[0] - first[0] > 0.2
+
+
+@pytest.mark.parametrize('width', [30, 80, 400])
+@pytest.mark.parametrize('label', ['lead_window', 'window rescaled to the R at rest'])
+def test_terminal_shows_every_column_whatever_its_width(width, label):
+    names = [f'value{i} [N]' for i in range(20)]
+    shown = pd.DataFrame(
+        [
+            {
+                'estimator': label,
+                'k': '600',
+                **{name: f'{i}.2345' for i, name in enumerate(names)},
+                'good': 'well ' * 30,
+            }
+        ]
+        * 2
+    )
+    shown.attrs = {'labels': 2}
+    console = Console(width=width, record=True, file=io.StringIO())
+    console.print(*terminal_tables('compare', {'': shown}, width))
+    text = console.export_text()
+    assert max(map(len, text.splitlines())) <= width
+    for i in range(20):
+        assert len(re.findall(rf'\b{i}\.2345\b', text)) == 2
+        assert re.search(rf'\bvalue{i}\b', text)
+    assert len(re.findall('well', text)) == 60
+    assert text.count('continued') == (text.count('estimator') - 1)
+
+
+def test_sentences_tell_where_all_runs_are_good(frame):
+    for flags, values in (
+        ('00111', '1, 2, 5'),
+        ('11110', '0.1 to 2'),
+        ('00000', 'none'),
+    ):
+        runs = pd.DataFrame(
+            {'k': (0.1, 0.5, 1.0, 2.0, 5.0), 'good': [*map(int, flags)]}
+        )
+        assert good_values(runs.astype({'good': bool}), 'k', 'good') == values
+    frame['law'] = ['pi', 'dob'] * 3
+    frame.attrs['factors'] = [*frame.attrs['factors'], 'law']
+    config = StudyConfig(name='s', scenario='step', symbols={'k': 'k_s'})
+    assert sentences(frame, config) == [
+        'pi is stable on rigid in all runs, with k_s = 600, 60000 N/m.',
+        'dob is stable on rigid in 2 of 3 runs, in every run with k_s = 600 N/m.',
+    ]
+
+
+def test_row_has_the_worst_contact_and_infinite_times_of_what_never_came():
+    push = {'moving': False, 'duration': 0.1, 'peak': 1.0, 'recovery': 0.2}
+    evidence = {
+        'unstable_after_motion_s': None,
+        'contacts': {
+            name: {
+                **dict.fromkeys(
+                    ('rest', 'moving'),
+                    {'rms_n': rms, 'lost': lost, 'variance_n2': None},
+                ),
+                'recoveries': [
+                    push,
+                    {**push, 'duration': 1.0, 'recovery': recovery},
+                    {**push, 'moving': True, 'recovery': 9.0},
+                ],
+            }
+            for name, rms, lost, recovery in (
+                ('a', 0.1, 0.0, 0.3),
+                ('b', 0.2, None, None),
+            )
+        },
+    }
+    summary = {
+        'stable': False,
+        'verdict': 'not stable',
+        'instabilities': ['a: b', 'c'],
+        'ended_early': '',
+        'ticks': 50,
+        'timing': {'tick_us': 3.0},
+        'contacts': {
+            'a': {
+                'rest': {'true_error_rms_n': 0.1},
+                'steps': [
+                    {'rise_63_s': None, 'overshoot_percent': 3.0},
+                    {'rise_63_s': 0.1, 'overshoot_percent': 1.0},
+                ],
+            }
+        },
+    }
+    row = metrics_row(
+        {
+            'summary': summary,
+            'evidence': evidence,
+            'error': None,
+            'final_error_share': 0.05,
+        }
+    )
+    expected = {
+        'stable': False,
+        'settled': True,
+        'instabilities': 'a: b; c',
+        'rest_rms_n': 0.2,
+        'moving_lost': 0.0,
+        'rest_variance_n2': None,
+        'push_peak_n': 1.0,
+        'short_push_s': 0.2,
+        'lasting_push_s': np.inf,
+        'push_off_s': np.inf,
+        'rise_s': np.inf,
+        'overshoot_percent': 3.0,
+        'ticks': 50,
+        'contacts.a.rest.true_error_rms_n': 0.1,
+    }
+    assert {name: row[name] for name in expected} == expected
+    assert not [name for name in row if 'timing' in name or 'steps' in name]
+    failed = metrics_row({'summary': None, 'error': 'ZeroDivisionError: x'})
+    assert failed['error'] == 'ZeroDivisionError: x' and not failed['stable']
+
+
+@pytest.mark.slow
+def test_changed_study_runs_what_is_missing_and_failures_are_rows(
+    tmp_path, monkeypatch
+):
+    path, out = tmp_path / 'small.yaml', tmp_path / 'out'
+    real = closed_loop.run_in_process
+
+    def fail(setup, **options):
+        if setup.plant.surfaces['table'].stiffness == 6.0e5:
+            raise ZeroDivisionError('in the law')
+        return real(setup, **options)
+
+    def run(seeds, **options):
+        path.write_text(yaml.safe_dump({**STUDY, 'seeds': seeds}))
+        shown = io.StringIO()
+        run_study(
+            study_of(select(read_study(str(path)), {})),
+            out,
+            jobs=1,
+            console=Console(file=shown, width=160),
+            **options,
+        )
+        return shown.getvalue()
+
+    monkeypatch.setattr(closed_loop, 'run_in_process', fail)
+    assert 'seed: 0' in run(1, dry_run=True) and not out.exists()
+    assert '2 jobs, 0 of them finished' in run(1)
+    frame = pd.read_parquet(out / 'study.parquet')
+    assert frame['error'].fillna('').tolist() == ['', 'ZeroDivisionError: in the law']
+    assert frame['stable'].tolist() == [True, False]
+    assert frame.attrs['units']['plant.surfaces.*.stiffness'] == 'N/m'
+    text = run(2)
+    assert '4 jobs, 2 of them finished' in text and 'in the law' in text
+    table = (out / 'study.csv').read_bytes(), (out / 'study.parquet').read_bytes()
+    assert '4 jobs, 4 of them finished' in run(2)
+    assert table == (
+        (out / 'study.csv').read_bytes(),
+        (out / 'study.parquet').read_bytes(),
+    )
+    assert {each.name for each in out.iterdir()} == FILES
+    frame = pd.read_parquet(out / 'study.parquet')
+    assert len(frame) == 4 and frame['trajectory_sha256'].nunique() == 2
