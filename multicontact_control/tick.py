@@ -77,8 +77,8 @@ def tick(
     stages
         SEE, ACT or both.
     joints, controls, contacts, laws, states
-        Records of `JOINT`, shape (n,), whose `gate.commanded_torque` is the torque that is commanded, one of
-        `CONTROL`, and records of `CONTACT`, `FORCE_LAW` and `CONTACT_STATE`, shape (r,).
+        Records of `JOINT`, shape (n,), whose `gate.commanded_torque` is what is commanded, one
+        of `CONTROL`, and records of `CONTACT`, `FORCE_LAW` and `CONTACT_STATE`, shape (r,).
     limits, judgements, gates, workspaces
         One record of `TASK_LIMITS`, of `JUDGEMENT`, of `GATE` and of `WORKSPACE`.
     q, velocity

@@ -170,7 +170,7 @@ class ControllerConfig(Config):
         ge=0.0,
     )
 
-    def cross_field_errors(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         joints = len(self.robot.joint_names)
         for name in PER_JOINT:
             count = len(attrgetter(name)(self))

@@ -224,8 +224,8 @@ def control_law(
     Work out the joint torque of one tick.
 
     F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + N alpha_fed_forward, Gamma = J^T F (P04
-    eqs 23-27), then null space, friction and limits. As published alpha_fed_forward is the estimate; see
-    `force_to_feed`.
+    eqs 23-27), then null space, friction and limits. As published
+    alpha_fed_forward is the estimate; see `force_to_feed`.
 
     Parameters
     ----------

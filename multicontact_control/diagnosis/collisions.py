@@ -14,7 +14,7 @@ from multicontact_control.control.arm import (
     WRENCH,
 )
 from multicontact_control.diagnosis.friction import UNDECLARED
-from multicontact_control.records import ResidualStatistics, Joint, Momentum, Records
+from multicontact_control.records import Joint, Momentum, Records, ResidualStatistics
 import numpy as np
 
 EXPLAINED = (

@@ -377,9 +377,9 @@ def bound_speed(
     """
     Return u within what keeps the tip at `speed_bound` if nothing bears it [m/s^2].
 
-    The tip accelerates by a = u - K_2 v + N^T Lambda^-1 N alpha_fed_forward into free space. It is kept at
-    or below G (v_max - v) + b, where b is what a surface turns out to bear: it grows
-    while the tip is slower than it may be although it is pushed, and is forgotten. The force law
+    The tip accelerates by a = u - K_2 v + N^T Lambda^-1 N alpha_fed_forward into free space. It is
+    kept at or below G (v_max - v) + b, where b is what a surface turns out to bear: it grows while
+    the tip is slower than it may be although it is pushed, and is forgotten. The force law
     is told what acts. `speed` is that of the contact point INTO the surface [m/s].
     """
     period = control.law.period
