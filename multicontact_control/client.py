@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 import time
 
+from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Vector
 from multicontact_control.config import LimitsConfig
 from multicontact_control.contact.geometry import placed_way
-from multicontact_control.control.tasks import quintic, shortest_duration
+from multicontact_control.control.tasks import shortest_duration
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, RunError
 from multicontact_control.nodes import messages, topics
@@ -250,7 +251,7 @@ class MultiContactClient(ControllerLink):
                 continue
             interrupted = 0.0
             elapsed += advance
-            s, ds, dds = quintic(elapsed, duration)
+            s, ds, dds = quintic_blend(elapsed, duration)
             point = messages.motion_message(
                 start.position_desired + s * way[:3],
                 (Rotation.from_rotvec(s * way[3:]) * turn).as_quat(),

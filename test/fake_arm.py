@@ -6,7 +6,7 @@ from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph import create_publisher, ignore, take
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 from rclpy.qos import QoSProfile
@@ -39,7 +39,7 @@ class FakeArm:
         self._middleware = middleware
         node = middleware.node
         self.config = controller_config()
-        self.state = RobotModel(self.config.robot, config_dir()).update(
+        self.state = RobotModel(self.config.robot, find_config_folder()).update(
             HOME, np.zeros(6)
         )
         self.weight = weight_reading(

@@ -21,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Pose, Transform, Twist, WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.control.tasks import MotionReading
-from multicontact_control.errors import counted, MessageError
+from multicontact_control.errors import format_count, MessageError
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from numpy.typing import ArrayLike
@@ -64,21 +64,21 @@ def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
         numbers = np.array(values)
     except ValueError:  # rows of different lengths
         raise MessageError(
-            field, f'{counted(length, "values")} in one row', repr(values)
+            field, f'{format_count(length, "values")} in one row', repr(values)
         ) from None
     if numbers.dtype.kind not in NUMBERS:
         raise MessageError(
-            field, f'{counted(length, "values")} that are numbers', repr(values)
+            field, f'{format_count(length, "values")} that are numbers', repr(values)
         )
     numbers = numbers.astype(np.float64)
     if numbers.ndim != 1:
         raise MessageError(
             field,
-            f'{counted(length, "values")} in one row',
+            f'{format_count(length, "values")} in one row',
             f'an array of shape {numbers.shape}',
         )
     if numbers.size != length:
-        raise MessageError(field, counted(length, 'values'), f'{numbers.size}')
+        raise MessageError(field, format_count(length, 'values'), f'{numbers.size}')
     if not math.isfinite(sum(numbers.tolist())):
         raise MessageError(field, 'finite numbers', numbers.tolist())
     return numbers
@@ -159,7 +159,7 @@ def read_named(
         usable = whole and (field in partial or math.isfinite(sum(vector.tolist())))
         if not usable and field in fields:
             raise MessageError(
-                field, counted(len(given), 'finite values'), values.tolist()
+                field, format_count(len(given), 'finite values'), values.tolist()
             )
         vectors.append(vector if usable else None)
     return stamp_to_ns(message.header.stamp), *vectors
