@@ -289,7 +289,7 @@ def _rest(
         1, ATTEMPTS + 1
     ):  # where samples are lost, more of them are needed
         while not len(joints) or 1e-9 * joints.stamps[-1] < since + rests * REST_TIME:
-            for columns, message in zip((joints, felt), link.fresh(*heard)):
+            for columns, message in zip((joints, felt), link.receive_fresh(*heard)):
                 columns.take(message, time.time_ns())
         poses = quiet_rests('calibrate', joints, felt, controller, robot, said.append)
         if poses:

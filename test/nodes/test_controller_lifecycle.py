@@ -97,10 +97,10 @@ def test_process_obeys_possible_transitions_and_leaves_the_arm_safely(
     )
     for transition in (ACTIVATE, DEACTIVATE):  # not possible yet
         with pytest.raises(TransitionError):
-            driver.change(NAME, transition)
-    assert driver.state(NAME) == 'unconfigured'
+            driver.change_state(NAME, transition)
+    assert driver.get_state(NAME) == 'unconfigured'
     for transition in (CONFIGURE, ACTIVATE):
-        driver.change(NAME, transition)
+        driver.change_state(NAME, transition)
     # A port in shared memory would outlive a process that is killed, and the next one's be deaf.
     assert '_port' not in Path(f'/proc/{process.pid}/maps').read_text(encoding='utf-8')
     arm = FakeArm(middleware)

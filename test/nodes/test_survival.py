@@ -4,7 +4,7 @@ from collections import Counter
 import json
 
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph import ignore
+from multicontact_control.nodes.graph import ignore_message
 from multicontact_control.paths import find_config_folder
 import pytest
 from ros_graph import end_of, wait_for
@@ -27,7 +27,7 @@ def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be
 ):
     commands, diagnostics = (
         middleware.node.create_subscription(
-            topic.message, topic.name, ignore, qos.INPUT
+            topic.message, topic.name, ignore_message, qos.INPUT
         )
         for topic in (topics.EFFORT_COMMAND, topics.DIAGNOSTICS)
     )
@@ -98,7 +98,7 @@ def test_simulator_times_a_command_from_the_first_sending_of_its_sample(
     middleware, tmp_path
 ):
     samples = middleware.node.create_subscription(
-        topics.JOINT_STATES.message, topics.JOINT_STATES.name, ignore, qos.INPUT
+        topics.JOINT_STATES.message, topics.JOINT_STATES.name, ignore_message, qos.INPUT
     )
     commands = middleware.node.create_publisher(
         JointState, topics.EFFORT_COMMAND.name, topics.EFFORT_COMMAND.profile
