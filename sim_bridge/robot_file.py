@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from multicontact_control.config import Config, parameter, UnitVector3, Vector, Vector3
-from multicontact_control.errors import ConfigError, counted
+from multicontact_control.errors import ConfigError, format_count
 from sim_bridge.arm import Body, Placement
 
 
@@ -153,7 +153,7 @@ class RobotFile(Config):
     plant_aliases: dict[str, str] = parameter({}, 'Other names of these.')
     default_plant: str = parameter('rigid', 'Which of them is taken if none is named.')
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         for name in () if self.controller_file else ('home', 'contacts'):
             if not getattr(self, name):
                 yield ConfigError(name, 'a value, without a controller_file', 'nothing')
@@ -177,7 +177,7 @@ class RobotFile(Config):
             if len(getattr(self, name)) not in (0, count):
                 yield ConfigError(
                     name,
-                    f'{counted(count, "values")}, one per joint',
+                    f'{format_count(count, "values")}, one per joint',
                     len(getattr(self, name)),
                 )
         if self.tool is not None and self.tip_links:
