@@ -19,7 +19,7 @@ import sys
 from typing import Any
 
 from llvmlite import binding as llvm
-from multicontact_control.compiled import cache_folder, HERE
+from multicontact_control.compiled import find_cache_folder, HERE
 import numpy as np
 from rich.console import Console
 
@@ -39,7 +39,7 @@ def ensure_compiled() -> int:
 
     One command at a time does so, on two cores.
     """
-    folder = cache_folder()
+    folder = find_cache_folder()
     if folder is not None and _marker(folder).is_file():
         return 0
     console = Console(stderr=True, highlight=False, soft_wrap=True)

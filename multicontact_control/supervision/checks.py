@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import Annotated, Protocol
 
-from multicontact_control.algebra import add_scaled, length
+from multicontact_control.algebra import add_scaled_vector, vector_length
 from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
@@ -148,7 +148,9 @@ def check_plausibility(
         if contact.config.leader != i:
             continue
         pressed += abs(contact.alpha_meas)
-        add_scaled(sideways, -(contact.alpha_meas + contact.untared), contact.normal)
+        add_scaled_vector(
+            sideways, -(contact.alpha_meas + contact.untared), contact.normal
+        )
         allowance = known = 0.0
         if states[i].state == LOST:
             allowance = bounds.inertia
@@ -162,7 +164,7 @@ def check_plausibility(
             flags |= PULL
         if contact.alpha_meas > bounds.force_ceiling and states[i].state == FREE:
             flags |= STRAY
-    if length(sideways) > SIDEWAYS_LIMIT + bounds.friction_bound * pressed:
+    if vector_length(sideways) > SIDEWAYS_LIMIT + bounds.friction_bound * pressed:
         flags |= SIDEWAYS
     place = control.frame.position
     for k in range(3):
@@ -231,17 +233,22 @@ def watch_arm(config: ControllerConfig, controller: Controller) -> None:
     joint['speed_limit'] = SPEED_EXCESS * np.array(limits.joint_speed or np.inf)
     frame['config']['speed_limit'] = SPEED_EXCESS * limits.operational_speed
     frame['config']['turn_limit'] = SPEED_EXCESS * limits.operational_turn
-    watch['evidence'] = joint['allowance'] = joint['learnt_limit'] = 0
+    watch['residual_statistics'] = joint['declared_friction'] = joint[
+        'learnt_friction_limit'
+    ] = 0
     least = (
         np.inf if config.wrench_input == 'momentum' else np.array(collision.threshold)
     )
     if not np.size(least):
         limit = np.array(config.torque_limit or controller.robot.torque_limit)
         least = np.maximum(collision.limit_share * limit, LEAST_THRESHOLD)
-        joint['allowance'] = collision.friction_share * np.array(
+        joint['declared_friction'] = collision.friction_share * np.array(
             config.friction.coulomb or 0.0
         )
-        joint['learnt_limit'] = LEARNT_SHARE * limit
-    joint['least_threshold'], watch['threshold'] = least, least + joint['allowance']
+        joint['learnt_friction_limit'] = LEARNT_SHARE * limit
+    joint['least_threshold'], watch['threshold'] = (
+        least,
+        least + joint['declared_friction'],
+    )
     momentum['config']['bandwidth'] = config.momentum_bandwidth
     momentum['config']['dynamic_share'] = collision.dynamic_share

@@ -39,7 +39,7 @@ from multicontact_control.force.laws.linear import LinearLaw
 from multicontact_control.force.margins import spectral_radius
 from multicontact_control.force.observer import steady_gain
 from multicontact_control.force.plant import delayed_plant
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.records import CONTACT, CONTROL, MAX_STATES
 from multicontact_control.registry import FORCE_LAWS
 from multicontact_control.runs.scenario import resolve
@@ -298,8 +298,10 @@ def test_design_for_a_range_has_its_margins_on_every_surface_and_its_file_is_rea
 
 def test_every_law_has_ranges_to_tune_it_in_and_a_preset():
     names = set(FORCE_LAWS)
-    assert set(read_yaml(config_dir() / 'tuning.yaml')) == names
-    presets = {path.stem for path in (config_dir() / 'presets/laws').glob('*.yaml')}
+    assert set(read_yaml(find_config_folder() / 'tuning.yaml')) == names
+    presets = {
+        path.stem for path in (find_config_folder() / 'presets/laws').glob('*.yaml')
+    }
     assert presets == names - {'aob'}  # `paper`, `best`, `adaptive`
 
 
