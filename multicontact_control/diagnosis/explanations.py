@@ -14,7 +14,7 @@ from multicontact_control.diagnosis.sensor_axes import explain_axes
 from multicontact_control.diagnosis.velocities import explain_velocities
 from multicontact_control.supervision.checks import (
     COLLISION,
-    CONTRADICTED,
+    VELOCITY_CONTRADICTED,
     WRONG_WRENCH,
 )
 from multicontact_control.supervision.contact_task import ContactTask
@@ -58,7 +58,7 @@ class Explanations:
         if cause in WRONG_WRENCH.values():
             return self._sensor_axes() or self.stray_force()
         collides = cause.startswith(COLLISION)
-        if collides or cause == CONTRADICTED:
+        if collides or cause == VELOCITY_CONTRADICTED:
             velocity = self._velocities()
             if velocity:
                 return f'{velocity}. {DOUBTED}'

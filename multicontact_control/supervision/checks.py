@@ -36,46 +36,51 @@ from multicontact_control.records import (
     Records,
 )
 from multicontact_control.supervision.contacts import ContactState, FREE, LOST
-from multicontact_control.supervision.reactions import NONE, SEVERITY
+from multicontact_control.supervision.reactions import (
+    FLOAT,
+    HOLD,
+    INFLATE,
+    NONE,
+    SEVERITY,
+)
 import numpy as np
 
+# Why the wrench is wrong, in the order in which it is said.
 WRONG_WRENCH = {
     SURFACE_PULLS: 'wrench_pull',
     FORCE_STRAY: 'wrench_stray',
     FORCE_SIDEWAYS: 'wrench_sideways',
 }
 CONTRADICTING = SURFACE_PULLS | FORCE_STRAY | FORCE_SIDEWAYS
-CONTRADICTIONS = (
-    2  # samples in a row that contradict the contacts, for the wrench to be refused
-)
-COLLISION, CONTRADICTED = 'collision', 'joints_velocity'
+# Samples in a row that contradict the contacts, for the wrench to be refused.
+CONTRADICTIONS = 2
+COLLISION = 'collision'
+VELOCITY_CONTRADICTED = 'joints_velocity'
 TOO_FAST = {
     OPERATIONAL_SPEED: 'motion_operational_speed',
     JOINT_SPEED: 'motion_joint_speed',
 }
 
 PULL_LIMIT = 4.0  # N, measured pull of a surface that is accepted
-READ_PULL_LIMIT = (
-    8.0  # N, pull that is read and accepted with what is taken off as no force
-)
+# N, the same of all that is read, with what is taken off as no force.
+READ_PULL_LIMIT = 8.0
 LOSS_ACCELERATION = 20.0  # m/s^2, of a tool that is braked after a contact is lost
 SIDEWAYS_LIMIT = 5.0  # N of sideways force that is always accepted
-SPEED_ALARM_FACTOR = (
-    1.1  # times a speed limit, beyond which gate and reference have failed
-)
+# Times a speed limit, beyond which gate and reference have failed.
+SPEED_ALARM_FACTOR = 1.1
 BOX_EXCESS = 0.01  # m beyond the workspace, where the reference has failed
-# The smallest threshold [N m], and the largest share of the limit that friction adds to it.
-LEAST_THRESHOLD, LEARNT_SHARE = 1.0, 0.1
+LEAST_THRESHOLD = 1.0  # N m, of a residual that is a collision
+LEARNT_SHARE = 0.1  # of a torque limit, that learnt friction adds to it at most
 
 
 class Plausibility(Record, Protocol):
-    """What an answer of the law must be like; one."""
+    """What a plausible answer of the law keeps to; one."""
 
     inertia: float  # what a lost contact may read more: the tool's inertia [N]
     friction_bound: float  # force across the normals, per force along them
     force_ceiling: float  # along them, of contacts that are not commanded [N]
 
-    # Where the operational point may be [m].
+    # Corners of the box of the operational point [m].
     lower: Annotated[Vector, 3]
     upper: Annotated[Vector, 3]
 
@@ -88,12 +93,12 @@ class Judgement(Record, Protocol):
 
     plausibility: Plausibility
 
-    # Whether the law has not been in control, so that one sample is enough.
+    # Whether the law resumes, so that one contradicting sample is enough to refuse it.
     resumes: bool
 
-    contradictions: int  # in a row
+    contradictions: int  # samples in a row whose wrench contradicts the contacts
 
-    # At the operational point, less what the contacts explain [N, N m].
+    # At the operational point, without the contacts' normal forces [N, N m].
     wrench: Annotated[Vector, 6]
 
 
@@ -101,20 +106,39 @@ JUDGEMENT = record_dtype(Judgement)
 
 
 def choose_severest_reaction(causes: tuple[str, ...], config: ControllerConfig) -> str:
-    """Return the severest reaction that causes call for, each by its name or its part's."""
-    to = {
-        'joints': 'float',
-        CONTRADICTED: 'hold',
-        'wrench': 'hold',
-        'variance': 'inflate',
-        'clock': 'hold',
-        'motion': 'hold',
-        'law': 'hold',
-        'start': 'hold',
+    """
+    Return the severest reaction that causes call for, `none` for no cause.
+
+    Unknown joints are floated, an R that is not renewed is inflated, a collision is answered as
+    configured; all else is held, also joints whose velocities are estimated from positions.
+    """
+    by_part = {
+        'joints': FLOAT,
+        'variance': INFLATE,
         COLLISION: config.collision.reaction,
     }
-    called_for = [to.get(cause, to[cause.split('_')[0]]) for cause in causes]
-    return max(called_for, key=SEVERITY.index, default=NONE)
+    severest = NONE
+    for cause in causes:
+        reaction = HOLD
+        if cause != VELOCITY_CONTRADICTED:
+            reaction = by_part.get(cause.partition('_')[0], HOLD)
+        severest = max(severest, reaction, key=SEVERITY.index)
+    return severest
+
+
+@compiled
+def _is_answer_finite(contact: Contact) -> bool:
+    """Return whether all numbers of a contact's answer are finite."""
+    answer = contact.answer
+    return np.isfinite(
+        contact.alpha_meas
+        + answer.alpha_des
+        + answer.alpha_est
+        + answer.alpha_rate_est
+        + answer.innovation
+        + answer.prior_variance
+        + answer.variance_used
+    )
 
 
 @compiled
@@ -129,54 +153,61 @@ def check_plausibility(
     """
     Check the answer of the control law that is in the joints.
 
-    `wrench`, shape (6,), is overwritten. Returns the sum of ANSWER_NOT_FINITE, SURFACE_PULLS
-    (beyond what was read before; after the loss of a contact the inertia of the tool that is
-    braked is allowed for), FORCE_SIDEWAYS (more than friction can explain), FORCE_STRAY (a contact
-    that is free is beyond the force ceiling) and OUTSIDE_WORKSPACE (of the operational point).
+    Parameters
+    ----------
+    bounds
+        A record of `PLAUSIBILITY`.
+    control, joints, contacts, states
+        A record of `CONTROL`, and records of `JOINT`, shape (n,), of `CONTACT` and of
+        `CONTACT_STATE`, shape (r,).
+    wrench
+        Shape (6,), overwritten: the force that the contacts leave unexplained [N], and the torque
+        at the operational point [N m].
+
+    Returns
+    -------
+    int
+        The sum of ANSWER_NOT_FINITE; SURFACE_PULLS, beyond what was read before (a lost contact is
+        allowed the inertia of the tool that is braked); FORCE_SIDEWAYS, more than friction can
+        explain; FORCE_STRAY, a free contact beyond the force ceiling; and OUTSIDE_WORKSPACE, of
+        the operational point.
+
     """
-    flags, pressed, sideways = 0, 0.0, wrench[:3]
+    found = 0
     for j in range(joints.shape[0]):
         if not np.isfinite(joints[j].answer.torque):
-            flags = ANSWER_NOT_FINITE
+            found = ANSWER_NOT_FINITE
     operational_wrench(control, wrench)
+    sideways = wrench[:3]
+    pressed = 0.0
     for i in range(contacts.shape[0]):
-        contact, answer = contacts[i], contacts[i].answer
-        if not np.isfinite(
-            contact.alpha_meas
-            + answer.alpha_des
-            + answer.alpha_est
-            + answer.alpha_rate_est
-            + answer.innovation
-            + answer.prior_variance
-            + answer.variance_used
-        ):
-            flags |= ANSWER_NOT_FINITE
-        if contact.config.leader != i:
+        contact, state = contacts[i], states[i]
+        if not _is_answer_finite(contact):
+            found |= ANSWER_NOT_FINITE
+        if contact.config.leader != i:  # a couple has no normal force
             continue
+        reading = contact.alpha_meas + contact.untared
         pressed += abs(contact.alpha_meas)
-        add_scaled_vector(
-            sideways, -(contact.alpha_meas + contact.untared), contact.normal
-        )
-        allowance = known = 0.0
-        if states[i].state == LOST:
+        add_scaled_vector(sideways, -reading, contact.normal)
+        allowance = 0.0
+        if state.state == LOST:
             allowance = bounds.inertia
-        if (
-            states[i].state == FREE
-        ):  # what it is read with is what its search begins with
-            known = min(states[i].baseline, 0.0)
-        if contact.alpha_meas - known < -(PULL_LIMIT + allowance) or (
-            contact.alpha_meas + contact.untared < -(READ_PULL_LIMIT + allowance)
-        ):
-            flags |= SURFACE_PULLS
-        if contact.alpha_meas > bounds.force_ceiling and states[i].state == FREE:
-            flags |= FORCE_STRAY
+        free_pull = 0.0
+        if state.state == FREE:  # its search begins with what it is read with
+            free_pull = min(state.baseline, 0.0)
+            if contact.alpha_meas > bounds.force_ceiling:
+                found |= FORCE_STRAY
+        if contact.alpha_meas - free_pull < -(PULL_LIMIT + allowance):
+            found |= SURFACE_PULLS
+        if reading < -(READ_PULL_LIMIT + allowance):
+            found |= SURFACE_PULLS
     if vector_length(sideways) > SIDEWAYS_LIMIT + bounds.friction_bound * pressed:
-        flags |= FORCE_SIDEWAYS
-    place = control.frame.position
+        found |= FORCE_SIDEWAYS
+    position = control.frame.position
     for k in range(3):
-        if place[k] < bounds.lower[k] or place[k] > bounds.upper[k]:
-            flags |= OUTSIDE_WORKSPACE
-    return flags
+        if position[k] < bounds.lower[k] or position[k] > bounds.upper[k]:
+            found |= OUTSIDE_WORKSPACE
+    return found
 
 
 @compiled
@@ -191,72 +222,79 @@ def judge_answer(
     """
     Judge the answer of the control law that is in the joints; see `check_plausibility`.
 
-    ANSWER_REFUSED is added to what that returns if the answer is not to be commanded: it is not
+    Returns what that finds, and ANSWER_REFUSED for an answer that must not be commanded: it is not
     finite, or, if `strict`, the wrench contradicts the contacts for the second time in a row. The
-    contacts that are pressed lead out of the box: they are to retract.
+    contacts that are pressed are what leads out of the box: they are to retract.
     """
-    doubts = check_plausibility(
+    found = check_plausibility(
         judgement.plausibility, control, joints, contacts, states, judgement.wrench
     )
-    if doubts & ANSWER_NOT_FINITE:
-        return doubts | ANSWER_REFUSED
-    contradicts = strict and doubts & CONTRADICTING != 0
-    judgement.contradictions = judgement.contradictions + 1 if contradicts else 0
-    if contradicts and (
-        judgement.contradictions >= CONTRADICTIONS or judgement.resumes
-    ):
-        return doubts | ANSWER_REFUSED
-    if doubts & OUTSIDE_WORKSPACE:
+    if found & ANSWER_NOT_FINITE:
+        return found | ANSWER_REFUSED
+    if strict and found & CONTRADICTING:
+        judgement.contradictions += 1
+        if judgement.resumes or judgement.contradictions >= CONTRADICTIONS:
+            return found | ANSWER_REFUSED
+    else:
+        judgement.contradictions = 0
+    if found & OUTSIDE_WORKSPACE:
         for i in range(contacts.shape[0]):
-            states[i].retract_requested = (
-                states[i].retract_requested or contacts[i].answer.active
-            )
-    return doubts
+            if contacts[i].answer.active:
+                states[i].retract_requested = True
+    return found
 
 
 def name_refusal_cause(found: int) -> str:
-    """Return the cause by which an answer is refused."""
-    if found & ANSWER_NOT_FINITE:
-        return 'law_not_finite'
-    return next(cause for flag, cause in WRONG_WRENCH.items() if found & flag)
+    """Return the cause by which an answer is refused: its numbers, or what is wrong with them."""
+    for flag, cause in WRONG_WRENCH.items():
+        if found & flag and not found & ANSWER_NOT_FINITE:
+            return cause
+    return 'law_not_finite'
 
 
 def plausibility_limits(config: ControllerConfig) -> Records[Plausibility]:
-    """Return what an answer must be like as one record of `PLAUSIBILITY`."""
+    """Return what a plausible answer keeps to as one record of `PLAUSIBILITY`."""
+    limits = config.limits
     bounds = np.zeros(1, dtype=PLAUSIBILITY)
     bounds['friction_bound'] = config.watchdog.friction_bound
     bounds['force_ceiling'] = config.contact_state.force_ceiling
     bounds['inertia'] = config.tool.mass * LOSS_ACCELERATION
-    limits = config.limits
-    bounds['lower'] = np.array(limits.workspace_lower or [-np.inf] * 3) - BOX_EXCESS
-    bounds['upper'] = np.array(limits.workspace_upper or [np.inf] * 3) + BOX_EXCESS
+    bounds['lower'] = np.array(limits.workspace_lower or -np.inf) - BOX_EXCESS
+    bounds['upper'] = np.array(limits.workspace_upper or np.inf) + BOX_EXCESS
     return bounds
 
 
 def configure_monitors(config: ControllerConfig, controller: Controller) -> None:
-    """Set the speeds beyond which an arm is too fast, and the residuals that are a collision."""
-    limits, collision, joints = config.limits, config.collision, controller.arm.joints
-    momentum, frame = controller.controls['momentum'], controller.controls['frame']
-    joint, watch = joints['config'], joints['watch']
+    """
+    Set the speeds beyond which an arm is too fast, and the residuals that are a collision.
+
+    Where no thresholds are configured, that of a joint is a share of its torque limit; declared
+    friction adds to it, and what the joint shows of friction as it moves. A residual that is the
+    input of force control, for want of a wrist sensor, is never a collision.
+    """
+    limits, collision = config.limits, config.collision
+    frame = controller.controls['frame']['config']
+    frame['speed_limit'] = SPEED_ALARM_FACTOR * limits.operational_speed
+    frame['turn_limit'] = SPEED_ALARM_FACTOR * limits.operational_turn
+    joint = controller.arm.joints['config']
     joint['speed_limit'] = SPEED_ALARM_FACTOR * np.array(limits.joint_speed or np.inf)
-    frame['config']['speed_limit'] = SPEED_ALARM_FACTOR * limits.operational_speed
-    frame['config']['turn_limit'] = SPEED_ALARM_FACTOR * limits.operational_turn
-    watch['residual_statistics'] = joint['declared_friction'] = joint[
-        'learnt_friction_limit'
-    ] = 0
-    least = (
-        np.inf if config.wrench_input == 'momentum' else np.array(collision.threshold)
-    )
-    if not np.size(least):
-        limit = np.array(config.torque_limit or controller.robot.torque_limit)
-        least = np.maximum(collision.limit_share * limit, LEAST_THRESHOLD)
-        joint['declared_friction'] = collision.friction_share * np.array(
-            config.friction.coulomb or 0.0
+    joint['declared_friction'] = 0.0
+    joint['learnt_friction_limit'] = 0.0
+    if config.wrench_input == 'momentum':
+        joint['least_threshold'] = np.inf
+    elif collision.threshold:
+        joint['least_threshold'] = collision.threshold
+    else:
+        torque_limit = np.array(config.torque_limit or controller.robot.torque_limit)
+        coulomb = np.array(config.friction.coulomb or 0.0)
+        joint['least_threshold'] = np.maximum(
+            collision.limit_share * torque_limit, LEAST_THRESHOLD
         )
-        joint['learnt_friction_limit'] = LEARNT_SHARE * limit
-    joint['least_threshold'], watch['threshold'] = (
-        least,
-        least + joint['declared_friction'],
-    )
-    momentum['config']['bandwidth'] = config.momentum_bandwidth
-    momentum['config']['dynamic_share'] = collision.dynamic_share
+        joint['declared_friction'] = collision.friction_share * coulomb
+        joint['learnt_friction_limit'] = LEARNT_SHARE * torque_limit
+    watch = controller.arm.joints['watch']
+    watch['residual_statistics'] = 0
+    watch['threshold'] = joint['least_threshold'] + joint['declared_friction']
+    momentum = controller.controls['momentum']['config']
+    momentum['bandwidth'] = config.momentum_bandwidth
+    momentum['dynamic_share'] = collision.dynamic_share

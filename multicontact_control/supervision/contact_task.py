@@ -89,9 +89,6 @@ class TaskLimitsConfig(Record, Protocol):
     upper: Annotated[Vector, 3]
 
 
-TASK_LIMITS_CONFIG = record_dtype(TaskLimitsConfig)
-
-
 class TaskLimits(Record, Protocol):
     """Bounds of a task, and the reference that follows it; one."""
 

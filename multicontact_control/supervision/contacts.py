@@ -45,66 +45,72 @@ STATE_NAMES = (
 )
 FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(len(STATE_NAMES))
 PRESSED = IMPACT, HOLDING  # where the force law drives it
-RELEASE_SHARE = 0.3  # of the force held or asked for, below which a contact may be lost
-ESCAPE_SPEED = (
-    0.1  # m/s into the surface, beyond the task's, that only a lost contact reaches
-)
-IMPACT_TIME = 0.05  # s in contact from touch to holding, at least
+
+# Loss of a contact.
+RELEASE_SHARE = 0.3  # of the force held or asked for, below which it may be lost
+# m/s into the surface, beyond the task's, that only a lost contact reaches.
+ESCAPE_SPEED = 0.1
+FORCE_STEP_TIME = 0.02  # s, in which a force step may be taken
 LOSS_TIME = 0.004  # s below the release threshold until a contact is lost
 BOUNCE_TIME = 0.01  # s, the same between touch and holding: a bounce is no loss
 REBOUND_TIME = 0.1  # s, the same of a contact that held and is thrown back
-LOST_TIME = 0.05  # s from loss to a new approach, at least
-BRAKING = 5.0  # m/s^2, of a tip that has lost its surface, or is pulled back
-RETRACT_SPEED = 0.05  # m/s
-RETRACT_DISTANCE = 0.01  # m, way back from a surface that is left
-SEARCH_DISTANCE = (
-    0.01  # m beyond where a lost surface was, from where on it is given up
-)
-FORCE_RATE = (
-    100.0  # N/s, rise of the desired force of a contact that was lost, from touch on
-)
-EXCESS = 1.5  # times that force, above which more is felt than it asks for
-MEAN_FORCE_TIME = 0.1  # s, over which the force a contact is held with is averaged
-TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
-FORCE_STEP_TIME = 0.02  # s, in which a force step may be taken
+LOSS_PERIODS = 2  # the first of these, at least: one sample says nothing
+BOUNCE_PERIODS = 3  # the second, at least
 REBOUND_SPEED = 2e-3  # m/s, away from the surface, from which on it is thrown back
 REBOUNDS_APART = 0.5  # s
-LOSS_PERIODS, BOUNCE_PERIODS = 2, 3  # the same, at least: one sample says nothing
-POSITION_RATE = 20.0  # 1/s, of the way left: how a displacement settles
-TARE_SHARE = (
-    1.0 / 3.0
-)  # of the contact threshold, from which on what is read freely is taken off
-AVERAGE_TIME = 0.1  # s, over which that is averaged where the tip stands
-AVERAGE_WAY = (
-    0.02  # m, the same on the way: a sensor drifts, and a soft surface is no drift
+MEAN_FORCE_TIME = 0.1  # s, over which the force a contact is held with is averaged
+
+# The tip without contact.
+BRAKING = 5.0  # m/s^2, of a tip that has lost its surface, or is pulled back
+POSITION_RATE = 20.0  # 1/s, of the way that remains: how a displacement settles
+LOST_TIME = 0.05  # s from loss to a new approach, at least
+BACK_DISTANCE = 2e-4  # m from its target, within which a lost tip may approach again
+BACK_SPEED = 2e-3  # m/s, the same
+RETRACTED_DISTANCE = 1e-4  # m, the same of a tip that has retracted
+SEARCH_DISTANCE = 0.01  # m beyond where a lost surface was, from where it is given up
+RETRACT_SPEED = 0.05  # m/s
+RETRACT_DISTANCE = 0.01  # m, way back from a surface that is left
+
+# The touch, and the force after it.
+TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
+IMPACT_TIME = 0.05  # s in contact from touch to holding, at least
+IMPACT_FORCE = (
+    10.0  # N, of a touch at the approach speed on the modelled surface, at most
 )
-FALL_TIME = 0.5  # s, the same of a fall, which is no touch; a flipped sign falls faster
-AHEAD_TIME = 0.3  # s without an answer, from which on more than the threshold is asked beyond that
+# N/s, rise of the desired force of a contact that was lost, from touch on.
+FORCE_RATE = 100.0
+EXCESS = 1.5  # times that force, above which more is felt than it asks for
+
+# What is read in free space.
+TARE_SHARE = 1.0 / 3.0  # of the contact threshold, from which on it is taken off
+AVERAGE_TIME = 0.1  # s, over which it is averaged where the tip stands
+# m, the same on the way: a sensor drifts, and a soft surface is no drift.
+AVERAGE_WAY = 0.02
+# s, the same of a fall, which is no touch; a flipped sign falls faster.
+FALL_TIME = 0.5
 PRESSING_WAY = 5e-4  # m without a change, as of a preload on a surface
-FREE_WAY = 3e-3  # m without a change, after which what is read is no force of a surface
+# m without a change, after which what is read is no force of a surface.
+FREE_WAY = 3e-3
+
+# The answer of a surface.
 ANSWER_SHARE = 0.5  # of the contact threshold, by which a force has to rise to answer
 SOFTEST_SURFACE = 150.0  # N/m; what rises less on the way is no surface
-SLIPPING = (
-    2e-4  # m back, at which a force that rises still answers: drives and tools bend
-)
-ANSWER_TIME = 0.015  # s, over which a force that is to answer is averaged: drives let a tool swing
-YIELDING, RETREATING = (
-    0.01,
-    5e-3,
-)  # m forth and back without an answer, after which it is none
+# m back, at which a force that rises still answers: drives and tools bend.
+SLIPPING = 2e-4
+# s, over which a force that is to answer is averaged: drives let a tool swing.
+ANSWER_TIME = 0.015
+YIELDING = 0.01  # m forth without an answer, after which there is none
+RETREATING = 5e-3  # m back, the same
+UNANSWERED_TIME = 1.0  # s of more force that is asked for, the same
+# s without an answer, from which on more than the threshold is asked for beyond what is felt.
+AHEAD_TIME = 0.3
 STAYING = 1e-3  # m out of a surface during a pause, at most, of a contact that stays
-UNANSWERED_TIME = (
-    1.0  # s of more force that is asked for, after which there is no answer
-)
 GENTLE = 0.9  # times the approach speed, at most, until a force has answered
-IMPACT_FORCE = (
-    10.0  # N, of a touch at the approach speed, at most, if the surface is as modelled
-)
-TOUCHING = 1.5  # the same at a touch, which comes down to that within `IMPACT_TIME`
-SETTLING_PERIODS, SETTLING_DELAYS = (
-    2,
-    3,
-)  # in which a step of what is read has passed the filters
+TOUCHING = 1.5  # the same at a touch, which falls to that within `IMPACT_TIME`
+# In which a step of what is read has passed the filters: periods, and delays of the low-pass.
+SETTLING_PERIODS = 2
+SETTLING_DELAYS = 3
+ROUNDING_TIME = 1e-9  # s, below which a duration is not exceeded
 
 
 class ContactState(Record, Protocol):
@@ -238,17 +244,23 @@ def contact_settings(
 
 @compiled
 def release_contact(contact: ContactState, place: float, speed: float) -> None:
-    """Give a contact back to the motion law, which leads the tip to where the surface was."""
-    contact.displacement, contact.speed = place, 0.0
-    if contact.state in PRESSED:
-        contact.losses += 1
-        contact.speed = speed
-        contact.target_displacement = place
-        if not np.isnan(contact.surface_displacement):
-            contact.search_start = contact.target_displacement = (
-                contact.surface_displacement
-            )
-        contact.state, contact.time_in_state = LOST, 0.0
+    """
+    Give a contact back to the motion law, which leads the tip to where the surface was.
+
+    A contact that is not pressed stays in its state, and its tip at the place, at rest.
+    """
+    contact.displacement = place
+    contact.speed = 0.0
+    if contact.state not in PRESSED:
+        return
+    contact.state = LOST
+    contact.time_in_state = 0.0
+    contact.losses += 1
+    contact.speed = speed
+    contact.target_displacement = place
+    if not np.isnan(contact.surface_displacement):
+        contact.target_displacement = contact.surface_displacement
+        contact.search_start = contact.surface_displacement
 
 
 @compiled
@@ -257,8 +269,9 @@ def _set_untared_force(
 ) -> None:
     """Take what is read without a touch off the measured force, if it is worth it [N]."""
     contact.baseline = baseline
-    least = TARE_SHARE * settings.contact_threshold
-    contact.untared = baseline if abs(baseline) >= least else 0.0
+    contact.untared = 0.0
+    if abs(baseline) >= TARE_SHARE * settings.contact_threshold:
+        contact.untared = baseline
 
 
 @compiled
@@ -273,12 +286,15 @@ def _begin_search(contact: ContactState, settings: ContactSettings) -> None:
 def average_free_reading(
     contact: ContactState, settings: ContactSettings, alpha: float
 ) -> None:
-    """Average what is read where a contact is not sought, over `AVERAGE_TIME`."""
+    """
+    Average what is read where a contact is not sought, over `AVERAGE_TIME`.
+
+    `alpha` is the measured force [N], off which `untared` has been taken.
+    """
     longest = max(1.0, np.round(AVERAGE_TIME / settings.period))
+    reading = alpha + contact.untared
     contact.averaged_samples = min(contact.averaged_samples + 1.0, longest)
-    contact.baseline += (
-        alpha + contact.untared - contact.baseline
-    ) / contact.averaged_samples
+    contact.baseline += (reading - contact.baseline) / contact.averaged_samples
 
 
 @compiled
@@ -288,17 +304,22 @@ def follow_free_reading(
     alpha: float,
     way: float,
 ) -> None:
-    """Follow what is read on a way towards a surface [m], and take it off."""
-    seen = TARE_SHARE * settings.contact_threshold
-    if contact.averaged_samples * settings.period < AVERAGE_TIME and abs(alpha) < seen:
+    """
+    Follow what is read on a way towards a surface [m], and take it off.
+
+    The first readings are averaged over time, as long as nothing is felt; then drift is followed
+    by the way, so that a soft surface is not taken for it. A force that falls is no touch.
+    """
+    noticeable = TARE_SHARE * settings.contact_threshold
+    averages = contact.averaged_samples * settings.period < AVERAGE_TIME
+    if averages and abs(alpha) < noticeable:
         average_free_reading(contact, settings, alpha)
     else:
         share = abs(way) / AVERAGE_WAY
-        if alpha < -seen:
+        if alpha < -noticeable:
             share = max(share, settings.period / FALL_TIME)
-        contact.baseline += min(share, 1.0) * (
-            alpha + contact.untared - contact.baseline
-        )
+        reading = alpha + contact.untared
+        contact.baseline += min(share, 1.0) * (reading - contact.baseline)
     _set_untared_force(contact, settings, contact.baseline)
 
 
@@ -309,28 +330,36 @@ def resume_contact(contact: ContactState, alpha: float, place: float) -> None:
 
     It has to answer anew unless it is where the surface was, with a good part of the force.
     """
+    stays = place > contact.surface_displacement - STAYING
+    presses = alpha > TOUCH_SHARE * contact.mean_force
     contact.displacement = place
-    contact.answered = contact.answered and (
-        place > contact.surface_displacement - STAYING
-        and alpha > TOUCH_SHARE * contact.mean_force
-    )
+    contact.answered = contact.answered and stays and presses
     contact.resumed = True
-    contact.observed_time = contact.resting_force = contact.shortfall_time = 0.0
+    _await_answer(contact)
+
+
+@compiled
+def _await_answer(contact: ContactState) -> None:
+    """Wait from now on for a force that answers the motion."""
+    contact.observed_time = 0.0
+    contact.resting_force = 0.0
+    contact.shortfall_time = 0.0
 
 
 @compiled
 def restart_free_reading(
     contact: ContactState, settings: ContactSettings, alpha: float
 ) -> None:
-    """Take what is read after a pause for what a search begins with."""
-    if (
-        contact.state == FREE
-        or contact.state == APPROACHING
-        or contact.state == GIVEN_UP
-    ):
+    """
+    Let a search begin with what is read after a pause, `alpha` [N].
+
+    A search that was under way begins anew from where the tip is now.
+    """
+    approaches = contact.state == APPROACHING
+    if approaches or contact.state == FREE or contact.state == GIVEN_UP:
         contact.averaged_samples = 0.0
         average_free_reading(contact, settings, alpha)
-    if contact.state == APPROACHING:
+    if approaches:
         contact.free_way = 0.0
         contact.search_start = contact.displacement
         _set_untared_force(contact, settings, contact.baseline)
@@ -354,9 +383,11 @@ def _watch_surface_answer(
     """
     contact.observed_time += settings.period
     force = alpha - settings.tool_mass * (speed - contact.last_speed) / settings.period
-    if contact.observed_time <= settings.settling_time + 1e-9:
-        contact.smoothed_force = contact.least_force = force
-        contact.smoothed_reading = contact.least_reading = alpha
+    if contact.observed_time <= settings.settling_time + ROUNDING_TIME:
+        contact.smoothed_force = force
+        contact.least_force = force
+        contact.smoothed_reading = alpha
+        contact.least_reading = alpha
         contact.least_force_place = place
         return
     share = settings.period / (ANSWER_TIME + settings.period)
@@ -366,24 +397,24 @@ def _watch_surface_answer(
     if contact.smoothed_force < contact.least_force:
         contact.least_force = contact.smoothed_force
         contact.least_force_place = place
-    changed = TARE_SHARE * settings.contact_threshold
-    if contact.smoothed_force < contact.least_force + changed:
+    noticeable = TARE_SHARE * settings.contact_threshold
+    if contact.smoothed_force < contact.least_force + noticeable:
         contact.flat_force_place = place
-    # What the tip is said to rest on has to let go of it, too.
-    if contact.smoothed_force < contact.resting_force - changed:
+    # What the tip is said to rest on has to fall, too.
+    if contact.smoothed_force < contact.resting_force - noticeable:
         contact.resting_force = 0.0
+    least_rise = ANSWER_SHARE * settings.contact_threshold
+    desired = min(contact.alpha_task, contact.force_limit)
+    contact.shortfall_time += settings.period
+    if desired - contact.smoothed_force <= least_rise:
+        contact.shortfall_time = 0.0
     way = place - contact.least_force_place
-    needed = max(ANSWER_SHARE * settings.contact_threshold, SOFTEST_SURFACE * way)
-    missing = min(contact.alpha_task, contact.force_limit) - contact.smoothed_force
-    asks = missing > ANSWER_SHARE * settings.contact_threshold
-    contact.shortfall_time = contact.shortfall_time + settings.period if asks else 0.0
     rise = min(
         contact.smoothed_force - contact.least_force,
         contact.smoothed_reading - contact.least_reading,
     )
-    contact.answered = (
-        contact.resting_force == 0.0 and way > -SLIPPING and rise >= needed
-    )
+    rises = rise >= max(least_rise, SOFTEST_SURFACE * way)
+    contact.answered = contact.resting_force == 0.0 and way > -SLIPPING and rises
 
 
 @compiled
@@ -404,14 +435,21 @@ def _begin_with_preload(contact: ContactState, settings: ContactSettings) -> Non
 
 @compiled
 def desired_force(contact: ContactState, settings: ContactSettings) -> float:
-    """Return what is asked of a contact as far as it may have it [N]."""
+    """
+    Return what is asked of a contact as far as it may have it [N].
+
+    Until a surface answers, no more than is needed to find out: what is fed forward moves a tool
+    that nothing bears. The longer that takes, the more is asked for beyond what is felt.
+    """
     desired = min(contact.alpha_task, contact.force_limit)
     if contact.answered:
-        return min(desired, settings.preload) if contact.preload_time > 0.0 else desired
-    # No more than is needed to find out: what is fed forward moves a tool that nothing bears.
+        if contact.preload_time > 0.0:
+            return min(desired, settings.preload)
+        return desired
     if contact.resting_force > 0.0:
         return min(desired, settings.preload)
-    ahead = settings.contact_threshold * max(1.0, contact.observed_time / AHEAD_TIME)
+    times = max(1.0, contact.observed_time / AHEAD_TIME)
+    ahead = settings.contact_threshold * times
     return min(desired, max(contact.smoothed_force + ahead, settings.preload))
 
 
@@ -444,16 +482,13 @@ def bound_contact_speed(contact: ContactState, fall_speed: float) -> float:
     if contact.state not in PRESSED:
         return 0.0
     if contact.answered:
-        return (
-            contact.approach_speed + fall_speed
-            if contact.time_below_threshold != 0.0
-            else 0.0
-        )
+        if contact.time_below_threshold == 0.0:
+            return 0.0
+        return contact.approach_speed + fall_speed
     times = GENTLE
     if contact.state == IMPACT:
-        times += (TOUCHING - GENTLE) * max(
-            0.0, 1.0 - contact.time_in_state / IMPACT_TIME
-        )
+        remaining = max(0.0, 1.0 - contact.time_in_state / IMPACT_TIME)
+        times += (TOUCHING - GENTLE) * remaining
     return times * contact.approach_speed
 
 
@@ -462,25 +497,22 @@ def refute_contact(
     contact: ContactState, settings: ContactSettings, place: float, speed: float
 ) -> bool:
     """
-    Let a contact go if it is none; return whether it was let go.
+    Release a contact if it is none; return whether it was released.
 
     It is none, and all that is read is no force, once the tip has gone too far, or too long,
-    without an answer of a surface.
+    without an answer of a surface. A contact that resumes may slide along a slope meanwhile; a law
+    that goes on by a way of its own, as an impedance does, may stand in free space.
     """
-    if contact.state not in PRESSED or contact.answered:
+    if contact.answered or contact.state not in PRESSED:
         return False
     if contact.observed_time <= settings.settling_time:
         return False
     way = place - contact.least_force_place
-    if contact.resumed:  # it may slide along a slope meanwhile
+    if contact.resumed:
         refuted = way > settings.approach_distance
     else:
-        # A law that goes on by a way of its own, as an impedance does, may stand in free space.
-        refuted = (
-            way > YIELDING
-            or way < -RETREATING
-            or contact.shortfall_time > UNANSWERED_TIME
-        )
+        too_long = contact.shortfall_time > UNANSWERED_TIME
+        refuted = way > YIELDING or way < -RETREATING or too_long
     if refuted:
         _set_untared_force(contact, settings, contact.untared + contact.smoothed_force)
         contact.free_way = FREE_WAY
@@ -503,16 +535,19 @@ def _begin_contact(
     reading = alpha + contact.untared
     if contact.free_way < FREE_WAY and contact.untared > 0.0:
         if contact.untared > settings.preload:
-            contact.answered, contact.resting_force = False, contact.untared
-        contact.baseline = contact.untared = 0.0
+            contact.answered = False
+            contact.resting_force = contact.untared
+        contact.baseline = 0.0
+        contact.untared = 0.0
     elif contact.untared != 0.0:
         _set_untared_force(contact, settings, contact.free_baseline)
-    taken = reading - contact.untared
-    contact.smoothed_force += taken - alpha
-    contact.least_force += taken - alpha
-    contact.smoothed_reading += taken - alpha
-    contact.least_reading += taken - alpha
-    return taken
+    force = reading - contact.untared
+    added = force - alpha
+    contact.smoothed_force += added
+    contact.least_force += added
+    contact.smoothed_reading += added
+    contact.least_reading += added
+    return force
 
 
 @compiled
@@ -525,45 +560,47 @@ def _advance_search(
 ) -> None:
     """Touch, or give up, or begin to look for a lost surface."""
     met_before = not np.isnan(contact.surface_displacement)
+    lost = contact.state == LOST
     threshold = settings.contact_threshold
-    nothing_seen = alpha < TARE_SHARE * threshold
-    if contact.state == LOST or nothing_seen:  # an answer is waited for from now on
-        contact.answered = contact.resumed = False
-        contact.observed_time = contact.resting_force = contact.shortfall_time = 0.0
+    nothing_felt = alpha < TARE_SHARE * threshold
+    if lost or nothing_felt:
+        contact.answered = False
+        contact.resumed = False
+        _await_answer(contact)
     else:
         _watch_surface_answer(contact, settings, alpha, place, speed)
-    if contact.state == LOST:  # a tool that is being braked reads its own inertia
+    if lost:  # a tool that is being braked reads its own inertia
         threshold = max(2.0 * threshold, TOUCH_SHARE * contact.mean_force)
-    elif nothing_seen:
-        contact.free_way = max(
-            contact.free_way, contact.displacement - contact.search_start
-        )
+    elif nothing_felt:
+        way = contact.displacement - contact.search_start
+        contact.free_way = max(contact.free_way, way)
         contact.free_baseline = contact.baseline
     if alpha > threshold:
-        if contact.state == APPROACHING:
+        if not lost:
             alpha = _begin_contact(contact, settings, alpha)
-        contact.force_limit = (
-            max(alpha, settings.preload) if met_before else settings.preload
-        )
-        contact.time_below_threshold = contact.mean_force = contact.preload_time = 0.0
-        contact.touch_place = contact.flat_force_place = place
         contact.state = IMPACT
-    elif contact.state == LOST:
-        stands = (
-            abs(contact.target_displacement - contact.displacement) < 2e-4
-            and abs(contact.speed) < 2e-3
-        )
-        if contact.time_in_state >= LOST_TIME and stands:
+        contact.force_limit = settings.preload
+        if met_before:
+            contact.force_limit = max(alpha, settings.preload)
+        contact.time_below_threshold = 0.0
+        contact.mean_force = 0.0
+        contact.preload_time = 0.0
+        contact.touch_place = place
+        contact.flat_force_place = place
+    elif lost:
+        way = abs(contact.target_displacement - contact.displacement)
+        stands = way < BACK_DISTANCE and abs(contact.speed) < BACK_SPEED
+        if stands and contact.time_in_state >= LOST_TIME:
+            contact.state = APPROACHING
             if met_before:
                 contact.search_start = contact.displacement
-            contact.state = APPROACHING
     else:
         farthest = settings.approach_distance
         if met_before:
             farthest = min(SEARCH_DISTANCE + contact.surface_fall, farthest)
         if contact.displacement - contact.search_start > farthest:
-            contact.target_displacement = contact.search_start
             contact.state = GIVEN_UP
+            contact.target_displacement = contact.search_start
 
 
 @compiled
@@ -577,50 +614,54 @@ def _advance_hold(
 ) -> None:
     """Notice a loss, or that a touch has lasted."""
     h = settings.period
-    unanswered = not contact.answered
-    if unanswered:
+    waits_for_answer = not contact.answered
+    if waits_for_answer:
         _watch_surface_answer(contact, settings, alpha, place, speed)
         if contact.answered and contact.state == HOLDING and not contact.resumed:
             _begin_with_preload(contact, settings)
+    desired = min(contact.alpha_task, contact.force_limit)
     threshold = max(
-        settings.release_threshold,
-        RELEASE_SHARE
-        * min(contact.mean_force, contact.alpha_task, contact.force_limit),
+        settings.release_threshold, RELEASE_SHARE * min(contact.mean_force, desired)
     )
+    patience = settings.bounce_time
     held = contact.state == HOLDING and contact.preload_time == 0.0
+    if held:
+        patience = settings.loss_time
     if alpha >= threshold:
         contact.time_below_threshold = 0.0
         contact.preload_time = max(0.0, contact.preload_time - h)
         if contact.answered or contact.resumed:  # where it would not press any more
             contact.surface_displacement = place - alpha / contact.stiffness
-        contact.mean_force += h / (MEAN_FORCE_TIME + h) * (alpha - contact.mean_force)
+        share = h / (MEAN_FORCE_TIME + h)
+        contact.mean_force += share * (alpha - contact.mean_force)
     else:
-        if (
-            contact.time_below_threshold == 0.0
-            and held
-            and (
-                speed - contact.surface_speed < -REBOUND_SPEED
-                and contact.rebound_lockout <= 0.0
-            )
-        ):
-            # Thrown back by a surface that is stiffer than its model: it returns by itself,
-            # once; one that is thrown back again and again swings, and is better let go.
-            contact.time_below_threshold = min(0.0, settings.loss_time - REBOUND_TIME)
-            contact.rebound_lockout = REBOUNDS_APART
+        _watch_rebound(contact, settings, held, speed)
         contact.time_below_threshold += h
     contact.rebound_lockout = max(0.0, contact.rebound_lockout - h)
-    patience = settings.loss_time if held else settings.bounce_time
     # A step of the force is a motion, too: into a surface that yields as its model.
-    step = abs(min(contact.alpha_task, contact.force_limit) - contact.mean_force)
+    step = abs(desired - contact.mean_force)
     fastest = ESCAPE_SPEED + step / (contact.stiffness * FORCE_STEP_TIME)
-    if contact.time_below_threshold > patience + 1e-9 or escape > fastest:
+    if contact.time_below_threshold > patience + ROUNDING_TIME or escape > fastest:
         release_contact(contact, place, speed)
-    elif (
-        contact.state == IMPACT
-        and contact.time_below_threshold == 0.0
-        and contact.time_in_state >= IMPACT_TIME
-    ):
-        contact.state = HOLDING
+    elif contact.state == IMPACT and contact.time_below_threshold == 0.0:
+        if contact.time_in_state >= IMPACT_TIME:
+            contact.state = HOLDING
+
+
+@compiled
+def _watch_rebound(
+    contact: ContactState, settings: ContactSettings, held: bool, speed: float
+) -> None:
+    """
+    Give time to a contact that is thrown back by a surface that is stiffer than its model.
+
+    It returns by itself, once; one that is thrown back again and again swings, and is released.
+    """
+    begins = held and contact.time_below_threshold == 0.0
+    thrown_back = speed - contact.surface_speed < -REBOUND_SPEED
+    if begins and thrown_back and contact.rebound_lockout <= 0.0:
+        contact.time_below_threshold = min(0.0, settings.loss_time - REBOUND_TIME)
+        contact.rebound_lockout = REBOUNDS_APART
 
 
 @compiled
@@ -639,36 +680,30 @@ def _forget_contact(contact: ContactState, place: float, speed: float) -> None:
 @compiled
 def _repeat_search(contact: ContactState, settings: ContactSettings) -> None:
     """Look again for a surface that was given up, if it is time or asked for."""
-    due = (
-        0.0 < settings.retry_time <= contact.time_in_state
-        and not contact.retract_requested
-    )
-    if due or contact.retry_requested:
+    due = 0.0 < settings.retry_time <= contact.time_in_state
+    if contact.retry_requested or (due and not contact.retract_requested):
         contact.retract_requested = False
         # As far as before, wherever the tip has come to meanwhile.
-        contact.search_start = (
-            contact.target_displacement
-            if np.isnan(contact.surface_displacement)
-            else contact.surface_displacement
-        )
+        contact.search_start = contact.target_displacement
+        if not np.isnan(contact.surface_displacement):
+            contact.search_start = contact.surface_displacement
         _begin_search(contact, settings)
 
 
 @compiled
 def _advance_displacement(contact: ContactState, settings: ContactSettings) -> None:
     """Go on by a displacement that is ramped, bounded and braked."""
-    h, wanted, change = settings.period, contact.approach_speed, BRAKING
-    if contact.state != APPROACHING:
-        limit = RETRACT_SPEED if contact.state == RETRACTING else wanted
-        wanted = min(
-            max(
-                POSITION_RATE * (contact.target_displacement - contact.displacement),
-                -limit,
-            ),
-            limit,
-        )
-    elif abs(contact.speed) <= contact.approach_speed:
-        change = contact.approach_speed / settings.approach_ramp_time
+    h, change = settings.period, BRAKING
+    if contact.state == APPROACHING:
+        wanted = contact.approach_speed
+        if abs(contact.speed) <= wanted:
+            change = wanted / settings.approach_ramp_time
+    else:
+        limit = contact.approach_speed
+        if contact.state == RETRACTING:
+            limit = RETRACT_SPEED
+        way = contact.target_displacement - contact.displacement
+        wanted = min(max(POSITION_RATE * way, -limit), limit)
     contact.acceleration = min(max((wanted - contact.speed) / h, -change), change)
     contact.speed += contact.acceleration * h
     contact.displacement += contact.speed * h
@@ -686,30 +721,43 @@ def advance_contact(
     """
     Take one tick into the state machine of a contact, and bound the force or the way it goes.
 
-    `escape` is the speed into the surface, less that of the surface, of a lost contact [m/s].
+    Parameters
+    ----------
+    contact, settings
+        A record of `CONTACT_STATE`, changed, and one of `CONTACT_SETTINGS`.
+    alpha
+        Measured force, without what was read before the touch [N].
+    place, speed
+        Of the tip along the normal, relative to the task without displacement [m], [m/s].
+    escape
+        Speed into the surface, less that of the surface, of a lost contact [m/s].
+
     """
-    h, before = settings.period, contact.state
-    contact.time_in_state += h
+    before = contact.state
+    contact.time_in_state += settings.period
     contact.retry_requested = contact.retry_requested and before == GIVEN_UP
     if before == FREE or before == GIVEN_UP:
         average_free_reading(contact, settings, alpha)
     elif before == APPROACHING:
-        follow_free_reading(contact, settings, alpha, contact.speed * h)
+        way = contact.speed * settings.period
+        follow_free_reading(contact, settings, alpha, way)
     too_hard = alpha > settings.force_ceiling and before != RETRACTING
     if not contact.wanted:
         _forget_contact(contact, place, speed)
     elif too_hard or (contact.retract_requested and before in PRESSED):
-        contact.displacement, contact.speed = place, speed
-        contact.target_displacement = place - RETRACT_DISTANCE
-        contact.retract_requested = True
         contact.state = RETRACTING
+        contact.retract_requested = True
+        contact.displacement = place
+        contact.speed = speed
+        contact.target_displacement = place - RETRACT_DISTANCE
     elif before == FREE:
         contact.search_start = contact.displacement
         _begin_search(contact, settings)
     elif before in PRESSED:
         _advance_hold(contact, settings, alpha, place, speed, escape)
     elif before == RETRACTING:
-        if abs(contact.target_displacement - contact.displacement) < 1e-4:
+        way = abs(contact.target_displacement - contact.displacement)
+        if way < RETRACTED_DISTANCE:
             contact.state = GIVEN_UP
     elif before == GIVEN_UP:
         _repeat_search(contact, settings)
@@ -720,19 +768,30 @@ def advance_contact(
         contact.time_in_state = 0.0
         if contact.state == FREE or contact.state == GIVEN_UP:
             contact.averaged_samples = 0.0
-    if contact.state not in PRESSED:
+    if contact.state in PRESSED:
+        contact.acceleration = 0.0
+        _advance_force_limit(contact, settings, alpha)
+    else:
         _advance_displacement(contact, settings)
-        return
-    contact.acceleration = 0.0
+
+
+@compiled
+def _advance_force_limit(
+    contact: ContactState, settings: ContactSettings, alpha: float
+) -> None:
+    """
+    Let a contact have what is asked for once it holds; after a loss at a bounded rate.
+
+    After a bounce, which looks like noise, a law is blind for a while: the limit does not rise
+    while clearly more is felt.
+    """
+    holds = contact.state == HOLDING
     found_again = contact.losses > 0 and not np.isnan(contact.surface_displacement)
-    # It has what is asked for once it holds; after a loss at a bounded rate.
-    if contact.state == HOLDING and contact.losses == 0:
+    if holds and contact.losses == 0:
         contact.force_limit = max(contact.force_limit, contact.alpha_task)
-    elif contact.state == HOLDING or found_again:
-        change = min(
-            max(contact.alpha_task - contact.force_limit, -FORCE_RATE * h),
-            FORCE_RATE * h,
-        )
-        # After a bounce, which looks like noise, a law is blind for a while.
+    elif holds or found_again:
+        largest = FORCE_RATE * settings.period
+        missing = contact.alpha_task - contact.force_limit
+        change = min(max(missing, -largest), largest)
         if change < 0.0 or alpha <= EXCESS * contact.force_limit:
             contact.force_limit += change

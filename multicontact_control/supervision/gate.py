@@ -63,9 +63,6 @@ class GateConfig(Record, Protocol):
     blend_rate: float
 
 
-GATE_CONFIG = record_dtype(GateConfig)
-
-
 class GateState(Record, Protocol):
     """The gate: what is set for it, and what it remembers; one."""
 

@@ -35,34 +35,35 @@ from multicontact_control.supervision.velocities import (
 import numpy as np
 
 READINGS = ('joints', 'wrench', 'variance')
-# What is wrong; FINE: nothing, ABSENT: no reading has come.
+# What is wrong with a reading. FINE: nothing; ABSENT: no new reading has come.
 FINE, INVALID, JUMP, FROZEN, SATURATED, STAMP, BACKWARDS, RATE, VELOCITY, OUTLIER = (
     range(10)
 )
 ABSENT = -1
 
 SATURATED_SHARE = 0.99  # of full scale, from which on a reading is saturated
-FAULTS = 2  # wrong velocities, or frozen or saturated wrenches, in a row that are not bridged
+# Wrong velocities, or frozen or saturated wrenches, in a row that are no longer bridged.
+FAULTS = 2
 WRENCH_AGE = 1.501  # periods, up to which a wrench is that of its tick
 HARDEST = 1e6  # N or N m; no wrench is beyond it
-# The innovation of a wrench that is an outlier: against the wrench before, in each axis. Sliding
-# over roughness at 0.12 m/s changes a force by 6 N and a torque by 0.8 N m in a period.
-FORCE_OUTLIER, TORQUE_OUTLIER = 6.5, 1.0  # N, N m, at least
+# Difference of an outlier to the wrench before, in any axis, at least. Sliding over roughness at
+# 0.12 m/s changes a force by 6 N and a torque by 0.8 N m in a period.
+FORCE_OUTLIER = 6.5  # N
+TORQUE_OUTLIER = 1.0  # N m
 OUTLIER_FACTOR = 6.0  # and times the root mean square of what usually changes
 USUAL_TIME = 0.5  # s, over which that is averaged
-LEARNT_WRENCHES, UNLEARNT = (
-    50,
-    20.0,
-)  # from which on it is known; N, N m, at least until then
+LEARNT_WRENCHES = 50  # from which on it is known
+UNLEARNT = 20.0  # N or N m, least difference of an outlier until then
 CHANGE_TIME = 0.02  # s after a change, in which wrenches are taken as they come
-OUTLIER_TIME, MOST_OUTLIERS = (
-    2.0,
-    16.0,
-)  # s, and how many in that are a fault of the sensor
+OUTLIER_TIME = 2.0  # s, within which an outlier is forgotten
+MOST_OUTLIERS = 16.0  # in that time; more are a fault of the sensor
 FARTHEST = 1e3  # rad; no joint is beyond it
 IMPOSSIBLE_SPEED_FACTOR = 3.0  # times the speed limit of a joint; no joint is faster
 STILL = 1e-4  # rad/s; below it a joint state may repeat itself
 POSITION_JUMP = 0.01  # rad between a joint position and the one its speed leads to
+JUMP_PERIODS = (
+    5.0  # between two joint states, from which on that grows with their number
+)
 VARIANCE_GROWTH = 1.1  # per period, of an R that is not renewed
 LONGEST_SKIP = 0.1  # s; the task's time does not follow a clock that has been set
 FORGOTTEN = 1.0  # s without known torques, after which a collision is forgotten
@@ -121,17 +122,11 @@ class InputSettings(Record, Protocol):
     a: Annotated[Vector, 3]
 
 
-INPUT_SETTINGS = record_dtype(InputSettings)
-
-
 class ReadingStamps(Record, Protocol):
     """What is known of the stamps of one reading, NaN for none."""
 
     seen: float  # the newest [s]
     valid: float  # of the newest valid reading [s]
-
-
-READING_STAMPS = record_dtype(ReadingStamps)
 
 
 class WrenchState(Record, Protocol):
@@ -161,9 +156,6 @@ class WrenchState(Record, Protocol):
     output_after: Annotated[Vector, 6]
 
 
-WRENCH_STATE = record_dtype(WrenchState)
-
-
 class TorqueState(Record, Protocol):
     """The measured and commanded torques of one joint."""
 
@@ -177,18 +169,12 @@ class TorqueState(Record, Protocol):
     commanded: Annotated[Vector, MOST_COMMANDS]
 
 
-TORQUE_STATE = record_dtype(TorqueState)
-
-
 class RecentWrench(Record, Protocol):
     """A wrench that came with a tick, and how fast the joints were."""
 
     time: float  # of that tick, -inf before [s]
     wrench: Annotated[Vector, 6]  # [N, N m]
     velocity: Annotated[Vector, MAX_JOINTS]  # [rad/s]
-
-
-RECENT_WRENCH = record_dtype(RecentWrench)
 
 
 class InputState(Record, Protocol):
@@ -217,17 +203,11 @@ class InputState(Record, Protocol):
     next_recent: int
 
 
-INPUT_STATE = record_dtype(InputState)
-
-
 class ReadingFinding(Record, Protocol):
     """What was found of one reading, or of the time."""
 
     problem: int  # what is wrong with it, see `PROBLEMS`
     stale: bool  # whether the newest valid one is too old, or the time is wrong
-
-
-READING_FINDING = record_dtype(ReadingFinding)
 
 
 class InputFindings(Record, Protocol):
@@ -239,9 +219,6 @@ class InputFindings(Record, Protocol):
     clock: ReadingFinding
     skipped: int  # samples missing before this tick
     blind: bool  # whether joints were valid neither in this tick nor in the one before
-
-
-INPUT_FINDINGS = record_dtype(InputFindings)
 
 
 class InputStage(Record, Protocol):
@@ -258,21 +235,26 @@ INPUT_STAGE = record_dtype(InputStage)
 
 @compiled
 def _check_tick_time(stage: InputStage) -> None:
-    """Check and keep the time of a tick."""
+    """Check and keep the time of a tick: it may neither go back nor run at a wrong rate."""
     settings, state, found = stage.settings, stage.state, stage.found
-    elapsed, h = stage.sample.time - state.time, settings.period
-    state.time, found.skipped = stage.sample.time, 0
-    odd = False
+    h = settings.period
+    elapsed = stage.sample.time - state.time
+    state.time = stage.sample.time
+    found.skipped = 0
     found.clock.problem = FINE
+    odd = False
     if elapsed < 0.0:
         for stamps in (state.joints, state.wrench, state.variance):
-            stamps.seen = stamps.valid = np.nan
+            stamps.seen = np.nan
+            stamps.valid = np.nan
         found.clock.problem = BACKWARDS
     else:
+        odd = elapsed < settings.shortest or elapsed > settings.longest
         if 1.5 * h < elapsed <= LONGEST_SKIP + h:
             found.skipped = round(elapsed / h) - 1
-        odd = elapsed < settings.shortest or elapsed > settings.longest
-    state.odd_periods = state.odd_periods + 1 if odd else 0
+    state.odd_periods += 1
+    if not odd:
+        state.odd_periods = 0
     if state.odd_periods >= 2:
         found.clock.problem = RATE
     found.clock.stale = found.clock.problem != FINE
@@ -282,7 +264,7 @@ def _check_tick_time(stage: InputStage) -> None:
 def _check_reading_stamp(
     came: int, stamp: float, stamps: ReadingStamps, latest: float
 ) -> int:
-    """Check the stamp of a reading, at most `latest` [s]; return its content if it is new."""
+    """Return what is wrong with a reading so far; its stamp is `latest` at most [s]."""
     if came != FINE:
         return came
     if stamp == stamps.seen:
@@ -297,24 +279,31 @@ def _check_reading_stamp(
 def _check_joint_state(
     stage: InputStage, tracks: Records[JointTrack], span: float
 ) -> int:
-    """Check a joint state, `span` after the one before [s], and track it."""
+    """Track a joint state, `span` after the one before [s]; return what is wrong with it."""
     inputs, settings, state = stage.sample, stage.settings, stage.state
     velocities = state.velocities
     for j in range(tracks.shape[0]):
         if not abs(inputs.q[j]) <= FARTHEST:
             return INVALID
-    limit = POSITION_JUMP * max(1.0, span / settings.period / 5.0)
-    still, same, early, jumped = True, True, False, False
+    limit = POSITION_JUMP * max(1.0, span / settings.period / JUMP_PERIODS)
+    still = True
+    same = True
+    early = False
+    jumped = False
     for j in range(tracks.shape[0]):
         track, turn = tracks[j], settings.turn[j]
-        track.last_q, track.last_velocity = track.q, track.velocity
-        track.q, track.velocity = inputs.q[j], 0.0
+        track.last_q = track.q
+        track.last_velocity = track.velocity
+        track.q = inputs.q[j]
+        track.velocity = 0.0
         if inputs.velocity_came == FINE:
             track.velocity = inputs.velocity[j]
         if turn > 0.0 and state.known:  # an angle that wraps goes on
             track.q += turn * np.round((track.last_q - track.q) / turn)
-        way, speed = track.q - track.last_q, abs(track.velocity)
-        still, same = still and speed <= STILL, same and way == 0.0
+        way = track.q - track.last_q
+        speed = abs(track.velocity)
+        still = still and speed <= STILL
+        same = same and way == 0.0
         early = early or (speed > OFFSET_TOLERANCE and velocities.states < PROOF_STATES)
         jumped = jumped or (state.known and abs(way - track.v_tracked * span) > limit)
     contradicted = check_velocities(
@@ -327,20 +316,23 @@ def _check_joint_state(
     )
     if jumped:
         return JUMP
-    stopped = (
-        same and not still and not velocities.on_probation
-    )  # as far as velocities can tell
-    state.equal_joints = state.equal_joints + 1 if stopped else 1
+    state.equal_joints += 1
+    if not same or still or velocities.on_probation:  # it may stand, as far as is known
+        state.equal_joints = 1
     if 0 < settings.frozen_joint_ticks <= state.equal_joints:
         return FROZEN
-    velocities.contradicted = velocities.contradicted + 1 if contradicted else 0
+    velocities.contradicted += 1
+    if not contradicted:
+        velocities.contradicted = 0
     velocities.on_probation = count_velocity_proof(
         tracks, velocities.contradicted >= FAULTS
     )
     velocities.estimated = (
         velocities.silent or contradicted or early or velocities.on_probation
     )
-    return VELOCITY if contradicted else FINE
+    if contradicted:
+        return VELOCITY
+    return FINE
 
 
 @compiled
@@ -350,15 +342,18 @@ def _validate_joints(
     q: Vector,
     velocity: Vector,
 ) -> None:
-    """Check a joint state and hand it over, if it is valid."""
+    """Check a joint state, and hand over what is valid: its positions, and its velocities."""
     inputs, state, finding = stage.sample, stage.state, stage.found.joints
     stamps, velocities, h = state.joints, state.velocities, stage.settings.period
     seen_before = stamps.seen
-    problem = _check_reading_stamp(
-        inputs.joints_came, inputs.joints_stamp, stamps, state.time + 0.5 * h
-    )
-    if inputs.joints_came != ABSENT and inputs.velocity_came == ABSENT:
+    came = inputs.joints_came
+    if inputs.velocity_came == INVALID:
+        came = INVALID
+    if came != ABSENT and inputs.velocity_came == ABSENT:
         velocities.silent = True
+    problem = _check_reading_stamp(
+        came, inputs.joints_stamp, stamps, state.time + 0.5 * h
+    )
     state.blind_ticks += 1
     if problem == FINE:
         span = inputs.joints_stamp - seen_before
@@ -366,20 +361,20 @@ def _validate_joints(
             span = h * state.blind_ticks
         problem = _check_joint_state(stage, tracks, span)
         if problem == FINE or problem == VELOCITY:
-            stamps.valid, state.known = inputs.joints_stamp, True
+            stamps.valid = inputs.joints_stamp
+            state.known = True
             state.blind_ticks = 0
             for j in range(tracks.shape[0]):
-                q[j], velocity[j] = tracks[j].q, tracks[j].velocity
+                q[j] = tracks[j].q
+                velocity[j] = tracks[j].velocity
                 if velocities.estimated:
                     velocity[j] = tracks[j].v_tracked
         elif problem != JUMP:  # it says nothing of where the joints are now
             stamps.seen = seen_before
     contradicted = problem == VELOCITY and velocities.contradicted >= FAULTS
-    age = state.time - stamps.valid
+    too_old = not state.time - stamps.valid <= stage.settings.joints_max_age
     finding.problem = problem
-    finding.stale = not age <= stage.settings.joints_max_age or (
-        contradicted or problem == JUMP or problem == FROZEN
-    )
+    finding.stale = too_old or contradicted or problem == JUMP or problem == FROZEN
     stage.found.blind = state.blind_ticks > 1
 
 
@@ -390,20 +385,24 @@ def _is_wrench_outlier(
     """
     Return whether a wrench, `span` after the valid one before [s], is to be left out.
 
-    It is far from the one before in any axis, and the first such one. What usually changes from
-    one wrench to the next is learnt from those that are taken.
+    It is far from the one before in any axis, and the first such one: a second in a row shows a
+    change. What usually changes from one wrench to the next is learnt from those that are taken.
     """
     h = settings.period
     before.outlier_count *= np.exp(-h / OUTLIER_TIME)
     before.trust_time = max(0.0, before.trust_time - h)
-    apart = span > (2.5 if before.left_out_before else 1.5) * h
-    if not settings.leaves_out or apart or np.isnan(span) or np.isnan(before.last[0]):
+    longest = 1.5 * h
+    if before.left_out_before:
+        longest = 2.5 * h
+    if not settings.leaves_out or np.isnan(before.last[0]) or not span <= longest:
         return False
-    known, far = before.learnt_wrenches >= LEARNT_WRENCHES, False
+    far = False
     for i in range(6):
         least = UNLEARNT
-        if known:
-            least = FORCE_OUTLIER if i < 3 else TORQUE_OUTLIER
+        if before.learnt_wrenches >= LEARNT_WRENCHES:
+            least = TORQUE_OUTLIER
+            if i < 3:
+                least = FORCE_OUTLIER
         usual = OUTLIER_FACTOR * np.sqrt(before.mean_square[i])
         if not abs(raw[i]) < min(settings.full_scale[i], HARDEST):
             return False  # that is a fault of its own
@@ -411,11 +410,11 @@ def _is_wrench_outlier(
     if far and before.trust_time == 0.0:
         if not before.left_out_before:
             return True
+        # The wrench before was no outlier, and what follows is compared with it.
+        before.outlier_count -= 1.0
         before.trust_time = CHANGE_TIME
-        before.outlier_count -= (
-            1.0  # the one before was none, and counts for what follows
-        )
-        before.last[:], before.equal_samples = before.left_out_wrench, 1
+        before.last[:] = before.left_out_wrench
+        before.equal_samples = 1
     if before.trust_time == 0.0:
         before.learnt_wrenches += 1
         share = max(h / USUAL_TIME, 1.0 / before.learnt_wrenches)
@@ -427,8 +426,13 @@ def _is_wrench_outlier(
 
 @compiled
 def _filter_wrench(raw: Vector, before: WrenchState, settings: InputSettings) -> int:
-    """Check a wrench, and low-pass it: transposed direct form II, settled on its first wrench."""
-    equal, saturated = True, False
+    """
+    Low-pass a wrench, and return what is wrong with it.
+
+    The filter is in transposed direct form II, settled on its first wrench.
+    """
+    equal = True
+    saturated = False
     for i in range(6):
         if not abs(raw[i]) <= HARDEST:
             before.filtered[:] = raw  # without guards the law finds it
@@ -438,62 +442,66 @@ def _filter_wrench(raw: Vector, before: WrenchState, settings: InputSettings) ->
     a, b = settings.a, settings.b
     begins = np.isnan(before.next_output[0])
     for i in range(6):
-        filtered = raw[i]
         before.last[i] = raw[i]
-        if settings.order > 0:
-            if begins:
-                before.next_output[i] = raw[i] * ((b[1] + b[2]) - (a[1] + a[2]))
-                before.output_after[i] = raw[i] * (b[2] - a[2])
-            filtered = b[0] * raw[i] + before.next_output[i]
-            before.next_output[i] = (
-                b[1] * raw[i] - a[1] * filtered + before.output_after[i]
-            )
-            before.output_after[i] = b[2] * raw[i] - a[2] * filtered
+        before.filtered[i] = raw[i]
+        if settings.order == 0:
+            continue
+        if begins:
+            before.next_output[i] = raw[i] * ((b[1] + b[2]) - (a[1] + a[2]))
+            before.output_after[i] = raw[i] * (b[2] - a[2])
+        filtered = b[0] * raw[i] + before.next_output[i]
+        before.next_output[i] = b[1] * raw[i] - a[1] * filtered + before.output_after[i]
+        before.output_after[i] = b[2] * raw[i] - a[2] * filtered
         before.filtered[i] = filtered
-    before.equal_samples = before.equal_samples + 1 if equal else 1
     before.left_out_before = False
-    frozen = 0 < settings.frozen_ticks <= before.equal_samples
-    before.faulty_samples = before.faulty_samples + 1 if saturated or frozen else 0
-    return SATURATED if saturated else FROZEN if frozen else FINE
+    before.equal_samples += 1
+    if not equal:
+        before.equal_samples = 1
+    before.faulty_samples += 1
+    if saturated:
+        return SATURATED
+    if 0 < settings.frozen_ticks <= before.equal_samples:
+        return FROZEN
+    before.faulty_samples = 0
+    return FINE
 
 
 @compiled
 def _validate_wrench(stage: InputStage, wrench: Vector) -> None:
     """Check a wrench and hand it over behind the low-pass, if it is valid."""
     inputs, settings, state = stage.sample, stage.settings, stage.state
-    stamps, before, finding, h = (
-        state.wrench,
-        state.wrenches,
-        stage.found.wrench,
-        settings.period,
-    )
+    stamps, before, finding = state.wrench, state.wrenches, stage.found.wrench
+    h, raw = settings.period, inputs.wrench
     problem = _check_reading_stamp(
         inputs.wrench_came, inputs.wrench_stamp, stamps, state.time + 0.5 * h
     )
     if problem == FINE and state.time - inputs.wrench_stamp > WRENCH_AGE * h:
         problem = STAMP
     if inputs.wrench_came == FINE:
-        before.newest[:] = inputs.wrench
+        before.newest[:] = raw
     if problem == FINE:
-        if _is_wrench_outlier(
-            inputs.wrench, before, settings, inputs.wrench_stamp - stamps.valid
-        ):
+        span = inputs.wrench_stamp - stamps.valid
+        if _is_wrench_outlier(raw, before, settings, span):
             problem = OUTLIER
             before.left_out_before = True
             before.outlier_count += 1.0
-            before.left_out_wrench[:] = inputs.wrench
+            before.left_out_wrench[:] = raw
             before.newest[:] = before.last
         else:
-            problem = _filter_wrench(inputs.wrench, before, settings)
+            problem = _filter_wrench(raw, before, settings)
     if problem == FINE:
         wrench[:] = before.filtered
         stamps.valid = inputs.wrench_stamp
     flooded = problem == OUTLIER and before.outlier_count > MOST_OUTLIERS
-    age = state.time - stamps.valid
+    too_old = not state.time - stamps.valid <= settings.wrench_max_age
     finding.problem = problem
-    finding.stale = (
-        not age <= settings.wrench_max_age or before.faulty_samples >= FAULTS or flooded
-    )
+    finding.stale = too_old or flooded or before.faulty_samples >= FAULTS
+
+
+@compiled
+def _bound_variance(variance: float, settings: InputSettings) -> float:
+    """Bring an R within its bounds [N^2]."""
+    return min(max(variance, settings.smallest_variance), settings.largest_variance)
 
 
 @compiled
@@ -521,9 +529,7 @@ def _validate_variance(stage: InputStage, contacts: Records[Contact]) -> None:
             variance *= VARIANCE_GROWTH
         if problem == FINE:
             variance = inputs.variance[i]
-        contacts[i].noise_variance = min(
-            max(variance, settings.smallest_variance), settings.largest_variance
-        )
+        contacts[i].noise_variance = _bound_variance(variance, settings)
 
 
 @compiled
@@ -540,9 +546,10 @@ def _classify_efforts(
     or from a moment when there was a torque. A 0 that may be one counts for a while. The joint is
     heard again from the first other number on.
     """
-    moved, heard = False, 0
+    any_torque = False
+    usable = 0
     for j in range(joints.shape[0]):
-        moved = moved or inputs.effort[j] != 0.0
+        any_torque = any_torque or inputs.effort[j] != 0.0
     for j in range(joints.shape[0]):
         torque, effort, fault = torques[j], inputs.effort[j], EFFORT_USABLE
         if inputs.effort_came != FINE:
@@ -550,24 +557,20 @@ def _classify_efforts(
         elif not np.isfinite(effort):
             fault = EFFORT_NOT_FINITE
         elif effort != 0.0:
-            torque.last, torque.zero_samples = effort, 0
+            torque.last = effort
+            torque.zero_samples = 0
         else:
             torque.zero_samples += 1
-            if (
-                not moved
-                or abs(torque.last) > NEAR_ZERO
-                or torque.zero_samples * period > SILENCE
-            ):
+            silent = torque.zero_samples * period > SILENCE
+            if silent or not any_torque or abs(torque.last) > NEAR_ZERO:
                 fault = EFFORT_ALWAYS_ZERO
         joints[j].watch.effort_fault = fault
         if fault == EFFORT_USABLE:
             torque.unusable_samples = 0
-            heard += 1
-        elif (
-            inputs.joints_came != ABSENT
-        ):  # a joint state that is missing says nothing of it
+            usable += 1
+        elif inputs.joints_came != ABSENT:  # a missing joint state says nothing of it
             torque.unusable_samples += 1
-    return heard
+    return usable
 
 
 @compiled
@@ -583,53 +586,52 @@ def _supply_momentum_observer(
     The period is that of two valid joint states, `elapsed` apart [s].
     """
     inputs, settings, state = stage.sample, stage.settings, stage.state
-    torques, velocities, h = (
-        state.torques[: joints.shape[0]],
-        state.velocities,
-        settings.period,
-    )
+    n, h, commands = joints.shape[0], settings.period, settings.commands
+    torques, velocities = state.torques[:n], state.velocities
     if inputs.command_came:
-        for j in range(joints.shape[0]):
-            torques[j].commanded[state.commands % settings.commands] = inputs.command[j]
+        for j in range(n):
+            torques[j].commanded[state.commands % commands] = inputs.command[j]
         state.commands += 1
-    oldest = state.commands % settings.commands
-    next_oldest = (oldest + 1) % settings.commands
-    third_oldest = (oldest + min(2, settings.commands - 1)) % settings.commands
+    oldest = state.commands % commands
+    next_oldest = (oldest + 1) % commands
+    third_oldest = (oldest + min(2, commands - 1)) % commands
     by_command = np.isfinite(torques[0].commanded[oldest])
-    heard = _classify_efforts(inputs, torques, joints, h)
-    for j in range(joints.shape[0]):
+    usable = _classify_efforts(inputs, torques, joints, h)
+    for j in range(n):
         watch, torque = joints[j].watch, torques[j]
-        watch.effort_uncertainty, watch.unwatched = (
-            0.0,
-            watch.effort_fault != EFFORT_USABLE and not by_command,
-        )
+        measured = watch.effort_fault == EFFORT_USABLE
+        watch.effort_uncertainty = 0.0
+        watch.unwatched = not (measured or by_command)
         if watch.unwatched and torque.unusable_samples * h > FORGOTTEN:
-            watch.residual = watch.dynamic_threshold = (
-                0.0  # it would block the arm for good
-            )
-        if watch.effort_fault == EFFORT_USABLE:
+            # A residual that nothing renews would block the arm for good.
+            watch.residual = 0.0
+            watch.dynamic_threshold = 0.0
+        if measured:
             watch.effort = inputs.effort[j]
             if settings.adds_gravity:
                 watch.effort += joints[j].drive_gravity_torque
-        elif by_command:
-            before, last = torque.commanded[oldest], torque.commanded[next_oldest]
-            after = torque.commanded[third_oldest]
-            watch.effort_uncertainty = max(
-                abs(last - before), abs(after - last)
-            )  # a period early or late
-            watch.effort = last
+        elif by_command:  # the command may have acted a period early or late
+            acted = torque.commanded[next_oldest]
+            earlier = abs(acted - torque.commanded[oldest])
+            later = abs(torque.commanded[third_oldest] - acted)
+            watch.effort = acted
+            watch.effort_uncertainty = max(earlier, later)
     is_input = momentum.config.is_input
-    late = velocities.estimated and not (velocities.silent and is_input)
-    needed = joints.shape[0] if is_input else 1  # of a wrench each joint is a part
-    measured = is_input or stage.found.wrench.problem == FINE
+    needed = 1
+    if is_input:  # each joint is a part of the wrench
+        needed = n
+    estimated = velocities.estimated and not (velocities.silent and is_input)
     known = (
-        (heard >= needed or by_command)
-        and measured
-        and not late
-        and (abs(elapsed - h) < UNEVEN * h)
+        (by_command or usable >= needed)
+        and (is_input or stage.found.wrench.problem == FINE)
+        and not estimated
+        and abs(elapsed - h) < UNEVEN * h
     )
-    momentum.elapsed = elapsed if known else 0.0
-    state.unknown = 0 if known else state.unknown + 1
+    momentum.elapsed = 0.0
+    state.unknown += 1
+    if known:
+        momentum.elapsed = elapsed
+        state.unknown = 0
     if state.unknown * h > FORGOTTEN:
         momentum.collided = False  # it would block the arm for good
 
@@ -656,20 +658,18 @@ def _hand_over_unchecked(
 ) -> None:
     """Hand over joints, wrench and R, valid or not; the wrench behind the low-pass."""
     inputs, settings = stage.sample, stage.settings
-    if inputs.joints_came != ABSENT:
-        for j in range(q.shape[0]):
+    for j in range(q.shape[0]):
+        if inputs.joints_came != ABSENT:
             q[j] = inputs.q[j]
-            if inputs.velocity_came == FINE:
-                velocity[j] = inputs.velocity[j]
+        if inputs.velocity_came != ABSENT:
+            velocity[j] = inputs.velocity[j]
     if inputs.wrench_came != ABSENT:
         wrench[:] = stage.state.wrenches.filtered
     for i in range(contacts.shape[0]):
         variance = settings.initial_variance
         if inputs.variance_came != ABSENT:
             variance = inputs.variance[i]
-        contacts[i].noise_variance = min(
-            max(variance, settings.smallest_variance), settings.largest_variance
-        )
+        contacts[i].noise_variance = _bound_variance(variance, settings)
 
 
 @compiled
@@ -701,19 +701,15 @@ def check_inputs(
 
     """
     stage, control = stages[0], controls[0]
-    state, found = stage.state, stage.found
+    inputs, state, found = stage.sample, stage.state, stage.found
     _check_tick_time(stage)
     valid_before = state.joints.valid
     _validate_joints(stage, state.tracks[: joints.shape[0]], q, velocity)
     _validate_wrench(stage, control.wrench)
     _validate_variance(stage, contacts)
-    _supply_momentum_observer(
-        stage, joints, control.momentum, state.joints.valid - valid_before
-    )
-    if (
-        stage.sample.wrench_came == FINE
-        and stage.sample.wrench_stamp == stage.sample.time
-    ):
+    elapsed = state.joints.valid - valid_before
+    _supply_momentum_observer(stage, joints, control.momentum, elapsed)
+    if inputs.wrench_came == FINE and inputs.wrench_stamp == inputs.time:
         _remember_wrench(state, velocity)
     if not stage.settings.guarded:
         _hand_over_unchecked(stage, q, velocity, control.wrench, contacts)
@@ -737,26 +733,27 @@ def make_input_stage(
     """
     Return one record of `INPUT_STAGE` as configured, before the first tick.
 
-    `turning` says which joints turn without end, shape (n,) or for all.
+    `turning` says which joints turn without end, shape (n,) or for all. Without guards, and where
+    the momentum observer gives the wrench, no wrench is an outlier.
     """
-    sensor, watch, h = config.sensor, config.watchdog, config.period
+    sensor, watchdog, h = config.sensor, config.watchdog, config.period
     record = np.zeros(1, dtype=INPUT_STAGE)
     n = len(config.robot.joint_names)
+    fastest = IMPOSSIBLE_SPEED_FACTOR * np.array(config.limits.joint_speed or np.inf)
     settings: InputSettings = record['settings'][0]
-    settings['guarded'], settings['period'] = guarded, h
-    settings['shortest'], settings['longest'] = h / watch.rate_band, h * watch.rate_band
-    settings['joints_max_age'] = h * (AGE_TOLERANCE + watch.joint_max_age)
-    settings['wrench_max_age'] = h * (AGE_TOLERANCE + watch.wrench_max_age)
-    settings['variance_max_age'] = h * (AGE_TOLERANCE + watch.variance_max_age)
-    settings['fastest'][:n] = np.minimum(
-        IMPOSSIBLE_SPEED_FACTOR * np.array(config.limits.joint_speed or np.inf),
-        np.finfo(float).max,
-    )
+    settings['guarded'] = guarded
+    settings['period'] = h
+    settings['shortest'] = h / watchdog.rate_band
+    settings['longest'] = h * watchdog.rate_band
+    settings['joints_max_age'] = h * (AGE_TOLERANCE + watchdog.joint_max_age)
+    settings['wrench_max_age'] = h * (AGE_TOLERANCE + watchdog.wrench_max_age)
+    settings['variance_max_age'] = h * (AGE_TOLERANCE + watchdog.variance_max_age)
+    settings['fastest'][:n] = np.minimum(fastest, np.finfo(float).max)
     settings['turn'][:n] = np.where(turning, 2.0 * math.pi, 0.0)
     settings['smallest_variance'] = config.noise_variance.smallest
     settings['largest_variance'] = config.noise_variance.largest
     settings['initial_variance'] = config.initial_noise_variance
-    settings['frozen_joint_ticks'] = watch.frozen_joint_ticks
+    settings['frozen_joint_ticks'] = watchdog.frozen_joint_ticks
     settings['adds_gravity'] = config.robot.adds_gravity
     settings['commands'] = max(config.collision.command_delay, 0) + 2
     settings['full_scale'] = np.inf
@@ -765,13 +762,13 @@ def make_input_stage(
         settings['frozen_ticks'] = sensor.frozen_ticks
         if sensor.full_scale:
             settings['full_scale'] = SATURATED_SHARE * np.array(sensor.full_scale)
-        order = settings['order'] = sensor.filter_order
-        if order:
+        settings['order'] = sensor.filter_order
+        if sensor.filter_order:
             from scipy.signal import butter  # 0.5 s, only where there is a filter
 
-            settings['b'][: order + 1], settings['a'][: order + 1] = butter(
-                order, sensor.filter_cutoff, fs=config.rate
-            )
+            b, a = butter(sensor.filter_order, sensor.filter_cutoff, fs=config.rate)
+            settings['b'][: len(b)] = b
+            settings['a'][: len(a)] = a
     _clear_input_state(record['state'][0])
     return record
 
@@ -780,10 +777,12 @@ def _clear_input_state(state: InputState) -> None:
     """Set what nothing is known of before the first tick."""
     state['time'] = math.nan
     for reading in READINGS:
-        state[reading]['seen'] = state[reading]['valid'] = math.nan
+        state[reading]['seen'] = math.nan
+        state[reading]['valid'] = math.nan
     for name in ('last', 'next_output', 'output_after'):
         state['wrenches'][name] = math.nan
     for name in ('q', 'velocity'):
         state['tracks'][name] = math.nan
     state['recent']['time'] = -math.inf
-    state['torques']['commanded'], state['torques']['last'] = math.nan, math.inf
+    state['torques']['commanded'] = math.nan
+    state['torques']['last'] = math.inf

@@ -20,10 +20,9 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from multicontact_control.arrays import Mask, Matrix, Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
-from multicontact_control.records import Input, Records
 from multicontact_control.supervision.input_checks import (
     ABSENT,
     check_inputs,
@@ -57,12 +56,8 @@ PROBLEMS = (  # by their numbers in `input_checks`
     'outlier',
 )
 EFFORT_FAULTS = ('', 'missing', 'not finite', 'constantly 0')
-WRENCH_SHAPE = (6,)
-MALFORMED = (
-    TypeError,
-    ValueError,
-    OverflowError,
-)  # raised by numpy for what are no numbers
+NOT_THERE: Any = object()  # stands for numbers that have not come
+MALFORMED = (TypeError, ValueError, OverflowError)  # numpy's, of what are no numbers
 
 
 class JointInput(NamedTuple):
@@ -109,182 +104,32 @@ class TickInputs(NamedTuple):
 
 
 class InputVerdict(NamedTuple):
-    """What is valid at a tick; the numbers are in the controller's records."""
+    """What is valid of a tick; the numbers themselves are in the controller's records."""
 
     causes: tuple[str, ...] = ()  # of a reaction
     rejected: tuple[str, ...] = ()  # what is wrong with the readings of this tick
     joints_known: bool = True  # whether any joint state was ever valid
-    blind: bool = (
-        False  # whether the joint state is neither of this tick nor of the one before
-    )
+    blind: bool = False  # whether joints were invalid in this tick and the one before
     wrench_is_current: bool = True  # whether the wrench is of this tick
-    skipped_samples: int = 0  # samples that are missing before this tick
-    velocities_refuted: bool = (
-        False  # whether velocities were refuted, and not proven in motion since
-    )
-    efforts_unusable: bool = (
-        False  # whether the torques of some joints are of no use for a while
-    )
+    skipped_samples: int = 0  # that are missing before this tick
+    velocities_refuted: bool = False  # whether motion has not proven them since
+    efforts_unusable: bool = False  # whether those of some joints are, for a while
 
 
 ALL_VALID = InputVerdict()
 
 
-class _Intake:
-    """
-    Where Python writes what comes in at a tick: one record of `INPUT`.
-
-    Places are held as views, so that a good tick costs a copy of each reading and no more: that a
-    reading is there as it should be is only written after a tick at which one was not.
-
-    Parameters
-    ----------
-    record
-        That record, as an array of one.
-    joint_count, column_count
-        Numbers of a joint state, and of an R.
-
-    Attributes
-    ----------
-    time, joints_stamp, q, velocity, effort, wrench_stamp, wrench, variance_stamp, variance
-        Places, of the joints shape (n,), of R (r,).
-    joint_shape, variance_shape
-        What these are.
-    complete
-        Whether all that came before was as it should be.
-
-    """
-
-    def __init__(
-        self, record: Records[Input], joint_count: int, column_count: int
-    ) -> None:
-        self.time, self._command_came = record['time'], record['command_came']
-        self._joints_came, self.joints_stamp = (
-            record['joints_came'],
-            record['joints_stamp'],
-        )
-        self._velocity_came, self._effort_came = (
-            record['velocity_came'],
-            record['effort_came'],
-        )
-        self._wrench_came, self.wrench_stamp = (
-            record['wrench_came'],
-            record['wrench_stamp'],
-        )
-        self._variance_came = record['variance_came']
-        self.variance_stamp = record['variance_stamp']
-        self.joint_shape, self.variance_shape = (joint_count,), (column_count,)
-        self.q: Vector = record['q'][0, :joint_count]
-        self.velocity: Vector = record['velocity'][0, :joint_count]
-        self.effort: Vector = record['effort'][0, :joint_count]
-        self._command: Vector = record['command'][0, :joint_count]
-        self.wrench: Vector = record['wrench'][0]
-        self.variance: Vector = record['variance'][0, :column_count]
-        self.complete = False
-
-    def expect_all(self) -> None:
-        """Take what is put in from now on for complete."""
-        for came in (
-            self._joints_came,
-            self._velocity_came,
-            self._effort_came,
-            self._wrench_came,
-            self._variance_came,
-        ):
-            came[0] = FINE
-        self.complete = True
-
-    def put(self, inputs: TickInputs, wrench: WrenchInput | None) -> None:
-        """Put what has come in its place, and say what is missing or malformed."""
-        self.expect_all()
-        try:
-            self.time[0] = inputs.time
-        except MALFORMED:
-            self.time[0] = math.nan
-        self._put_joints(inputs.joints)
-        self._put_wrench(wrench)
-        self._put_variance(inputs.variance)
-
-    def _put_joints(self, joints: JointInput | None) -> None:
-        """Put a joint state and its torques in their places."""
-        if joints is None:
-            self._mark(self._joints_came, ABSENT)
-            self._mark(self._effort_came, ABSENT)
-            return
-        shape = self.joint_shape
-        if joints.qd is None:
-            self._mark(self._velocity_came, ABSENT)
-        try:
-            self.joints_stamp[0] = joints.stamp
-            self.q[...] = _array(joints.q, shape)
-            if joints.qd is not None:
-                self.velocity[...] = _array(joints.qd, shape)
-        except MALFORMED:
-            self.q[...] = math.nan
-            self._mark(self._joints_came, INVALID)
-        if joints.effort is None:
-            self._mark(self._effort_came, ABSENT)
-            return
-        try:
-            self.effort[...] = _array(joints.effort, shape)
-        except MALFORMED:
-            self._mark(self._effort_came, INVALID)
-
-    def _put_wrench(self, wrench: WrenchInput | None) -> None:
-        """Put a wrench in its place."""
-        if wrench is None:
-            self._mark(self._wrench_came, ABSENT)
-            return
-        try:
-            self.wrench_stamp[0] = wrench.stamp
-            self.wrench[...] = _array(wrench.wrench, WRENCH_SHAPE)
-        except MALFORMED:
-            self._mark(self._wrench_came, INVALID)
-
-    def _put_variance(self, variance: VarianceInput | None) -> None:
-        """Put an R in its place."""
-        if variance is None:
-            self._mark(self._variance_came, ABSENT)
-            return
-        try:
-            self.variance_stamp[0] = variance.stamp
-            self.variance[...] = _array(variance.variance, self.variance_shape)
-        except MALFORMED:
-            self.variance[...] = math.nan
-            self._mark(self._variance_came, INVALID)
-
-    def put_command(self, command: Vector | None) -> None:
-        """Put the command of the tick before in its place, if there was one."""
-        self._command_came[0] = command is not None
-        if command is not None:
-            self._command[...] = command
-
-    def _mark(self, came: Any, what: int) -> None:
-        """Say of a reading that it is not there as it should be."""
-        came[0] = what
-        self.complete = False
-
-
-def _array(numbers: Any, shape: tuple[int, ...]) -> Any:
-    """Return numbers as an array; one of `MALFORMED` is raised if they have not this shape."""
-    if type(numbers) is not np.ndarray:
-        numbers = np.asarray(numbers)
-    if numbers.shape != shape:
-        raise ValueError(f'expected shape {shape}, got {numbers.shape}')
-    return numbers
-
-
 class Inputs:
     """
-    The input stage of a controller, into whose records goes what is valid.
+    The input stage of a controller: it writes what is valid into the controller's records.
 
     If not `guarded`, what comes goes there as it is, valid or not (the wrench behind the low-pass,
-    R within its bounds); numbers of a wrong shape are NaN.
+    R within its bounds); numbers of a wrong shape become NaN.
 
     Attributes
     ----------
     raw_wrench, filtered_wrench
-        The newest wrench that was no outlier before and behind the low-pass, shape (6,) [N, N m].
+        The newest wrench that is no outlier, before and behind the low-pass, shape (6,) [N, N m].
 
     """
 
@@ -295,60 +140,76 @@ class Inputs:
         *,
         guarded: bool = True,
     ) -> None:
-        joints, controls, contacts = (
-            controller.arm.joints,
-            controller.controls,
-            controller.contacts,
-        )
-        n = len(joints)
-        self._stage = make_input_stage(
-            config, controller.robot.turning, guarded=guarded
-        )
-        self._initial = self._stage.copy()
+        joints, contacts = controller.arm.joints, controller.contacts
+        joint_count = len(joints)
+        stage = make_input_stage(config, controller.robot.turning, guarded=guarded)
+        self._stage = stage
+        self._initial_stage = stage.copy()
         self._initial_variance = config.initial_noise_variance
         self._by_momentum = config.wrench_input == 'momentum'
         self._by_command = config.collision.command_delay >= 0
-        self._joints, self._momentum = joints, controls['momentum']
-        self._wrench, self._variance = controls['wrench'][0], contacts['noise_variance']
+        self._joints = joints
+        self._momentum = controller.controls['momentum']
+        self._wrench = controller.controls['wrench'][0]
+        self._variance = contacts['noise_variance']
         q, velocity = controller.arm.motion
-        self._arguments = self._stage, q, velocity, joints, controls, contacts
-        state, self._found = self._stage['state'][0], self._stage['found'][0]
-        self._state, self._velocities = state, state['velocities']
-        self._tracks, self._torques = state['tracks'][:n], state['torques'][:n]
-        self.raw_wrench: Vector = state['wrenches']['newest']
-        self.filtered_wrench: Vector = state['wrenches']['filtered']
-        self._intake = _Intake(self._stage['sample'], n, len(contacts))
+        self._arguments = stage, q, velocity, joints, controller.controls, contacts
+        self._state = stage['state'][0]
+        self._found = stage['found'][0]
+        self._velocities = self._state['velocities']
+        self._tracks = self._state['tracks'][:joint_count]
+        self._torques = self._state['torques'][:joint_count]
+        self.raw_wrench: Vector = self._state['wrenches']['newest']
+        self.filtered_wrench: Vector = self._state['wrenches']['filtered']
+        # Where Python writes what comes in; views, so that a tick copies each reading and no more.
+        sample = stage['sample']
+        self._time = sample['time']
+        self._joints_stamp = sample['joints_stamp']
+        self._wrench_stamp = sample['wrench_stamp']
+        self._variance_stamp = sample['variance_stamp']
+        self._effort = sample['effort'][0, :joint_count]
+        self._command_came = sample['command_came']
+        self._command = sample['command'][0, :joint_count]
+        self._places = (
+            (sample['joints_came'], sample['q'][0, :joint_count]),
+            (sample['velocity_came'], sample['velocity'][0, :joint_count]),
+            (sample['effort_came'], self._effort),
+            (sample['wrench_came'], sample['wrench'][0]),
+            (sample['variance_came'], sample['variance'][0, : len(contacts)]),
+        )
         self.reset()
         self.validate(TickInputs(0.0))  # no tick is to wait for numba
         self.reset()
 
     def reset(self) -> None:
         """Forget everything; the next tick is the first."""
-        self._stage[:], self._variance[:] = self._initial, self._initial_variance
+        self._stage[:] = self._initial_stage
+        self._variance[:] = self._initial_variance
         for name in ('residual', 'dynamic_threshold', 'effort_uncertainty'):
             self._joints['watch'][name] = 0
-        self._momentum['elapsed'], self._momentum['collided'] = 0.0, False
+        self._momentum['elapsed'] = 0.0
+        self._momentum['collided'] = False
 
     @property
     def measured_effort(self) -> Vector:
-        """Return the torques of the newest joint state, NaN where they say nothing [N m]."""
-        measured = self._intake.effort
-        heard = (self._joints['watch']['effort_fault'] == EFFORT_USABLE) & (
-            measured != 0.0
+        """Torques of the newest joint state, NaN where they say nothing, shape (n,) [N m]."""
+        usable = self._joints['watch']['effort_fault'] == EFFORT_USABLE
+        effort: Vector = np.where(
+            usable & (self._effort != 0.0), self._effort, math.nan
         )
-        effort: Vector = np.where(heard, measured, math.nan)
         return effort
 
     @property
     def joints_without_effort(self) -> dict[str, tuple[int, ...]]:
-        """Return the joints whose torques are of no use, by what is wrong with them."""
-        unheard = self._torques['unusable_samples'] >= REPORTED
-        faults = np.where(unheard, self._joints['watch']['effort_fault'], EFFORT_USABLE)
-        return {
-            EFFORT_FAULTS[fault]: tuple(np.flatnonzero(faults == fault).tolist())
-            for fault in (EFFORT_MISSING, EFFORT_NOT_FINITE, EFFORT_ALWAYS_ZERO)
-            if (faults == fault).any()
-        }
+        """Indices of the joints whose torques have been of no use, by what is wrong with them."""
+        unusable = self._torques['unusable_samples'] >= REPORTED
+        found = self._joints['watch']['effort_fault']
+        joints = {}
+        for fault in (EFFORT_MISSING, EFFORT_NOT_FINITE, EFFORT_ALWAYS_ZERO):
+            of_fault = np.flatnonzero(unusable & (found == fault))
+            if of_fault.size:
+                joints[EFFORT_FAULTS[fault]] = tuple(of_fault.tolist())
+        return joints
 
     @property
     def wrench_arrived(self) -> bool:
@@ -357,80 +218,94 @@ class Inputs:
 
     @property
     def sensor_fault(self) -> str:
-        """Return what is wrong with the wrench of this tick, empty for nothing."""
+        """What is wrong with the wrench of this tick, empty for nothing."""
         return PROBLEMS[max(self._found['wrench']['problem'], FINE)]
 
     @property
-    def refuted_joints(self) -> Mask:
-        """Return whose velocities are refuted, and not proven in motion since, shape (n,)."""
-        refuted: Mask = self._tracks['velocity_probation'] > 0
-        return refuted
-
-    @property
     def velocities_refuted(self) -> bool:
-        """Whether any are."""
+        """Whether any velocity was refuted by positions, and not proven in motion since."""
         return bool(self._velocities['on_probation'])
 
     def refute_worst_velocity(self) -> None:
-        """Take the velocity that is most in doubt for refuted: what it led to says so."""
-        doubt = self._tracks['contradiction']
-        worst = int(np.argmax(doubt))
-        if np.isfinite(doubt[worst]):
+        """Take the most contradicted velocity for refuted: a collision that it led to says so."""
+        contradiction = self._tracks['contradiction']
+        worst = int(np.argmax(contradiction))
+        if np.isfinite(contradiction[worst]):
             self._tracks['velocity_probation'][worst] = PROOF_STATES
             self._velocities['on_probation'] = True
 
     @property
     def estimated_velocity(self) -> Vector:
-        """Return the velocities that positions make up for [rad/s]."""
+        """Velocities estimated from the positions, shape (n,) [rad/s]."""
         rate: Vector = self._tracks['v_tracked'].copy()
         return rate
 
     @property
     def joint_history(self) -> tuple[Matrix, Vector]:
-        """Return the newest joint states, shape (k, 2 n) [rad, rad/s], and the doubts of each."""
+        """
+        The newest joint states, and how far positions contradict each velocity.
+
+        Oldest first, shape (k, 2 n) [rad, rad/s], and shape (n,), above 1 for a contradiction.
+        """
         count = int(self._velocities['states'])
         newest = np.arange(max(count - HISTORY_STATES, 0), count) % HISTORY_STATES
-        q, velocity = self._tracks['past_q'], self._tracks['past_velocity']
-        states = np.hstack((q[:, newest].T, velocity[:, newest].T))
-        return states, self._tracks['contradiction'].copy()
+        q = self._tracks['past_q'][:, newest]
+        velocity = self._tracks['past_velocity'][:, newest]
+        return np.hstack((q.T, velocity.T)), self._tracks['contradiction'].copy()
 
     def validate(
         self, inputs: TickInputs, command: Vector | None = None
     ) -> InputVerdict:
-        """Take in what came at a tick, and the command before it [N m]; say what is valid."""
-        _, joints, wrench, variance, _ = inputs
-        intake = self._intake
+        """
+        Take in what came at a tick, and write what is valid into the controller's records.
+
+        Parameters
+        ----------
+        inputs
+            The newest readings. Numbers that are missing, of a wrong shape or no numbers at all
+            count as invalid.
+        command
+            What was commanded at the tick before, shape (n,) [N m]; None for nothing.
+
+        Returns
+        -------
+        InputVerdict
+            `ALL_VALID` itself if nothing is wrong.
+
+        """
+        time, joints, wrench, variance, _ = inputs
         if self._by_momentum:
             wrench = self._wrench_of_torques(joints)
-        try:
-            q, velocity, effort = joints.q, joints.qd, joints.effort  # type: ignore[union-attr]
-            reading, R = wrench.wrench, variance.variance  # type: ignore[union-attr]
-            complete = (
-                q.shape == velocity.shape == effort.shape == intake.joint_shape
-                and (reading.shape == WRENCH_SHAPE and R.shape == intake.variance_shape)
-            )
-            if complete:
-                intake.time[0] = inputs.time
-                intake.joints_stamp[0] = joints.stamp  # type: ignore[union-attr]
-                intake.wrench_stamp[0] = wrench.stamp  # type: ignore[union-attr]
-                intake.variance_stamp[0] = variance.stamp  # type: ignore[union-attr]
-                intake.q[...], intake.velocity[...], intake.effort[...] = (
-                    q,
-                    velocity,
-                    effort,
-                )
-                intake.wrench[...], intake.variance[...] = reading, R
-        except (
-            AttributeError,
-            *MALFORMED,
-        ):  # something is missing, or is no array of numbers
-            complete = False
-        if not complete:
-            intake.put(inputs, wrench)
-        elif not intake.complete:
-            intake.expect_all()
+        q = velocity = effort = forces = variances = NOT_THERE
+        self._time[0] = time
+        if joints is not None:
+            self._joints_stamp[0], q, velocity, effort = joints
+        if velocity is None:
+            velocity = NOT_THERE
+        if effort is None:
+            effort = NOT_THERE
+        if wrench is not None:
+            self._wrench_stamp[0], forces = wrench
+        if variance is not None:
+            self._variance_stamp[0], variances = variance
+        readings = (q, velocity, effort, forces, variances)
+        for (came, place), numbers in zip(self._places, readings):
+            came[0] = ABSENT
+            if numbers is NOT_THERE:
+                continue
+            came[0] = INVALID
+            try:
+                if np.shape(numbers) == place.shape:
+                    place[:] = numbers
+                    came[0] = FINE
+            except MALFORMED:
+                pass
+            if came[0] == INVALID:
+                place[:] = math.nan
         if self._by_command:
-            intake.put_command(command)
+            self._command_came[0] = command is not None
+            if command is not None:
+                self._command[:] = command
         if check_inputs(*self._arguments):
             return ALL_VALID
         return self._report_faults()
@@ -454,13 +329,16 @@ class Inputs:
 
     def _report_faults(self) -> InputVerdict:
         """Return what was found of a tick that is not as it should be."""
-        found, causes, rejected = self._found, [], []
+        found = self._found
+        causes = []
+        rejected = []
         for part in PARTS:
             problem = PROBLEMS[max(found[part]['problem'], FINE)]
             if found[part]['stale']:
                 causes.append(f'{part}_{problem or "stale"}')
             if problem and part in READINGS:
                 rejected.append(f'{part}_{problem}')
+        unusable = self._torques['unusable_samples'] >= REPORTED
         return InputVerdict(
             tuple(causes),
             tuple(rejected),
@@ -469,7 +347,5 @@ class Inputs:
             wrench_is_current=bool(found['wrench']['problem'] == FINE),
             skipped_samples=int(found['skipped']),
             velocities_refuted=self.velocities_refuted,
-            efforts_unusable=bool(
-                (self._torques['unusable_samples'] >= REPORTED).any()
-            ),
+            efforts_unusable=bool(unusable.any()),
         )

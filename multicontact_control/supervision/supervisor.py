@@ -324,11 +324,11 @@ class Supervisor:
         arm = self._arm
         if self.safe:
             return SAFE, causes
-        if checks.CONTRADICTED in causes:
+        if checks.VELOCITY_CONTRADICTED in causes:
             self._trusted = False
         elif self._verdict.velocities_refuted and not self._trusted:
             # At rest nothing contradicts them: the arm is held by estimates from its positions.
-            causes = (checks.CONTRADICTED, *causes)
+            causes = (checks.VELOCITY_CONTRADICTED, *causes)
         if self.started and not self._paused:
             return checks.choose_severest_reaction(
                 causes, self.config

@@ -18,7 +18,6 @@ from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.records import (
     Record,
-    record_dtype,
     Records,
 )
 import numpy as np
@@ -75,9 +74,6 @@ class JointTrack(Record, Protocol):
     past_velocity: Annotated[Vector, HISTORY_STATES]
 
 
-JOINT_TRACK = record_dtype(JointTrack)
-
-
 class VelocityState(Record, Protocol):
     """The velocities of all joints; one."""
 
@@ -86,9 +82,6 @@ class VelocityState(Record, Protocol):
     on_probation: bool  # whether a refuted velocity has not been proven in motion since
     silent: bool  # whether none come, or only zeros
     estimated: bool  # whether positions give the velocities in use
-
-
-VELOCITY_STATE = record_dtype(VelocityState)
 
 
 @compiled
@@ -106,8 +99,8 @@ def check_velocities(
     Parameters
     ----------
     tracks, state
-        Records of `JOINT_TRACK`, shape (n,), with the newest joint state in them, and one of
-        `VELOCITY_STATE`; changed.
+        Records of `JointTrack`, shape (n,), with the newest joint state in them, and one of
+        `VelocityState`; changed.
     fastest
         Speed of each joint beyond which its velocity is no possible number, shape (n,) [rad/s].
     span, period
@@ -176,7 +169,7 @@ def count_velocity_proof(tracks: Records[JointTrack], refuted: bool) -> bool:
     Count the readings in motion that prove velocities which were `refuted`, now or before.
 
     Return whether a joint still lacks some. A reading counts for a joint that moves, if its
-    velocity agrees with the estimate. `tracks`, records of `JOINT_TRACK`, are changed.
+    velocity agrees with the estimate. `tracks`, records of `JointTrack`, are changed.
     """
     lacking = False
     for j in range(tracks.shape[0]):
