@@ -30,11 +30,13 @@ from multicontact_control.supervision.contact_task import limit_task, TaskLimits
 from multicontact_control.supervision.contacts import ContactState
 from multicontact_control.supervision.gate import GateState, number_of_law, pass_gate
 
-SEE, ACT = 1, 2  # stages of a tick
+# Stages of a tick.
+SEE = 1
+ACT = 2
 
 
 class Workspace(Record, Protocol):
-    """What a tick works in, so that it allocates nothing; one."""
+    """What a tick works in, so that it allocates nothing: one record for each of its parts."""
 
     arm: ArmSpace
     law: LawSpace
@@ -94,7 +96,8 @@ def tick(
         What was found; see `flags`.
 
     """
-    control, space, found = controls[0], workspaces[0], 0
+    control, space = controls[0], workspaces[0]
+    found = 0
     if stages & SEE:
         found = update_arm_state(
             q,

@@ -17,12 +17,11 @@ from multicontact_control.errors import CommandError, ConfigError
 import numpy as np
 
 AXES = 'position x', 'position y', 'position z'
-SPEED_ROUNDING = (
-    1e-6  # share of a speed beyond its limit, of a motion that is as fast as it may be
-)
-START_EXCESS = (
-    1e-3  # m or rad beyond a limit, from where control may start all the same
-)
+# Share of a speed beyond its limit, of a motion that is as fast as it may be.
+SPEED_ROUNDING = 1e-6
+# m or rad beyond a limit, from where control may start all the same.
+START_EXCESS = 1e-3
+SHARE_ROUNDING = 1e-9  # of a centre of pressure beyond its limit
 
 
 class CommandLimits(Config):
@@ -88,7 +87,7 @@ class CommandLimits(Config):
             if column.half_length == 0.0 or pressed == 0.0:
                 continue
             share = shares.get(column.name, commanded.get(column.name, 0.0) / pressed)
-            if not abs(share) <= LARGEST_OFFSET + 1e-9:
+            if not abs(share) <= LARGEST_OFFSET + SHARE_ROUNDING:
                 raise CommandError(
                     f'centre of pressure of {column.name}',
                     f'at most {LARGEST_OFFSET * column.half_length:.3g} m from the middle',
@@ -103,14 +102,12 @@ def check_motion(motion: MotionReading, limits: LimitsConfig) -> None:
     These are the workspace box, the speeds, and the accelerations.
     """
     check_position(motion.position_world, limits)
-    if not (
-        all(np.isfinite(part).all() for part in motion)
-        and np.any(motion.quaternion_xyzw)
-    ):
+    finite = all(np.isfinite(part).all() for part in motion)
+    if not (finite and np.any(motion.quaternion_xyzw)):
         raise CommandError(
             'motion',
             'finite numbers, and a quaternion that is not 0',
-            [np.array(x).tolist() for x in motion],
+            [np.array(part).tolist() for part in motion],
         )
     check_twist(motion.twist_world, motion.acceleration_world, limits)
 
@@ -119,26 +116,44 @@ def check_twist(
     twist_world: Vector, acceleration_world: Vector, limits: LimitsConfig
 ) -> None:
     """
-    Refuse a motion that is too fast, or becomes so too fast: CommandError names what is.
+    Refuse a motion that is too fast, or becomes so too fast, by CommandError.
 
-    Both are of shape (6,), linear first [m/s, rad/s], [m/s^2, rad/s^2].
+    Parameters
+    ----------
+    twist_world, acceleration_world
+        Linear first, shape (6,) [m/s, rad/s], [m/s^2, rad/s^2].
+    limits
+        Those of the operational point.
+
+    Raises
+    ------
+    CommandError
+        That names the first speed or acceleration beyond its limit, and the limit's parameter.
+
     """
-    for what, part, field, unit in (
-        ('speed', twist_world[:3], 'operational_speed', 'm/s'),
-        ('angular speed', twist_world[3:], 'operational_turn', 'rad/s'),
-        ('acceleration', acceleration_world[:3], 'operational_acceleration', 'm/s^2'),
+    linear, angular = slice(0, 3), slice(3, 6)
+    for name, part, parameter_name, unit in (
+        ('speed', twist_world[linear], 'operational_speed', 'm/s'),
+        ('angular speed', twist_world[angular], 'operational_turn', 'rad/s'),
+        (
+            'acceleration',
+            acceleration_world[linear],
+            'operational_acceleration',
+            'm/s^2',
+        ),
         (
             'angular acceleration',
-            acceleration_world[3:],
+            acceleration_world[angular],
             'operational_turn_acceleration',
             'rad/s^2',
         ),
     ):
-        size, largest = float(np.linalg.norm(part)), getattr(limits, field)
+        size = float(np.linalg.norm(part))
+        largest = getattr(limits, parameter_name)
         if not size <= largest * (1.0 + SPEED_ROUNDING):
             raise CommandError(
-                what,
-                f'at most {largest:g} {unit} (limits.{field})',
+                name,
+                f'at most {largest:g} {unit} (limits.{parameter_name})',
                 f'{size:.3g} {unit}',
             )
 
@@ -158,18 +173,17 @@ def outside_limits(
     position_world: Vector,
 ) -> tuple[str, ...]:
     """Return where joints q [rad] and the operational point [m] are beyond limits, a line each."""
-    return tuple(
-        f'{name}: expected {lower:g} to {upper:g} {unit} (limits.{kind}_lower, '
-        f'limits.{kind}_upper), got {x:.4g} {unit}'
-        for kind, names, values, unit in (
-            ('workspace', AXES, position_world, 'm'),
-            ('joint', config.robot.joint_names, q, 'rad'),
-        )
-        for name, x, lower, upper in zip(
-            names,
-            values,
-            getattr(config.limits, f'{kind}_lower'),
-            getattr(config.limits, f'{kind}_upper'),
-        )
-        if not lower - START_EXCESS <= x <= upper + START_EXCESS
-    )
+    lines = []
+    for kind, names, values, unit in (
+        ('workspace', AXES, position_world, 'm'),
+        ('joint', config.robot.joint_names, q, 'rad'),
+    ):
+        lowest = getattr(config.limits, f'{kind}_lower')
+        highest = getattr(config.limits, f'{kind}_upper')
+        for name, value, lower, upper in zip(names, values, lowest, highest):
+            if not lower - START_EXCESS <= value <= upper + START_EXCESS:
+                lines.append(
+                    f'{name}: expected {lower:g} to {upper:g} {unit} (limits.{kind}_lower, '
+                    f'limits.{kind}_upper), got {value:.4g} {unit}'
+                )
+    return tuple(lines)

@@ -43,32 +43,36 @@ from multicontact_control.supervision.contacts import (
 )
 import numpy as np
 
-GUARD_SHARE = 0.3  # of the force held, below which the measured force is fed forward
-GUARD_TIME = 0.3  # s after holding has begun; before, a guard would prolong bounces
+# The measured force is fed forward below this share of the force held...
+GUARD_SHARE = 0.3
+# ...from so many s of holding on; before, this would prolong bounces.
+GUARD_TIME = 0.3
 # An error of the averaged force that lasts is none of noise: N and share of the force asked for,
 # and how long that must have been the same [s].
-LASTING_ERROR, LASTING_SHARE, LASTING_TIME = 1.5, 0.25, 0.3
+LASTING_ERROR = 1.5
+LASTING_SHARE = 0.25
+LASTING_TIME = 0.3
 LASTING_STD = 0.5  # of such an error, the standard deviation of the noise at most
-# How a task is caught up with: beyond its own speed by so much of the way left [1/s] and of the
-# largest speeds.
-RETURN_RATE, RETURN_SHARE = 3.5, 0.2
-# How far the reference may be ahead of an arm at rest that cannot follow [m], [rad].
-LEAST_LEAD, LEAST_TURN = 0.002, 0.005
+# How a task is caught up with: beyond its own speed by so much of the way that remains [1/s] and
+# of the largest speeds.
+RETURN_RATE = 3.5
+RETURN_SHARE = 0.2
+# How far the reference may be ahead of an arm at rest that cannot follow.
+LEAST_LEAD = 0.002  # m
+LEAST_TURN = 0.005  # rad
 CAUGHT_UP = 5e-5  # m or rad from the task, where it is caught up with
-BRAKING_SHARE = (
-    4.0  # times the largest acceleration, by which it slows down with the arm
-)
-BOUNDED_TIME = (
-    0.02  # s, for which an arm counts as bounded: what holds back hardly changes
-)
+BRAKING_SHARE = 4.0  # times the largest acceleration: how it slows down with the arm
+# s, for which an arm counts as bounded: what holds back hardly changes.
+BOUNDED_TIME = 0.02
 # A task is a step away that is farther than the largest speeds lead in so long [s] (a stream of
 # 100 Hz is none), or faster than before by so much of them.
-TASK_STEP_TIME, TASK_STEP_SHARE = 0.01, 0.15
-PARALLEL = 1e-6  # length that is left of a normal that the others span already
+TASK_STEP_TIME = 0.01
+TASK_STEP_SHARE = 0.15
+PARALLEL = 1e-6  # length that remains of a normal that the others span already
 
 
 class TaskLimitsConfig(Record, Protocol):
-    """Bounds of a task."""
+    """What bounds a task."""
 
     # Whether these, and contact states, apply; if not, the task is as wanted.
     guarded: bool
@@ -76,17 +80,20 @@ class TaskLimitsConfig(Record, Protocol):
     contacts: ContactSettings
     lead: float  # k_v / k_p: an error of v k_v / k_p makes the motion law move at v [s]
 
-    # Greatest way and angle of the reference from the arm [m], [rad].
-    reach: float
-    turn: float
-
-    # Largest accelerations of the reference [m/s^2], [rad/s^2].
-    ramp: float
-    turn_ramp: float
-
     # Corners of the workspace [m].
     lower: Annotated[Vector, 3]
     upper: Annotated[Vector, 3]
+
+
+class ReferencePart(Record, Protocol):
+    """The position or the orientation of the reference: [m], or as a rotation vector [rad]."""
+
+    reach: float  # greatest way of the reference from the arm
+    ramp: float  # its largest acceleration [1/s^2]
+    least_lead: float  # by which it may be ahead of an arm at rest that is bounded
+    velocity: Annotated[Vector, 3]  # while it catches up [1/s]
+    ahead: Annotated[Vector, 3]  # its way from the arm, a tick ago, off normals
+    way: Annotated[Vector, 3]  # worked with: what it goes in this tick
 
 
 class TaskLimits(Record, Protocol):
@@ -105,21 +112,13 @@ class TaskLimits(Record, Protocol):
     # The reference, before contacts move it [m].
     position: Annotated[Vector, 3]
     rotation: Annotated[Matrix, 3, 3]
-
-    twist: Annotated[Vector, 6]  # its velocity while it catches up [m/s, rad/s]
-
-    # Of the arm, a tick ago, off normals [m], [rad].
-    ahead: Annotated[Vector, 3]
-    turned_ahead: Annotated[Vector, 3]
+    linear: ReferencePart
+    angular: ReferencePart
 
     has_free_readings: bool  # whether something is read that no touch explains
 
     # Whether contacts have changed their states since `state_names` were told.
     changed: bool
-
-    # Worked with: what the reference goes [m], [rad].
-    way: Annotated[Vector, 3]
-    turned_way: Annotated[Vector, 3]
 
     # Worked with: normals of active contacts, orthogonal.
     axes: Annotated[Matrix, MAX_COLUMNS, 3]
@@ -156,9 +155,12 @@ class ContactTask:
         *,
         guarded: bool = True,
     ) -> None:
-        self._source, self._guarded = source, guarded
-        self._controls, self._columns = controller.controls, controller.contacts
-        self._frame, wanted = self._controls['frame'][0], self._controls['wanted'][0]
+        self._source = source
+        self._guarded = guarded
+        self._controls = controller.controls
+        self._columns = controller.contacts
+        self._frame = self._controls['frame'][0]
+        wanted = self._controls['wanted'][0]
         wanted['rotation'] = np.eye(3)
         self._places = (
             wanted['position'],
@@ -170,49 +172,56 @@ class ContactTask:
         )
         self._written: tuple[object, ...] = (None,) * len(self._places)
         self._active = self._columns['answer']['active']
+        self._names = config.column_names
+        self._leaders = np.array(config.leaders)
         self.states: Records[ContactState] = np.zeros(
             len(config.columns), dtype=CONTACT_STATE
         )
-        self._names, self._leaders = config.column_names, np.array(config.leaders)
         self._codes = self.states['state']
         self.limits: Records[TaskLimits] = np.zeros(1, dtype=TASK_LIMITS)
-        self._time, self._changed = self.limits['time'], self.limits['changed']
-        self._reads_before = self.limits['has_free_readings']
+        self._time = self.limits['time']
+        self._changed = self.limits['changed']
         limits = self.limits['config']
         limits['guarded'] = guarded
+        approach = {**config.contact_state.model_dump(), **source.contact_state}
         limits['contacts'] = contacts.contact_settings(
-            validate(
-                ContactStateConfig,
-                {**config.contact_state.model_dump(), **source.contact_state},
-                'reference.approach',
-            ),
+            validate(ContactStateConfig, approach, 'reference.approach'),
             config.period,
             config.measuring_delay,
         )
         limits['lower'] = config.limits.workspace_lower or -np.inf
         limits['upper'] = config.limits.workspace_upper or np.inf
+        self.limits['linear']['least_lead'] = LEAST_LEAD
+        self.limits['angular']['least_lead'] = LEAST_TURN
         self.apply_config(config)
         self._set_locked(config.sensor.require_push_test)  # at first
-        first = self.states[0], limits['contacts'][0]  # no tick waits for numba
-        contacts.release_contact(first[0], 0.0, 0.0)
-        contacts.resume_contact(first[0], 0.0, 0.0)
-        contacts.restart_free_reading(*first, 0.0)
-        subtract_free_reading(self._columns[0], first[0])
+        state, settings = (
+            self.states[0],
+            limits['contacts'][0],
+        )  # no tick waits for numba
+        contacts.release_contact(state, 0.0, 0.0)
+        contacts.resume_contact(state, 0.0, 0.0)
+        contacts.restart_free_reading(state, settings, 0.0)
+        subtract_free_reading(self._columns[0], state)
         self.reset()
 
     def apply_config(self, config: ControllerConfig) -> None:
-        """Let the task be so far ahead of the arm that the motion law asks for its limits."""
-        felt = config.wrench_input != 'momentum'  # whose observer knows of the tool
-        limits = self.limits['config']
-        limits['contacts']['tool_mass'] = config.tool.mass if felt else 0.0
-        lead = (
-            2.0 * config.motion.damping_ratio / config.motion.natural_frequency
-        )  # k_v / k_p
-        limits['lead'] = lead
-        limits['reach'] = lead * config.limits.operational_speed
-        limits['turn'] = lead * config.limits.operational_turn
-        limits['ramp'] = config.limits.operational_acceleration
-        limits['turn_ramp'] = config.limits.operational_turn_acceleration
+        """
+        Let the task be so far ahead of the arm that the motion law asks for its limits.
+
+        The momentum observer knows of the tool's inertia; what a wrist sensor feels has it.
+        """
+        mass = config.tool.mass
+        if config.wrench_input == 'momentum':
+            mass = 0.0
+        motion, limits = config.motion, config.limits
+        lead = 2.0 * motion.damping_ratio / motion.natural_frequency  # k_v / k_p
+        self.limits['config']['contacts']['tool_mass'] = mass
+        self.limits['config']['lead'] = lead
+        self.limits['linear']['reach'] = lead * limits.operational_speed
+        self.limits['linear']['ramp'] = limits.operational_acceleration
+        self.limits['angular']['reach'] = lead * limits.operational_turn
+        self.limits['angular']['ramp'] = limits.operational_turn_acceleration
 
     def reset(self) -> None:
         """Let all contacts start anew, free; a hold ends."""
@@ -225,31 +234,35 @@ class ContactTask:
 
     def _stay_in_place(self, *, pressing: bool) -> None:
         """Stay where the arm is, pressing as it does or without contact; seek no contacts."""
-        pressed, forces = self._active.copy(), np.zeros(len(self.states))
-        position, rotation = (
-            self._frame['position'].copy(),
-            self._frame['rotation'].copy(),
-        )
-        for state, normal in zip(
-            self.states[pressed], self._columns['normal'][pressed]
-        ):
-            position -= state['displacement'] * normal
+        pressed = self._active.copy()
+        forces = np.zeros(len(self.states))
         if pressing:
             forces[pressed] = self._task.alpha_des[pressed]
-        self._write_wanted(
-            Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces)
-        )
+        position = self._frame['position'].copy()
+        rotation = self._frame['rotation'].copy()
+        normals = self._columns['normal'][pressed]
+        for state, normal in zip(self.states[pressed], normals):
+            position -= state['displacement'] * normal
+        pose = Pose(position, rotation)
+        self._write_wanted(Task(pose, STILL, STILL, pressed & pressing, forces))
         self.states[~pressed] = contacts.FREE_CONTACT
-        self._columns['untared'][~pressed] = self._columns['speed_bound'][~pressed] = (
-            0.0
-        )
-        self.limits['changed'] = True
-        self.limits['bounded_at'], self.limits['catching_up'] = -math.inf, False
-        self.limits['position'], self.limits['rotation'] = position, rotation
-        self.limits['twist'] = 0.0
-        self._kept: Mask | None = (
-            None  # contacts, from the end of a pause to the next tick
-        )
+        self._columns['untared'][~pressed] = 0.0
+        self._columns['speed_bound'][~pressed] = 0.0
+        self._restart_reference(position, catching_up=False)
+        # Contacts that are kept, from the end of a pause to the next tick.
+        self._kept: Mask | None = None
+
+    def _restart_reference(self, position: Vector, *, catching_up: bool) -> None:
+        """Let the reference start at rest from a position [m], and turned as the arm is."""
+        limits = self.limits
+        limits['position'] = position
+        limits['rotation'] = self._frame['rotation']
+        for part in (limits['linear'], limits['angular']):
+            part['velocity'] = 0.0
+            part['ahead'] = 0.0
+        limits['bounded_at'] = -math.inf
+        limits['catching_up'] = catching_up
+        limits['changed'] = True
 
     def start_task(self, pose: Pose) -> None:
         """Begin from a pose at rest; a hold ends, a lock does not."""
@@ -261,15 +274,16 @@ class ContactTask:
         if self.held or self.locked:
             self._lost_time += time - float(self._time[0])
         else:
-            task = self._source.task(
-                time - self._lost_time,
-                None if self._guarded else self._columns['alpha_meas'],
-            )
+            measured = None
+            if not self._guarded:
+                measured = self._columns['alpha_meas']
+            task = self._source.task(time - self._lost_time, measured)
             if task is not self._task:
                 self._write_wanted(task)
         self._time[0] = time
         if self._guarded and self._kept is not None:
             self._return_to_task(self._kept)
+            self._kept = None
 
     def _write_wanted(self, task: Task) -> None:
         """Write what is new in a task into the records; what is the same object stands there."""
@@ -286,13 +300,8 @@ class ContactTask:
         return not self._guarded and self._source.seeks
 
     @property
-    def has_free_readings(self) -> bool:
-        """Return whether there is anything in `read_before`."""
-        return bool(self._reads_before[0])
-
-    @property
     def state_names(self) -> tuple[str, ...]:
-        """Return the state of each contact's normal force."""
+        """The state of each contact's normal force."""
         if self._changed[0]:
             self._changed[0] = False
             codes = self._codes[self._leaders].tolist()
@@ -301,7 +310,7 @@ class ContactTask:
 
     @property
     def read_before(self) -> tuple[str, ...]:
-        """Return a sentence for each force or couple that was read before anything was touched."""
+        """A sentence for each force or couple that was read before anything was touched."""
         readings = self.states['untared'] + self.states['resting_force']
         return tuple(
             f'{name} reads {reading:+.1f} N before it touches: nothing should press, tare'
@@ -333,13 +342,13 @@ class ContactTask:
         """Go on from where the arm is; return which contacts are kept: pressed and felt, (r,)."""
         threshold = self.limits['config']['contacts']['contact_threshold']
         felt = self._columns['alpha_meas'] > threshold
-        self._kept = (self._active & felt)[self._columns['config']['leader']]
+        self._kept = (self._active & felt)[self._leaders]
         return self._kept
 
     def _return_to_task(self, kept: Mask) -> None:
         """Let the reference go from where the arm is to the task; contacts go along normals."""
-        self._kept, normals, pose = None, self._columns['normal'], self._task.pose_des
-        gap = self._frame['position'] - pose.position_world
+        normals = self._columns['normal']
+        gap = self._frame['position'] - self._task.pose_des.position_world
         along = np.linalg.lstsq(normals.T, gap, rcond=None)[0]
         settings = self.limits['config']['contacts'][0]
         for state, column, place, is_kept in zip(
@@ -351,12 +360,8 @@ class ContactTask:
                 contacts.release_contact(state, place, 0.0)
                 contacts.restart_free_reading(state, settings, column['alpha_meas'])
                 subtract_free_reading(column, state)
-        limits = self.limits
-        limits['position'] = self._frame['position'] - along @ normals
-        limits['rotation'] = self._frame['rotation']
-        limits['twist'] = limits['ahead'] = limits['turned_ahead'] = 0.0
-        limits['bounded_at'], limits['catching_up'] = -math.inf, True
-        limits['changed'] = True
+        position = self._frame['position'] - along @ normals
+        self._restart_reference(position, catching_up=True)
 
     def sought_normals(self) -> Matrix:
         """Return normals of what is sought or held, couples with 0, shape (k, 3)."""
@@ -396,12 +401,14 @@ def limit_task(
 
     """
     frame, wanted, task = control.frame, control.wanted, control.task
-    task.position[:], task.rotation[:] = wanted.position, wanted.rotation
-    task.twist[:], task.acceleration[:] = wanted.twist, wanted.acceleration
+    task.position[:] = wanted.position
+    task.rotation[:] = wanted.rotation
+    task.twist[:] = wanted.twist
+    task.acceleration[:] = wanted.acceleration
     if not limit.config.guarded:
         for i in range(columns.shape[0]):
-            answer = columns[i].answer
-            answer.active, answer.alpha_des = columns[i].wanted, columns[i].alpha_wanted
+            columns[i].answer.active = columns[i].wanted
+            columns[i].answer.alpha_des = columns[i].alpha_wanted
         return False
     limit.bounded = limit.time - limit.bounded_at < BOUNDED_TIME
     catching_up = _advance_reference(limit, frame, task)
@@ -414,28 +421,18 @@ def limit_task(
     for i in range(columns.shape[0]):
         column, state = columns[i], states[i]
         before, first = state.state, column.config.leader
+        settings = limit.config.contacts
         if first == i:
             others = 0.0
             for j in range(columns.shape[0]):
                 if j != i:
-                    others += (
-                        dot(column.normal, columns[j].normal)
-                        * states[j].displacement_before
-                    )
-            # Turning about the tool moves the operational point, and a surface that is not where
-            # the task has it moves the contact point: what escapes does both.
-            _advance_force(
-                limit.config.contacts,
-                frame,
-                column,
-                state,
-                dot(column.normal, away) - others,
-                dot(column.normal, rate),
-            )
+                    along = dot(column.normal, columns[j].normal)
+                    others += along * states[j].displacement_before
+            place = dot(column.normal, away) - others
+            speed = dot(column.normal, rate)
+            _advance_force(settings, frame, column, state, place, speed)
         else:  # its normal force comes before
-            _advance_couple(
-                limit.config.contacts, column, state, columns[first], states[first]
-            )
+            _advance_couple(settings, column, state, columns[first], states[first])
         subtract_free_reading(column, state)
         limit.changed = limit.changed or state.state != before
         if state.untared != 0.0 or state.resting_force != 0.0:
@@ -452,134 +449,99 @@ def limit_task(
 @compiled
 def _advance_reference(limit: TaskLimits, frame: Frame, task: TaskRecord) -> bool:
     """
-    Let the reference catch up with the task where the arm could not; return if it is catching_up.
+    Let the reference catch up with the task where the arm could not; return if it still does.
 
     Once the motion of the arm is bounded, after a pause, and where the task makes a step, the
-    reference goes straight to the task, but no farther ahead of the arm than `LEAST_LEAD`: so it
+    reference goes straight to the task, but no farther ahead of the arm than `least_lead`: so it
     slows down with the arm, does not run away, and does not pull the arm along the bound.
     """
-    config, way, turn = limit.config, limit.way, limit.turned_way
-    way[:] = vector_between(limit.position, task.position)
-    turn[:] = rotation_vector(task.rotation, limit.rotation)
+    linear, angular, lead = limit.linear, limit.angular, limit.config.lead
+    linear.way[:] = vector_between(limit.position, task.position)
+    angular.way[:] = rotation_vector(task.rotation, limit.rotation)
     if not limit.catching_up:
-        steps = _is_task_step(
-            way, task.twist[:3], limit.twist[:3], config.reach / config.lead
-        ) or (
-            _is_task_step(
-                turn, task.twist[3:], limit.twist[3:], config.turn / config.lead
-            )
-        )
-        if not (limit.bounded or steps):
-            limit.position[:], limit.rotation[:] = task.position, task.rotation
-            limit.twist[:] = task.twist
+        moves_on = _is_task_step(linear, task.twist[:3], lead)
+        turns_on = _is_task_step(angular, task.twist[3:], lead)
+        if not (limit.bounded or moves_on or turns_on):
+            limit.position[:] = task.position
+            limit.rotation[:] = task.rotation
+            linear.velocity[:] = task.twist[:3]
+            angular.velocity[:] = task.twist[3:]
             return False
         limit.catching_up = True
-    there = _advance_towards(
-        way,
-        task.twist[:3],
-        task.acceleration[:3],
-        limit,
-        limit.twist[:3],
-        frame.twist[:3],
-        limit.ahead,
-        LEAST_LEAD,
-        config.reach,
-        config.ramp,
+    is_there = _advance_towards(
+        limit, linear, frame.twist[:3], task.twist[:3], task.acceleration[:3]
     )
-    add_vector(limit.position, way)
+    is_turned = _advance_towards(
+        limit, angular, frame.twist[3:], task.twist[3:], task.acceleration[3:]
+    )
+    add_vector(limit.position, linear.way)
+    turn_rotation_by_vector(angular.way, limit.rotation)
     task.position[:] = limit.position
-    there_turned = _advance_towards(
-        turn,
-        task.twist[3:],
-        task.acceleration[3:],
-        limit,
-        limit.twist[3:],
-        frame.twist[3:],
-        limit.turned_ahead,
-        LEAST_TURN,
-        config.turn,
-        config.turn_ramp,
-    )
-    turn_rotation_by_vector(turn, limit.rotation)
     task.rotation[:] = limit.rotation
-    catching_up = not (there and there_turned)
+    catching_up = not (is_there and is_turned)
     limit.catching_up = limit.bounded or catching_up
     return catching_up
 
 
 @compiled
-def _is_task_step(
-    way: Vector, speed_des: Vector, speed: Vector, fastest: float
-) -> bool:
+def _is_task_step(part: ReferencePart, velocity_des: Vector, lead: float) -> bool:
     """Return whether a task is a step away from the reference, or suddenly faster."""
-    missing = vector_between(speed, speed_des)
-    jumps = dot(way, way) > (TASK_STEP_TIME * fastest) ** 2
-    faster = dot(speed_des, speed_des) > dot(speed, speed)
-    return jumps or (
-        faster and dot(missing, missing) > (TASK_STEP_SHARE * fastest) ** 2
-    )
+    fastest = part.reach / lead
+    missing = vector_between(part.velocity, velocity_des)
+    if dot(part.way, part.way) > (TASK_STEP_TIME * fastest) ** 2:
+        return True
+    faster = dot(velocity_des, velocity_des) > dot(part.velocity, part.velocity)
+    return faster and dot(missing, missing) > (TASK_STEP_SHARE * fastest) ** 2
 
 
 @compiled
 def _advance_towards(
-    way: Vector,
-    speed_des: Vector,
-    acceleration: Vector,
     limit: TaskLimits,
-    speed: Vector,
-    speed_of_arm: Vector,
-    ahead: Vector,
-    least_lead: float,
-    reach: float,
-    ramp: float,
+    part: ReferencePart,
+    arm_velocity: Vector,
+    velocity_des: Vector,
+    acceleration: Vector,
 ) -> bool:
     """
     Shorten a way to what the reference goes in a tick; return whether it has caught up.
 
-    Its velocity `speed` v_r becomes the desired one, `speed_des`. It goes as fast as the task and
-    on towards it, never away from it, and changes by `ramp` at most [m/s^2, rad/s^2]. While the
+    Its velocity v_r becomes the desired one, `velocity_des`. It goes as fast as the task and on
+    towards it, never away from it, and changes by `ramp` at most [m/s^2, rad/s^2]. While the
     motion of the arm is bounded, v_r is at most v + (l - e) k_p / k_v, at a distance e ahead of an
-    arm of speed v: the motion law then pulls the arm by k_p l at most.
+    arm of speed v, with l the `least_lead`: the motion law then pulls the arm by k_p l at most.
     """
-    h, lead, distance = (
-        limit.config.contacts.period,
-        limit.config.lead,
-        vector_length(way),
-    )
-    fastest = reach / lead
-    wanted, slower = (speed_des[0], speed_des[1], speed_des[2]), False
+    h, lead, ramp = limit.config.contacts.period, limit.config.lead, part.ramp
+    way, velocity = part.way, part.velocity
+    distance = vector_length(way)
+    fastest = part.reach / lead
+    wanted = (velocity_des[0], velocity_des[1], velocity_des[2])
+    slowed = False
     if distance > 0.0:
         direction = divide_vector(way, distance)
         closing = min(RETURN_RATE * distance, RETURN_SHARE * fastest)
         along = max(0.0, dot(wanted, direction) + closing)
-        allowed = (
-            dot(speed_of_arm, direction) + (least_lead - dot(ahead, direction)) / lead
-        )
-        slower = limit.bounded and along > allowed
-        if slower:
+        margin = part.least_lead - dot(part.ahead, direction)
+        allowed = dot(arm_velocity, direction) + margin / lead
+        slowed = limit.bounded and along > allowed
+        if slowed:
             along = max(allowed, 0.0)
-        wanted = linear_combination(
-            1.0, wanted, along - dot(wanted, direction), direction
-        )
+            ramp *= BRAKING_SHARE
+        beyond = along - dot(wanted, direction)
+        wanted = linear_combination(1.0, wanted, beyond, direction)
         share = min(1.0, fastest / max(vector_length(wanted), CAUGHT_UP))
         wanted = (share * wanted[0], share * wanted[1], share * wanted[2])
-        if slower:
-            ramp *= BRAKING_SHARE
-    change = vector_between(speed, wanted)
-    add_scaled_vector(
-        speed, min(1.0, h * ramp / max(vector_length(change), CAUGHT_UP)), change
-    )
-    missing = vector_between(speed, speed_des)
-    if (
-        distance < CAUGHT_UP
-        and not slower
-        and dot(missing, missing) < (2.0 * h * ramp) ** 2
-    ):
-        speed[:] = speed_des
+    change = vector_between(velocity, wanted)
+    share = min(1.0, h * ramp / max(vector_length(change), CAUGHT_UP))
+    add_scaled_vector(velocity, share, change)
+    missing = vector_between(velocity, velocity_des)
+    as_fast = dot(missing, missing) < (2.0 * h * ramp) ** 2
+    if distance < CAUGHT_UP and as_fast and not slowed:
+        velocity[:] = velocity_des
         return True
     for k in range(3):
-        way[k] = h * speed[k]
-        speed_des[k], acceleration[k] = speed[k], 0.0
+        way[k] = h * velocity[k]
+        velocity_des[k] = velocity[k]
+        acceleration[k] = 0.0
     return False
 
 
@@ -597,7 +559,8 @@ def _advance_force(
     state.alpha_task_age += settings.period
     if state.alpha_task != column.alpha_wanted:
         state.alpha_task_age = 0.0
-    state.wanted, state.alpha_task = column.wanted, column.alpha_wanted
+    state.wanted = column.wanted
+    state.alpha_task = column.alpha_wanted
     state.stiffness = column.stiffness
     state.approach_speed = contacts.limit_approach_speed(
         state, settings, column.mobility
@@ -672,15 +635,14 @@ def _allow_for_sliding(
     """
     config = column.config
     slope = np.sqrt(1.0 - config.smallest_cosine**2) / config.smallest_cosine
-    fall_speed = slope * vector_length(component_across(frame.twist[:3], config.normal))
+    sliding = component_across(frame.twist[:3], config.normal)
+    fall_speed = slope * vector_length(sliding)
     error = abs(state.mean_force - state.alpha_task)
-    if (
-        state.state == contacts.HOLDING
-        and min(state.time_in_state, state.alpha_task_age) > LASTING_TIME
-    ):
-        if error > max(LASTING_ERROR, LASTING_SHARE * state.alpha_task):
-            bound = (LASTING_STD * error) ** 2
-            column.noise_variance = min(column.noise_variance, bound)
+    lasts = min(state.time_in_state, state.alpha_task_age) > LASTING_TIME
+    is_large = error > max(LASTING_ERROR, LASTING_SHARE * state.alpha_task)
+    if state.state == contacts.HOLDING and lasts and is_large:
+        bound = (LASTING_STD * error) ** 2
+        column.noise_variance = min(column.noise_variance, bound)
     state.surface_fall += fall_speed * period
     if state.state in contacts.PRESSED:
         state.surface_fall = 0.0
@@ -694,80 +656,86 @@ def _limit_reference(
     task: TaskRecord,
     columns: Records[Contact],
 ) -> bool:
-    """Bring a task within the box and, off active normals, within reach; return if it changed."""
-    # The arm goes at v_des + (k_p / k_v) (x_des - x): the limit's speed at an error of one reach.
+    """
+    Bring a task within the box and, off active normals, within reach; return if it changed.
+
+    The arm goes at v_des + (k_p / k_v) (x_des - x): the limit's speed at an error of one reach.
+    """
     position, twist, acceleration = task.position, task.twist, task.acceleration
-    config, limited = limit.config, False
+    config, linear, angular = limit.config, limit.linear, limit.angular
+    lead = config.lead
+    limited = False
     for k in range(3):
         inside = min(max(position[k], config.lower[k]), config.upper[k])
         if inside != position[k]:
-            position[k], twist[k], acceleration[k], limited = inside, 0.0, 0.0, True
+            limited = True
+            position[k] = inside
+            twist[k] = 0.0
+            acceleration[k] = 0.0
     gap = vector_between(frame.position, position)
-    way = (config.lead * twist[0], config.lead * twist[1], config.lead * twist[2])
-    axes, count = limit.axes, 0
+    way = (lead * twist[0], lead * twist[1], lead * twist[2])
+    for i in range(_span_active_normals(columns, limit.axes)):
+        gap = component_across(gap, limit.axes[i])
+        way = component_across(way, limit.axes[i])
+    linear.ahead[:] = gap
+    share = _limit_to_reach(linear, way, twist[:3], acceleration[:3])
+    if share < 1.0:
+        add_scaled_vector(position, share - 1.0, gap)
+    angular.ahead[:] = rotation_vector(task.rotation, frame.rotation)
+    way = (lead * twist[3], lead * twist[4], lead * twist[5])
+    turn_share = _limit_to_reach(angular, way, twist[3:], acceleration[3:])
+    if turn_share < 1.0:
+        for k in range(3):
+            angular.way[k] = turn_share * angular.ahead[k]
+        task.rotation[:] = frame.rotation
+        turn_rotation_by_vector(angular.way, task.rotation)
+    return limited or share <= 1.0 or turn_share <= 1.0
+
+
+@compiled
+def _span_active_normals(columns: Records[Contact], axes: Matrix) -> int:
+    """Fill in orthogonal axes of active normals (Gram-Schmidt); return how many there are."""
+    count = 0
     for i in range(columns.shape[0]):
         if not columns[i].answer.active or columns[i].config.leader != i:
             continue
         normal = columns[i].normal
         axis = (normal[0], normal[1], normal[2])
-        for j in range(count):  # made orthogonal to those before (Gram-Schmidt)
+        for j in range(count):
             axis = component_across(axis, axes[j])
-        left = vector_length(axis)
-        if left > PARALLEL:
-            axis = divide_vector(axis, left)
-            axes[count] = axis
+        remaining = vector_length(axis)
+        if remaining > PARALLEL:
+            axes[count] = divide_vector(axis, remaining)
             count += 1
-            gap, way = component_across(gap, axis), component_across(way, axis)
-    limit.ahead[:] = gap
-    share = _limit_to_reach(limit.ahead, way, config.reach, twist[:3], acceleration[:3])
-    if share < 1.0:
-        add_scaled_vector(position, share - 1.0, gap)
-    turn, turned_way = limit.turned_way, twist[3:]
-    limit.turned_ahead[:] = rotation_vector(task.rotation, frame.rotation)
-    way = (
-        config.lead * turned_way[0],
-        config.lead * turned_way[1],
-        config.lead * turned_way[2],
-    )
-    turn_share = _limit_to_reach(
-        limit.turned_ahead, way, config.turn, twist[3:], acceleration[3:]
-    )
-    if turn_share < 1.0:
-        for k in range(3):
-            turn[k] = turn_share * limit.turned_ahead[k]
-        task.rotation[:] = frame.rotation
-        turn_rotation_by_vector(turn, task.rotation)
-    return limited or share <= 1.0 or turn_share <= 1.0
+    return count
 
 
 @compiled
 def _limit_to_reach(
-    gap: Vector,
+    part: ReferencePart,
     way: Triple,
-    reach: float,
-    twist: Vector,
+    velocity: Vector,
     acceleration: Vector,
 ) -> float:
     """
-    Return the share of a gap within reach, 2 if all is, with the way that its speed adds.
+    Return the share of the gap `ahead` of the arm that is within reach, 2 if all is.
 
-    The speed, `twist`, is reduced so that gap and way together are within reach: an arm that is
-    fast already is not braked by more than the reach asks for.
+    The velocity is reduced so that the gap and the `way` that it adds are within reach together:
+    an arm that is fast already is not braked by more than the reach asks for.
     """
-    squared = dot(gap, gap)
+    gap, reach = part.ahead, part.reach
+    squared, along, square = dot(gap, gap), dot(gap, way), dot(way, way)
     distance = np.sqrt(squared)
-    together = squared + 2.0 * dot(gap, way) + dot(way, way)
+    together = squared + 2.0 * along + square
     if not (distance > reach or together > reach * reach):
         return 2.0
     acceleration[:] = 0.0
     if distance >= reach:
-        twist[:] = 0.0
+        velocity[:] = 0.0
         return reach / distance
     # |gap + s way| = reach
-    along, square = dot(gap, way), dot(way, way)
-    share = (
-        np.sqrt(along * along + square * (reach * reach - squared)) - along
-    ) / square
+    root = np.sqrt(along * along + square * (reach * reach - squared))
+    share = (root - along) / square
     for k in range(3):
-        twist[k] *= share
+        velocity[k] *= share
     return 1.0

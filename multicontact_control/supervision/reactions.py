@@ -23,62 +23,60 @@ import numpy as np
 
 NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
 SEVERITY = (NONE, INFLATE, HOLD, FLOAT, DAMP)
-SAFE = (
-    'safe'  # the safe behaviour after a deactivation, which is no reaction to a fault
-)
-NUMBERS = {
-    name: -number for number, name in enumerate((*SEVERITY, SAFE), start=1)
-}  # the gate's
+# The safe behaviour after a deactivation, which is no reaction to a fault.
+SAFE = 'safe'
+# By which the gate tells what answers; a control law has a positive number.
+NUMBERS = {NONE: -1, INFLATE: -2, HOLD: -3, FLOAT: -4, DAMP: -5, SAFE: -6}
 SAFE_BEHAVIOURS = {
     'hold_position': HOLD,
     'gravity_compensation': DAMP,
     'zero_torque': SAFE,
 }
 COAST_TIME = 0.1  # s, in which an arm that cannot be seen any more is brought to rest
-DAMPING_RATE = (
-    5.0  # 1/s, of `damp` and gravity compensation: joint damping over inertia
-)
-DELAY_SHARE = (
-    0.3  # of 1 / w of a hold, which its delay is at most: 40 degrees of phase margin
-)
+# 1/s, of `damp` and gravity compensation: joint damping over inertia.
+DAMPING_RATE = 5.0
+# Of 1 / w of a hold, which its delay is at most: 40 degrees of phase margin.
+DELAY_SHARE = 0.3
+ESTIMATE_DELAY = 1.5  # periods, of a velocity that is estimated from positions
 FREE_FREQUENCY = 10.0  # rad/s, of what the operational point does not see of a posture
-LESS_DAMPING = (
-    0.5  # ratio to which the damping of a hold that shakes is reduced first...
-)
-SOFTER, SOFTEST_HOLD = (
-    0.8,
-    10.0,
-)  # ...then its natural frequency, by this factor, down to so many rad/s
-SETTLING_TIME = 0.2  # s that it is given to calm down
+# A hold that shakes is given less damping first (a ratio), then a lower natural frequency, by this
+# factor, down to so many rad/s; and so many s to calm down each time.
+LESS_DAMPING = 0.5
+SOFTER = 0.8
+SOFTEST_HOLD = 10.0
+SETTLING_TIME = 0.2
 UNLIKELY_TIME = 0.1  # s, for which velocities are not used after one was unlikely
 # A joint that turns round by more than SWING [rad/s] counts a turn, and forgets it within
 # TURN_TIME [s]. From TURNS of them on it shakes, 13 times a second or more; an arm that is held
 # by rigid drives does not swing so fast.
-SWING, TURN_TIME, TURNS = 0.05, 0.15, 4.0
-DIRECTION, EXTREME, TURNED = range(
-    3
-)  # rows of what is known of swings, one column per joint
+SWING = 0.05
+TURN_TIME = 0.15
+TURNS = 4.0
+DIRECTION, EXTREME, TURNED = range(3)  # rows of what is known of swings
 AHEAD = 0.2  # of v / w, by which an arm in motion is held ahead of where a hold begins
-RETURN_SPEED = (
-    0.05  # rad/s of each joint, at which a hold goes back to where the first one began
-)
+# rad/s of each joint, at which a hold goes back to where the first one began.
+RETURN_SPEED = 0.05
 RETURN_WAY = 0.05  # rad of a joint, beyond which it has gone somewhere else
-COMMANDED_WAY = (
-    5e-3  # m or rad of the reference since then, beyond which it was led elsewhere
-)
+# m or rad of the reference since then, beyond which it was led elsewhere.
+COMMANDED_WAY = 5e-3
 FADE_TIME = 0.5  # s, by which a contact's force fades while the wrench is not known
 DROP_TIME = 0.02  # s, in which the force on a surface that has gone is dropped
 DROPPED = 1e-3  # N m in every joint, below which that counts as done
 
 # Two reactions that take turns: so many changes, each forgotten within FLICKER_TIME [s], and the
 # severer one stays until nothing has called for it over CALM_TIME [s].
-FLICKERS, FLICKER_TIME, CALM_TIME = 3.5, 1.0, 0.5
+FLICKERS = 3.5
+FLICKER_TIME = 1.0
+CALM_TIME = 0.5
 
-RECOVERING, LATCHED = 'recovering', 'latched'
-WAITING = (RECOVERING,), (LATCHED,)  # causes of a control that has not resumed yet
+# Causes of a control that has not resumed yet.
+RECOVERING = 'recovering'
+LATCHED = 'latched'
+WAITING = (RECOVERING,), (LATCHED,)
 RELAPSE_TIME = 5.0  # s after control has resumed, in which a reaction is a relapse
 SOON = 1.0  # s, the same where readings are missing, which come and go by chance
-RELAPSES = 3  # in a row, of what the arm does or meets, after which control waits for an operator
+# In a row, of what the arm does or meets, after which control waits for an operator.
+RELAPSES = 3
 LONGEST_RECOVERY = 2.0  # s that all must be well, at most
 GROWTH = 3.0  # of the time that all must be well, from relapse to relapse
 # What comes from what the arm does and meets, and not from readings that are missing.
@@ -147,7 +145,8 @@ def count_reversals(rate: Vector, swings: Matrix, keep: float) -> float:
     `swings` has the rows above, shape (3, n), and is changed; `keep` is what is left of the count.
     """
     beyond = (rate - swings[EXTREME]) * swings[DIRECTION]
-    turns, goes_on = beyond < -SWING, beyond >= 0.0
+    turns = beyond < -SWING
+    goes_on = beyond >= 0.0
     swings[EXTREME] = np.where(turns | goes_on, rate, swings[EXTREME])
     swings[DIRECTION] = np.where(turns, -swings[DIRECTION], swings[DIRECTION])
     swings[TURNED] = keep * swings[TURNED] + turns
@@ -173,7 +172,8 @@ class Reactions:
 
     def __init__(self, config: ControllerConfig, controller: Controller) -> None:
         self._period = config.period
-        self._robot, self._contacts = controller.robot, controller.contacts
+        self._robot = controller.robot
+        self._contacts = controller.contacts
         self._added: Vector = controller.arm.joints['drive_gravity_torque']
         self._release_threshold = config.contact_state.release_threshold
         self._task: Records[Task] = controller.controls['task']
@@ -181,23 +181,24 @@ class Reactions:
         self._swings: Matrix = np.zeros((3, self._robot.joint_count))
         self._begin_swings()
         self._keep_turns = math.exp(-config.period / TURN_TIME)
-        self._stiffest, self._settling, self._unlikely = math.nan, 0.0, 0.0
+        self._stiffest = math.nan
+        self._settling_time = 0.0
+        self._unlikely_time = 0.0
         self.apply_config(config)
         self.forget_postures()
-        self._hold_posture(
-            controller.arm, controller.arm.velocity
-        )  # no tick is to wait for numba
+        velocity = controller.arm.velocity  # no tick is to wait for numba
+        self._hold_posture(controller.arm, velocity)
         self.forget_postures()
 
     def apply_config(self, config: ControllerConfig) -> None:
         """Set what follows from values that may change while the arm is controlled."""
         self.safe_behaviour = config.safe_behaviour
-        # A velocity that positions make up for comes 1.5 periods late.
-        delay = config.force.input_delay + 1.5 * config.period
+        delay = config.force.input_delay + ESTIMATE_DELAY * config.period
         stiffest = min(config.motion.natural_frequency, DELAY_SHARE / delay)
         if stiffest != self._stiffest:
-            self._frequency, self._damping = stiffest, 1.0
             self._stiffest = stiffest
+            self._frequency = stiffest
+            self._damping = 1.0
 
     def forget_postures(self) -> None:
         """Let the next hold be the first one."""
@@ -208,21 +209,23 @@ class Reactions:
     def end_reaction(self) -> None:
         """Control has resumed: the next reaction begins anew, and goes back if it comes soon."""
         self._posture: Vector | None = None
-        self._pressing: Matrix | None = (
-            None  # J^T N_i alpha_i of each contact, shape (n, r)
-        )
-        self._coasting = 0
+        # J^T N_i alpha_i of each contact, shape (n, r).
+        self._pressing: Matrix | None = None
+        self._coasting_ticks = 0
 
     def begin_pressing(self, answered: ControlOutput) -> None:
-        """Go on pressing with the forces of the contacts that were held at an answer."""
+        """
+        Go on pressing with the forces of the contacts that were held at an answer.
+
+        Each is the estimated force, between 0 and the desired one; a couple may have either sign.
+        """
         contacts = answered.contacts
         answer = contacts['answer']
-        couple = contacts['config']['leader'] != np.arange(len(contacts))
+        is_couple = contacts['config']['leader'] != np.arange(len(contacts))
         most = np.abs(answer['alpha_des'])
-        least = np.where(couple, -most, 0.0)
-        alpha = np.where(
-            answer['active'], np.clip(answer['alpha_est'], least, most), 0.0
-        )
+        least = np.where(is_couple, -most, 0.0)
+        forces = np.clip(answer['alpha_est'], least, most)
+        alpha = np.where(answer['active'], forces, 0.0)
         self._pressing = self._robot.terms.jacobian.T @ (contacts['N'].T * alpha)
 
     def keep_present_hold(self) -> None:
@@ -231,21 +234,20 @@ class Reactions:
 
     def return_to_first_hold(self) -> None:
         """Let a hold that begins be the first one, unless the arm was not led on since that."""
-        reference = np.concatenate(
-            [self._task['position'][0], self._task['rotation'][0].ravel()]
-        )
-        if self._reference is None or (
-            np.abs(reference - self._reference).max() > COMMANDED_WAY
-        ):
-            self.forget_postures()
-            self._reference = reference
+        position, rotation = self._task['position'][0], self._task['rotation'][0]
+        reference = np.concatenate([position, rotation.ravel()])
+        if self._reference is not None:
+            if np.abs(reference - self._reference).max() <= COMMANDED_WAY:
+                return
+        self.forget_postures()
+        self._reference = reference
 
     @property
     def presses_contact(self) -> bool:
         """Whether a contact is still pressed, since the law held it."""
-        return self._pressing is not None and bool(
-            (np.abs(self._pressing) > DROPPED).any()
-        )
+        if self._pressing is None:
+            return False
+        return bool((np.abs(self._pressing) > DROPPED).any())
 
     def reaction_torque(
         self,
@@ -262,25 +264,29 @@ class Reactions:
         `wrench_known` as of now; `rate` has the velocities that positions make up for, [rad/s],
         which are of another size where the clock is wrong: not `timed`, a hold is soft.
         """
-        self._coasting = self._coasting + 1 if reaction == FLOAT else 0
+        self._coasting_ticks += 1
+        if reaction != FLOAT:
+            self._coasting_ticks = 0
         if arm is None:
             return np.zeros(self._robot.joint_count)
-        does = SAFE_BEHAVIOURS[self.safe_behaviour] if reaction == SAFE else reaction
-        if does in (DAMP, SAFE):
+        behaviour = reaction
+        if reaction == SAFE:
+            behaviour = SAFE_BEHAVIOURS[self.safe_behaviour]
+        if behaviour == DAMP:
             self.forget_postures()  # it may be moved away
+            return _damping_torque(arm, DAMPING_RATE)
+        if behaviour == SAFE:
             # Zero is what is commanded: what the drives add goes on acting.
-            return (
-                _damping_torque(arm, DAMPING_RATE)
-                if does == DAMP
-                else self._added.copy()
-            )
+            self.forget_postures()
+            return self._added.copy()
         pressing = self._pressing_torque(wrench_known)
-        if does == HOLD:
+        if behaviour == HOLD:
             return self._hold_posture(arm, rate, timed=timed) + pressing
         self._posture = None  # wherever it has gone meanwhile
-        if self._coasting * self._period > COAST_TIME:
+        coasting_time = self._coasting_ticks * self._period
+        if coasting_time > COAST_TIME:
             self._first = None
-        fade = math.exp(-self._coasting * self._period / COAST_TIME)
+        fade = math.exp(-coasting_time / COAST_TIME)
         state = self._robot.update(arm.q, arm.velocity)
         braking = state.mass_matrix @ state.velocity * (fade / COAST_TIME)
         floating: Vector = state.gravity - braking + pressing
@@ -292,28 +298,32 @@ class Reactions:
         """Return the torque that keeps the arm where it is, or leads it back, shape (n,) [N m]."""
         if self._posture is None:
             # It goes on by 0.37 v / w, and comes back: less so if that is allowed for.
-            ahead = AHEAD / self._frequency if timed else 0.0
-            self._posture = arm.q + ahead * rate
+            self._posture = arm.q.copy()
+            if timed:
+                self._posture += AHEAD / self._frequency * rate
             self._begin_swings()
-        if (
-            self._first is None
-            or np.abs(self._first - self._posture).max() > RETURN_WAY
-        ):
+        if self._first is not None:
+            if np.abs(self._first - self._posture).max() > RETURN_WAY:
+                self._first = None
+        if self._first is None:
             self._first = self._posture.copy()
         step = RETURN_SPEED * self._period
         self._posture += np.clip(self._first - self._posture, -step, step)
         turns = count_reversals(rate, self._swings, self._keep_turns)
-        self._settling = max(self._settling - self._period, 0.0)
-        if turns > TURNS and not self._settling:
+        self._settling_time = max(self._settling_time - self._period, 0.0)
+        if turns > TURNS and not self._settling_time:
             self._soften_hold()
         # What may soon be refuted would push the arm: the estimate damps it already.
-        unlikely = np.abs(
-            arm.velocity - rate
-        ) > OFFSET_TOLERANCE + SHARE_TOLERANCE * np.abs(rate)
-        self._unlikely = (
-            UNLIKELY_TIME if unlikely.any() else self._unlikely - self._period
-        )
-        velocity = rate if self._unlikely > 0.0 else arm.velocity
+        tolerance = OFFSET_TOLERANCE + SHARE_TOLERANCE * np.abs(rate)
+        self._unlikely_time -= self._period
+        if (np.abs(arm.velocity - rate) > tolerance).any():
+            self._unlikely_time = UNLIKELY_TIME
+        velocity = arm.velocity
+        if self._unlikely_time > 0.0:
+            velocity = rate
+        frequency = self._frequency
+        if not timed:
+            frequency = min(frequency, FREE_FREQUENCY)
         terms = self._robot.terms
         return hold_torque(
             self._posture - arm.q,
@@ -321,7 +331,7 @@ class Reactions:
             arm.bias_torque,
             terms.mass_matrix,
             terms.jacobian,
-            self._frequency if timed else min(self._frequency, FREE_FREQUENCY),
+            frequency,
             self._damping,
             self._law,
         )
@@ -332,7 +342,7 @@ class Reactions:
 
     def _soften_hold(self) -> None:
         """Reduce what makes the rotors shake: damping by velocities that come late."""
-        self._settling = SETTLING_TIME
+        self._settling_time = SETTLING_TIME
         if self._damping > LESS_DAMPING:
             self._damping = LESS_DAMPING
         else:
@@ -364,16 +374,16 @@ class ReactionHysteresis:
     """Keeps to the severer of two reactions that take turns, as with joints that come and go."""
 
     def __init__(self, period: float) -> None:
-        self._keep, self._calm_ticks = (
-            math.exp(-period / FLICKER_TIME),
-            round(CALM_TIME / period),
-        )
+        self._keep = math.exp(-period / FLICKER_TIME)
+        self._calm_ticks_needed = round(CALM_TIME / period)
         self.reset()
 
     def reset(self) -> None:
         """Forget the past."""
-        self._before = self._severer = ''
-        self._changes, self._calm = 0.0, 0
+        self._before = ''
+        self._severer = ''
+        self._changes = 0.0
+        self._calm_ticks = 0
 
     def steady_reaction(self, reaction: str) -> str:
         """Return what answers a tick for which a reaction is called for, the law aside."""
@@ -385,19 +395,19 @@ class ReactionHysteresis:
                     reaction, self._before, self._severer, key=_rank_severity
                 )
         self._before = reaction
-        self._calm = (
-            self._calm + 1
-            if _rank_severity(reaction) < _rank_severity(self._severer)
-            else 0
-        )
-        if self._calm > self._calm_ticks:
+        self._calm_ticks += 1
+        if _rank_severity(reaction) >= _rank_severity(self._severer):
+            self._calm_ticks = 0
+        if self._calm_ticks > self._calm_ticks_needed:
             self._severer = ''
         return max(reaction, self._severer, key=_rank_severity)
 
 
 def _rank_severity(reaction: str) -> int:
     """Return how severe a reaction is, -1 for none that is known."""
-    return SEVERITY.index(reaction) if reaction in SEVERITY else -1
+    if reaction not in SEVERITY:
+        return -1
+    return SEVERITY.index(reaction)
 
 
 class RecoveryPolicy:
@@ -410,7 +420,8 @@ class RecoveryPolicy:
     """
 
     def __init__(self, recovery_time: float, period: float) -> None:
-        self._shortest, self._period = recovery_time, period
+        self._shortest = recovery_time
+        self._period = period
         self.reset()
 
     def reset(self) -> None:
@@ -421,16 +432,19 @@ class RecoveryPolicy:
 
     def unlatch_control(self) -> None:
         """Let control resume although it is latched; the next relapse is the first."""
-        self.latched, self._relapses = False, 0
+        self.latched = False
+        self._relapses = 0
 
     def note_reaction(self, causes: tuple[str, ...], tick: int) -> bool:
         """Take note of a reaction that begins at a tick of control; return if it is new."""
-        self.latched = (
-            self.latched or 'wrench_stray' in causes
-        )  # it presses on what is there
-        soon = RELAPSE_TIME if _is_physical(causes) else SOON
+        if 'wrench_stray' in causes:  # it presses on what is there
+            self.latched = True
+        soon = SOON
+        if _is_physical(causes):
+            soon = RELAPSE_TIME
         if (tick - self.resumed_at) * self._period > soon:
-            self._relapses, self._wait = 0, self._shortest
+            self._relapses = 0
+            self._wait = self._shortest
             return True
         self.note_relapse(causes)
         return False
@@ -446,7 +460,9 @@ class RecoveryPolicy:
         """Return what control still waits for after so many good ticks, if anything."""
         if self.latched:
             return (LATCHED,)
-        return (RECOVERING,) if good_ticks * self._period < self._wait else ()
+        if good_ticks * self._period < self._wait:
+            return (RECOVERING,)
+        return ()
 
 
 def _is_physical(causes: tuple[str, ...]) -> bool:

@@ -10,35 +10,31 @@ from multicontact_control.records import CONTACT, CONTROL
 from multicontact_control.supervision.checks import COLLISION
 import numpy as np
 
-EVENT_CAPACITY = (
-    1000  # events; a limit that comes and goes at every tick must not fill the memory
-)
+EVENT_CAPACITY = 1000  # a limit that comes and goes at every tick fills no memory
 
 
 class SupervisorStatus(NamedTuple):
     """What the supervisor did in a tick, and why; the same object as long as nothing changes."""
 
-    reaction: (
-        str  # ``none``, ``inflate`` (R), or ``hold``, ``float``, ``damp`` for the law
-    )
+    # ``none``, ``inflate`` (R), or ``hold``, ``float``, ``damp`` in place of the law.
+    reaction: str
     causes: tuple[str, ...] = ()  # what called for it
-    rejected: tuple[
-        str, ...
-    ] = ()  # what was wrong with readings, whether it called for it or not
+    rejected: tuple[str, ...] = ()  # what was wrong with readings of this tick
     limits: tuple[str, ...] = ()  # that were enforced
     contact_states: tuple[str, ...] = ()
-    unwatched: str = (
-        ''  # whose measured torques are of no use, and what is not watched therefore
-    )
-    read_before: tuple[
-        str, ...
-    ] = ()  # what was read of contacts before a touch, in words
+    unwatched: str = ''  # whose torques are of no use, and what is unwatched therefore
+    read_before: tuple[str, ...] = ()  # what was read before a touch, in words
 
 
 def make_empty_answer(joints: int, contacts: int) -> ControlOutput:
-    """Return the answer before anything is known."""
+    """
+    Return the answer before anything is known: no torque, and records of zeros.
+
+    Its frame and task have the axes of the world, so that they are rotations.
+    """
     controls = np.zeros(1, dtype=CONTROL)
-    controls['frame']['rotation'] = controls['task']['rotation'] = np.eye(3)
+    controls['frame']['rotation'] = np.eye(3)
+    controls['task']['rotation'] = np.eye(3)
     unknown = np.zeros(contacts, dtype=CONTACT)
     return ControlOutput(np.zeros(joints), controls.tobytes() + unknown.tobytes())
 
@@ -52,7 +48,7 @@ class EventLog:
     events
         Time [s] and what changed: the last ones, since these have the cause of the end.
     repeats
-        Ticks whose status was that of the tick before, since the last `note`.
+        Ticks with the status of the last `note_status`, itself counted.
     collisions
         Beginnings of them, by cause.
 
@@ -62,68 +58,65 @@ class EventLog:
         self.events: deque[tuple[float, str]] = deque(maxlen=EVENT_CAPACITY)
         self.collisions: Counter[str] = Counter()
         self.repeats = 0
-        self._status: SupervisorStatus | None = None  # of the newest tick
-        self._ticks: dict[str, Counter[str]] = {
-            name: Counter() for name in ('reaction', 'rejected', 'limits')
-        }
-        self._before: tuple[Any, ...] = ('', ())
+        self._status = SupervisorStatus('')  # of the newest tick
+        self._reactions: Counter[str] = Counter()
+        self._rejected: Counter[str] = Counter()
+        self._limits: Counter[str] = Counter()
 
     @property
     def reaction_counts(self) -> Counter[str]:
-        """Return in how many ticks there was each reaction."""
-        return self._counted()['reaction']
+        """In how many ticks there was each reaction."""
+        self._count_repeats()
+        return self._reactions
 
     @property
     def rejected_counts(self) -> Counter[str]:
-        """Return in how many ticks a reading was not used, by what was wrong with it."""
-        return self._counted()['rejected']
+        """In how many ticks a reading was not used, by what was wrong with it."""
+        self._count_repeats()
+        return self._rejected
 
     @property
     def limit_counts(self) -> Counter[str]:
-        """Return in how many ticks each limit was enforced."""
-        return self._counted()['limits']
+        """In how many ticks each limit was enforced."""
+        self._count_repeats()
+        return self._limits
 
-    def _counted(self) -> dict[str, Counter[str]]:
-        """Count the ticks of the newest status."""
-        status, ticks = self._status, self.repeats
+    def _count_repeats(self) -> None:
+        """Count the ticks of the newest status that have not been counted."""
+        ticks, status = self.repeats, self._status
         self.repeats = 0
-        if status is not None and ticks > 0:
-            self._ticks['reaction'][status.reaction] += ticks
-            for name, found in (
-                ('rejected', status.rejected),
-                ('limits', status.limits),
-            ):
-                for each in found:
-                    self._ticks[name][each] += ticks
-        return self._ticks
+        if ticks == 0:
+            return
+        self._reactions[status.reaction] += ticks
+        for fault in status.rejected:
+            self._rejected[fault] += ticks
+        for limit in status.limits:
+            self._limits[limit] += ticks
 
     def note_status(self, time: float, status: SupervisorStatus) -> None:
         """Take in the status of a tick that is not as the one before, at a time [s]."""
-        self._counted()
-        self._status, self.repeats = status, 1
-        now = (
-            status.reaction,
-            status.causes,
-            status.limits,
-            status.contact_states,
-            len(status.read_before),
-        )
-        if now == self._before:
+        self._count_repeats()
+        before, self._status, self.repeats = self._status, status, 1
+        if _what_happens(status) == _what_happens(before):
             return
         for cause in status.causes:
-            if cause.startswith(COLLISION) and cause not in self._before[1]:
+            if cause.startswith(COLLISION) and cause not in before.causes:
                 self.collisions[cause] += 1
-        self._before = now
-        self.events.append(
-            (
-                time,
-                ' | '.join(
-                    [
-                        status.reaction,
-                        ' '.join(status.causes + status.limits),
-                        ', '.join(status.contact_states),
-                        *status.read_before,
-                    ]
-                ),
-            )
-        )
+        parts = [
+            status.reaction,
+            ' '.join(status.causes + status.limits),
+            ', '.join(status.contact_states),
+            *status.read_before,
+        ]
+        self.events.append((time, ' | '.join(parts)))
+
+
+def _what_happens(status: SupervisorStatus) -> tuple[Any, ...]:
+    """Return what of a status is an event if it changes; what is read changes all the time."""
+    return (
+        status.reaction,
+        status.causes,
+        status.limits,
+        status.contact_states,
+        len(status.read_before),
+    )

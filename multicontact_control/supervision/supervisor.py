@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 
+from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.control.arm import ArmState, RELEASE
@@ -48,14 +49,11 @@ from multicontact_control.tick import ACT, SEE, tick, WORKSPACE
 import numpy as np
 
 LOGGER = logging.getLogger(__name__)
-STANDING_TIME = (
-    0.2  # s between two looks at what an arm that stands in a reaction weighs
-)
-SEEN_TIME = 0.05  # s, after which an arm that was not verdict is held again
-NAMED, UNNAMED = (
-    LIMITS | REFERENCE_LIMITED,
-    -1,
-)  # what a status names; nothing that could be the same
+# s between two looks at what an arm that stands in a reaction weighs.
+STANDING_TIME = 0.2
+SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
+NAMED = LIMITS | REFERENCE_LIMITED  # what a status names
+UNNAMED = -1  # equal to nothing that may be found
 CONTROLLED = (NONE, reactions.INFLATE)  # what the control law answers
 Answer = tuple[ControlOutput, SupervisorStatus | None]
 
@@ -88,10 +86,12 @@ class Supervisor:
         guarded: bool = True,
     ) -> None:
         self.guarded = guarded
-        self._robot, self._period = robot, config.period
+        self._robot = robot
+        self._period = config.period
         self._adds_gravity = config.robot.adds_gravity
         self.controller = controller = Controller(config, robot)
-        self._joints, self._controls = controller.arm.joints, controller.controls
+        self._joints = controller.arm.joints
+        self._controls = controller.controls
         self.task = ContactTask(config, source, controller, guarded=guarded)
         self.inputs = Inputs(config, controller, guarded=guarded)
         self.gate = TorqueGate(config, controller.arm, guarded=guarded)
@@ -102,12 +102,11 @@ class Supervisor:
         self._recovery = reactions.RecoveryPolicy(
             config.watchdog.recovery_time, config.period
         )
-        self._steadiness = reactions.ReactionHysteresis(config.period)
-        self._judgements: Records[checks.Judgement] = np.zeros(
-            1, dtype=checks.JUDGEMENT
-        )
-        self._judgement = self._judgements[0]
-        self._memory = controller.memory
+        self._hysteresis = reactions.ReactionHysteresis(config.period)
+        judgements: Records[checks.Judgement] = np.zeros(1, dtype=checks.JUDGEMENT)
+        self._judgement = judgements[0]
+        self._q = controller.arm.q
+        self._velocity = controller.arm.velocity
         self._records = (
             self._joints,
             self._controls,
@@ -115,16 +114,15 @@ class Supervisor:
             controller.laws,
             self.task.states,
             self.task.limits,
-            self._judgements,
+            judgements,
             self.gate.records,
             np.zeros(1, dtype=WORKSPACE),
-            controller.arm.q,
-            controller.arm.velocity,
+            self._q,
+            self._velocity,
         )
-        self._q, self._velocity = controller.arm.q, controller.arm.velocity
         self._torque_acts = self.gate.records['begun']
         self._states_changed = self.task.limits['changed']
-        self._reads_before = self.task.limits['has_free_readings']
+        self._has_free_readings = self.task.limits['has_free_readings']
         self._apply_config(config)
         self._run_stage(0)  # no stage, but compiled: no sample waits for it
         operational_wrench(self._controls[0], np.zeros(6))
@@ -140,27 +138,34 @@ class Supervisor:
         self.safe = False
         self.findings: tuple[str, ...] = ()
         self._causes: tuple[str, ...] = ()  # that these explain
-        self._failure = '', ''  # cause and text of an exception that is being answered
-        self._told: set[str] = set()  # causes of which an exception has been logged
+        # Cause and text of an exception that is being answered.
+        self._failure = '', ''
+        self._logged_causes: set[str] = set()  # of exceptions
         self._arm: ArmState | None = None  # once it was seen
         self._verdict = InputVerdict()
         self._set_wrench_known(False)
         self._reaction = NONE
-        self._named, self._status = UNNAMED, SupervisorStatus(NONE)
+        self._named = UNNAMED
+        self._status = SupervisorStatus(NONE)
         self._output = make_empty_answer(
             self._robot.joint_count, len(self.config.columns)
         )
 
     def _restart_law(self) -> None:
+        """Let the law begin with the task anew; relapses and holds are forgotten."""
         self.controller.reset()
         self.task.reset()
-        self._task_ticks = self._good_ticks = self._reacting = 0
+        self._task_ticks = 0
+        self._good_ticks = 0
+        self._reacting_ticks = 0
         self._judgement['contradictions'] = 0
-        self.started = self._paused = self._weighed = False
+        self.started = False
+        self._paused = False
+        self._weighed = False
         self._in_control = False  # whether the law has answered the sample before
         self._recovery.reset()
-        self._steadiness.reset()
-        self._trusted = False
+        self._hysteresis.reset()
+        self._operator_trusts_velocities = False
         self.reactions.forget_postures()
 
     def stop(self) -> None:
@@ -180,8 +185,11 @@ class Supervisor:
         try:
             if not self.guarded:
                 self._require_readings(inputs)
-            command = self.gate.last if self._torque_acts[0] else None
-            self._verdict = verdict = self.inputs.validate(inputs, command)
+            command = None
+            if self._torque_acts[0]:
+                command = self.gate.last
+            verdict = self.inputs.validate(inputs, command)
+            self._verdict = verdict
             if self.controller.tool is not self.controller.next_tool:
                 self.controller.change_tool()
             if verdict.joints_known:
@@ -190,11 +198,8 @@ class Supervisor:
                     self._allow_for_gravity()
             if verdict.wrench_is_current != self._wrench_known:
                 self._set_wrench_known(verdict.wrench_is_current)
-            if (
-                verdict is not ALL_VALID
-                or not self._in_control
-                or (not self.guarded and self.task.seeks)
-            ):
+            sees_first = not self._in_control or (not self.guarded and self.task.seeks)
+            if sees_first or verdict is not ALL_VALID:
                 return self._step_in_stages(verdict)
             self._part = 'law'
             self.task.update_wanted_task(self._task_ticks * self._period)
@@ -274,12 +279,16 @@ class Supervisor:
 
     def _name_alarms(self, found: int) -> tuple[str, ...]:
         """Name what is wrong with where the arm is and what touches it."""
-        causes = [cause for flag, cause in checks.TOO_FAST.items() if found & flag]
+        causes = []
+        for flag, cause in checks.TOO_FAST.items():
+            if found & flag:
+                causes.append(cause)
         if found & RESIDUAL_EXCEEDED and not self.task.locked:
             watch = self._joints['watch']
             beyond = np.abs(watch['residual']) > RELEASE * watch['threshold']
-            last = self.config.robot.joint_names[np.flatnonzero(beyond)[-1]]
-            causes.append(f'{checks.COLLISION}_{last}')
+            last_joint = np.flatnonzero(beyond)[-1]
+            name = self.config.robot.joint_names[last_joint]
+            causes.append(f'{checks.COLLISION}_{name}')
         return tuple(causes)
 
     def _answer_by_law(self, reaction: str, causes: tuple[str, ...]) -> Answer:
@@ -325,37 +334,35 @@ class Supervisor:
         if self.safe:
             return SAFE, causes
         if checks.VELOCITY_CONTRADICTED in causes:
-            self._trusted = False
-        elif self._verdict.velocities_refuted and not self._trusted:
+            self._operator_trusts_velocities = False
+        elif self.velocities_on_probation:
             # At rest nothing contradicts them: the arm is held by estimates from its positions.
             causes = (checks.VELOCITY_CONTRADICTED, *causes)
-        if self.started and not self._paused:
-            return checks.choose_severest_reaction(
-                causes, self.config
-            ) if causes else NONE, causes
         if self.guarded and not self.started and arm is not None:
             outside = outside_limits(self.config, arm.q, arm.pose.position_world)
             if outside:  # the limits would move it at once
-                causes, self.findings = (
-                    (*causes, 'start_outside'),
-                    self.findings or outside,
-                )
+                causes = (*causes, 'start_outside')
+                self.findings = self.findings or outside
         reaction = checks.choose_severest_reaction(causes, self.config)
-        if reaction in CONTROLLED and self._paused:
-            self._good_ticks += 1
-            if missing := self._recovery.waiting_causes(self._good_ticks):
-                # Joints that come and go are not held.
-                floats = (
-                    self._reaction == FLOAT
-                    and self._good_ticks * self._period < SEEN_TIME
-                )
-                return FLOAT if floats else HOLD, missing
-        return reaction, causes
+        if reaction not in CONTROLLED or not self._paused:
+            return reaction, causes
+        self._good_ticks += 1
+        waiting = self._recovery.waiting_causes(self._good_ticks)
+        if not waiting:
+            return reaction, causes
+        seen_time = self._good_ticks * self._period
+        if self._reaction == FLOAT and seen_time < SEEN_TIME:
+            return FLOAT, waiting  # joints that come and go are not held
+        return HOLD, waiting
 
     @property
     def velocities_on_probation(self) -> bool:
         """Whether velocities were refuted, and neither motion nor an operator says otherwise."""
-        return self.guarded and self.inputs.velocities_refuted and not self._trusted
+        return (
+            self.guarded
+            and self.inputs.velocities_refuted
+            and not self._operator_trusts_velocities
+        )
 
     def _resume_law(self) -> None:
         """Start the control law, or go on with it after a reaction."""
@@ -372,10 +379,12 @@ class Supervisor:
         self._judgement['resumes'] = False
         if self._paused:
             self.reactions.end_reaction()
-            self._causes = self.findings = ()
+            self._causes = ()
+            self.findings = ()
             if self.started:
                 self._recovery.resumed_at = self._task_ticks
-        self.started = self._in_control = True
+        self.started = True
+        self._in_control = True
         self._paused = False
 
     def _begin_torque(self) -> None:
@@ -402,11 +411,28 @@ class Supervisor:
 
     def _answer_by_reaction(self, reaction: str, causes: tuple[str, ...]) -> Answer:
         """Answer without the control law."""
-        arm, blind = self._arm, self._verdict.blind
-        if blind and arm is not None:
+        arm = self._arm
+        sees_arm = arm is not None and not self._verdict.blind
+        if arm is not None and not sees_arm:
             reaction = FLOAT  # what is not seen can be neither held nor slowed down
         if reaction != SAFE:
-            reaction = self._steadiness.steady_reaction(reaction)
+            reaction = self._hysteresis.steady_reaction(reaction)
+        self._note_causes(causes)
+        self._paused = True
+        self._in_control = False
+        self._begin_torque()
+        if reaction != SAFE:
+            self.gate.cancel_blend()
+        torque = self._compute_reaction(reaction, causes)
+        found = self.gate.apply_torque(
+            reactions.NUMBERS[reaction], torque, seen=sees_arm
+        )
+        if reaction == SAFE:
+            reaction = NONE
+        return self._report_tick(reaction, causes, found, controlled=False)
+
+    def _note_causes(self, causes: tuple[str, ...]) -> None:
+        """Explain causes that are new, count relapses, and weigh an arm that stands."""
         if causes not in reactions.WAITING:
             self._good_ticks = 0
             if causes != self._causes or not self.findings:
@@ -418,39 +444,33 @@ class Supervisor:
                 self.reactions.forget_postures()
             self.reactions.return_to_first_hold()
             self.reactions.begin_pressing(self._output)
-        self._reacting = self._reacting + 1 if self._paused else 0
-        if (
-            self._reacting % round(STANDING_TIME / self._period) == 1
-            and not self._weighed
-        ):
+        self._reacting_ticks += 1
+        if not self._paused:
+            self._reacting_ticks = 0
+        looks = self._reacting_ticks % round(STANDING_TIME / self._period) == 1
+        if looks and not self._weighed:
             gravity = self.explanations.gravity(self._causes)
             self._weighed = bool(gravity)
             self._add_finding(gravity)
-        self._paused, self._in_control = True, False
-        self._begin_torque()
-        if reaction != SAFE:
-            self.gate.cancel_blend()
-        with np.errstate(all='ignore'):  # the gate finds numbers that are not finite
-            # What blocks the arm may be what the contacts' forces press it against: they fade.
-            felt = (
-                self._wrench_known and not self.controller.arm.flags & RESIDUAL_EXCEEDED
+
+    def _compute_reaction(self, reaction: str, causes: tuple[str, ...]) -> Vector:
+        """
+        Return the torque of a reaction, shape (n,) [N m]; the gate finds numbers without sense.
+
+        What blocks the arm may be what the contacts' forces press it against: they fade. Without
+        guards, velocities and angles are used as they come.
+        """
+        presses_on = self._wrench_known
+        if self.controller.arm.flags & RESIDUAL_EXCEEDED:
+            presses_on = False
+        rate = self.controller.arm.velocity
+        if self.guarded:
+            rate = self.inputs.estimated_velocity
+        timed = not any(cause.startswith('clock') for cause in causes)
+        with np.errstate(all='ignore'):
+            return self.reactions.reaction_torque(
+                reaction, self._arm, presses_on, rate, timed=timed
             )
-            # Bare, velocities and angles are used as they come.
-            rate = (
-                self.inputs.estimated_velocity
-                if self.guarded
-                else self.controller.arm.velocity
-            )
-            timed = not any(cause.startswith('clock') for cause in causes)
-            torque = self.reactions.reaction_torque(
-                reaction, arm, felt, rate, timed=timed
-            )
-        found = self.gate.apply_torque(
-            reactions.NUMBERS[reaction], torque, seen=arm is not None and not blind
-        )
-        if reaction == SAFE:
-            reaction = NONE
-        return self._report_tick(reaction, causes, found, controlled=False)
 
     def _explain_causes(self, causes: tuple[str, ...]) -> tuple[str, ...]:
         """Return what is known about causes that have just begun."""
@@ -475,10 +495,12 @@ class Supervisor:
             self._verdict = InputVerdict(blind=True)
             return self._answer_by_reaction(FLOAT, (cause,))
         except Exception as second:  # the torque that acts goes on
-            again = self._log_exception(f'reaction_{type(second).__name__}', second)
-            self.findings = self._failure[1], again
+            text = self._log_exception(f'reaction_{type(second).__name__}', second)
+            self.findings = self._failure[1], text
             self._causes = (cause,)
-            self._paused, self._in_control, self._good_ticks = True, False, 0
+            self._paused = True
+            self._in_control = False
+            self._good_ticks = 0
             return self._report_tick(FLOAT, (cause,), 0, controlled=False)
         finally:
             self._failure = '', ''
@@ -486,11 +508,12 @@ class Supervisor:
     def _log_exception(self, cause: str, error: Exception) -> str:
         """Return what an exception says; the first of each cause is logged with its traceback."""
         text = ' '.join(f'{type(error).__name__}: {error}'.split())
-        if cause not in self._told:
-            self._told.add(cause)
-            # What is one of ours says all that there is to say.
-            trace = None if isinstance(error, MulticontactError) else error
-            LOGGER.error('%s: %s', cause, text, exc_info=trace)
+        if cause not in self._logged_causes:
+            self._logged_causes.add(cause)
+            traceback = None
+            if not isinstance(error, MulticontactError):  # ours say all that there is
+                traceback = error
+            LOGGER.error('%s: %s', cause, text, exc_info=traceback)
         return text
 
     def _report_tick(
@@ -509,30 +532,30 @@ class Supervisor:
         if self._arm is None:
             self._output = self._output._replace(torque=torque)
         else:
-            self._output = ControlOutput(torque, self._memory.tobytes())
+            self._output = ControlOutput(torque, self.controller.memory.tobytes())
         if not controlled:
             self._output = self._output.without_answer()
         if not self.guarded:
             return self._output, None
-        named, plain = found & NAMED, self._verdict is ALL_VALID and not causes
-        if (
-            self._reads_before[0]
-            or self._states_changed[0]
-            or not plain
-            or named != self._named
-        ):
+        named = found & NAMED
+        plain = self._verdict is ALL_VALID and not causes
+        changed = self._states_changed[0] or named != self._named
+        if changed or self._has_free_readings[0] or not plain:
             self._status = self._new_status(reaction, causes, named)
-            self._named = named if plain else UNNAMED
+            self._named = UNNAMED
+            if plain:
+                self._named = named
         return self._output, self._status
 
     def _new_status(
         self, reaction: str, causes: tuple[str, ...], named: int
     ) -> SupervisorStatus:
         """Return what was done in a tick in which something is not as in the one before."""
-        unwatched, read_before = '', tuple[str, ...]()
+        unwatched = ''
+        read_before: tuple[str, ...] = ()
         if self._verdict.efforts_unusable:
             unwatched = self.explanations.unwatched()
-        if self._reads_before[0]:
+        if self._has_free_readings[0]:
             read_before = self.task.read_before
         return SupervisorStatus(
             reaction,
@@ -574,7 +597,7 @@ class Supervisor:
         self.task.states['retry_requested'] |= given_up
         self._recovery.unlatch_control()
         self.reactions.keep_present_hold()
-        self._trusted = self.inputs.velocities_refuted
+        self._operator_trusts_velocities = self.inputs.velocities_refuted
         return bool(given_up.any()) or waited
 
 

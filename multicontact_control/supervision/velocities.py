@@ -25,18 +25,16 @@ import numpy as np
 HISTORY_STATES = 50  # joint states that are kept for an explanation
 EVIDENCE_TIME = 0.05  # s, in which evidence is forgotten
 OFFSET_TOLERANCE = 0.05  # rad/s by which a velocity may be wrong...
-SHARE_TOLERANCE = (
-    0.25  # ...beside this share of it, which is that of a driver's low-pass, too
-)
-LARGEST_UNREST = (
-    2.5  # rad/s that velocities go up and down beside the estimate in `EVIDENCE_TIME`
-)
+SHARE_TOLERANCE = 0.25  # ...beside this share of it, as of a driver's low-pass
+# rad/s that velocities go up and down beside the estimate in `EVIDENCE_TIME`, at most.
+LARGEST_UNREST = 2.5
 # Joint states, from the first on or in motion after wrong ones, that prove velocities.
 PROOF_STATES = 10
 PROVING = 0.02  # rad/s of a joint, from which on its motion may prove its velocity
 # The share of that rate, and rad/s beside it, by which such a velocity may miss the estimate; one
 # that misses it by twice as much begins anew.
-AGREEMENT, NEAR = 0.3, 0.01
+AGREEMENT = 0.3
+NEAR = 0.01
 TRACKING_POLE = 0.5  # of the tracking filter, per period
 EVEN = 1.5  # periods between two joint states, up to which they are evidence
 
@@ -114,53 +112,64 @@ def check_velocities(
         state.states = 0
     place = state.states % HISTORY_STATES
     state.states += 1
-    keep, contradicted, silent = np.exp(-span / EVIDENCE_TIME), False, True
+    keep = np.exp(-span / EVIDENCE_TIME)
+    contradicted = False
+    silent = True
     for j in range(tracks.shape[0]):
         track = tracks[j]
-        track.past_q[place], track.past_velocity[place] = track.q, track.velocity
+        track.past_q[place] = track.q
+        track.past_velocity[place] = track.velocity
         silent = silent and track.velocity == 0.0
-        doubt = 0.0
-        if (
-            not abs(track.velocity) <= fastest[j]
-        ):  # it says nothing, and refutes nothing
-            doubt = np.inf
+        impossible = not abs(track.velocity) <= fastest[j]
+        if impossible:  # it says nothing, and refutes nothing
             track.velocity = track.v_tracked
-        way = track.q - track.last_q
-        if evident:
-            predicted = track.q_tracked + span * track.v_tracked
-            track.q_tracked = predicted + (1.0 - TRACKING_POLE**2) * (
-                track.q - predicted
-            )
-            change = (1.0 - TRACKING_POLE) ** 2 / span * (track.q - predicted)
-            track.v_tracked += change
-            track.missed = (
-                keep * track.missed
-                + way
-                - (0.5 * span * (track.velocity + track.last_velocity))
-            )
-            track.way = keep * track.way + abs(way)
-            track.unrest = keep * track.unrest + (
-                abs(track.velocity - track.last_velocity - change)
-            )
-        else:
-            track.q_tracked = track.q
-            if follows:
-                track.v_tracked = way / span
-            track.missed = track.way = track.unrest = 0.0
+        _track_joint(track, span, keep, follows, evident)
         track.contradiction = max(
-            doubt,
             track.unrest / LARGEST_UNREST,
             abs(track.missed)
             / (OFFSET_TOLERANCE * EVIDENCE_TIME + SHARE_TOLERANCE * track.way),
         )
+        if impossible:
+            track.contradiction = np.inf
         contradicted = contradicted or track.contradiction > 1.0
     state.silent = silent and (state.silent or contradicted)
     if state.silent:
         contradicted = False
         for j in range(tracks.shape[0]):
-            track = tracks[j]
-            track.missed = track.unrest = track.contradiction = 0.0
+            tracks[j].missed = 0.0
+            tracks[j].unrest = 0.0
+            tracks[j].contradiction = 0.0
     return contradicted
+
+
+@compiled
+def _track_joint(
+    track: JointTrack, span: float, keep: float, follows: bool, evident: bool
+) -> None:
+    """
+    Track the newest position, and sum up what velocities miss; `keep` of the sums is left.
+
+    What is not `evident` (a state after a gap, or the first one) only starts the track anew.
+    """
+    way = track.q - track.last_q
+    if not evident:
+        track.q_tracked = track.q
+        if follows:
+            track.v_tracked = way / span
+        track.missed = 0.0
+        track.way = 0.0
+        track.unrest = 0.0
+        return
+    predicted = track.q_tracked + span * track.v_tracked
+    error = track.q - predicted
+    change = (1.0 - TRACKING_POLE) ** 2 / span * error
+    track.q_tracked = predicted + (1.0 - TRACKING_POLE**2) * error
+    track.v_tracked += change
+    told_way = 0.5 * span * (track.velocity + track.last_velocity)
+    swing = track.velocity - track.last_velocity - change
+    track.missed = keep * track.missed + way - told_way
+    track.way = keep * track.way + abs(way)
+    track.unrest = keep * track.unrest + abs(swing)
 
 
 @compiled
