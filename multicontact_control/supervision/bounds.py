@@ -45,18 +45,21 @@ SPEED_GAIN = 50.0  # 1/s, how fast a speed is brought back to the one that is al
 STOP_RATE = 20.0  # 1/s, of the way left: the speed that is allowed near a stop
 JOINT_BRAKING = 5.0  # rad/s^2 counted on farther away from it
 STOP_ZONE = 0.1  # rad before a stop, where a joint is always looked after
-WATCHED_SHARE = (
-    0.5  # of the speed that is allowed, from where on it is looked after elsewhere
-)
+# Of the speed that is allowed, from where on it is looked after elsewhere.
+WATCHED_SHARE = 0.5
 # sqrt(kg)^-1: square root of the smallest eigenvalue of Lambda^-1. Motion ends at the first, above
 # which Lambda is not damped (0.004 1/kg), and is looked after below the second.
-SINGULAR_ROOT, NEAR_SINGULAR_ROOT = 0.08, 0.24
-REACH_RATE = 5.0  # 1/s, of the way left to it: the rate that is allowed
+SINGULAR_ROOT = 0.08
+NEAR_SINGULAR_ROOT = 0.24
+REACH_RATE = 5.0  # 1/s, of the way that remains to it: the rate that is allowed
 # What a change of the accelerations costs: of contact points along their normals, of the
 # operational point, and of the joints in the metric of M. The orientation counts at a lever: what
 # is asked for, a motion or a turn, gives way before what is to stay.
-FORCE_COST, MOTION_COST, JOINT_COST = 1e4, 1.0, 1e-4  # s^4/m^2, s^4/m^2, 1/kg
-MOVING_LEVER, TURNING_LEVER = 0.3, 0.14  # m
+FORCE_COST = 1e4  # s^4/m^2
+MOTION_COST = 1.0  # s^4/m^2
+JOINT_COST = 1e-4  # 1/kg
+MOVING_LEVER = 0.3  # m
+TURNING_LEVER = 0.14  # m
 MOST_EXCHANGES = 60  # of a bound that counts for one that does not
 ROUNDING = 1e-12
 
@@ -143,7 +146,9 @@ def add_joint_bounds(joints: Records[Joint], rows: Matrix, bounds: Vector) -> in
         joint, limit = joints[j], joints[j].gate
         fastest = SPEED_SHARE * joint.config.gate_speed
         for side in (1.0, -1.0):
-            distance = limit.upper - joint.q if side > 0.0 else joint.q - limit.lower
+            distance = joint.q - limit.lower
+            if side > 0.0:
+                distance = limit.upper - joint.q
             closing = side * joint.velocity
             allowed = min(allowed_stop_speed(distance), fastest)
             if not (distance < STOP_ZONE or closing > WATCHED_SHARE * allowed):

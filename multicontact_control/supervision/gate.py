@@ -43,9 +43,8 @@ LIMIT_NAMES = {
 }
 JOINT_MARGIN = 0.02  # rad before its stop, where a joint comes to rest
 STEEPEST = 1.875  # largest slope of the quintic from 0 to 1
-LAW_BLEND_TIME = (
-    0.003  # s, time constant by which a change of active contacts or laws is blended
-)
+# s, time constant by which a change of active contacts or laws is blended.
+LAW_BLEND_TIME = 0.003
 FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
 
 
@@ -54,9 +53,8 @@ class GateConfig(Record, Protocol):
 
     guarded: bool  # whether motion and rates are limited
 
-    # H [s]; what is left of a difference that fades, per period.
-    period: float
-    keep: float
+    period: float  # h [s]
+    keep: float  # share of a difference that remains a period later
 
     # Of a commanded change: see `TransitionConfig`.
     blend_time: float
@@ -127,8 +125,10 @@ def blend_torque(
         duration = max(
             gate.config.blend_time, STEEPEST * largest / gate.config.blend_rate
         )
-        gate.pending, gate.blending = False, True
-        gate.elapsed, gate.duration = 0.0, np.ceil(duration / gate.config.period)
+        gate.pending = False
+        gate.blending = True
+        gate.elapsed = 0.0
+        gate.duration = np.ceil(duration / gate.config.period)
     elif gate.blending:
         gate.elapsed += 1.0
         missing = 1.0 - quintic_blend(gate.elapsed, gate.duration)[0]
@@ -138,14 +138,14 @@ def blend_torque(
     if law != gate.law and gate.begun:
         gate.fading = True
         for j in range(n):
-            joints[j].gate.faded_difference = (
-                joints[j].gate.commanded_torque - torque[j]
-            )
+            joint = joints[j].gate
+            joint.faded_difference = joint.commanded_torque - torque[j]
     elif gate.fading:
         largest = 0.0
         for j in range(n):
-            joints[j].gate.faded_difference *= gate.config.keep
-            largest = max(largest, abs(joints[j].gate.faded_difference))
+            joint = joints[j].gate
+            joint.faded_difference *= gate.config.keep
+            largest = max(largest, abs(joint.faded_difference))
         gate.fading = largest >= FADED
     gate.law = law
     if gate.fading:
@@ -192,7 +192,8 @@ def pass_gate(
         The `LIMITS` that were enforced.
 
     """
-    enforced, n = 0, joints.shape[0]
+    n = joints.shape[0]
+    enforced = 0
     torque = gate.torque[:n]
     for j in range(n):
         torque[j] = joints[j].answer.torque
@@ -221,12 +222,10 @@ def pass_gate(
             gate.space,
         )
     for j in range(n):
-        joint, last = joints[j], joints[j].gate.commanded_torque
+        joint = joints[j]
+        added, last = joint.drive_gravity_torque, joint.gate.commanded_torque
         limit, step = joint.config.torque_limit, joint.config.torque_step
-        clipped = min(
-            max(torque[j], joint.drive_gravity_torque - limit),
-            joint.drive_gravity_torque + limit,
-        )
+        clipped = min(max(torque[j], added - limit), added + limit)
         if clipped != torque[j]:
             enforced |= TORQUE_LIMITED
         slowed = clipped
@@ -243,15 +242,6 @@ def pass_gate(
 def limit_names(found: int) -> tuple[str, ...]:
     """Return the names of the limits that a tick has enforced."""
     return tuple(name for flag, name in LIMIT_NAMES.items() if found & flag)
-
-
-def make_gate_record(config: ControllerConfig, *, guarded: bool) -> Records[GateState]:
-    """Return one record of `GATE` as configured, before the first torque."""
-    gate = np.zeros(1, dtype=GATE_STATE)
-    settings = gate['config']
-    settings['guarded'], settings['period'] = guarded, config.period
-    settings['keep'] = math.exp(-config.period / LAW_BLEND_TIME)
-    return gate
 
 
 class TorqueGate:
@@ -278,19 +268,25 @@ class TorqueGate:
     def __init__(
         self, config: ControllerConfig, arm: ArmState, *, guarded: bool = True
     ) -> None:
-        self._arm, self._joints = arm, arm.joints
-        self.records: Records[GateState] = make_gate_record(config, guarded=guarded)
-        self._gate, self._begun = self.records[0], self.records['begun']
+        self._arm = arm
+        self._joints = arm.joints
+        self.records: Records[GateState] = np.zeros(1, dtype=GATE_STATE)
+        self._gate = self.records[0]
+        self._begun = self.records['begun']
+        settings = self.records['config']
+        settings['guarded'] = guarded
+        settings['period'] = config.period
+        settings['keep'] = math.exp(-config.period / LAW_BLEND_TIME)
         joints: Records[JointConfig] = self._joints['config']
-        rate = config.limits.torque_rate if guarded else ()
-        joints['torque_step'] = np.array(rate or np.inf) * config.period
+        joints['torque_step'] = np.inf
+        if guarded and config.limits.torque_rate:
+            joints['torque_step'] = np.array(config.limits.torque_rate) * config.period
         joints['gate_speed'] = config.limits.joint_speed or np.inf
         self.last: Vector = self._joints['gate']['commanded_torque']
         self.apply_config(config.transition)
         self.reset()
-        self.apply_torque(
-            -1, np.zeros(len(self._joints))
-        )  # no tick is to wait for numba
+        rest = np.zeros(len(self._joints))
+        self.apply_torque(-1, rest)  # no tick is to wait for numba
         self.reset()
 
     def apply_config(self, transition: TransitionConfig) -> None:
@@ -311,10 +307,8 @@ class TorqueGate:
 
     def begin_from(self, torque: Vector) -> None:
         """Go over from a torque, shape (n,) [N m], that acts before the first tick."""
-        limit, added = (
-            self._joints['config']['torque_limit'],
-            self._joints['drive_gravity_torque'],
-        )
+        limit = self._joints['config']['torque_limit']
+        added = self._joints['drive_gravity_torque']
         self.last[:] = np.clip(torque, added - limit, added + limit)
         self._gate['begun'] = True
         self.start_blend()
@@ -327,10 +321,8 @@ class TorqueGate:
     def cancel_blend(self) -> None:
         """Leave what has still to fade slowly to the fast way."""
         if self._gate['pending'] or self._gate['blending']:
-            self._gate['pending'] = self._gate['blending'] = self._gate['fading'] = (
-                False
-            )
-            self._gate['law'] = 0
+            for name in ('pending', 'blending', 'fading', 'law'):
+                self._gate[name] = 0
 
     def update_added_torque(self, added: Vector) -> None:
         """Take in what the drives add to a command [N m], which changes the torque that acts."""
