@@ -89,7 +89,11 @@ PLAUSIBILITY = record_dtype(Plausibility)
 
 
 class Judgement(Record, Protocol):
-    """How answers have been judged; one."""
+    """
+    How answers have been judged; one.
+
+    A single sample whose wrench contradicts the contacts is bridged, a second one is refused.
+    """
 
     plausibility: Plausibility
 
@@ -245,7 +249,11 @@ def judge_answer(
 
 
 def name_refusal_cause(found: int) -> str:
-    """Return the cause by which an answer is refused: its numbers, or what is wrong with them."""
+    """
+    Return the cause by which an answer is refused.
+
+    Numbers that are not finite come first: a wrench can be told wrong by finite ones only.
+    """
     for flag, cause in WRONG_WRENCH.items():
         if found & flag and not found & ANSWER_NOT_FINITE:
             return cause

@@ -72,7 +72,7 @@ PARALLEL = 1e-6  # length that remains of a normal that the others span already
 
 
 class TaskLimitsConfig(Record, Protocol):
-    """What bounds a task."""
+    """What bounds a task: the contacts, the lead of the reference, and the box."""
 
     # Whether these, and contact states, apply; if not, the task is as wanted.
     guarded: bool

@@ -114,7 +114,13 @@ ROUNDING_TIME = 1e-9  # s, below which a duration is not exceeded
 
 
 class ContactState(Record, Protocol):
-    """The supervised state of one contact."""
+    """
+    The supervised state of one contact.
+
+    What the task asks for, where the tip is led while it does not press, what is read without a
+    touch, and how the force has answered the motion since it is seen; see the module for the
+    states. A couple shares the state of its normal force and uses few of the fields.
+    """
 
     state: int  # one of those above
     losses: int  # how often it was lost since it was first wanted

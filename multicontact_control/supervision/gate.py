@@ -49,7 +49,7 @@ FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
 
 
 class GateConfig(Record, Protocol):
-    """What is set for the gate."""
+    """What is set for the gate: whether it bounds the motion, and how it blends."""
 
     guarded: bool  # whether motion and rates are limited
 

@@ -79,7 +79,12 @@ MOST_COMMANDS = 12  # that are kept: two more than the longest `collision.comman
 
 
 class InputSettings(Record, Protocol):
-    """What the input stage is set to; one."""
+    """
+    What the input stage is set to; one.
+
+    Ages and periods in which readings are in order, numbers that are possible, bounds of R, and
+    the low-pass of the wrench, all in the units that the checks compare.
+    """
 
     guarded: bool  # whether only what is valid is handed over, or all as it came
     period: float  # [s]
@@ -130,7 +135,12 @@ class ReadingStamps(Record, Protocol):
 
 
 class WrenchState(Record, Protocol):
-    """What the wrenches before have been like; one."""
+    """
+    What the wrenches before have been like; one.
+
+    A wrench is compared with these: equal ones are frozen, one that is far from the last, by what
+    usually changes from one to the next, is an outlier. The memory of the low-pass is here, too.
+    """
 
     newest: Annotated[Vector, 6]  # that was no outlier [N, N m]
     last: Annotated[Vector, 6]  # that was taken, NaN before the first [N, N m]
@@ -157,7 +167,11 @@ class WrenchState(Record, Protocol):
 
 
 class TorqueState(Record, Protocol):
-    """The measured and commanded torques of one joint."""
+    """
+    The measured and commanded torques of one joint.
+
+    Where none is measured, the command of `collision.command_delay` periods ago has acted.
+    """
 
     last: float  # measured one that was not 0, inf before the first [N m]
 
@@ -178,7 +192,12 @@ class RecentWrench(Record, Protocol):
 
 
 class InputState(Record, Protocol):
-    """What the input stage remembers; one."""
+    """
+    What the input stage remembers from tick to tick; one.
+
+    Stamps tell whether a reading is new, tracks whether positions and velocities agree, torques
+    which of the measured and commanded ones acted in the period before.
+    """
 
     time: float  # of the newest tick, NaN before the first [s]
     odd_periods: int  # in a row that are too long or too short
@@ -222,7 +241,11 @@ class InputFindings(Record, Protocol):
 
 
 class InputStage(Record, Protocol):
-    """All that the input stage works on; one."""
+    """
+    All that the input stage works on; one.
+
+    Python writes `sample`, and reads `found` where something is not as it should be.
+    """
 
     sample: Input
     settings: InputSettings

@@ -40,7 +40,12 @@ EVEN = 1.5  # periods between two joint states, up to which they are evidence
 
 
 class JointTrack(Record, Protocol):
-    """The positions and velocities of one joint."""
+    """
+    The positions and velocities of one joint.
+
+    The newest two readings, the estimate of the tracking filter, and sums of the evidence against
+    the velocities, which fade within `EVIDENCE_TIME`.
+    """
 
     # The newest reading: an angle that wraps goes on, and the estimate stands in for a
     # velocity that is no possible number; NaN before the first [rad], [rad/s].
