@@ -67,7 +67,12 @@ MAX_BOUNDS = 2 * MAX_JOINTS + 6
 
 
 class BoundSpace(Record, Protocol):
-    """What `bound_motion` works in; one."""
+    """
+    What `bound_motion` works in, so that nothing is allocated; one.
+
+    Rows R and bounds b say R a <= b of the accelerations a; the least change x of these costs
+    x^T H x, see `fill_change_cost`.
+    """
 
     # See `add_joint_bounds`.
     rows: Annotated[Matrix, MAX_BOUNDS, MAX_JOINTS]
@@ -92,17 +97,18 @@ class BoundSpace(Record, Protocol):
     cost: Annotated[Matrix, MAX_JOINTS, MAX_JOINTS]
     row: Annotated[Vector, MAX_JOINTS]
 
-    # In.
+    # See `solve_least_change`: H = root root^T, Z = root^-1 R^T, and G = Z^T Z.
     root: Annotated[Matrix, MAX_JOINTS, MAX_JOINTS]
     Z: Annotated[Matrix, MAX_JOINTS, MAX_BOUNDS]
 
-    # `solve_least_change`.
     G: Annotated[Matrix, MAX_BOUNDS, MAX_BOUNDS]
     basis: Annotated[Matrix, MAX_BOUNDS, MAX_BOUNDS]
 
     factor: Annotated[Matrix, MAX_BOUNDS, MAX_BOUNDS]
-    slack: Annotated[Vector, MAX_BOUNDS]
-    counts: Annotated[Bytes, MAX_BOUNDS]
+    response: Annotated[Vector, MAX_BOUNDS]  # G y [rad/s^2]
+    counts: Annotated[
+        Bytes, MAX_BOUNDS
+    ]  # 1 for a bound whose multiplier may be above 0
 
 
 BOUND_SPACE = record_dtype(BoundSpace)
@@ -261,14 +267,11 @@ def solve_least_change(n: int, m: int, space: BoundSpace) -> bool:
     shape (m, n), `excess` e, shape (m,); `multipliers` y, shape (m,), and `change` x, shape (n,),
     are filled in.
     """
-    rows, excess, multipliers = (
-        space.rows[:m, :n],
-        space.excess[:m],
-        space.multipliers[:m],
-    )
+    rows, excess, change = space.rows[:m, :n], space.excess[:m], space.change[:n]
+    multipliers, response = space.multipliers[:m], space.response[:m]
     root, Z, G = space.root[:n, :n], space.Z[:n, :m], space.G[:m, :m]
-    basis, factor, slack = space.basis[:m, :m], space.factor[:m, :m], space.slack[:m]
-    counts, change = space.counts, space.change[:n]
+    basis, factor = space.basis[:m, :m], space.factor[:m, :m]
+    counts = space.counts[:m]
     if not cholesky(space.cost[:n, :n], root, 0.0):
         return False
     Z[:] = rows.T
@@ -289,15 +292,8 @@ def solve_least_change(n: int, m: int, space: BoundSpace) -> bool:
         if not cholesky(basis, factor, 0.0):
             return False
         solve_cholesky(factor, multipliers)
-        multiply_vector(G, multipliers, slack)
-        wrong = -1
-        for i in range(m):
-            tolerance = ROUNDING * (1.0 + abs(excess[i]))
-            if (counts[i] and multipliers[i] < 0.0) or (
-                not counts[i] and slack[i] - excess[i] < -tolerance
-            ):
-                wrong = i
-                break
+        multiply_vector(G, multipliers, response)
+        wrong = _find_wrong_bound(counts, multipliers, response, excess)
         if wrong < 0:
             for j in range(n):
                 change[j] = -dot(rows[:, j], multipliers)
@@ -305,6 +301,22 @@ def solve_least_change(n: int, m: int, space: BoundSpace) -> bool:
             return True
         counts[wrong] = 1 - counts[wrong]
     return False
+
+
+@compiled
+def _find_wrong_bound(
+    counts: Bytes, multipliers: Vector, response: Vector, excess: Vector
+) -> int:
+    """Return the first bound that counts and pulls, or is passed and does not count; or -1."""
+    for i in range(excess.shape[0]):
+        if counts[i]:
+            wrong = multipliers[i] < 0.0
+        else:
+            tolerance = ROUNDING * (1.0 + abs(excess[i]))
+            wrong = response[i] - excess[i] < -tolerance
+        if wrong:
+            return i
+    return -1
 
 
 @compiled
@@ -380,7 +392,8 @@ def bound_motion(
     """
     n = joints.shape[0]
     rows, bounds = space.rows[:, :n], space.bounds
-    stops = count = add_joint_bounds(joints, rows, bounds)
+    stops = add_joint_bounds(joints, rows, bounds)
+    count = stops
     nearly_singular = by_task and control.frame.mobility < NEAR_SINGULAR_ROOT**2
     if count == 0 and not nearly_singular:
         return 0
@@ -415,5 +428,8 @@ def bound_motion(
     enforced = 0
     for i in range(count):
         if space.multipliers[i] > 0.0:
-            enforced |= JOINT_BOUNDED if i < stops else SINGULARITY_BOUNDED
+            if i < stops:
+                enforced |= JOINT_BOUNDED
+            else:
+                enforced |= SINGULARITY_BOUNDED
     return enforced
