@@ -372,7 +372,7 @@ def _build_readers(config: ControllerConfig) -> dict[topics.Topic, MessageReader
         names=robot.joint_names,
         fields=('position',),
         optional=('velocity',),
-        partial=('effort',) if robot.measures_torque else (),
+        unchecked=('effort',) if robot.measures_torque else (),
     )
     readers = {
         topics.NOISE_VARIANCE: partial(

@@ -177,7 +177,7 @@ def test_efforts_of_some_joints_are_read_beside_those_that_are_no_numbers():
         'names': JOINTS,
         'fields': JOINT_FIELDS[:1],
         'optional': JOINT_FIELDS[1:2],
-        'partial': JOINT_FIELDS[2:],
+        'unchecked': JOINT_FIELDS[2:],
     }
     reader = MessageReader(JointState, partial(messages.read_named_vectors, **fields))
     message = six()
