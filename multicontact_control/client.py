@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 import time
 
+from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Vector
 from multicontact_control.config import LimitsConfig
 from multicontact_control.contact.geometry import placed_way
-from multicontact_control.control.tasks import quintic, shortest_duration
+from multicontact_control.control.tasks import shortest_duration
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, RunError
 from multicontact_control.nodes import messages, topics
@@ -20,7 +21,7 @@ from multicontact_control.nodes.link import (
 )
 from multicontact_control.nodes.messages import ControllerStatus, new_identifier
 from multicontact_control.supervision.command_limits import check_position
-from multicontact_control.supervision.contacts import HOLDING, NAMES
+from multicontact_control.supervision.contacts import HOLDING, STATE_NAMES
 from multicontact_control.supervision.reactions import INFLATE, LATCHED, NONE
 import numpy as np
 from numpy.typing import ArrayLike
@@ -252,7 +253,7 @@ class MultiContactClient(ControllerLink):
                 continue
             interrupted = 0.0
             elapsed += advance
-            s, ds, dds = quintic(elapsed, duration)
+            s, ds, dds = quintic_blend(elapsed, duration)
             point = messages.motion_message(
                 start.position_desired + s * way[:3],
                 (Rotation.from_rotvec(s * way[3:]) * turn).as_quat(),
@@ -359,7 +360,7 @@ class MultiContactClient(ControllerLink):
         )
         missing = [] if _is_controlled(status) else [status.text]
         for name, force in status.forces.items():
-            off, held = abs(measured[name] - force), NAMES[HOLDING]
+            off, held = abs(measured[name] - force), STATE_NAMES[HOLDING]
             state = status.contact_states.get(name, held)
             if status.forces[name.partition('/')[0]] == 0.0:
                 continue  # a couple acts while its contact does

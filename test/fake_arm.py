@@ -10,7 +10,7 @@ from multicontact_control.nodes.graph import (
     ignore_message,
     take_message,
 )
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 from rclpy.qos import QoSProfile
@@ -43,7 +43,7 @@ class FakeArm:
         self._middleware = middleware
         node = middleware.node
         self.config = controller_config()
-        self.state = RobotModel(self.config.robot, config_dir()).update(
+        self.state = RobotModel(self.config.robot, find_config_folder()).update(
             HOME, np.zeros(6)
         )
         self.weight = weight_reading(

@@ -240,7 +240,7 @@ def test_move_in_a_reaction_that_waits_for_an_operator_raises_place_and_cause(
 ):
     reached(arm, table=8.0, board=4.0)
     start = arm.read()
-    command = arm.command
+    command = arm.command_until_answered
 
     def latched(*given):
         return replace(
@@ -250,7 +250,7 @@ def test_move_in_a_reaction_that_waits_for_an_operator_raises_place_and_cause(
             text='hold instead of control: latched',
         )
 
-    monkeypatch.setattr(arm, 'command', latched)
+    monkeypatch.setattr(arm, 'command_until_answered', latched)
     with pytest.raises(
         NotReachedError,
         match=(

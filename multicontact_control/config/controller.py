@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from operator import attrgetter
 from typing import Literal
 
+from multicontact_control.choices import LawName
 from multicontact_control.config.base import (
     Config,
     NonNegativeVector,
@@ -20,7 +21,7 @@ from multicontact_control.config.contact import (
     KINDS,
     SUFFIXES,
 )
-from multicontact_control.config.force import ForceConfig, LawName, VarianceBoundsConfig
+from multicontact_control.config.force import ForceConfig, VarianceBoundsConfig
 from multicontact_control.config.robot import (
     RobotConfig,
     SensorFrontEndConfig,
@@ -32,7 +33,7 @@ from multicontact_control.config.supervision import (
     LimitsConfig,
     WatchdogConfig,
 )
-from multicontact_control.errors import ConfigError, counted
+from multicontact_control.errors import ConfigError, format_count
 
 MAX_DELAY_PERIODS = 10
 FASTEST_MOMENTUM = 0.4  # bandwidth per rate: the residual is a mean over some samples
@@ -176,7 +177,7 @@ class ControllerConfig(Config):
             count = len(attrgetter(name)(self))
             if count not in (0, joints):
                 yield ConfigError(
-                    name, f'{counted(joints, "values")}, one per joint', count
+                    name, f'{format_count(joints, "values")}, one per joint', count
                 )
         for name in ('sensor.frozen_ticks', 'watchdog.frozen_joint_ticks'):
             if attrgetter(name)(self) == 1:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
-    add,
-    between,
+    add_vector,
     cross,
     dot,
-    multiply,
-    rotated,
+    multiply_vector,
+    rotate_vector,
     solve_lower,
+    vector_between,
     velocity_at,
 )
 from multicontact_control.arrays import Matrix, Vector
@@ -28,12 +28,12 @@ from multicontact_control.dynamics.operational_space import (
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.flags import (
-    AMBIGUOUS,
+    FORCES_AMBIGUOUS,
     JOINT_SPEED,
-    NO_NUMBERS,
+    MODEL_NOT_FINITE,
     OPERATIONAL_SPEED,
-    PASSED,
-    TOUCHED,
+    RESIDUAL_CLEARED,
+    RESIDUAL_EXCEEDED,
 )
 from multicontact_control.records import (
     Contact,
@@ -105,8 +105,8 @@ def observe_momentum(
     """
     momentum, frame, tool = control.momentum, control.frame, control.tool
     n, elapsed, wrench = joints.shape[0], momentum.elapsed, space.wrench
-    to_com = rotated(frame.sensor_rotation, tool.com_sensor)
-    to_sensor = between(frame.position, frame.sensor_position)
+    to_com = rotate_vector(frame.sensor_rotation, tool.com_sensor)
+    to_sensor = vector_between(frame.position, frame.sensor_position)
     lever = to_com[0] + to_sensor[0], to_com[1] + to_sensor[1], to_com[2] + to_sensor[2]
     velocity = velocity_at(frame.twist, lever)  # of the tool's centre of mass
     if elapsed > 0.0:
@@ -114,14 +114,14 @@ def observe_momentum(
         if not momentum.config.is_input:
             operational_wrench(control, wrench)
             # Of what the sensor feels, the arm's model has the tool's inertia already.
-            change = between(momentum.com_velocity, velocity)
+            change = vector_between(momentum.com_velocity, velocity)
             inertia = (
                 -tool.mass * change[0] / elapsed,
                 -tool.mass * change[1] / elapsed,
                 -tool.mass * change[2] / elapsed,
             )
-            add(wrench[:3], inertia)
-            add(wrench[3:], cross(lever, inertia))
+            add_vector(wrench[:3], inertia)
+            add_vector(wrench[3:], cross(lever, inertia))
         for i in range(n):
             space.felt[i] = dot(jacobian[:, i], wrench)
             space.inertial[i] = 0.0
@@ -277,10 +277,10 @@ def wrench_of_residual(
     for i in range(n):
         reduced[i] = joints[i].watch.residual
     solve_lower(inertia.L[:n, :n], reduced)
-    multiply(inertia.Y[:n].T, reduced, space.acceleration)
-    multiply(inertia.Lambda, space.acceleration, space.wrench)
-    control.wrench[:3] = rotated(rotation.T, space.wrench[:3])
-    control.wrench[3:] = rotated(rotation.T, space.wrench[3:])
+    multiply_vector(inertia.Y[:n].T, reduced, space.acceleration)
+    multiply_vector(inertia.Lambda, space.acceleration, space.wrench)
+    control.wrench[:3] = rotate_vector(rotation.T, space.wrench[:3])
+    control.wrench[3:] = rotate_vector(rotation.T, space.wrench[3:])
 
 
 @compiled
@@ -319,13 +319,14 @@ def update_arm_state(
     Returns
     -------
     int
-        The sum of NO_NUMBERS, OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS, TOUCHED and PASSED.
+        The sum of MODEL_NOT_FINITE, OPERATIONAL_SPEED, JOINT_SPEED, FORCES_AMBIGUOUS,
+        RESIDUAL_EXCEEDED and RESIDUAL_CLEARED.
 
     """
     frame, flags = control.frame, 0
     for j in range(joints.shape[0]):
         if not np.isfinite(bias_torque[j]):
-            return NO_NUMBERS
+            return MODEL_NOT_FINITE
     for j in range(joints.shape[0]):
         joint = joints[j]
         joint.watch.previous_velocity = joint.velocity
@@ -338,7 +339,7 @@ def update_arm_state(
     frame.rotation[:] = rotation
     frame.sensor_position[:] = sensor_position
     frame.sensor_rotation[:] = sensor_rotation
-    multiply(jacobian, velocity, frame.twist)
+    multiply_vector(jacobian, velocity, frame.twist)
     speed, turn = frame.twist[:3], frame.twist[3:]
     if dot(speed, speed) > frame.config.speed_limit**2 or (
         dot(turn, turn) > frame.config.turn_limit**2
@@ -346,13 +347,13 @@ def update_arm_state(
         flags |= OPERATIONAL_SPEED
     if control.momentum.config.bandwidth > 0.0:
         if observe_momentum(control, joints, mass_matrix, jacobian, space):
-            flags |= TOUCHED
+            flags |= RESIDUAL_EXCEEDED
         if follow_touch(control.momentum, joints):
-            flags |= PASSED
+            flags |= RESIDUAL_CLEARED
         if control.momentum.config.is_input:
             wrench_of_residual(control, joints, mass_matrix, jacobian, space)
     if not measure_contacts(control, contacts, space.contacts):
-        flags |= AMBIGUOUS
+        flags |= FORCES_AMBIGUOUS
     return flags
 
 
@@ -407,7 +408,7 @@ class ArmState:
     @property
     def finite(self) -> bool:
         """Whether the model gave finite numbers; if not, the arm is where it was before."""
-        return not self.flags & NO_NUMBERS
+        return not self.flags & MODEL_NOT_FINITE
 
     def refresh(self) -> bool:
         """Take in what has been written into `motion`; return whether the model is `finite`."""

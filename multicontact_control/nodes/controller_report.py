@@ -31,7 +31,12 @@ from multicontact_control.nodes.messages import (
     STATE,
 )
 from multicontact_control.sampling import NANOSECONDS, SampleTiming
-from multicontact_control.supervision.contacts import GIVEN_UP, LOST, NAMES, RETRACTING
+from multicontact_control.supervision.contacts import (
+    GIVEN_UP,
+    LOST,
+    RETRACTING,
+    STATE_NAMES,
+)
 from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
 from multicontact_control.supervision.report import SupervisorStatus
 from rclpy.serialization import serialize_message
@@ -40,7 +45,7 @@ LOG_INTERVAL = 5 * NANOSECONDS  # ns, between two warnings of one kind
 STATE_INTERVAL = 20_000_000  # ns, between two messages on a state that changes
 # ns, between two equal answers: motions are commanded at the control rate.
 ANSWER_INTERVAL = 100_000_000
-TROUBLED_STATES = (NAMES[LOST], NAMES[RETRACTING], NAMES[GIVEN_UP])
+TROUBLED_STATES = (STATE_NAMES[LOST], STATE_NAMES[RETRACTING], STATE_NAMES[GIVEN_UP])
 FEWEST_SAMPLES = 10  # from which a rate is known
 WRONG_RATE_FACTOR = 1.3  # between the rate of the stamps and that of the configuration
 NO_STATUS = SupervisorStatus(NONE)  # before the first sample, and bare
@@ -218,7 +223,7 @@ class ControllerReport:
         if state.contact_states != before.contact_states:
             names = self._loop.config.contact_names
             for name, contact_state in zip(names, state.contact_states):
-                if contact_state == NAMES[GIVEN_UP]:
+                if contact_state == STATE_NAMES[GIVEN_UP]:
                     self._warn(
                         f'given up {name}',
                         f'{name}: given up, until it is commanded or '
@@ -513,9 +518,9 @@ class ControllerReport:
             **log.collisions,
         }
         for kind, counts in (
-            ('ticks with', log.reactions),
-            ('rejected', log.rejected),
-            ('limited', log.limited),
+            ('ticks with', log.reaction_counts),
+            ('rejected', log.rejected_counts),
+            ('limited', log.limit_counts),
         ):
             for name, count in counts.items():
                 if name != NONE:

@@ -11,7 +11,7 @@ from typing import Any
 
 from multicontact_control.config import Config, parameter
 from multicontact_control.errors import ConfigError, MulticontactError
-from multicontact_control.files import write_json
+from multicontact_control.files import replace_json_file
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.private import RcutilsLogger
 from multicontact_control.nodes.runtime import loaded_kernels, shorten_ros_error
@@ -57,12 +57,12 @@ class StartupConfig(Config):
         """Write the counts and times of a run, if asked to."""
         if self.timing_file:
             kernels = loaded_kernels()
-            write_json(
+            replace_json_file(
                 Path(self.timing_file),
                 {
                     **counts,
                     'cpu_s': time.process_time(),
-                    'kernels_compiled': kernels.compiled_here() if kernels else 0,
+                    'kernels_compiled': kernels.count_compilations() if kernels else 0,
                 },
             )
 

@@ -21,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Pose, Transform, Twist, WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.control.tasks import MotionReading
-from multicontact_control.errors import counted, MessageError
+from multicontact_control.errors import format_count, MessageError
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from numpy.typing import ArrayLike
@@ -72,18 +72,18 @@ def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
         If the values are no numbers, too few or too many, not in one row or not finite.
 
     """
-    in_one_row = f'{counted(length, "values")} in one row'
+    in_one_row = f'{format_count(length, "values")} in one row'
     try:
         numbers = np.array(values)
     except ValueError:  # rows of different lengths
         raise MessageError(field, in_one_row, repr(values)) from None
     if numbers.dtype.kind not in NUMBERS:
-        expected = f'{counted(length, "values")} that are numbers'
+        expected = f'{format_count(length, "values")} that are numbers'
         raise MessageError(field, expected, repr(values))
     if numbers.ndim != 1:
         raise MessageError(field, in_one_row, f'an array of shape {numbers.shape}')
     if numbers.size != length:
-        raise MessageError(field, counted(length, 'values'), f'{numbers.size}')
+        raise MessageError(field, format_count(length, 'values'), f'{numbers.size}')
     numbers = numbers.astype(np.float64)
     if not math.isfinite(sum(numbers.tolist())):
         raise MessageError(field, 'finite numbers', numbers.tolist())
@@ -195,7 +195,7 @@ def read_named_vectors(
                 vector = None
         if vector is None and field in fields:
             raise MessageError(
-                field, counted(len(given), 'finite values'), values.tolist()
+                field, format_count(len(given), 'finite values'), values.tolist()
             )
         vectors.append(vector)
     return stamp_to_ns(message.header.stamp), *vectors

@@ -23,7 +23,7 @@ from multicontact_control.config.base import (
     sets_parameter,
     validate,
 )
-from multicontact_control.errors import check_all, ConfigError, MulticontactError
+from multicontact_control.errors import ConfigError, MulticontactError, run_all_checks
 from multicontact_control.nodes.private import parameter_overrides
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
@@ -131,7 +131,7 @@ class ParameterSet:
                 key, f'a known parameter ({", ".join(known)})', f"unknown '{key}'"
             )
 
-        return check_all(
+        return run_all_checks(
             *(partial(refuse, key) for key in values if key not in known),
             *(
                 partial(

@@ -17,7 +17,7 @@ import traceback
 from typing import Any
 
 from multicontact_control.errors import ConfigError, MulticontactError, RunError
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.process import settle_process
 import rclpy
 from rclpy.duration import Duration
@@ -80,7 +80,7 @@ def start_ros(args: Sequence[str] | None, **options: Any) -> None:
     # Without it the graph would announce itself to the whole network.
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault(
-        'FASTRTPS_DEFAULT_PROFILES_FILE', str(config_dir() / 'fastdds.xml')
+        'FASTRTPS_DEFAULT_PROFILES_FILE', str(find_config_folder() / 'fastdds.xml')
     )
     if not os.access(os.environ.get('ROS_HOME') or os.environ.get('HOME', ''), os.W_OK):
         os.environ.setdefault(
@@ -115,7 +115,7 @@ def run_node(make_node: Callable[[], Any]) -> int:
         start_ros(None)
         check_command_line(program, make_node)
         kernels = loaded_kernels()
-        kept = kernels.cache_folder() if kernels else None
+        kept = kernels.find_cache_folder() if kernels else None
         if kernels and not (kept and os.listdir(kept)):
             print(
                 f'{program}: compiling the numerical kernels: this takes a while, once; '

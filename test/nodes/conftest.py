@@ -4,7 +4,7 @@ from multicontact_control.nodes import diagnostics, lifecycle
 from multicontact_control.nodes.controller_node import ControllerNode
 from multicontact_control.nodes.link import ServiceClientNode
 from multicontact_control.nodes.runtime import Spinner
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.graph.domain import reserve_domain
 import pytest
 from ros_graph import Middleware
@@ -58,7 +58,7 @@ class Host(Middleware):
             cli_args=[
                 '--ros-args',
                 '--params-file',
-                str(config_dir() / 'controller.yaml'),
+                str(find_config_folder() / 'controller.yaml'),
                 *options,
             ],
         )

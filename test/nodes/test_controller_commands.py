@@ -3,7 +3,7 @@
 from fake_arm import FakeArm, PARAMETERS
 from geometry_msgs.msg import Transform
 from multicontact_control.errors import RunError
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 import numpy as np
 import pytest
 from ros_graph import wait_for
@@ -25,7 +25,7 @@ def arm(module_middleware):
         *PARAMETERS,
         'transition.torque_rate:=100.0',
         'transition.blend_time:=0.02',
-        files=(config_dir() / 'controller.yaml',),
+        files=(find_config_folder() / 'controller.yaml',),
         flags=('--autostart',),
     )
     arm = FakeArm(module_middleware)

@@ -15,7 +15,7 @@ from multicontact_control.nodes.parameters import (
     ParameterSet,
 )
 from multicontact_control.nodes.private import parameter_overrides
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.parameter_file import write_parameters
 from multicontact_control.runs.scenario import (
     dotted,
@@ -28,7 +28,7 @@ from rclpy.parameter import Parameter
 from sim_bridge.new_robot import new_robot
 import yaml
 
-CONTROLLER_FILE = config_dir() / 'controller.yaml'
+CONTROLLER_FILE = find_config_folder() / 'controller.yaml'
 
 
 class Gains(Config):
