@@ -360,10 +360,10 @@ def choose_fed_force(law: ForceLaw, contact: Contact, K_2: float) -> float:
 
     The estimate, as published; or the desired force; or, mixed, as much of the desired one as the
     surface lets it act before the loop does, g = min(1, K_2^2 / (2 k N^T Lambda^-1 N)). The
-    measured one if the contact is `guarded`: what a surface that has gone does not bear would go
-    to the other contacts.
+    measured one where the contact says `use_measured_force`: what a surface that has gone does not
+    bear would go to the other contacts.
     """
-    if contact.guarded or law.fed == MEASURED:
+    if contact.use_measured_force or law.fed == MEASURED:
         return (
             contact.alpha_meas
             if contact.config.kind != FORCE
