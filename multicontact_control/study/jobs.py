@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Protocol
 
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.files import finite, read_json, write_json
-from multicontact_control.judging.display import count_bar
+from multicontact_control.judging.display import make_count_bar
 from multicontact_control.runs.compilation import ensure_compiled
 from multicontact_control.runs.scenario import resolve, Setup
 from multicontact_control.study.measure import measure_run
@@ -162,7 +162,7 @@ def run_jobs(
     if todo:
         ensure_compiled()  # here once, not in every worker at once
     with (
-        count_bar(console) as progress,
+        make_count_bar(console) as progress,
         closing(_outcomes(todo, workers, client)) as outcomes,
     ):
         bar = progress.add_task(title, total=len(jobs), completed=len(done))
