@@ -6,7 +6,7 @@ from functools import cached_property
 import math
 from typing import Any, NamedTuple
 
-from multicontact_control.arrays import Mask, stretches, Vector
+from multicontact_control.arrays import find_true_stretches, Mask, Vector
 from multicontact_control.config import ForceConfig
 from multicontact_control.judging.oscillation import (
     bridge_gaps,
@@ -14,7 +14,7 @@ from multicontact_control.judging.oscillation import (
     Oscillation,
 )
 from multicontact_control.judging.run_series import (
-    longer_stretches,
+    find_long_stretches,
     Push,
     rms_within,
     RunSeries,
@@ -104,7 +104,7 @@ class ContactMetrics:
         """Where the force is not known for more than 0.1 s, shape (m,)."""
         data = self.run.data
         unknown = np.zeros(data.ticks, dtype=bool)
-        for begin, end in stretches(np.isnan(self.force)):
+        for begin, end in find_true_stretches(np.isnan(self.force)):
             unknown[begin:end] = end - begin > LONGEST_GAP * data.rate
         return unknown
 
@@ -180,7 +180,7 @@ class ContactMetrics:
     def _find_time_within(self, error: Vector, band: float) -> float | None:
         """Return from when on an error [N] stays within a band for 0.1 s [s], None if never."""
         rate = self.run.data.rate
-        held = longer_stretches(np.abs(error) <= band, round(BAND_HELD * rate))
+        held = find_long_stretches(np.abs(error) <= band, round(BAND_HELD * rate))
         return held[0][0] / rate if held else None
 
     def rise_over_design(self, step: StepResponse | None) -> float | None:
@@ -263,7 +263,7 @@ class ContactMetrics:
         if self.is_couple:
             couple = np.abs(bridge_gaps(self.force, rate))
             lost = ~lost & (couple >= SHARE_AT_ONE_END * normal_force)
-        return longer_stretches(self.pressed & lost, LOSS_TIME * rate - 1e-9)
+        return find_long_stretches(self.pressed & lost, LOSS_TIME * rate - 1e-9)
 
     def find_lost_share(self, window: Mask) -> float | None:
         """Return in what share of a window the force was 0 N; None for a couple."""
@@ -275,7 +275,7 @@ class ContactMetrics:
     def oscillations(self) -> list[Oscillation]:
         """Where the force oscillates under load, in each stretch in which it is known."""
         found = []
-        for begin, end in stretches(~self.unknown):
+        for begin, end in find_true_stretches(~self.unknown):
             judged = np.zeros(self.run.data.ticks, dtype=bool)
             judged[begin:end] = self.pressed[begin:end]
             found += find_oscillations(
@@ -338,9 +338,9 @@ class ContactMetrics:
         list
             Of each push whose answer is known `duration` [s]; `moving`, whether it comes in
             motion; `peak`, the largest error of the force until the next event [N]; and
-            `recovery`, the time from the end of the push, or from the start of a lasting one, until the error
-            stays within a band for 0.1 s [s]. `recovery` is None if the error did not, or the run
-            was unstable by then.
+            `recovery`, the time from the end of the push, or from the start of a lasting one,
+            until the error stays within a band for 0.1 s [s]. `recovery` is None if the error did
+            not, or the run was unstable by then.
 
         """
         answers = (

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from multicontact_control.errors import counted
+from multicontact_control.errors import format_count
 from multicontact_control.judging.metrics import describe_unknown_truth
 from multicontact_control.judging.run_modes import (
     EXTERNAL_RUN,
@@ -210,7 +210,7 @@ def print_claims(console: Console, claims: Sequence[Mapping[str, Any]]) -> None:
     others = len(claims) - len(judged)
     if others:
         console.print(
-            f'{counted(others, "claims")} not judged by one run: `multicontact study '
+            f'{format_count(others, "claims")} not judged by one run: `multicontact study '
             'compare` has the runs that they are about'
         )
 
@@ -261,11 +261,11 @@ def _list_timing_lines(summary: Mapping[str, Any]) -> list[str]:
         lines.append(f'{timing["realtime_factor"]:.2f} times real time')
     unanswered = timing.get('unanswered_samples')
     if unanswered:
-        text = f'warning: {counted(unanswered, "samples")} not answered'
+        text = f'warning: {format_count(unanswered, "samples")} not answered'
         lines.append(_mark_up(text, OTHER_COLOUR))
     lost = timing.get('lost_messages')
     if lost:
-        text = f'warning: {counted(lost, "messages")} lost'
+        text = f'warning: {format_count(lost, "messages")} lost'
         lines.append(_mark_up(text, OTHER_COLOUR))
     return lines
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import signal
 from typing import Any, TYPE_CHECKING
 
-from multicontact_control.compiled import compiled_here
+from multicontact_control.compiled import count_compilations
 from multicontact_control.config import merge, validate
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.files import finite, write_json
+from multicontact_control.files import replace_json_file, replace_nonfinite_numbers
 from multicontact_control.judging.claims import judge_claims_of_run
 from multicontact_control.judging.display import print_summary, show_progress
 from multicontact_control.judging.figure_files import draw_figures
@@ -78,7 +78,7 @@ def simulate_run(
         result.data,
         setup,
         mode=IN_PROCESS,
-        timing={'kernels_compiled': compiled_here()},
+        timing={'kernels_compiled': count_compilations()},
         ended_early=result.ended_early,
         events=result.events if supervised else None,
     )
@@ -287,6 +287,6 @@ def _leave_results(
     claims = judge_claims_of_run(data, setup, summary)
     summary['claims'] = [claim._asdict() for claim in claims]
     draw_figures(RunMetrics(data, setup), summary, folder / FIGURE_FOLDER)
-    write_json(folder / SUMMARY_FILE, finite(summary))
+    replace_json_file(folder / SUMMARY_FILE, replace_nonfinite_numbers(summary))
     print_summary(CONSOLE, summary, folder)
     return summary

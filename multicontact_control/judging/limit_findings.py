@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 import math
 from typing import NamedTuple
 
-from multicontact_control.arrays import Mask, stretches
+from multicontact_control.arrays import find_true_stretches, Mask
 from multicontact_control.judging.contact_metrics import ContactMetrics
 from multicontact_control.judging.metrics import RunMetrics, torque_limit
 from multicontact_control.judging.run_modes import (
@@ -87,7 +87,7 @@ def _find_saturation(run: RunMetrics) -> Iterator[Finding]:
     text = 'torque saturated'
     if by_drives.any():
         text += ' at the limit of the simulated drives'
-    when = stretches(np.asarray(saturated.any(axis=1)))
+    when = find_true_stretches(np.asarray(saturated.any(axis=1)))
     yield from _find_lasting(run.data, text, when)
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from multicontact_control.arrays import Mask, Matrix, stretches, Vector
+from multicontact_control.arrays import find_true_stretches, Mask, Matrix, Vector
 import numpy as np
 from scipy.signal import periodogram
 
@@ -97,7 +97,7 @@ def find_oscillations(
     oscillates, frequency, rms = np.array(lines).T
     covered = np.convolve(oscillates, np.ones(STRETCH)) > 0.0
     episodes = []
-    for begin, end in stretches(covered):
+    for begin, end in find_true_stretches(covered):
         inside = begin + np.flatnonzero(oscillates[begin:end])
         recognised = starts[begin + STRETCH - 1] + length - 1
         samples = starts[end - 1] + length - starts[begin]
@@ -155,7 +155,7 @@ def bridge_gaps(values: Vector, rate: float) -> Vector:
         return values
     samples = np.arange(len(values))
     filled = np.interp(samples, samples[~missing], values[~missing])
-    for begin, end in stretches(missing):
+    for begin, end in find_true_stretches(missing):
         at_an_end = begin == 0 or end == len(values)
         if at_an_end or end - begin > LONGEST_BRIDGE * rate:
             filled[begin:end] = np.nan

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.errors import counted
-from multicontact_control.files import write_text
+from multicontact_control.errors import format_count
+from multicontact_control.files import replace_text_file
 from multicontact_control.judging.claims import Claim
 from multicontact_control.judging.panels import (
     Panel,
@@ -139,7 +139,7 @@ def write_page(path: Path, title: str, body: str) -> None:
             f'<script>{_read_asset("uPlot.iife.min.js")}</script>'
             f'<script>{_read_asset("figures.js")}</script>'
         )
-    write_text(
+    replace_text_file(
         path,
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<title>{escape(title)}</title><style>{_read_asset("page.css")}</style>'
@@ -196,11 +196,14 @@ def render_claims(claims: Mapping[str, Sequence[Claim]]) -> str:
     head = ('claim', 'in the paper', *map(escape, claims), 'expected')
     page = render_table(head, judged, numbers_from=len(head))
     if others:
-        page += render_details(
-            f'{counted(len(others), "claims")} not judged: `multicontact study compare` has the '
-            'runs that they are about',
-            render_table(('claim', 'in the paper', 'expected'), others, numbers_from=3),
+        title = (
+            f'{format_count(len(others), "claims")} not judged: `multicontact study compare` '
+            'has the runs that they are about'
         )
+        table = render_table(
+            ('claim', 'in the paper', 'expected'), others, numbers_from=3
+        )
+        page += render_details(title, table)
     return page
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from multicontact_control.arrays import Mask, stretches
+from multicontact_control.arrays import find_true_stretches, Mask
 from multicontact_control.judging.contact_metrics import ContactMetrics
 from multicontact_control.judging.metrics import NO_TRUTH, RunMetrics
 from multicontact_control.judging.panels import (
@@ -164,6 +164,6 @@ def list_shaded_spans(run: RunMetrics) -> list[ShadedSpan]:
     pause = np.ones(round(LONGEST_PAUSE * run.data.rate), dtype=bool)
     spans = []
     for name, window in windows.items():
-        for begin, end in stretches(binary_closing(window, pause) | window):
+        for begin, end in find_true_stretches(binary_closing(window, pause) | window):
             spans.append(ShadedSpan(name, float(time[begin]), float(time[end - 1])))
     return spans

@@ -7,7 +7,7 @@ from functools import cached_property
 import math
 from typing import Any, NamedTuple
 
-from multicontact_control.arrays import Mask, Matrix, stretches, Vector
+from multicontact_control.arrays import find_true_stretches, Mask, Matrix, Vector
 from multicontact_control.judging.oscillation import bridge_gaps
 from multicontact_control.runs.recording import Missing, RunData
 from multicontact_control.runs.scenario import Setup
@@ -213,6 +213,8 @@ def rms_within(window: Mask, values: Vector) -> float | None:
     return statistic_within(window, values, _find_rms)
 
 
-def longer_stretches(mask: Mask, least: float) -> list[tuple[int, int]]:
+def find_long_stretches(mask: Mask, least: float) -> list[tuple[int, int]]:
     """Return first sample and end of every stretch of True of at least `least` samples."""
-    return [(begin, end) for begin, end in stretches(mask) if end - begin >= least]
+    return [
+        (begin, end) for begin, end in find_true_stretches(mask) if end - begin >= least
+    ]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.files import finite, read_json
+from multicontact_control.files import read_json_file, replace_nonfinite_numbers
 from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.run_folders import SUMMARY_FILE
 from multicontact_control.judging.supervisor_events import count_losses, LogLine
@@ -90,7 +90,9 @@ def summarise_run(
         'ended_early': ended_early or None,
         'claims': [],
         'without_truth': run.list_without_truth(),
-        'missing': finite([{'from_s': begin, 'to_s': end} for begin, end in missing]),
+        'missing': replace_nonfinite_numbers(
+            [{'from_s': begin, 'to_s': end} for begin, end in missing]
+        ),
         'remarks': all_remarks,
         'commanded_by_topic': setup.commanded_by_topic,
         'supervised': events is not None,
@@ -131,7 +133,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
             'one without, which did not come to its end',
             hint='`multicontact report` reads what was recorded',
         )
-    summary = read_json(path)
+    summary = read_json_file(path)
     if not isinstance(summary, dict) or summary.get('schema') != SCHEMA:
         raise ConfigError(str(path), f'the summary of a run (schema {SCHEMA})')
     return summary

@@ -10,7 +10,7 @@ from multicontact_control.judging.run_series import RunSeries
 from multicontact_control.supervision import contacts
 from multicontact_control.supervision.gate import LIMIT_NAMES
 from multicontact_control.supervision.reactions import INFLATE, NONE
-from multicontact_control.supervision.report import CAPACITY
+from multicontact_control.supervision.report import EVENT_CAPACITY
 import numpy as np
 
 # A contact is lost, or the supervisor steps in, too often if it happens more than 5 times within
@@ -22,13 +22,13 @@ LARGEST_HELD_SHARE = 0.05
 REFERENCE_LIMIT = 'reference'  # a slow reference, which is no intervention
 
 TOUCHING_STATES = (
-    contacts.NAMES[contacts.IMPACT],
-    contacts.NAMES[contacts.HOLDING],
+    contacts.STATE_NAMES[contacts.IMPACT],
+    contacts.STATE_NAMES[contacts.HOLDING],
 )
 LOST_STATES = (
-    contacts.NAMES[contacts.LOST],
-    contacts.NAMES[contacts.RETRACTING],
-    contacts.NAMES[contacts.GIVEN_UP],
+    contacts.STATE_NAMES[contacts.LOST],
+    contacts.STATE_NAMES[contacts.RETRACTING],
+    contacts.STATE_NAMES[contacts.GIVEN_UP],
 )
 
 LogLine = tuple[float, str]  # time [s], and what changed
@@ -93,9 +93,9 @@ def list_interventions(run: RunSeries, log: Sequence[LogLine]) -> list[str]:
         return []
     events = [read_event(*line) for line in log]
     lines = []
-    if len(events) == CAPACITY:
+    if len(events) == EVENT_CAPACITY:
         lines.append(
-            f'the supervisor changed something {CAPACITY} times or more: what it did '
+            f'the supervisor changed something {EVENT_CAPACITY} times or more: what it did '
             f'before {events[0].time:.3g} s is not known'
         )
     times = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from multicontact_control.arrays import stretches
+from multicontact_control.arrays import find_true_stretches
 from multicontact_control.judging.limit_findings import list_findings
 from multicontact_control.judging.metrics import describe_unknown_truth, RunMetrics
 from multicontact_control.judging.quality import describe_quality
@@ -171,7 +171,7 @@ def _explain_unjudged(run: RunMetrics, ended_early: str) -> str:
                 f'{contact.name}: its force could be judged for {100.0 * known:.0f} % of '
                 'the time under load'
             )
-        unknown = stretches(contact.pressed & contact.unknown)
+        unknown = find_true_stretches(contact.pressed & contact.unknown)
         if unknown:
             rate = run.data.rate
             gaps = [
