@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from multicontact_control.config import ControllerConfig
-from multicontact_control.contact.geometry import misread_friction
+from multicontact_control.contact.geometry import find_misread_friction
 from multicontact_control.contact.resolution import resolutions, SPREAD
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.loop import ControlLoop
@@ -544,7 +544,7 @@ def _list_unreadable_forces(
     """Return which forces friction or the noise of the sensor spoil with the tool as it is."""
     warnings = []
     rotation = output.pose.rotation_world
-    for name, column, gain in misread_friction(config, output.contacts, rotation):
+    for name, column, gain in find_misread_friction(config, output.contacts, rotation):
         warnings.append(
             f'1 N of friction at {name} is read as {gain:.1f} N at {column}: give '
             f'contacts.{name}.friction_std'
