@@ -24,7 +24,7 @@ from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.config.supervision import ContactStateConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import STILL, Task, TaskSource
-from multicontact_control.dynamics.rotations import Pose, rotation_vector
+from multicontact_control.dynamics.rotations import Pose, rotation_vector_between
 from multicontact_control.records import (
     Contact,
     Control,
@@ -457,7 +457,7 @@ def _advance_reference(limit: TaskLimits, frame: Frame, task: TaskRecord) -> boo
     """
     linear, angular, lead = limit.linear, limit.angular, limit.config.lead
     linear.way[:] = vector_between(limit.position, task.position)
-    angular.way[:] = rotation_vector(task.rotation, limit.rotation)
+    angular.way[:] = rotation_vector_between(task.rotation, limit.rotation)
     if not limit.catching_up:
         moves_on = _is_task_step(linear, task.twist[:3], lead)
         turns_on = _is_task_step(angular, task.twist[3:], lead)
@@ -681,7 +681,7 @@ def _limit_reference(
     share = _limit_to_reach(linear, way, twist[:3], acceleration[:3])
     if share < 1.0:
         add_scaled_vector(position, share - 1.0, gap)
-    angular.ahead[:] = rotation_vector(task.rotation, frame.rotation)
+    angular.ahead[:] = rotation_vector_between(task.rotation, frame.rotation)
     way = (lead * twist[3], lead * twist[4], lead * twist[5])
     turn_share = _limit_to_reach(angular, way, twist[3:], acceleration[3:])
     if turn_share < 1.0:
