@@ -64,7 +64,7 @@ OBSERVER = record_dtype(Observer)
 
 
 class ObserverSpace(Record, Protocol):
-    """What `observe` works in; one."""
+    """What `observe_force` works in; one."""
 
     half: Annotated[Matrix, MAX_STATES, MAX_STATES]  # Phi_n P
 
@@ -214,7 +214,7 @@ def command_rest(observers: Records[Observer]) -> None:
 
 
 @compiled
-def predict(observer: Observer, space: ObserverSpace) -> None:
+def predict_state(observer: Observer, space: ObserverSpace) -> None:
     """
     Predict state and covariance of the next sample, in a record of `OBSERVER`.
 
@@ -254,7 +254,7 @@ def predict(observer: Observer, space: ObserverSpace) -> None:
 
 
 @compiled
-def correct(
+def correct_prediction(
     observer: Observer,
     innovation: float,
     noise_variance: float,
@@ -268,8 +268,8 @@ def correct(
     difference of two nearly equal numbers: the variance of the measured state stays positive
     however far R drops. Where the model of the surface damps, C = (1, c / k, 0, ...).
 
-    `observer` is a record of `OBSERVER` after `predict`; innovation y - C x_1 [N], R_k [N^2];
-    `space` is a record of `OBSERVER_SPACE`.
+    `observer` is a record of `OBSERVER` after `predict_state`; innovation y - C x_1 [N],
+    R_k [N^2]; `space` is a record of `OBSERVER_SPACE`.
     """
     n, tau = observer.design.states, observer.design.damping_time
     P, covariance = observer.P, space.covariance
@@ -298,7 +298,7 @@ def correct(
 
 
 @compiled
-def command(observer: Observer, alpha_des: float) -> float:
+def command_acceleration(observer: Observer, alpha_des: float) -> float:
     """
     Return u_k = L_1 f_des - [L_r 1] [x_est; p_est] (P04 eq. 36), and keep r = L_1 f_des.
 
@@ -331,7 +331,7 @@ def continue_observers_after_pause(
 
 
 @compiled
-def observe(
+def observe_force(
     observer: Observer,
     contact: Contact,
     measured: bool,
@@ -357,12 +357,14 @@ def observe(
         P[1, 1] += rate * rate
         observer.running = True
     else:
-        predict(observer, space)
+        predict_state(observer, space)
         if measured:
             answer.prior_variance = P[0, 0] + tau * (2.0 * P[0, 1] + tau * P[1, 1])
             answer.innovation = contact.alpha_meas - (x_1[0] + tau * x_1[1])
             answer.variance_used = contact.noise_variance
-            correct(observer, answer.innovation, contact.noise_variance, space)
+            correct_prediction(
+                observer, answer.innovation, contact.noise_variance, space
+            )
         else:
             for i in range(n):
                 x_est[i] = x_1[i]
