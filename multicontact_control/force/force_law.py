@@ -404,10 +404,10 @@ def choose_fed_force(law: ForceLaw, contact: Contact, K_2: float) -> float:
 
     The estimate, as published; or the desired force; or, mixed, as much of the desired one as the
     surface lets it act before the loop does, g = min(1, K_2^2 / (2 k N^T Lambda^-1 N)). The
-    measured one if the contact is `guarded`: what a surface that has gone does not bear would go
-    to the other contacts.
+    measured one where the contact says `use_measured_force`: what a surface that has gone does not
+    bear would go to the other contacts.
     """
-    if contact.guarded or law.fed == MEASURED:
+    if contact.use_measured_force or law.fed == MEASURED:
         if contact.config.kind == FORCE:
             return max(contact.alpha_meas, 0.0)
         return contact.alpha_meas
@@ -433,22 +433,22 @@ def limit_approach_speed(
     """
     Return u within what keeps the tip at `speed_bound` if nothing bears it [m/s^2].
 
-    The tip accelerates by a = u - K_2 v + N^T Lambda^-1 N alpha_fed into free space. It is kept at
-    or below G (v_max - v) + b, where b is what a surface turns out to bear: it grows
-    while the tip is slower than it may be although it is pushed, and is forgotten. The force law
-    is told what acts. `speed` is that of the contact point INTO the surface [m/s].
+    The tip accelerates by a = u - K_2 v + N^T Lambda^-1 N alpha_fed_forward into free space. It is
+    kept at or below G (v_max - v) + b, where b is what a surface turns out to bear: it grows while
+    the tip is slower than it may be although it is pushed, and is forgotten. The force law is told
+    what acts. `speed` is that of the contact point INTO the surface [m/s].
     """
     period = control.law.period
     damping = control.law.K_2 * speed
-    fed = contact.answer.alpha_fed * contact.mobility
+    fed = contact.answer.alpha_fed_forward * contact.mobility
     slower = contact.speed_bound - speed
     rate = min(max(control.law.K_2, SLOWEST_BOUND), FASTEST_BOUND)
-    largest = rate * slower + contact.borne
+    largest = rate * slower + contact.borne_acceleration
     if u - damping + fed <= largest:
-        contact.borne *= 1.0 - min(period / BORNE_TIME, 1.0)
+        contact.borne_acceleration *= 1.0 - min(period / BORNE_TIME, 1.0)
         return u
     growth = BOUND_SHARE * rate * rate * slower * period
-    contact.borne = max(contact.borne + growth, 0.0)
+    contact.borne_acceleration = max(contact.borne_acceleration + growth, 0.0)
     bounded = largest + damping - fed
     law.observer.command += bounded - u
     law.linear.extra += bounded - u
@@ -491,7 +491,7 @@ def answer_contact_forces(
         speed = dot(contact.N, control.frame.twist) - (
             contact.config.surface_speed + contact.surface_speed_est
         )
-        if contact.borne > 0.0:
+        if contact.borne_acceleration > 0.0:
             # Something bears the tip beside the force law: its motion tells of no stiffness.
             law.stiffness.felt = False
         elif law.stiffness.config.adaptive:
@@ -501,7 +501,7 @@ def answer_contact_forces(
             law.linear.running = False
             answer.alpha_est = 0.0
             answer.alpha_rate_est = 0.0
-            answer.alpha_fed = 0.0
+            answer.alpha_fed_forward = 0.0
             inputs[i] = 0.0
             continue
         if law.is_linear:
@@ -512,11 +512,11 @@ def answer_contact_forces(
         else:
             observe_force(law.observer, contact, control.measured, 0.0, space.observer)
             inputs[i] = command_acceleration(law.observer, answer.alpha_des)
-        answer.alpha_fed = choose_fed_force(law, contact, control.law.K_2)
+        answer.alpha_fed_forward = choose_fed_force(law, contact, control.law.K_2)
         if contact.speed_bound > 0.0:
             inputs[i] = limit_approach_speed(contact, law, control, inputs[i], speed)
         else:
-            contact.borne = 0.0
+            contact.borne_acceleration = 0.0
 
 
 @compiled

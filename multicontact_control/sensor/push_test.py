@@ -194,7 +194,7 @@ class PushGate:
         """End a test that is under way, because of what has nothing to do with the pushes."""
         self._finish(PushTestResult((finding,), judged=False))
 
-    def take_sample(
+    def add_fit_sample(
         self, frame: Frame, wrench_sensor: Vector, tool: ToolConfig
     ) -> bool:
         """
