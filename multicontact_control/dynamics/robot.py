@@ -260,7 +260,7 @@ class RobotModel:
         return parameters
 
     def compute_link_poses(self, q: Vector, links: Sequence[str]) -> list[Pose]:
-        """Return the poses of links at positions, shape (n,) [rad]; ConfigError if one is unknown."""
+        """Return the poses of links at positions, shape (n,) [rad]; ConfigError if unknown."""
         require_shape('q', q, (self._model.nv,))
         pin.framesForwardKinematics(self._model, self._data, q)
         return [_pose(self._data.oMf[self._frame_id('link', name)]) for name in links]
