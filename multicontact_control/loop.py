@@ -158,7 +158,7 @@ class ControlLoop:
             and wrench
             and joints.stamp == wrench.stamp
             and (
-                self.push_gate.add_fit_sample(
+                self.push_gate.take_sample(
                     self.supervisor.controller.arm.frames[0],
                     stage.raw_wrench,
                     self.config.tool,

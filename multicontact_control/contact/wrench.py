@@ -67,9 +67,7 @@ class ContactSpace(Record, Protocol):
 CONTACT_SPACE = record_dtype(ContactSpace)
 
 
-SLIP_SPEED = (
-    0.01  # m/s, v_s: the sliding speed at which 71 % of the friction is expected
-)
+FRICTION_SPEED = 0.01  # m/s, v_s: of sliding, at which 71 % of the friction is expected
 
 
 @compiled
@@ -162,7 +160,7 @@ def expect_friction(
         point = rotate_vector(frame.rotation, contact.config.point)
         velocity = component_across(velocity_at(frame.twist, point), contact.normal)
         share = contact.config.friction_coefficient / np.sqrt(
-            dot(velocity, velocity) + SLIP_SPEED**2
+            dot(velocity, velocity) + FRICTION_SPEED**2
         )
         add_scaled_vector(friction[i], share, velocity)
         add_vector(rows[i, :3], friction[i])
