@@ -115,9 +115,12 @@ def design_observer(
     """
     n = loop.plant.Phi.shape[0]
     size = n + order
-    Phi_n, Phi_c = np.zeros((size, size)), np.zeros((size, size))
-    Phi_n[:n, :n], Phi_c[:n, :n] = loop.plant.Phi, loop.closed_loop
-    Phi_n[n:, n:] = Phi_c[n:, n:] = active_state_matrix(order)
+    Phi_n = np.zeros((size, size))
+    Phi_c = np.zeros((size, size))
+    Phi_n[:n, :n] = loop.plant.Phi
+    Phi_c[:n, :n] = loop.closed_loop
+    Phi_n[n:, n:] = active_state_matrix(order)
+    Phi_c[n:, n:] = active_state_matrix(order)
     feedback = np.concatenate([loop.L, np.zeros(order)])
     if order:
         Phi_n[:n, n] = loop.plant.Gamma
@@ -167,11 +170,9 @@ def make_observers(designs: Sequence[ObserverDesign]) -> Records[Observer]:
     observers = np.zeros(len(designs), dtype=OBSERVER)
     for record, design in zip(observers['design'], designs):
         n = design.Gamma.shape[0]
-        record['states'], record['order'], record['P_0'] = (
-            n,
-            design.order,
-            INITIAL_VARIANCE,
-        )
+        record['states'] = n
+        record['order'] = design.order
+        record['P_0'] = INITIAL_VARIANCE
         for name in ('Phi_c', 'Phi_n'):
             record[name][:n, :n] = getattr(design, name)
         for name in ('Gamma', 'feedback', 'Q'):
@@ -222,15 +223,16 @@ def predict_state(observer: Observer, space: ObserverSpace) -> None:
     the open one (eqs 40-41); P becomes P_1, its upper triangle mirrored. `space` is a record of
     `OBSERVER_SPACE`.
     """
-    design, half = observer.design, space.half
-    n, Phi_c, Phi_n, Gamma, Q = (
-        design.states,
-        design.Phi_c,
-        design.Phi_n,
-        design.Gamma,
-        design.Q,
-    )
-    P, x_est, x_1 = observer.P, observer.x_est, observer.x_1
+    design = observer.design
+    n = design.states
+    Phi_c = design.Phi_c
+    Phi_n = design.Phi_n
+    Gamma = design.Gamma
+    Q = design.Q
+    P = observer.P
+    x_est = observer.x_est
+    x_1 = observer.x_1
+    half = space.half
     for i in range(n):
         total = Gamma[i] * observer.command
         for j in range(n):
@@ -271,8 +273,10 @@ def correct_prediction(
     `observer` is a record of `OBSERVER` after `predict_state`; innovation y - C x_1 [N],
     R_k [N^2]; `space` is a record of `OBSERVER_SPACE`.
     """
-    n, tau = observer.design.states, observer.design.damping_time
-    P, covariance = observer.P, space.covariance
+    n = observer.design.states
+    tau = observer.design.damping_time
+    P = observer.P
+    covariance = space.covariance
     for i in range(n):
         covariance[i] = P[0, i] + tau * P[1, i]
     total_variance = covariance[0] + tau * covariance[1] + noise_variance
@@ -304,7 +308,8 @@ def command_acceleration(observer: Observer, alpha_des: float) -> float:
 
     u is the acceleration along the contact normal, without the damping K_2 [m/s^2].
     """
-    feedback, x_est = observer.design.feedback, observer.x_est
+    feedback = observer.design.feedback
+    x_est = observer.x_est
     observer.command = feedback[0] * alpha_des
     total = observer.command
     for j in range(observer.design.states):
@@ -345,15 +350,20 @@ def observe_force(
     as it is large [N/s]. Without a measurement of this sample it only predicts (R = inf). `space`
     is a record of `OBSERVER_SPACE`.
     """
-    n, tau, P = observer.design.states, observer.design.damping_time, observer.P
-    x_est, x_1, answer = observer.x_est, observer.x_1, contact.answer
+    n = observer.design.states
+    tau = observer.design.damping_time
+    P = observer.P
+    x_est = observer.x_est
+    x_1 = observer.x_1
+    answer = contact.answer
     if not observer.running:
         for i in range(n):
             x_est[i] = 0.0
             for j in range(n):
                 P[i, j] = 0.0
             P[i, i] = observer.design.P_0
-        x_est[0], x_est[1] = contact.alpha_meas, rate
+        x_est[0] = contact.alpha_meas
+        x_est[1] = rate
         P[1, 1] += rate * rate
         observer.running = True
     else:
