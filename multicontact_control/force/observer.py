@@ -43,9 +43,6 @@ class ObserverGains(Record, Protocol):
     damping_time: float  # c / k of the surface, which the force reads with its rate [s]
 
 
-OBSERVER_GAINS = record_dtype(ObserverGains)
-
-
 class Observer(Record, Protocol):
     """The active observer of one contact."""
 

@@ -146,9 +146,6 @@ class InputGain(Record, Protocol):
     speed: float
 
 
-INPUT_GAIN = record_dtype(InputGain)
-
-
 class StiffnessConfig(Record, Protocol):
     """What is set for the on-line stiffness of one contact."""
 
@@ -176,9 +173,6 @@ class StiffnessConfig(Record, Protocol):
 
     delay_gain: Annotated[Records[InputGain], MAX_STATES]  # E_j, of inputs under way
     input_gain: InputGain  # B of the undelayed plant
-
-
-STIFFNESS_CONFIG = record_dtype(StiffnessConfig)
 
 
 class Stiffness(Record, Protocol):

@@ -42,7 +42,7 @@ Direction = Literal['+x', '-x', '+y', '-y', '+z', '-z']
 
 
 class PushTestConfig(Config):
-    """How the tool is pushed."""
+    """How the tool is pushed: along which world axes, how hard, and how long the test waits."""
 
     directions: tuple[Direction, ...] = parameter(
         ('+x', '+y', '+z'),
@@ -84,7 +84,7 @@ class PushTestResult(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether force control may be enabled."""
+        """Whether the sensor has no defect, so that force control may be enabled."""
         return not self.findings
 
     @property
@@ -132,7 +132,7 @@ class PushGate:
 
     @property
     def running(self) -> bool:
-        """Whether a test is under way."""
+        """Whether a test is under way, for which samples are to come to `take_sample`."""
         return self.phase != ''
 
     @property
@@ -291,6 +291,9 @@ def judge_pushes(
     """
     Judge a sensor by its readings under pushes.
 
+    Sign, turn and scale of the whole come first, then single pushes; moments are judged once the
+    forces are right, since they locate the pushes by them.
+
     Parameters
     ----------
     wrenches, rest
@@ -302,6 +305,11 @@ def judge_pushes(
         Orientation of the sensor, shape (3, 3), to name what is found in its axes.
     tips
         From the sensor to the ends of the tool, by name, world axes, shape (3,) [m].
+
+    Returns
+    -------
+    PushTestResult
+        With the defects named in the sensor's axes, or none.
 
     """
     expected = -config.force * config.directions_world

@@ -29,10 +29,14 @@ MAX_TORQUE_RESIDUAL = 0.05  # N m
 
 
 class PoseReading(NamedTuple):
-    """Orientation of the sensor, shape (3, 3), and what it reads at rest, shape (6,) [N, N m]."""
+    """
+    A reading at rest in one pose of the sensor, of which an identification takes several.
 
-    rotation_world: Matrix
-    wrench_sensor: Vector
+    Its mean over a while, so that noise is small against the weight of the tool.
+    """
+
+    rotation_world: Matrix  # orientation of the sensor, shape (3, 3)
+    wrench_sensor: Vector  # in sensor axes, force first, shape (6,) [N, N m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +122,9 @@ def identify_tool(
 ) -> Identification:
     """
     Identify mass, centre of mass and bias by linear least squares.
+
+    The standard errors are those of the fit's own residuals. A mass below `NOTHING_HANGS` of its
+    standard error has no centre.
 
     Parameters
     ----------
