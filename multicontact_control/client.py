@@ -10,7 +10,7 @@ from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Vector
 from multicontact_control.config import LimitsConfig
 from multicontact_control.contact.geometry import placed_way
-from multicontact_control.control.tasks import shortest_duration
+from multicontact_control.control.tasks import shortest_motion_duration
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, RunError
 from multicontact_control.nodes import messages, topics
@@ -425,7 +425,7 @@ def _require_free(
 
 def _require_time(duration: float, way: Vector, limits: LimitsConfig) -> None:
     """Refuse to go a way, shape (6,) [m, rad], in a shorter time than the limits allow [s]."""
-    shortest = shortest_duration(way, limits)
+    shortest = shortest_motion_duration(way, limits)
     if duration < shortest:
         raise CommandRefusedError(
             f'{topics.MOTION_COMMAND.name}: duration: expected at least {shortest:.3g} s for '

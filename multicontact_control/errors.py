@@ -39,7 +39,7 @@ class FieldError(MulticontactError):
             f'{where}: {"; ".join(filter(None, [", ".join(values), hint]))}'
         )
 
-    def moved(self, field: str = '', source: str = '') -> ConfigError:
+    def as_config_error(self, field: str = '', source: str = '') -> ConfigError:
         """Return the same as an error of a configuration, of another field or file."""
         return ConfigError(
             field or self.field,
@@ -62,11 +62,13 @@ class ConfigError(FieldError):
     """One or several values in a configuration are not acceptable: a line for each."""
 
     @classmethod
-    def of(cls, errors: Iterable[ConfigError], source: str = '') -> ConfigError:
+    def combine(cls, errors: Iterable[ConfigError], source: str = '') -> ConfigError:
         """Return one error of one or more, each once, with the first field, of a file `source`."""
-        each = [x.moved(source=source) for error in errors for x in error.errors]
+        each = [
+            x.as_config_error(source=source) for error in errors for x in error.errors
+        ]
         lines = {str(error): error for error in each}
-        whole = each[0].moved()
+        whole = each[0].as_config_error()
         whole.errors, whole.args = (*lines.values(),), ('\n'.join(lines),)
         return whole
 
@@ -104,7 +106,7 @@ def run_all_checks(*checks: Callable[[], object]) -> list[Any]:
         except ConfigError as error:
             errors.append(error)
     if errors:
-        raise ConfigError.of(errors)
+        raise ConfigError.combine(errors)
     return results
 
 

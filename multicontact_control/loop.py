@@ -14,7 +14,7 @@ from pathlib import Path
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.geometry import offset_shares, placed_way
-from multicontact_control.control.controller import ControlOutput, Design
+from multicontact_control.control.controller import ControllerDesign, ControlOutput
 from multicontact_control.control.tasks import CommandedTask, MotionReading, TaskSource
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
@@ -86,7 +86,7 @@ class ControlLoop:
             )
         limits.check(config)
         self.limits = limits
-        source = scenario or CommandedTask(config.column_names, config.leader_of)
+        source = scenario or CommandedTask(config.column_names, config.leading_columns)
         self._commanded = source if isinstance(source, CommandedTask) else None
         robot = RobotModel(config.robot, base_dir)
         self.warnings = robot.warnings(config.torque_limit)
@@ -207,12 +207,12 @@ class ControlLoop:
         """Go on with another configuration; ConfigError and nothing changed if that cannot be."""
         self.use(self.design(config))
 
-    def design(self, config: ControllerConfig) -> Design:
+    def design(self, config: ControllerConfig) -> ControllerDesign:
         """Return what to go on with; see `Controller.design`: another thread may wait for it."""
         self._keep_pushed_tool(config)
         return self.supervisor.controller.design(config)
 
-    def use(self, design: Design) -> None:
+    def use(self, design: ControllerDesign) -> None:
         """Go on with what has been designed, without a jump."""
         self._keep_pushed_tool(design.config)  # a push test may have begun meanwhile
         self.supervisor.use(design)

@@ -245,7 +245,7 @@ class JointAnswer(Record, Protocol):
     torque: float  # Gamma [N m]
     unlimited: float  # the same before it is brought within its limits [N m]
 
-    # Of that, what goes before the rest at a limit: see `finish_torque` [N m].
+    # Of that, what goes before the rest at a limit: see `limit_torque` [N m].
     priority: float
 
 

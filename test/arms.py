@@ -69,9 +69,9 @@ class Law:
         """Return the answer to a sample."""
         law = self.controller
         law.contacts['noise_variance'] = noise_variance
-        law.take(measurement.q, measurement.qd, measurement.wrench_sensor)
+        law.take_sample(measurement.q, measurement.qd, measurement.wrench_sensor)
         if law.arm.flags & AMBIGUOUS:
-            law.refuse()
+            law.raise_no_answer()
         if not law.started:
             self._task.start(law.start())
         self._task.ask(measurement.time)

@@ -91,7 +91,7 @@ class Config(BaseModel):
         if info.context is not None:
             info.context.extend(errors)
         elif errors:
-            raise ConfigError.of(errors)
+            raise ConfigError.combine(errors)
         return self
 
 
@@ -111,9 +111,9 @@ def validate(
         fields = [
             _field_error(detail, model) for detail in error.errors(include_url=False)
         ]
-        raise ConfigError.of([*fields, *misfits], source) from None
+        raise ConfigError.combine([*fields, *misfits], source) from None
     if misfits:
-        raise ConfigError.of(misfits, source)
+        raise ConfigError.combine(misfits, source)
     return config
 
 
@@ -135,15 +135,15 @@ def _field_error(detail: Mapping[str, Any], model: type[Config]) -> ConfigError:
 def _known_keys(model: type[Config], location: Sequence[int | str]) -> str:
     for part in location[:-1]:  # fields, and keys or places among several models
         if part in model.model_fields:
-            model = model_in(model.model_fields[str(part)].annotation) or model
+            model = find_config_model(model.model_fields[str(part)].annotation) or model
     return ', '.join(model.model_fields)
 
 
-def model_in(kind: Any) -> type[Config] | None:
+def find_config_model(kind: Any) -> type[Config] | None:
     """Return the first configuration in a type, as that of the values of a mapping."""
     if isinstance(kind, type) and issubclass(kind, Config):
         return kind
-    return next(filter(None, map(model_in, get_args(kind))), None)
+    return next(filter(None, map(find_config_model, get_args(kind))), None)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:

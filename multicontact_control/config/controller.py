@@ -212,7 +212,9 @@ class ControllerConfig(Config):
 
     def _force_law_errors(self) -> Iterator[ConfigError]:
         force, adaptive = self.force, self.force.stiffness == 'adaptive'
-        others = sorted({self.law_of(name) for name in self.contact_names} - {'aob'})
+        others = sorted(
+            {self.force_law_of(name) for name in self.contact_names} - {'aob'}
+        )
         # What needs contacts that do not move each other, as N alpha* (eq. 30) lets them.
         decoupled = [f'the law {law}' for law in others] + [
             'adaptive stiffness'
@@ -231,7 +233,7 @@ class ControllerConfig(Config):
                     'above 0 N with normal_turn_rate',
                     0.0,
                 )
-            if contact.surface_speed_limit and self.law_of(name) != 'aob':
+            if contact.surface_speed_limit and self.force_law_of(name) != 'aob':
                 # The estimate takes the rate of the force from the observer.
                 yield ConfigError(
                     f'contacts.{name}.surface_speed_limit',
@@ -311,16 +313,16 @@ class ControllerConfig(Config):
         return tuple(column.name for column in self.columns)
 
     @property
-    def leader_of(self) -> tuple[int, ...]:
+    def leading_columns(self) -> tuple[int, ...]:
         """Return for each column the index of the normal force of its contact."""
         return tuple(column.leader for column in self.columns)
 
     @property
-    def leaders(self) -> tuple[int, ...]:
+    def force_columns(self) -> tuple[int, ...]:
         """Return the indices of the normal forces, one per contact."""
         return tuple(i for i, column in enumerate(self.columns) if column.kind == FORCE)
 
-    def law_of(self, contact: str) -> LawName:
+    def force_law_of(self, contact: str) -> LawName:
         """Return the name of a contact's force law."""
         return self.contacts[contact].law or self.force.law
 

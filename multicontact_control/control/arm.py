@@ -226,7 +226,7 @@ def learn_friction(
 
 
 @compiled
-def follow_touch(momentum: Momentum, joints: Records[Joint]) -> bool:
+def detect_passed_touch(momentum: Momentum, joints: Records[Joint]) -> bool:
     """
     Sum up the residuals until the arm is calm; return whether one that was a touch has passed.
 
@@ -255,7 +255,7 @@ def follow_touch(momentum: Momentum, joints: Records[Joint]) -> bool:
 
 
 @compiled
-def wrench_of_residual(
+def fill_wrench_of_residual(
     control: Control,
     joints: Records[Joint],
     mass_matrix: Matrix,
@@ -347,10 +347,10 @@ def update_arm_state(
     if control.momentum.config.bandwidth > 0.0:
         if observe_momentum(control, joints, mass_matrix, jacobian, space):
             flags |= TOUCHED
-        if follow_touch(control.momentum, joints):
+        if detect_passed_touch(control.momentum, joints):
             flags |= PASSED
         if control.momentum.config.is_input:
-            wrench_of_residual(control, joints, mass_matrix, jacobian, space)
+            fill_wrench_of_residual(control, joints, mass_matrix, jacobian, space)
     if not measure_contacts(control, contacts, space.contacts):
         flags |= AMBIGUOUS
     return flags
@@ -402,15 +402,15 @@ class ArmState:
         self.bias_torque: Vector = self.joints['bias_torque']
         self._space: ArmSpace = np.zeros(1, dtype=ARM_SPACE)[0]
         self.pose = Pose(self.frames['position'][0], self.frames['rotation'][0])
-        self.refresh()
+        self.take_motion()
 
     @property
-    def finite(self) -> bool:
+    def has_finite_terms(self) -> bool:
         """Whether the model gave finite numbers; if not, the arm is where it was before."""
         return not self.flags & NO_NUMBERS
 
-    def refresh(self) -> bool:
-        """Take in what has been written into `motion`; return whether the model is `finite`."""
+    def take_motion(self) -> bool:
+        """Take in what has been written into `motion`; return whether the model stays finite."""
         terms = self.robot.compute(self.q, self.velocity)
         self.flags = update_arm_state(
             self.q,
@@ -424,4 +424,4 @@ class ArmState:
             self.contacts,
             self._space,
         )
-        return self.finite
+        return self.has_finite_terms

@@ -71,7 +71,7 @@ class ControlOutput(NamedTuple):
         """Return records of `CONTACT`, all that there is to say of every contact, shape (r,)."""
         return np.frombuffer(self.memory, CONTACT, offset=CONTROL.itemsize)
 
-    def without_answer(self) -> ControlOutput:
+    def without_force_answers(self) -> ControlOutput:
         """Return the same for contacts that no law controls."""
         contacts = np.frombuffer(self.memory, CONTACT, offset=CONTROL.itemsize).copy()
         contacts['answer'] = 0
@@ -103,7 +103,7 @@ class ControlOutput(NamedTuple):
         return answer
 
 
-class Design(NamedTuple):
+class ControllerDesign(NamedTuple):
     """What a configuration of a controller leads to."""
 
     config: ControllerConfig
@@ -117,7 +117,7 @@ class Controller:
     F = Lambda (Omega_m f_t* + Omega_f f_c*) + mu + p + f_c_hat, Gamma = J^T F (eqs 24-26).
 
     It holds the records that `tick` works on. The law alone, of a task in `controls` and
-    `contacts`, is `take` and `answer`. `start` comes before the first answer of either.
+    `contacts`, is `take_sample` and `answer`. `start` comes before the first answer of either.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class Controller:
     memory
         The bytes of the first two.
     tool, next_tool
-        What hangs on the sensor now, and the one that is configured; see `change_tool`.
+        What hangs on the sensor now, and the one that is configured; see `advance_tool_change`.
     active, torque
         Which contacts are force controlled, shape (r,), and the answer, shape (n,) [N m].
     resolutions
@@ -181,7 +181,7 @@ class Controller:
         """Set everything that follows from the configuration alone."""
         before = getattr(self, 'config', None)
         self.config = config
-        self.controls['law'] = law_record(config)
+        self.controls['law'] = make_law_record(config)
         self.controls['momentum']['config']['is_input'] = (
             config.wrench_input == 'momentum'
         )
@@ -208,7 +208,7 @@ class Controller:
         )
         self.robot.carry(tool, self._in_urdf)
 
-    def change_tool(self) -> None:
+    def advance_tool_change(self) -> None:
         """Go a tick on from one tool to the next: weight, inertia and bias together."""
         self._slewed += 1
         elapsed = self._slewed * self.config.period
@@ -227,7 +227,7 @@ class Controller:
         self.contacts['normal'] = self.contacts['config']['normal']
         self.contacts['surface_speed_est'] = 0.0
 
-    def design(self, config: ControllerConfig) -> Design:
+    def design(self, config: ControllerConfig) -> ControllerDesign:
         """
         Return what another configuration leads to, which changes nothing; see `use`.
 
@@ -260,16 +260,16 @@ class Controller:
         place_columns(config, columns)
         check_columns(config.column_names, columns)  # normals may be others
         check_resolution(config, self.controls, columns)
-        return Design(config, make_force_laws(config))
+        return ControllerDesign(config, make_force_laws(config))
 
-    def use(self, design: Design) -> None:
+    def use(self, design: ControllerDesign) -> None:
         """Go on with other gains; the force laws keep what they know as far as possible."""
         self._adopt(design.config)
         if self.started:
             continue_laws(design.laws, self.laws)
             self.laws[:] = design.laws
 
-    def take(self, q: Vector, qd: Vector, wrench_sensor: Vector) -> None:
+    def take_sample(self, q: Vector, qd: Vector, wrench_sensor: Vector) -> None:
         """
         See a sample that no input stage has taken in.
 
@@ -278,7 +278,7 @@ class Controller:
         """
         self.arm.q[:], self.arm.velocity[:] = q, qd
         self.controls['wrench'] = wrench_sensor
-        self.arm.refresh()
+        self.arm.take_motion()
 
     def start(self) -> Pose:
         """Let the force laws begin; return the pose from which a task starts."""
@@ -311,7 +311,7 @@ class Controller:
 
         """
         if self.arm.flags & (AMBIGUOUS | NO_NUMBERS):
-            self.refuse()
+            self.raise_no_answer()
         terms = self.robot.terms
         found = control_law(
             self.controls[0],
@@ -324,10 +324,10 @@ class Controller:
             self._space,
         )
         if found & (SINGULAR | DEPENDENT):
-            self.refuse(found)
+            self.raise_no_answer(found)
         return bool(found & TORQUE)
 
-    def own_weight(self) -> Vector:
+    def drive_gravity_torque(self) -> Vector:
         """Return the torque by which drives with `adds_gravity` carry the arm, (n,) [N m]."""
         with_tool, own = (
             self.config.robot.adds_tool_gravity,
@@ -335,7 +335,7 @@ class Controller:
         )
         return own if with_tool else own - self.robot.load_torque(self.tool)
 
-    def account_for(self, torque: Vector) -> None:
+    def account_for_torque(self, torque: Vector) -> None:
         """
         Tell the force laws that another torque, shape (n,) [N m], acts than the one answered.
 
@@ -357,9 +357,9 @@ class Controller:
         )
         act_beyond(self.laws, active, N.T @ twist_rate)
 
-    def refuse(self, found: int = DEPENDENT) -> NoReturn:
+    def raise_no_answer(self, found: int = DEPENDENT) -> NoReturn:
         """Raise what `control_law` has found, or that the model has no finite numbers."""
-        if not self.arm.finite:
+        if not self.arm.has_finite_terms:
             raise SingularTaskError(
                 "the arm's dynamics: expected finite numbers, got others at joint positions "
                 f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}'
@@ -379,7 +379,7 @@ class Controller:
         )
 
 
-def law_record(config: ControllerConfig) -> Records[Law]:
+def make_law_record(config: ControllerConfig) -> Records[Law]:
     """Return gains and options of the control law as one record of `LAW`."""
     motion, force = config.motion, config.force
     frequency = motion.natural_frequency

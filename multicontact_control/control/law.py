@@ -88,7 +88,7 @@ LAW_SPACE = record_dtype(LawSpace)
 
 
 @compiled
-def motion_law(law: Law, task: Task, frame: Frame, f_t: Vector) -> None:
+def apply_motion_law(law: Law, task: Task, frame: Frame, f_t: Vector) -> None:
     """
     Fill in f_t*, the acceleration that leads the operational point to its reference.
 
@@ -105,7 +105,7 @@ def motion_law(law: Law, task: Task, frame: Frame, f_t: Vector) -> None:
 
 
 @compiled
-def drive_coordinates(rows: Matrix, inputs: Vector) -> None:
+def convert_to_coordinates(rows: Matrix, inputs: Vector) -> None:
     """
     Replace u of the contact points by alpha* of the coordinates along N_i, shape (r,) [m/s^2].
 
@@ -120,7 +120,7 @@ def drive_coordinates(rows: Matrix, inputs: Vector) -> None:
 
 
 @compiled
-def force_law(
+def apply_force_law(
     law: Law,
     rows: Matrix,
     factor: Matrix,
@@ -159,7 +159,7 @@ def force_law(
 
 
 @compiled
-def finish_torque(law: Law, joints: Records[Joint]) -> bool:
+def limit_torque(law: Law, joints: Records[Joint]) -> bool:
     """
     Add the expected friction, then keep to the limits without turning what the task asks for.
 
@@ -272,11 +272,13 @@ def control_law(
         and factorise_contacts(contacts, False, rows, weighted_rows, weighted_factor)
     ):
         return DEPENDENT
-    motion_law(law, task, frame, space.f_t)
+    apply_motion_law(law, task, frame, space.f_t)
     answer_forces(laws, contacts, control, inputs, space.forces)
     if not law.decoupled:
-        drive_coordinates(rows, inputs)
-    force_law(law, rows, factor, frame.twist, contacts, inputs, alpha_star, space.f_c)
+        convert_to_coordinates(rows, inputs)
+    apply_force_law(
+        law, rows, factor, frame.twist, contacts, inputs, alpha_star, space.f_c
+    )
     follow_surfaces(frame, contacts)
     acceleration = space.acceleration
     compose_acceleration(
@@ -321,4 +323,4 @@ def control_law(
             space.pull[:n],
             space.along,
         )
-    return TORQUE if finish_torque(law, joints) else 0
+    return TORQUE if limit_torque(law, joints) else 0

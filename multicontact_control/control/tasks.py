@@ -20,8 +20,8 @@ from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
 
-STILL = np.zeros(6)  # twist and acceleration
-STILL.flags.writeable = False
+ZERO_TWIST = np.zeros(6)  # twist and acceleration
+ZERO_TWIST.flags.writeable = False
 STAMP_TOLERANCE = 1e-9  # s
 LARGEST_SINE = (
     0.5  # of a scenario's motion to a surface that is pressed: some are tilted
@@ -32,7 +32,7 @@ QUINTIC_SPEED, QUINTIC_ACCELERATION = (
 )  # peaks of b' and b''
 
 
-class Task(NamedTuple):
+class WantedTask(NamedTuple):
     """What is wanted at one tick, in world axes; forces and couples of shape (r,)."""
 
     pose_des: Pose  # of the operational frame
@@ -61,7 +61,7 @@ class TaskSource(Protocol):
     def start(self, pose: Pose, normals_world: Matrix) -> None:
         """Begin from a pose at rest, beside contact normals INTO the surfaces, shape (r, 3)."""
 
-    def task(self, time: float, alpha_meas: Vector | None = None) -> Task:
+    def task_at(self, time: float, alpha_meas: Vector | None = None) -> WantedTask:
         """
         Return the task at a time since the start [s].
 
@@ -130,7 +130,7 @@ class ReferenceConfig(Config):
             yield ConfigError('reference.force_steps', 'times in rising order', times)
 
 
-def shortest_duration(change: Vector, limits: LimitsConfig) -> float:
+def shortest_motion_duration(change: Vector, limits: LimitsConfig) -> float:
     """Return the least time of a `quintic_blend` within limits [s] over a way, (6,) [m, rad]."""
     durations = [0.0]
     for part, speed, acceleration in (
@@ -145,7 +145,7 @@ def shortest_duration(change: Vector, limits: LimitsConfig) -> float:
     return max(durations)
 
 
-def sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:
+def evaluate_sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:
     """Return s = A b(tau / t_b) sin(2 pi tau / T) [m], b a quintic, and its two derivatives."""
     tau = time - config.start_time
     if tau <= 0.0:
@@ -226,9 +226,11 @@ class ScenarioTask:
         self._step_times = [step.time for step in config.force_steps]
 
     @classmethod
-    def of(cls, reference: ReferenceConfig, config: ControllerConfig) -> ScenarioTask:
+    def for_controller(
+        cls, reference: ReferenceConfig, config: ControllerConfig
+    ) -> ScenarioTask:
         """Return the task of a scenario for the contacts of a controller; ConfigError."""
-        task = cls(reference, config.rate, config.column_names, config.leader_of)
+        task = cls(reference, config.rate, config.column_names, config.leading_columns)
         if reference.motion is not None and reference.motion.amplitude > 0.0:
             task._require_free(reference.motion, config)
         return task
@@ -239,7 +241,7 @@ class ScenarioTask:
         rows = self.forces[steps_before:]  # those in force at its start, and later
         pressed = [
             name
-            for name, i in zip(config.contact_names, config.leaders)
+            for name, i in zip(config.contact_names, config.force_columns)
             if (rows[:, i] > 0.0).any()
         ]
         normals = np.array(
@@ -268,15 +270,15 @@ class ScenarioTask:
         self.seeks = True
         self._advance = np.zeros(len(normals_world))
 
-    def task(self, time: float, alpha_meas: Vector | None = None) -> Task:
-        """Return the task of one tick; see `TaskSource.task`."""
+    def task_at(self, time: float, alpha_meas: Vector | None = None) -> WantedTask:
+        """Return the task of one tick; see `TaskSource.task_at`."""
         since = time - self._approach.start_time
         if since < 0.0:
             active, alpha_des = self._nothing_wanted
         else:
             steps_taken = bisect_right(self._step_times, time + STAMP_TOLERANCE)
             active, alpha_des = self._wanted_after_step[steps_taken]
-        twist = acceleration = STILL
+        twist = acceleration = ZERO_TWIST
         if alpha_meas is not None:
             if self.seeks:
                 twist, acceleration = self._seek(since, alpha_meas)
@@ -284,14 +286,14 @@ class ScenarioTask:
             active = self._touched
         position, motion = self._position, self._motion
         if motion is not None and time > motion.start_time:
-            s, ds, dds = sine_motion(motion, time)
+            s, ds, dds = evaluate_sine_motion(motion, time)
             position = position + s * self._line
             speed, rate = ds * self._direction, dds * self._direction
-            if twist is STILL:
+            if twist is ZERO_TWIST:
                 twist, acceleration = speed, rate
             else:
                 twist, acceleration = twist + speed, acceleration + rate
-        return Task(
+        return WantedTask(
             Pose(position, self._pose.rotation_world),
             twist,
             acceleration,
@@ -307,14 +309,14 @@ class ScenarioTask:
             self._touched = self._touched | felt[self._leader_of]
             self.seeks = not self._touched.all()
         if since <= 0.0:
-            return STILL, STILL
+            return ZERO_TWIST, ZERO_TWIST
         speed, rate = approach.speed, 0.0
         if since < approach.ramp_time:
             speed, rate = speed * since / approach.ramp_time, speed / approach.ramp_time
         free = ~self._touched
         self._advance[free] += speed * self._period
         self._position = self._pose.position_world + self._advance @ self._normals
-        direction = np.append(self._normals[free].sum(axis=0), STILL[:3])
+        direction = np.append(self._normals[free].sum(axis=0), ZERO_TWIST[:3])
         return speed * direction, rate * direction
 
 
@@ -342,14 +344,14 @@ class CommandedTask:
     def start(self, pose: Pose | None, normals_world: Matrix) -> None:
         """Forget all commands, and begin from a pose at rest; see `TaskSource.start`."""
         self.pose = pose
-        self._twist = self._acceleration = STILL
+        self._twist = self._acceleration = ZERO_TWIST
         self._lasting = self._until = (
             math.inf
         )  # of these two [s]; NaN until the next tick
         self._alpha_des = np.zeros(len(self._names))
         self._active: Mask = np.zeros(len(self._names), dtype=bool)
         self._shares = np.full(len(self._names), math.nan)
-        self._task: Task | None = None
+        self._task: WantedTask | None = None
 
     def set_forces(
         self,
@@ -415,18 +417,18 @@ class CommandedTask:
         self._lasting, self._until = lasting, math.nan
         self._task = None
 
-    def task(self, time: float, alpha_meas: Vector | None = None) -> Task:
-        """Return the commanded task; see `TaskSource.task`."""
+    def task_at(self, time: float, alpha_meas: Vector | None = None) -> WantedTask:
+        """Return the commanded task; see `TaskSource.task_at`."""
         if math.isnan(self._until):
             self._until = time + self._lasting
         if time > self._until:
-            self._twist = self._acceleration = STILL
+            self._twist = self._acceleration = ZERO_TWIST
             self._until = math.inf
             self._task = None
         if self._task is None:
             if self.pose is None:
-                raise ConfigError('reference', 'start() before task()', 'task()')
-            self._task = Task(
+                raise ConfigError('reference', 'start() before task_at()', 'task_at()')
+            self._task = WantedTask(
                 self.pose,
                 self._twist,
                 self._acceleration,

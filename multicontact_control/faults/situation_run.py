@@ -7,7 +7,7 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ToolConfig
-from multicontact_control.control.tasks import MotionReading, sine_motion
+from multicontact_control.control.tasks import evaluate_sine_motion, MotionReading
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError
 from multicontact_control.faults.course import Course
@@ -87,7 +87,7 @@ class SituationRun:
         start = self._situation.motion_time
         motion = setup.scenario.reference.motion
         ways = [
-            sine_motion(motion, time)
+            evaluate_sine_motion(motion, time)
             if self._scenario and motion is not None
             else self._course.way(time - start)
             for time in times.tolist()

@@ -75,7 +75,7 @@ class RunMetrics:
         # A recording that lost its end has no say in what came of the last step.
         self.lost_from = end if any(each.end > end for each in missing) else math.inf
         self.leaders = list(
-            setup.controller.leader_of
+            setup.controller.leading_columns
         )  # of each column the contact's force
         self.couples = [leader != i for i, leader in enumerate(self.leaders)]
         motion = setup.scenario.reference.motion
@@ -283,7 +283,7 @@ class RunMetrics:
         config = self.setup.controller
         if step is None or step.rise_63_s is None or not config.robot.urdf:
             return None  # without a URDF it is a recording, which tells no gains
-        if config.law_of(self.data.contact_names[self.leaders[i]]) != 'aob':
+        if config.force_law_of(self.data.contact_names[self.leaders[i]]) != 'aob':
             return None
         return step.rise_63_s / designed_rise(config.force)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig, parameter, read_yaml, validate
-from multicontact_control.control.controller import Design
+from multicontact_control.control.controller import ControllerDesign
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.errors import ConfigError, MessageError, MulticontactError
 from multicontact_control.loop import ControlLoop
@@ -35,9 +35,9 @@ from multicontact_control.supervision.inputs import JointInput, TickInputs, Wren
 import numpy as np
 from std_msgs.msg import Float64MultiArray
 
-NEW = (Action.STEP, Action.ANEW, Action.HALF)
-WHOLE = (Action.STEP, Action.ANEW, Action.REPEAT)
-SHOWN = (Action.STEP, Action.ANEW, Action.HALF, Action.SHOW)
+NEW = (Action.STEP, Action.STEP_ANEW, Action.STEP_BY_HALF)
+WHOLE = (Action.STEP, Action.STEP_ANEW, Action.REPEAT_TORQUE)
+SHOWN = (Action.STEP, Action.STEP_ANEW, Action.STEP_BY_HALF, Action.PUBLISH_AGAIN)
 
 
 class ControllerNodeConfig(StartupConfig):
@@ -98,7 +98,7 @@ class ControllerNodeConfig(StartupConfig):
         reference = validate(
             ReferenceConfig, values.get('reference', values), str(path)
         )
-        return ScenarioTask.of(reference, config)
+        return ScenarioTask.for_controller(reference, config)
 
 
 class ControllerNode(ManagedNode):
@@ -149,7 +149,7 @@ class ControllerNode(ManagedNode):
         ] = {
             topics.NOISE_VARIANCE: (
                 partial(messages.read_variance, names=config.column_names),
-                timing.add_variance,
+                timing.add_noise_variance,
             ),
             topics.JOINT_STATES: (
                 partial(
@@ -159,13 +159,13 @@ class ControllerNode(ManagedNode):
                     optional=('velocity',),
                     partial=efforts,
                 ),
-                lambda *reading: timing.add(JointInput(*reading)),
+                lambda *reading: timing.add_reading(JointInput(*reading)),
             ),
         }
         if wrench is not None:
             self._inputs[wrench] = (
                 partial(messages.read_wrench, frame=robot.sensor_frame),
-                lambda *reading: timing.add(WrenchInput(*reading)),
+                lambda *reading: timing.add_reading(WrenchInput(*reading)),
             )
         self._outputs = ControllerOutputs(self, config, node_config.effort_output_topic)
         self._report = ControllerReport(
@@ -230,14 +230,14 @@ class ControllerNode(ManagedNode):
 
     def compute_design(
         self, configurations: Sequence[Any]
-    ) -> tuple[Design | None, Any]:
+    ) -> tuple[ControllerDesign | None, Any]:
         """Compute what a new configuration of the controller leads to; None if it is as it was."""
         config, node_config = configurations
         if config == self._loop.config:
             return None, node_config
         return self._loop.design(config), node_config
 
-    def apply_design(self, design: tuple[Design | None, Any]) -> None:
+    def apply_design(self, design: tuple[ControllerDesign | None, Any]) -> None:
         """Go on with new configurations from the next sample on; raise if that cannot be."""
         new, node_config = design
         if new is not None:
@@ -259,7 +259,7 @@ class ControllerNode(ManagedNode):
             take_in(*read(data))
             safe = self._loop.supervisor.safe
             if self.working or safe:
-                self._carry_out(self._timing.what_now(start, safe=safe), start)
+                self._carry_out(self._timing.decide_on_message(start, safe=safe), start)
             self._report.inputs.last[topic] = start
         except MulticontactError as error:
             self.refusals.log_refusal(topic.name, error)
@@ -275,9 +275,9 @@ class ControllerNode(ManagedNode):
         if self.working or safe:
             now = time.monotonic_ns()
             self._carry_out(
-                self._timing.late(now)
+                self._timing.decide_on_silence(now)
                 if late
-                else self._timing.what_now(now, safe=safe),
+                else self._timing.decide_on_message(now, safe=safe),
                 now,
             )
 
@@ -285,8 +285,8 @@ class ControllerNode(ManagedNode):
         """Do what is due after a message that came at a monotonic time [ns], command first."""
         action, inputs = decision
         loop, timing, outputs = self._loop, self._timing, self._outputs
-        self.due = timing.due
-        if action is Action.ANEW:
+        self.due = timing.silence_deadline
+        if action is Action.STEP_ANEW:
             self.get_logger().warning('samples start anew: the controller starts anew')
             loop.restart()
             self._report.restarts += 1
@@ -306,9 +306,15 @@ class ControllerNode(ManagedNode):
                     f'{error}; going over to the safe behaviour, until activated anew'
                 )
                 self._torque = loop.stop()
-        elif action is Action.REPEAT and loop.supervisor.safe and self._torque is None:
+        elif (
+            action is Action.REPEAT_TORQUE
+            and loop.supervisor.safe
+            and self._torque is None
+        ):
             self._torque = loop.stop()  # the robot waits, and was deactivated meanwhile
-        if self._torque is not None and (inputs is not None or action is Action.REPEAT):
+        if self._torque is not None and (
+            inputs is not None or action is Action.REPEAT_TORQUE
+        ):
             outputs.publish(outputs.command(timing.answered_stamp, self._torque))
             if outputs.publish_bare is not None:
                 outputs.publish_bare(Float64MultiArray(data=self._torque))

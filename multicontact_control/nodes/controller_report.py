@@ -276,7 +276,7 @@ class ControllerReport:
             topic for topic in self.inputs.last if topic is not topics.NOISE_VARIANCE
         ]
         if (
-            timing.apart
+            timing.stamp_difference
             and now - self.watch.last >= NANOSECONDS
             and all(self.inputs.age(topic) <= 1.0 for topic in pair)
         ):
@@ -284,7 +284,7 @@ class ControllerReport:
                 'apart',
                 (
                     f'{" and ".join(topic.name for topic in pair)} come, but their stamps are '
-                    f'{abs(timing.apart) * 1e-6:.6g} ms apart: expected at most '
+                    f'{abs(timing.stamp_difference) * 1e-6:.6g} ms apart: expected at most '
                     f'{timing.tolerance * 1e-6:g} ms (pair_tolerance), of one clock'
                 ),
             )
@@ -410,7 +410,7 @@ class ControllerReport:
                 if loop.status
                 else [
                     'force' if output.answer['active'][i] else 'motion'
-                    for i in config.leaders
+                    for i in config.force_columns
                 ],
             )
         )

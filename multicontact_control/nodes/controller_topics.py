@@ -145,7 +145,7 @@ def build_contact_arrows(
         [],
         Header(frame_id=topics.WORLD_FRAME, stamp=messages.ns_to_stamp(stamp)),
     )
-    for number, (name, i) in enumerate(zip(config.contact_names, config.leaders)):
+    for number, (name, i) in enumerate(zip(config.contact_names, config.force_columns)):
         force, pose = float(output.contacts['alpha_meas'][i]), output.pose
         tip = (
             pose.position_world

@@ -95,7 +95,7 @@ class Setup:
 
     def reference(self) -> ScenarioTask:
         """Return the scenario's reference, at its start."""
-        return ScenarioTask.of(self.scenario.reference, self.controller)
+        return ScenarioTask.for_controller(self.scenario.reference, self.controller)
 
     def commanded(self, time: Vector) -> Matrix:
         """Return the scenario's forces at some times [s], first its preload, shape (m, r) [N]."""
@@ -349,7 +349,7 @@ def check_together(setup: Setup, path: Path) -> None:
     try:
         setup.reference()
     except ConfigError as error:
-        raise error.moved(source=str(path)) from None
+        raise error.as_config_error(source=str(path)) from None
 
 
 class ControllerFiles(NamedTuple):

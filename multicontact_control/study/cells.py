@@ -57,7 +57,7 @@ def run_cells(study: StudyConfig) -> list[Cell]:
                     if where
                     else error.field
                 )
-                raise error.moved(field) from None
+                raise error.as_config_error(field) from None
             factors = {
                 'part': title,
                 'plant': setup.plant_name,

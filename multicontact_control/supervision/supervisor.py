@@ -7,7 +7,11 @@ import logging
 from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.control.arm import ArmState, RELEASE
-from multicontact_control.control.controller import Controller, ControlOutput, Design
+from multicontact_control.control.controller import (
+    Controller,
+    ControllerDesign,
+    ControlOutput,
+)
 from multicontact_control.control.tasks import TaskSource
 from multicontact_control.diagnosis.explanations import Explanations
 from multicontact_control.dynamics.robot import RobotModel
@@ -176,7 +180,7 @@ class Supervisor:
             command = self.gate.last if self._torque_acts[0] else None
             self._seen = seen = self.inputs.validate(inputs, command)
             if self.controller.tool is not self.controller.next_tool:
-                self.controller.change_tool()
+                self.controller.advance_tool_change()
             if seen.joints:
                 terms = self._robot.compute(self._q, self._velocity)
                 if self._adds_gravity:
@@ -217,7 +221,7 @@ class Supervisor:
 
     def _allow_for_gravity(self) -> None:
         """Tell the gate what the drives add to a command."""
-        weight = self.controller.own_weight()
+        weight = self.controller.drive_gravity_torque()
         if np.isfinite(weight).all():
             self.gate.allow_for(weight)
 
@@ -282,14 +286,14 @@ class Supervisor:
             self._begin()
         self.task.ask(self._task_ticks * self._period)
         if arm.flags & (NO_NUMBERS | AMBIGUOUS):
-            self.controller.refuse()
+            self.controller.raise_no_answer()
         self._judgement['resumes'] = self._paused
         return self._answer(self._run(ACT), reaction, causes)
 
     def _answer(self, found: int, reaction: str, causes: tuple[str, ...]) -> Answer:
         """Answer by the law, or refuse what it says."""
         if found & (SINGULAR | DEPENDENT):
-            self.controller.refuse(found)
+            self.controller.raise_no_answer(found)
         self._part = 'internal'
         if found & REFUSED:
             return self._refuse(checks.cause_to_refuse(found))
@@ -299,7 +303,7 @@ class Supervisor:
             self._add_finding(self.explanations.lag())
         # A blend passes in a moment, and a limited rate is caught up with: they are left out.
         if self.guarded and found & LASTING_LIMITS:
-            self.controller.account_for(self.gate.last)
+            self.controller.account_for_torque(self.gate.last)
         self._task_ticks += 1
         return self._report(reaction, causes, found)
 
@@ -441,7 +445,7 @@ class Supervisor:
     def _survive(self, part: str, error: Exception) -> Answer:
         """Answer after an exception, in the law or in what is around it, and tell what it says."""
         cause = f'{part}_{type(error).__name__}'
-        if part == 'law' and not self.controller.arm.finite:
+        if part == 'law' and not self.controller.arm.has_finite_terms:
             cause = 'law_not_finite'
         self._failure = cause, self._tell(cause, error)
         try:
@@ -488,7 +492,7 @@ class Supervisor:
         else:
             self._output = ControlOutput(torque, self._memory.tobytes())
         if not controlled:
-            self._output = self._output.without_answer()
+            self._output = self._output.without_force_answers()
         if not self.guarded:
             return self._output, None
         named, plain = found & NAMED, self._seen is ALL_WELL and not causes
@@ -526,7 +530,7 @@ class Supervisor:
         """Return the time of the task, which stands still during a reaction [s]."""
         return self._task_ticks * self._period
 
-    def use(self, design: Design) -> None:
+    def use(self, design: ControllerDesign) -> None:
         """Go on with other live parameters, without a jump; see `Controller.design`."""
         self.controller.use(design)
         self._adopt(design.config)

@@ -162,7 +162,7 @@ class ArmLoop:
             [[np.eye(3), -cross], [cross, -cross @ cross]]
         )  # of a point mass at its centre
         observer = design_law(
-            config.law_of(names[0]),
+            config.force_law_of(names[0]),
             config.force,
             loop_model(config, config.contacts[names[0]].stiffness),
         )
