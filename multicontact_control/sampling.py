@@ -274,9 +274,10 @@ class SampleTiming:
 
     def _step_by_half(self, reading: Any, now: int) -> Decision:
         """Step by the half of a sample whose other half has not come `now` [ns]."""
-        del self._halves[type(reading)]
+        kind = type(reading)
+        del self._halves[kind]
         self.unpaired += 1
-        if isinstance(reading, JointInput):
+        if kind is JointInput:
             self._waiting = reading.stamp, reading, None
         else:
             self._waiting = reading.stamp, None, reading
