@@ -91,10 +91,8 @@ class ControlLoop:
         robot = RobotModel(config.robot, base_dir)
         self.warnings = robot.warnings(config.torque_limit)
         self.supervisor = Supervisor(config, robot, source, guarded=supervised)
-        self.remark = (
-            'standard deviation of the contact forces by the noise of the sensor: '
-            + (', '.join(map(str, self.supervisor.controller.resolutions)))
-        )
+        resolutions = ', '.join(map(str, self.supervisor.controller.resolutions))
+        self.remark = f'standard deviation of the contact forces by the noise of the sensor: {resolutions}'
         self.push_gate = PushGate(
             required=config.sensor.require_push_test,
             gravity_world=np.array(config.robot.gravity_world),
@@ -151,21 +149,14 @@ class ControlLoop:
             self.push_gate.fail(VELOCITIES_IN_DOUBT)
         if self.output is None or not self.push_gate.phase:
             return
-        joints, wrench, stage = inputs.joints, inputs.wrench, self.supervisor.inputs
-        if (
-            stage.fresh
-            and joints
-            and wrench
-            and joints.stamp == wrench.stamp
-            and (
-                self.push_gate.update(
-                    self.supervisor.controller.arm.frames[0],
-                    stage.raw,
-                    self.config.tool,
-                )
-            )
-            and (self.push_gate.open)
-        ):
+        joints = inputs.joints
+        wrench = inputs.wrench
+        stage = self.supervisor.inputs
+        if not (stage.fresh and joints and wrench and joints.stamp == wrench.stamp):
+            return
+        frame = self.supervisor.controller.arm.frames[0]
+        ended = self.push_gate.update(frame, stage.raw, self.config.tool)
+        if ended and self.push_gate.open:
             self.supervisor.gate.go_over()
             self.supervisor.task.lock(False)
 
