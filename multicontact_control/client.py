@@ -21,7 +21,7 @@ from multicontact_control.nodes.link import (
 )
 from multicontact_control.nodes.messages import ControllerStatus, new_identifier
 from multicontact_control.supervision.command_limits import check_position
-from multicontact_control.supervision.contacts import HOLDING, NAMES
+from multicontact_control.supervision.contacts import HOLDING, STATE_NAMES
 from multicontact_control.supervision.reactions import INFLATE, LATCHED, NONE
 import numpy as np
 from numpy.typing import ArrayLike
@@ -360,7 +360,7 @@ class MultiContactClient(ControllerLink):
         )
         missing = [] if _is_controlled(status) else [status.text]
         for name, force in status.forces.items():
-            off, held = abs(measured[name] - force), NAMES[HOLDING]
+            off, held = abs(measured[name] - force), STATE_NAMES[HOLDING]
             state = status.contact_states.get(name, held)
             if status.forces[name.partition('/')[0]] == 0.0:
                 continue  # a couple acts while its contact does

@@ -393,7 +393,7 @@ def test_no_tick_compiles_anything():
         bench.step(60)
     bench.loop.hold(True)
     bench.step(5)
-    assert {'float', 'hold', 'inflate'} <= set(bench.loop.events.reactions)
+    assert {'float', 'hold', 'inflate'} <= set(bench.loop.events.reaction_counts)
     assert count_compilations() == before
 
 
@@ -482,7 +482,7 @@ def test_variances_are_bounded_alike_with_and_without_a_supervisor(supervised):
 @pytest.mark.parametrize(
     ('part', 'cause', 'reaction'),
     [
-        ('task.ask', 'law_ZeroDivisionError', 'hold'),
+        ('task.update_wanted_task', 'law_ZeroDivisionError', 'hold'),
         ('inputs.validate', 'internal_ZeroDivisionError', 'float'),
     ],
 )
@@ -496,7 +496,7 @@ def test_exception_is_told_in_words_and_logged_once_with_its_traceback(
     right = getattr(owner, name)
 
     def broken(*given):
-        if work.pop('broken', False) or name == 'ask':
+        if work.pop('broken', False) or name == 'update_wanted_task':
             raise ZeroDivisionError('the mass of nothing')
         return right(*given)
 

@@ -22,11 +22,11 @@ from multicontact_control.errors import (
     SingularTaskError,
 )
 from multicontact_control.flags import (
-    AMBIGUOUS,
-    DEPENDENT,
-    NO_NUMBERS,
-    SINGULAR,
-    TORQUE,
+    COLUMNS_DEPENDENT,
+    FORCES_AMBIGUOUS,
+    MODEL_NOT_FINITE,
+    POSTURE_SINGULAR,
+    TORQUE_LIMITED,
 )
 from multicontact_control.force.force_law import (
     act_beyond,
@@ -310,7 +310,7 @@ class Controller:
             If the contacts' normals are not independent.
 
         """
-        if self.arm.flags & (AMBIGUOUS | NO_NUMBERS):
+        if self.arm.flags & (FORCES_AMBIGUOUS | MODEL_NOT_FINITE):
             self.raise_no_answer()
         terms = self.robot.terms
         found = control_law(
@@ -323,9 +323,9 @@ class Controller:
             self.laws,
             self._space,
         )
-        if found & (SINGULAR | DEPENDENT):
+        if found & (POSTURE_SINGULAR | COLUMNS_DEPENDENT):
             self.raise_no_answer(found)
-        return bool(found & TORQUE)
+        return bool(found & TORQUE_LIMITED)
 
     def drive_gravity_torque(self) -> Vector:
         """Return the torque by which drives with `adds_gravity` carry the arm, (n,) [N m]."""
@@ -357,14 +357,14 @@ class Controller:
         )
         act_beyond(self.laws, active, N.T @ twist_rate)
 
-    def raise_no_answer(self, found: int = DEPENDENT) -> NoReturn:
+    def raise_no_answer(self, found: int = COLUMNS_DEPENDENT) -> NoReturn:
         """Raise what `control_law` has found, or that the model has no finite numbers."""
         if not self.arm.has_finite_terms:
             raise SingularTaskError(
                 "the arm's dynamics: expected finite numbers, got others at joint positions "
                 f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}'
             )
-        if found & DEPENDENT:
+        if found & COLUMNS_DEPENDENT:
             raise ContactGeometryError(
                 'N: expected independent columns, got normals and contact points of '
                 f'{", ".join(self.config.column_names)} that depend on each other'

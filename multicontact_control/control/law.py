@@ -24,7 +24,11 @@ from multicontact_control.dynamics.operational_space import (
     mobility_and_inertia,
 )
 from multicontact_control.dynamics.rotations import rotation_vector
-from multicontact_control.flags import DEPENDENT, SINGULAR, TORQUE
+from multicontact_control.flags import (
+    COLUMNS_DEPENDENT,
+    POSTURE_SINGULAR,
+    TORQUE_LIMITED,
+)
 from multicontact_control.force.force_law import answer_forces, ForceLaw, ForceSpace
 from multicontact_control.records import (
     Contact,
@@ -241,8 +245,8 @@ def control_law(
     Returns
     -------
     int
-        TORQUE if a limit was enforced; SINGULAR or DEPENDENT if there is no answer, and the force
-        laws have not been touched.
+        TORQUE_LIMITED if a limit was enforced; POSTURE_SINGULAR or COLUMNS_DEPENDENT if there is
+        no answer, and the force laws have not been touched.
 
     """
     law, frame, task = control.law, control.frame, control.task
@@ -251,7 +255,7 @@ def control_law(
         mass_matrix, jacobian, law.singular_mobility, inertia
     )
     if damping < 0.0:
-        return SINGULAR
+        return POSTURE_SINGULAR
     rows, weighted_rows = space.rows[:count], space.weighted_rows[:count]
     factor, weighted_factor = (
         space.factor[:count, :count],
@@ -271,7 +275,7 @@ def control_law(
         factorise_contacts(contacts, False, rows, rows, factor)
         and factorise_contacts(contacts, False, rows, weighted_rows, weighted_factor)
     ):
-        return DEPENDENT
+        return COLUMNS_DEPENDENT
     apply_motion_law(law, task, frame, space.f_t)
     answer_forces(laws, contacts, control, inputs, space.forces)
     if not law.decoupled:
@@ -323,4 +327,4 @@ def control_law(
             space.pull[:n],
             space.along,
         )
-    return TORQUE if limit_torque(law, joints) else 0
+    return TORQUE_LIMITED if limit_torque(law, joints) else 0

@@ -22,7 +22,7 @@ from multicontact_control.runs.scenario import Setup
 from multicontact_control.supervision import contacts
 from multicontact_control.supervision.gate import LIMIT_NAMES
 from multicontact_control.supervision.reactions import INFLATE, NONE
-from multicontact_control.supervision.report import CAPACITY
+from multicontact_control.supervision.report import EVENT_CAPACITY
 import numpy as np
 
 STABLE, POOR, HELD, NOT_STABLE, SILENT, UNJUDGED = (
@@ -78,9 +78,10 @@ LOCKSTEP, REAL_TIME, EXTERNAL_RUN, RECORDED = (
     'external',
     'recorded',
 )
-WHOLE = tuple(contacts.NAMES[i] for i in (contacts.IMPACT, contacts.HOLDING))
+WHOLE = tuple(contacts.STATE_NAMES[i] for i in (contacts.IMPACT, contacts.HOLDING))
 GONE = tuple(
-    contacts.NAMES[i] for i in (contacts.LOST, contacts.RETRACTING, contacts.GIVEN_UP)
+    contacts.STATE_NAMES[i]
+    for i in (contacts.LOST, contacts.RETRACTING, contacts.GIVEN_UP)
 )
 LIMITS = tuple(LIMIT_NAMES.values())
 
@@ -423,9 +424,9 @@ def _interventions(run: RunMetrics, log: Sequence[tuple[float, str]]) -> list[st
             times.append(event.time)
             names.update(begun)
     helped = []
-    if len(events) == CAPACITY:
+    if len(events) == EVENT_CAPACITY:
         helped.append(
-            f'the supervisor changed something {CAPACITY} times or more: what it did '
+            f'the supervisor changed something {EVENT_CAPACITY} times or more: what it did '
             f'before {events[0].time:.3g} s is not known'
         )
     commonest = ', '.join(f'{name} {count}' for name, count in names.most_common(3))

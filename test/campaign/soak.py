@@ -28,7 +28,7 @@ from multicontact_control.faults.judge import (
 from multicontact_control.faults.vocabulary import FAULTS, PlantEdit
 from multicontact_control.judging.oscillation import oscillations
 from multicontact_control.runs.closed_loop import ClosedLoop
-from multicontact_control.supervision.contacts import HOLDING, NAMES
+from multicontact_control.supervision.contacts import HOLDING, STATE_NAMES
 import numpy as np
 import pandas as pd
 from rich.progress import track
@@ -198,7 +198,7 @@ class Soak:
         wanted, status = np.array(list(self.wanted.values())), self.loop.status
         errors = np.array(forces) - wanted
         held = all(
-            state == NAMES[HOLDING]
+            state == STATE_NAMES[HOLDING]
             for state, force in zip(status.contact_states, wanted)
             if force > 0.0
         )
