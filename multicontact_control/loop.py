@@ -28,9 +28,10 @@ from multicontact_control.supervision.report import EventLog, SupervisorStatus
 from multicontact_control.supervision.supervisor import Supervisor, unsupervised_error
 import numpy as np
 
-# m and rad of a commanded motion that contacts do not leave free, from which on it is told:
+# m and rad of a commanded motion that contacts do not leave free, up to which it is not reported:
 # a tool that follows a surface leaves the height that was commanded, too.
-UNTOLD_WAY, UNTOLD_TURN = 0.005, 0.05
+UNREPORTED_DISTANCE = 0.005
+UNREPORTED_ANGLE = 0.05
 STREAM_TIME = 1.0  # s; commands that come more often than this are a stream
 VELOCITIES_IN_DOUBT = (
     'the joint velocities are in doubt (joints_velocity): prove them in motion, '
@@ -87,7 +88,9 @@ class ControlLoop:
         limits.check(config)
         self.limits = limits
         source = scenario or CommandedTask(config.column_names, config.leading_columns)
-        self._commanded = source if isinstance(source, CommandedTask) else None
+        self._commanded: CommandedTask | None = None
+        if isinstance(source, CommandedTask):
+            self._commanded = source
         robot = RobotModel(config.robot, base_dir)
         self.warnings = robot.warnings(config.torque_limit)
         self.supervisor = Supervisor(config, robot, source, guarded=supervised)
@@ -120,7 +123,9 @@ class ControlLoop:
         self.output: ControlOutput | None = None
         self.status: SupervisorStatus | None = None
         self.events = EventLog()
-        self._inputs, self.time, self._commanded_at = TickInputs(0.0), 0.0, -math.inf
+        self._inputs = TickInputs(0.0)
+        self.time = 0.0
+        self._commanded_at = -math.inf  # the newest new force [s]
 
     def step(self, inputs: TickInputs) -> Vector:
         """
@@ -129,7 +134,8 @@ class ControlLoop:
         If not supervised: MulticontactError if a reading is missing, or there is no torque for
         this posture.
         """
-        self._inputs, self.time = inputs, inputs.time
+        self._inputs = inputs
+        self.time = inputs.time
         output, status = self.supervisor.step(inputs)
         self.output = None if self.supervisor.safe else output
         if status is self.status:
@@ -138,7 +144,7 @@ class ControlLoop:
             self.events.note_status(inputs.time - inputs.ahead, status)
         self.status = status
         if self.push_gate.phase:
-            self._push(inputs)
+            self._continue_push_test(inputs)
         return output.torque
 
     def stop(self) -> Vector:
@@ -146,8 +152,8 @@ class ControlLoop:
         self.supervisor.stop()
         return self.step(self._inputs)
 
-    def _push(self, inputs: TickInputs) -> None:
-        """Lead on with a push test by a sample with a new wrench, and obey its verdict."""
+    def _continue_push_test(self, inputs: TickInputs) -> None:
+        """Take a sample with a new wrench into a push test; allow force control once it passes."""
         if self.supervisor.velocities_on_probation:
             self.push_gate.fail(VELOCITIES_IN_DOUBT)
         if self.output is None or not self.push_gate.phase:
@@ -182,13 +188,10 @@ class ControlLoop:
         self._require_rest('push test')
         if self.supervisor.velocities_on_probation:
             raise CommandError('push test', hint=VELOCITIES_IN_DOUBT)
-        self.push_gate.start(
-            config,
-            {
-                name: np.array(x.point_operational)
-                for name, x in self.config.contacts.items()
-            },
-        )
+        points = {}
+        for name, contact in self.config.contacts.items():
+            points[name] = np.array(contact.point_operational)
+        self.push_gate.start(config, points)
         self.supervisor.gate.start_blend()
         self.supervisor.task.set_lock(True)
         return self.push_gate.instruction
@@ -232,13 +235,13 @@ class ControlLoop:
         `centres` has the centre of pressure instead of a couple, by the couple's name: from the
         centre of the contact, along its direction or across it [m].
         """
-        task = self._commandable()
+        task = self._require_commanded_task()
         shares = offset_shares(self.config, centres or {})
-        followed = {
-            name: share for name, share in task.shares.items() if name not in forces
-        }
+        followed = task.shares
+        for name in forces:
+            followed.pop(name, None)
         self.limits.check_forces(
-            self.config, forces, before=task.forces, shares={**followed, **shares}
+            self.config, forces, before=task.forces, shares=followed | shares
         )
         if task.set_forces(forces, shares):
             if not self.time - self._commanded_at <= STREAM_TIME:
@@ -251,25 +254,24 @@ class ControlLoop:
 
         Returns what they do not, in words; empty if that is next to nothing.
         """
-        task = self._commandable()
+        task = self._require_commanded_task()
         check_motion(motion, self.config.limits)
-        left_out = self._left_out(motion)
+        unfree_part = self._describe_unfree_part(motion)
         task.set_motion(
             motion, self.supervisor.task.sought_normals(), self.limits.motion_timeout
         )
-        return left_out
+        return unfree_part
 
-    def _left_out(self, motion: MotionReading) -> str:
+    def _describe_unfree_part(self, motion: MotionReading) -> str:
         """Return which part of the way to a commanded motion contacts do not leave free."""
         placing = self.supervisor.task.placing_columns()
         if self.output is None or not placing:
             return ''
-        way = self.output.pose_des.way_to(
-            Pose.from_quaternion(motion.position_world, motion.quaternion_xyzw)
-        )
+        goal = Pose.from_quaternion(motion.position_world, motion.quaternion_xyzw)
+        way = self.output.pose_des.way_to(goal)
         placed = placed_way(way, np.array(list(placing.values())))
         distance, angle = np.linalg.norm(placed.reshape(2, 3), axis=1).tolist()
-        if distance <= UNTOLD_WAY and angle <= UNTOLD_TURN:
+        if distance <= UNREPORTED_DISTANCE and angle <= UNREPORTED_ANGLE:
             return ''
         return (
             f'{1e3 * distance:.3g} mm and {angle:.3g} rad of the way are not obeyed: there '
@@ -279,10 +281,12 @@ class ControlLoop:
     @property
     def commanded_forces(self) -> dict[str, float]:
         """Return the commanded forces and couples by name [N]; none in a scenario."""
-        return {} if self._commanded is None else self._commanded.forces
+        if self._commanded is None:
+            return {}
+        return self._commanded.forces
 
-    def _commandable(self) -> CommandedTask:
-        """Return the task that obeys commands now."""
+    def _require_commanded_task(self) -> CommandedTask:
+        """Return the task that obeys commands now; CommandError if there is none."""
         if self._commanded is None:
             raise CommandError('reference_file', hint='the controller plays a scenario')
         self._require_running()
@@ -301,12 +305,10 @@ class ControlLoop:
                 '~/push_test', hint=f'pass it first: {self.push_gate.instruction}'
             )
         if not self.supervisor.started:
-            causes = () if self.status is None else self.status.causes
-            raise CommandError(
-                'control',
-                hint='wait: it has not begun'
-                + (f' ({", ".join(causes)})' if causes else ''),
-            )
+            hint = 'wait: it has not begun'
+            if self.status is not None and self.status.causes:
+                hint += f' ({", ".join(self.status.causes)})'
+            raise CommandError('control', hint=hint)
 
     def hold(self, wanted: bool) -> str:
         """Hold the present pose and the desired forces, or go on; return what happens now."""

@@ -55,7 +55,7 @@ BUDGETS = {
     'contact': 4_600,
     'force': 15_600,
     'control': 9_000,
-    LOOP: 3_300,
+    LOOP: 3_400,
     'supervision': 29_500,
     'diagnosis': 3_500,
     'sensor': 3_200,
