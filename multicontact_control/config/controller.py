@@ -190,19 +190,20 @@ class ControllerConfig(Config):
             )
         else:
             yield from self._force_law_errors()
-        momentum = self.wrench_input == 'momentum'
-        if momentum == bool(self.robot.sensor_frame):
+        without_sensor = self.wrench_input == 'momentum'
+        if without_sensor == bool(self.robot.sensor_frame):
             yield ConfigError(
                 'robot.sensor_frame',
                 'a link of the robot with a wrist sensor, and '
                 'empty with wrench_input momentum',
                 f"'{self.robot.sensor_frame}'",
             )
-        if momentum and self.sensor.require_push_test:
+        if without_sensor and self.sensor.require_push_test:
             yield ConfigError(
                 'sensor.require_push_test', 'false without a wrist sensor', True
             )
-        bounds, initial = self.noise_variance, self.initial_noise_variance
+        bounds = self.noise_variance
+        initial = self.initial_noise_variance
         if not bounds.smallest <= initial <= bounds.largest:
             yield ConfigError(
                 'initial_noise_variance',
@@ -212,22 +213,13 @@ class ControllerConfig(Config):
         yield from self._delay_errors()
 
     def _force_law_errors(self) -> Iterator[ConfigError]:
-        force, adaptive = self.force, self.force.stiffness == 'adaptive'
-        others = sorted(
-            {self.force_law_of(name) for name in self.contact_names} - {'aob'}
-        )
-        # What needs contacts that do not move each other, as N alpha* (eq. 30) lets them.
-        decoupled = [f'the law {law}' for law in others] + [
-            'adaptive stiffness'
-        ] * adaptive
+        """Yield an error for each choice of the force laws that others rule out."""
+        force = self.force
+        adaptive = force.stiffness == 'adaptive'
+        laws = {self.force_law_of(name) for name in self.contact_names}
+        other_laws = sorted(laws - {'aob'})
         for name in self.contact_names:
             contact = self.contacts[name]
-            decoupled += [f'the {contact.type} {name}'] * (contact.type != 'point')
-            decoupled += [
-                f'contacts.{name}.{field}'
-                for field in ('surface_speed', 'surface_speed_limit')
-                if getattr(contact, field)
-            ]
             if contact.normal_turn_rate and not contact.friction_std:
                 yield ConfigError(
                     f'contacts.{name}.friction_std',
@@ -241,13 +233,14 @@ class ControllerConfig(Config):
                     '0 m/s unless force.law is aob',
                     contact.surface_speed_limit,
                 )
-        if decoupled and force.allocation != 'decoupled':
+        need_decoupling = list(self._needs_of_decoupling(other_laws))
+        if need_decoupling and force.allocation != 'decoupled':
             yield ConfigError(
                 'force.allocation',
-                f'decoupled with {", ".join(decoupled)}',
+                f'decoupled with {", ".join(need_decoupling)}',
                 force.allocation,
             )
-        if adaptive and (others or not force.active_state_order):
+        if adaptive and (other_laws or not force.active_state_order):
             yield ConfigError(
                 'force.stiffness',
                 'configured unless every law is aob, with an active state',
@@ -258,8 +251,25 @@ class ControllerConfig(Config):
                 'force.damping_rate', 'above 0 with adaptive stiffness', 0.0
             )
 
+    def _needs_of_decoupling(self, other_laws: list[LawName]) -> Iterator[str]:
+        """Yield all that needs contacts that move no other one, unlike N alpha* (P04 eq. 30)."""
+        for law in other_laws:
+            yield f'the law {law}'
+        if self.force.stiffness == 'adaptive':
+            yield 'adaptive stiffness'
+        for name in self.contact_names:
+            contact = self.contacts[name]
+            if contact.type != 'point':
+                yield f'the {contact.type} {name}'
+            if contact.surface_speed:
+                yield f'contacts.{name}.surface_speed'
+            if contact.surface_speed_limit:
+                yield f'contacts.{name}.surface_speed_limit'
+
     def _delay_errors(self) -> Iterator[ConfigError]:
-        sensor, nyquist = self.sensor, 0.5 * self.rate
+        """Yield an error for a low-pass beyond half the rate, or a delay that no model has."""
+        sensor = self.sensor
+        nyquist = 0.5 * self.rate
         if sensor.filter_order and sensor.filter_cutoff >= nyquist:
             yield ConfigError(
                 'sensor.filter_cutoff',
@@ -282,30 +292,34 @@ class ControllerConfig(Config):
     @property
     def measuring_delay(self) -> float:
         """Delay of the low-pass of the wrench and, by momentum, of its observer [s]."""
-        observed = (
-            1.0 / self.momentum_bandwidth if self.wrench_input == 'momentum' else 0.0
-        )
-        return self.sensor.filter_delay(self.rate) + observed
+        delay = self.sensor.filter_delay(self.rate)
+        if self.wrench_input == 'momentum':
+            delay += 1.0 / self.momentum_bandwidth
+        return delay
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """Return the controlled coordinates of all contacts, in the order of every vector."""
         columns: list[Column] = []
         for name in self.contact_names:
-            contact, leader = self.contacts[name], len(columns)
-            halves = (0.0, contact.half_length, contact.half_width)
-            couple = contact.couple_stiffness or 1.0 / 3.0 * contact.stiffness
-            columns += [
-                Column(
-                    name=name + SUFFIXES[kind],
-                    contact=name,
-                    kind=kind,
-                    leader=leader,
-                    stiffness=contact.stiffness if kind == FORCE else couple,
-                    half_length=halves[kind],
+            contact = self.contacts[name]
+            couple_stiffness = contact.couple_stiffness or 1.0 / 3.0 * contact.stiffness
+            half_lengths = (0.0, contact.half_length, contact.half_width)
+            leader = len(columns)
+            for kind in KINDS[contact.type]:
+                stiffness = couple_stiffness
+                if kind == FORCE:
+                    stiffness = contact.stiffness
+                columns.append(
+                    Column(
+                        name=name + SUFFIXES[kind],
+                        contact=name,
+                        kind=kind,
+                        leader=leader,
+                        stiffness=stiffness,
+                        half_length=half_lengths[kind],
+                    )
                 )
-                for kind in KINDS[contact.type]
-            ]
         return tuple(columns)
 
     @property
@@ -325,7 +339,8 @@ class ControllerConfig(Config):
 
     def force_law_of(self, contact: str) -> LawName:
         """Return the name of a contact's force law."""
-        return self.contacts[contact].law or self.force.law
+        own_law = self.contacts[contact].law
+        return own_law or self.force.law
 
     @property
     def momentum_bandwidth(self) -> float:
@@ -335,7 +350,9 @@ class ControllerConfig(Config):
     @property
     def wrench_series(self) -> str:
         """Return the name of the wrench that feeds the loop, in samples and recordings."""
-        return 'wrench' if self.wrench_input == 'raw' else 'wrench_filtered'
+        if self.wrench_input == 'raw':
+            return 'wrench'
+        return 'wrench_filtered'
 
     @property
     def period(self) -> float:
