@@ -8,6 +8,8 @@ from typing import Literal
 from multicontact_control.config.base import Config, parameter, PositiveVector, Vector
 from multicontact_control.errors import ConfigError
 
+RELEASE_FORCE = 0.5  # N, measured force below which a contact may be lost
+
 
 class ContactStateConfig(Config):
     """Thresholds of the contact states, and the search for surfaces."""
@@ -33,14 +35,7 @@ class ContactStateConfig(Config):
         1.5,
         'Change of the measured force since the approach began that counts as touch.',
         unit='N',
-        gt=0.0,
-        le=100.0,
-    )
-    release_threshold: float = parameter(
-        0.5,
-        'Measured force below which a contact may be lost.',
-        unit='N',
-        ge=0.0,
+        gt=RELEASE_FORCE,
         le=100.0,
     )
     retry_time: float = parameter(
@@ -69,12 +64,12 @@ class ContactStateConfig(Config):
 
     def _cross_field_errors(self) -> Iterator[ConfigError]:
         for lower, upper in (
-            ('release_threshold', 'contact_threshold'),
             ('preload', 'force_ceiling'),
             ('contact_threshold', 'smallest_force'),
             ('contact_threshold', 'force_ceiling'),
         ):
-            small, large = getattr(self, lower), getattr(self, upper)
+            small = getattr(self, lower)
+            large = getattr(self, upper)
             if not small < large:
                 yield ConfigError(
                     f'contact_state.{lower}',
@@ -125,10 +120,8 @@ class LimitsConfig(Config):
 
     def _cross_field_errors(self) -> Iterator[ConfigError]:
         for kind in ('joint', 'workspace'):
-            lower, upper = (
-                getattr(self, f'{kind}_lower'),
-                getattr(self, f'{kind}_upper'),
-            )
+            lower = getattr(self, f'{kind}_lower')
+            upper = getattr(self, f'{kind}_upper')
             if len(lower) != len(upper) or any(a >= b for a, b in zip(lower, upper)):
                 yield ConfigError(
                     f'limits.{kind}_lower',
