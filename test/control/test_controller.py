@@ -113,7 +113,7 @@ class RandomTask:
     def start(self, pose, normals_world):
         self._pose = pose
 
-    def task(self, time, alpha_meas=None):
+    def task_at(self, time, alpha_meas=None):
         random = self._generator
         turn = random.normal(size=4) * [0.2, 0.2, 0.2, 0.0] + [0.0, 0.0, 0.0, 1.0]
         offset = Pose.from_quaternion(0.05 * random.normal(size=3), turn)
@@ -289,7 +289,7 @@ class Follow:
     def start(self, pose, normals_world):
         pass
 
-    def task(self, time, alpha_meas=None):
+    def task_at(self, time, alpha_meas=None):
         state = self.state
         beside = Pose(
             state.pose.position_world + self.offset, state.pose.rotation_world
