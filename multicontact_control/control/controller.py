@@ -8,9 +8,9 @@ from typing import NamedTuple, NoReturn
 from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import ControllerConfig, ToolConfig
-from multicontact_control.contact.geometry import check_columns, place_columns
+from multicontact_control.contact.geometry import check_columns, configure_contacts
 from multicontact_control.contact.resolution import check_resolution
-from multicontact_control.contact.wrench import tool_between, tool_record
+from multicontact_control.contact.wrench import interpolate_tool, make_tool_record
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.law import control_law, LAW_SPACE, LawSpace
 from multicontact_control.dynamics.operational_space import MAX_CONDITION, STOP_MARGIN
@@ -29,7 +29,7 @@ from multicontact_control.flags import (
     TORQUE_LIMITED,
 )
 from multicontact_control.force.force_law import (
-    act_beyond,
+    add_extra_acceleration,
     continue_laws,
     ForceLaw,
     make_force_laws,
@@ -159,7 +159,7 @@ class Controller:
         self.contacts: Records[Contact] = self.memory[CONTROL.itemsize :].view(CONTACT)
         self.controls['measured'] = True
         self.controls['task']['rotation'] = np.eye(3)
-        place_columns(config, self.contacts)
+        configure_contacts(config, self.contacts)
         check_columns(config.column_names, self.contacts)
         self.arm = ArmState(robot, self.controls, self.contacts)
         self.active: Mask = self.contacts['answer']['active']
@@ -198,15 +198,15 @@ class Controller:
         if self.config.wrench_input == 'momentum':
             felt = ToolConfig()
         gravity_world = np.array(self.config.robot.gravity_world)
-        self.controls['tool'] = tool_record(felt, gravity_world)
-        self.robot.carry(tool, self._in_urdf)
+        self.controls['tool'] = make_tool_record(felt, gravity_world)
+        self.robot.carry_load(tool, self._in_urdf)
 
     def advance_tool_change(self) -> None:
         """Go a tick on from one tool to the next: weight, inertia and bias together."""
         self._slewed += 1
         elapsed = self._slewed * self.config.period
         share = quintic_blend(elapsed, self.config.transition.slew_time)[0]
-        self._carry_tool(tool_between(self._last_tool, self.next_tool, share))
+        self._carry_tool(interpolate_tool(self._last_tool, self.next_tool, share))
 
     def reset(self) -> None:
         """Forget everything measured; the next sample starts anew."""
@@ -247,7 +247,7 @@ class Controller:
                 f'{mass:.4g} kg, with the {self._in_urdf.mass:.4g} kg of its tool',
             )
         columns = self.contacts.copy()
-        place_columns(config, columns)
+        configure_contacts(config, columns)
         check_columns(config.column_names, columns)  # normals may be others
         check_resolution(config, self.controls, columns)
         return ControllerDesign(config, make_force_laws(config))
@@ -260,7 +260,9 @@ class Controller:
             self.next_tool = config.tool
             self._slewed = 0
         if config.contacts != self.config.contacts:
-            place_columns(config, self.contacts)  # what is learnt of surfaces stays
+            configure_contacts(
+                config, self.contacts
+            )  # what is learnt of surfaces stays
         self._set_configuration(config)
         if self.started:
             continue_laws(design.laws, self.laws)
@@ -329,7 +331,7 @@ class Controller:
         """Return the torque by which drives with `adds_gravity` carry the arm, (n,) [N m]."""
         if self.config.robot.adds_tool_gravity:
             return self.robot.terms.gravity.copy()
-        return self.robot.terms.gravity - self.robot.load_torque(self.tool)
+        return self.robot.terms.gravity - self.robot.compute_load_torque(self.tool)
 
     def account_for_torque(self, torque: Vector) -> None:
         """
@@ -352,7 +354,7 @@ class Controller:
         twist_rate = terms.jacobian @ np.linalg.solve(
             M, torque - unlimited + terms.jacobian.T @ (N @ beyond)
         )
-        act_beyond(self.laws, active, N.T @ twist_rate)
+        add_extra_acceleration(self.laws, active, N.T @ twist_rate)
 
     def raise_no_answer(self, found: int = COLUMNS_DEPENDENT) -> NoReturn:
         """Raise what `control_law` has found, or that the model has no finite numbers."""
