@@ -75,7 +75,11 @@ def parameter(
 
 
 class Config(BaseModel):
-    """Base of every configuration: frozen; unknown keys, infinity and NaN are errors."""
+    """
+    Base of every configuration: a frozen model of declared parameters.
+
+    Unknown keys, infinity and NaN are errors, and so is what `_cross_field_errors` yields.
+    """
 
     model_config = ConfigDict(
         extra='forbid', frozen=True, validate_default=True, allow_inf_nan=False
@@ -145,7 +149,11 @@ def _known_keys(model: type[Config], location: Sequence[int | str]) -> str:
 
 
 def find_config_model(kind: Any) -> type[Config] | None:
-    """Return the first configuration in a type, as that of the values of a mapping."""
+    """
+    Return the first configuration in a type, e.g. that of the values of a mapping.
+
+    None if there is none in it.
+    """
     if isinstance(kind, type) and issubclass(kind, Config):
         return kind
     for inner_kind in get_args(kind):
@@ -245,7 +253,11 @@ def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str
 
 
 def merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested values with others laid over them: mappings are merged, all else replaced."""
+    """
+    Return nested values with others laid over them.
+
+    Mappings are merged key by key; all else, also a list, takes the place of what was there.
+    """
     merged = dict(base)
     for key, value in overrides.items():
         if isinstance(value, Mapping) and isinstance(merged.get(key), Mapping):

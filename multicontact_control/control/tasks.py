@@ -99,7 +99,7 @@ class ApproachConfig(Config):
 
 
 class ForceStepConfig(Config):
-    """A step of the desired forces."""
+    """A step of the desired forces at one time; contacts that are not named keep theirs."""
 
     time: float = parameter(..., 'When.', unit='s', ge=0.0)
     forces: dict[str, float] = parameter(
@@ -108,7 +108,7 @@ class ForceStepConfig(Config):
 
 
 class SineConfig(Config):
-    """A sinusoid along one direction, blended in."""
+    """A sinusoid of the operational point along one direction, blended in by a quintic."""
 
     start_time: float = parameter(..., 'When the motion starts.', unit='s', ge=0.0)
     direction_world: UnitVector3 = parameter(
@@ -122,7 +122,11 @@ class SineConfig(Config):
 
 
 class ReferenceConfig(Config):
-    """Approach, force steps at rest, motion (P04 sec. 5.2)."""
+    """
+    The scenario of an experiment: approach, force steps at rest, motion (P04 sec. 5.2).
+
+    Times count from the first sample.
+    """
 
     approach: ApproachConfig = ApproachConfig()
     force_steps: tuple[ForceStepConfig, ...] = ()
