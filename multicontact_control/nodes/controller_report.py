@@ -346,7 +346,7 @@ class ControllerReport:
     def _supervisor(self) -> Iterator[ComponentStatus | None]:
         """Yield what the supervisor does, and in how many ticks it did something else."""
         friction = yield from self._node.background.compute(
-            self._loop.supervisor.explanations.friction
+            self._loop.supervisor.explanations.explain_friction
         )
         status, log = self._loop.status or QUIET, self._loop.events
         severe = SEVERITY.index(status.reaction) > SEVERITY.index(INFLATE)
