@@ -21,7 +21,7 @@ from pydantic import (
 import yaml
 
 UNIT_NORM_TOLERANCE = 1e-3
-EVERY_NODE = '**'  # in the place of a node's name
+ANY_NODE = '**'  # in the place of a node's name
 LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # ten times as fast
 # What pydantic puts around what it expects: the way it came there, and what it got.
 PHRASES = re.compile(
@@ -207,7 +207,7 @@ def _node_sections(
 def sets_parameter(path: Path, node: str, name: str) -> bool:
     """Return whether a ROS 2 parameter file sets a parameter of a node, by its dotted name."""
     for section, parameters in _node_sections(read_yaml(path)):
-        concerned = section.rpartition('/')[2] in (node, EVERY_NODE, '*')
+        concerned = section.rpartition('/')[2] in (node, ANY_NODE, '*')
         if concerned and _holds_parameter(parameters or {}, name):
             return True
     return False
@@ -229,7 +229,7 @@ def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str
     """
     Read a ROS 2 parameter file with at most one section for each of some nodes.
 
-    Sections name a node with or without a namespace; `EVERY_NODE` stands for all nodes. Returns
+    Sections name a node with or without a namespace; `ANY_NODE` stands for all nodes. Returns
     the parameters by node; ConfigError for any other section, or two of one node.
     """
     by_node: dict[str, dict[str, Any]] = {}
