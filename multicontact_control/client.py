@@ -242,8 +242,9 @@ class MultiContactClient(ControllerLink):
         interrupted = 0.0
         state = start
         while elapsed < duration:
-            before, state = state, self.read()
-            advance = min(state.time - before.time, LONGEST_ADVANCE)
+            last_time = state.time
+            state = self.read()
+            advance = min(state.time - last_time, LONGEST_ADVANCE)
             self.find_acceptance(
                 identifier
             )  # what it refuses of the way ends the motion
@@ -285,8 +286,9 @@ class MultiContactClient(ControllerLink):
             if arrived and reference_arrived and _is_controlled(status):
                 return
             _require_passing(status, state, goal, waited)
-            before, state = state, self.read()
-            waited += state.time - before.time
+            last_time = state.time
+            state = self.read()
+            waited += state.time - last_time
 
     def _known_status(self) -> ControllerStatus:
         """Return the status that was looked at last; RunError if the controller sends none."""

@@ -7,7 +7,7 @@ from typing import Any
 
 
 class MulticontactError(Exception):
-    """Root of every error raised by this package."""
+    """Root of every error raised by this package: catch it to catch them all."""
 
 
 class FieldError(MulticontactError):
@@ -72,7 +72,7 @@ class FieldError(MulticontactError):
 
 
 class CommandError(FieldError):
-    """A command cannot be obeyed."""
+    """A command cannot be obeyed now, e.g. because the arm is held or presses on a surface."""
 
 
 class MessageError(FieldError):
@@ -102,11 +102,11 @@ class ConfigError(FieldError):
 
 
 class ShapeError(FieldError):
-    """An array does not have the shape its function documents."""
+    """An array does not have the shape its function documents: both shapes are named."""
 
 
 class SingularTaskError(MulticontactError):
-    """The arm cannot accelerate its operational point in every direction."""
+    """The arm cannot accelerate its operational point in every direction in this posture."""
 
 
 class ContactGeometryError(MulticontactError):
@@ -122,7 +122,7 @@ class RunError(MulticontactError):
 
 
 class RosError(RunError, ImportError):
-    """ROS 2 cannot be loaded."""
+    """ROS 2 cannot be loaded: what needs it says how to install it, the rest goes on."""
 
 
 def run_all_checks(*checks: Callable[[], object]) -> list[Any]:

@@ -137,7 +137,9 @@ class ControlLoop:
         self._inputs = inputs
         self.time = inputs.time
         output, status = self.supervisor.step(inputs)
-        self.output = None if self.supervisor.safe else output
+        self.output = output
+        if self.supervisor.safe:
+            self.output = None
         if status is self.status:
             self.events.repeats += 1
         elif status is not None:

@@ -205,14 +205,18 @@ class SampleTiming:
         self._older_stamp = None
         self._half_answered = not self._is_whole(joints, wrench)
         self._take_stamp(stamp, now)
+        newest_joints = self._inputs.joints
+        if joints:
+            newest_joints = joints._replace(stamp=self._time)
+        newest_wrench = self._inputs.wrench
+        if wrench:
+            newest_wrench = wrench._replace(stamp=self._time)
         time = self._time
-        joints_before, wrench_before = self._inputs.joints, self._inputs.wrench
+        if not self._supervised:
+            time = self.tick * self._period
+        variance = self._inputs.variance
         self._inputs = TickInputs(
-            time if self._supervised else self.tick * self._period,
-            joints._replace(stamp=time) if joints else joints_before,
-            wrench._replace(stamp=time) if wrench else wrench_before,
-            self._inputs.variance,
-            self._shift,
+            time, newest_joints, newest_wrench, variance, self._shift
         )
         return Decision(action, self._inputs)
 

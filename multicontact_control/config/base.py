@@ -21,7 +21,7 @@ from pydantic import (
 import yaml
 
 UNIT_NORM_TOLERANCE = 1e-3
-EVERY_NODE = '**'  # in the place of a node's name
+ANY_NODE = '**'  # in the place of a node's name
 LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # ten times as fast
 # What pydantic puts around what it expects: the way it came there, and what it got.
 PHRASES = re.compile(
@@ -75,7 +75,11 @@ def parameter(
 
 
 class Config(BaseModel):
-    """Base of every configuration: frozen; unknown keys, infinity and NaN are errors."""
+    """
+    Base of every configuration: a frozen model of declared parameters.
+
+    Unknown keys, infinity and NaN are errors, and so is what `_cross_field_errors` yields.
+    """
 
     model_config = ConfigDict(
         extra='forbid', frozen=True, validate_default=True, allow_inf_nan=False
@@ -145,7 +149,11 @@ def _known_keys(model: type[Config], location: Sequence[int | str]) -> str:
 
 
 def find_config_model(kind: Any) -> type[Config] | None:
-    """Return the first configuration in a type, as that of the values of a mapping."""
+    """
+    Return the first configuration in a type, e.g. that of the values of a mapping.
+
+    None if there is none in it.
+    """
     if isinstance(kind, type) and issubclass(kind, Config):
         return kind
     for inner_kind in get_args(kind):
@@ -199,7 +207,7 @@ def _node_sections(
 def sets_parameter(path: Path, node: str, name: str) -> bool:
     """Return whether a ROS 2 parameter file sets a parameter of a node, by its dotted name."""
     for section, parameters in _node_sections(read_yaml(path)):
-        concerned = section.rpartition('/')[2] in (node, EVERY_NODE, '*')
+        concerned = section.rpartition('/')[2] in (node, ANY_NODE, '*')
         if concerned and _holds_parameter(parameters or {}, name):
             return True
     return False
@@ -221,7 +229,7 @@ def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str
     """
     Read a ROS 2 parameter file with at most one section for each of some nodes.
 
-    Sections name a node with or without a namespace; `EVERY_NODE` stands for all nodes. Returns
+    Sections name a node with or without a namespace; `ANY_NODE` stands for all nodes. Returns
     the parameters by node; ConfigError for any other section, or two of one node.
     """
     by_node: dict[str, dict[str, Any]] = {}
@@ -245,7 +253,11 @@ def read_node_parameters(path: Path, nodes: Sequence[str]) -> dict[str, dict[str
 
 
 def merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested values with others laid over them: mappings are merged, all else replaced."""
+    """
+    Return nested values with others laid over them.
+
+    Mappings are merged key by key; all else, also a list, takes the place of what was there.
+    """
     merged = dict(base)
     for key, value in overrides.items():
         if isinstance(value, Mapping) and isinstance(merged.get(key), Mapping):

@@ -51,7 +51,12 @@ PER_JOINT = (
 
 
 class MotionConfig(Config):
-    """The PD motion law (P04 sec. 3.1, 5.2)."""
+    """
+    The PD motion law (P04 sec. 3.1, 5.2).
+
+    f_t* = a_des + k_v (theta_des - theta) + k_p (x_des - x), with k_p = omega_n^2 and
+    k_v = 2 zeta omega_n.
+    """
 
     natural_frequency: float = parameter(
         30.0,
@@ -103,7 +108,11 @@ class FrictionConfig(Config):
 
 
 class TransitionConfig(Config):
-    """Torque from one law to another: at a start, a stop and a live change."""
+    """
+    How the torque goes over from one law to another: at a start, a stop and a live change.
+
+    The difference of the torques fades by a quintic, over as long as both values ask for.
+    """
 
     blend_time: float = parameter(
         0.2,
@@ -126,7 +135,12 @@ class TransitionConfig(Config):
 
 
 class ControllerConfig(Config):
-    """Everything the controller needs to know."""
+    """
+    Everything the controller needs to know, as a parameter file says it.
+
+    Names, lists and frames belong together: what does not fit raises a ConfigError with a line for
+    each. Contacts and their couples have a fixed order, that of `columns`, in every vector.
+    """
 
     rate: float = parameter(500.0, 'Control rate 1/h.', unit='Hz', gt=0.0)
     robot: RobotConfig
@@ -299,7 +313,11 @@ class ControllerConfig(Config):
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Return the controlled coordinates of all contacts, in the order of every vector."""
+        """
+        Return the controlled coordinates of all contacts, in the order of every vector.
+
+        A point has one, its normal force; an edge has a couple more, a plane two.
+        """
         columns: list[Column] = []
         for name in self.contact_names:
             contact = self.contacts[name]
@@ -324,27 +342,35 @@ class ControllerConfig(Config):
 
     @property
     def column_names(self) -> tuple[str, ...]:
-        """Return the names of the controlled coordinates; of points, those of the contacts."""
+        """
+        Return the names of the controlled coordinates, in their order.
+
+        That of a normal force is the name of its contact; couples have a suffix, ``blade/along``.
+        """
         return tuple(column.name for column in self.columns)
 
     @property
     def leading_columns(self) -> tuple[int, ...]:
-        """Return for each column the index of the normal force of its contact."""
+        """Return for each column the index of the column with the normal force of its contact."""
         return tuple(column.leader for column in self.columns)
 
     @property
     def force_columns(self) -> tuple[int, ...]:
-        """Return the indices of the normal forces, one per contact."""
+        """Return the indices of the columns that are normal forces, one per contact."""
         return tuple(i for i, column in enumerate(self.columns) if column.kind == FORCE)
 
     def force_law_of(self, contact: str) -> LawName:
-        """Return the name of a contact's force law."""
+        """Return the name of the law that controls a contact: its own, or else `force.law`."""
         own_law = self.contacts[contact].law
         return own_law or self.force.law
 
     @property
     def momentum_bandwidth(self) -> float:
-        """Bandwidth of the momentum observer, which the rate bounds [1/s]."""
+        """
+        Return the bandwidth K of the momentum observer [1/s].
+
+        The rate bounds it: a residual is a mean over some samples.
+        """
         return min(self.collision.bandwidth, FASTEST_MOMENTUM * self.rate)
 
     @property
@@ -356,5 +382,5 @@ class ControllerConfig(Config):
 
     @property
     def period(self) -> float:
-        """Control period h [s]."""
+        """Return the control period h, of which delays and ages are multiples [s]."""
         return 1.0 / self.rate

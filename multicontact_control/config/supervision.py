@@ -12,7 +12,12 @@ RELEASE_FORCE = 0.5  # N, measured force below which a contact may be lost
 
 
 class ContactStateConfig(Config):
-    """Thresholds of the contact states, and the search for surfaces."""
+    """
+    Thresholds of the contact states, and the search for surfaces.
+
+    A contact is sought at a bounded speed, is touched by a change of force, holds, may be lost and
+    is given up after a distance.
+    """
 
     approach_speed: float = parameter(
         0.02,
@@ -79,7 +84,11 @@ class ContactStateConfig(Config):
 
 
 class LimitsConfig(Config):
-    """Limits of commands and of motion; an empty list is no limit."""
+    """
+    Limits of commands and of motion; an empty list is no limit.
+
+    Torques are kept within them in every tick; a motion that exceeds them is refused or bounded.
+    """
 
     joint_lower: Vector = parameter((), 'Lower stop of each joint.', unit='rad')
     joint_upper: Vector = parameter((), 'Upper stop of each joint.', unit='rad')
@@ -179,7 +188,11 @@ class CollisionConfig(Config):
 
 
 class WatchdogConfig(Config):
-    """Limits of valid inputs, and the reactions beyond them."""
+    """
+    Limits of valid inputs, and how control resumes after they were exceeded.
+
+    Ages are counted in control periods; beyond them a declared reaction takes over.
+    """
 
     joint_max_age: float = parameter(
         1.5, 'Largest age of a joint state.', unit='periods', ge=1.0, le=1000.0

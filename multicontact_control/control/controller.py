@@ -380,7 +380,8 @@ class Controller:
 
 def make_law_record(config: ControllerConfig) -> Records[Law]:
     """Return gains and options of the control law as one record of `LAW`."""
-    motion, force = config.motion, config.force
+    motion = config.motion
+    force = config.force
     frequency = motion.natural_frequency
     law = np.zeros(1, dtype=LAW)
     law['k_p'] = frequency**2

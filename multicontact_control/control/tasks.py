@@ -19,7 +19,6 @@ from multicontact_control.config import (
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ConfigError
 import numpy as np
-from numpy.typing import NDArray
 
 ZERO_TWIST = np.zeros(6)  # twist and acceleration
 ZERO_TWIST.flags.writeable = False
@@ -99,7 +98,7 @@ class ApproachConfig(Config):
 
 
 class ForceStepConfig(Config):
-    """A step of the desired forces."""
+    """A step of the desired forces at one time; contacts that are not named keep theirs."""
 
     time: float = parameter(..., 'When.', unit='s', ge=0.0)
     forces: dict[str, float] = parameter(
@@ -108,7 +107,7 @@ class ForceStepConfig(Config):
 
 
 class SineConfig(Config):
-    """A sinusoid along one direction, blended in."""
+    """A sinusoid of the operational point along one direction, blended in by a quintic."""
 
     start_time: float = parameter(..., 'When the motion starts.', unit='s', ge=0.0)
     direction_world: UnitVector3 = parameter(
@@ -122,7 +121,11 @@ class SineConfig(Config):
 
 
 class ReferenceConfig(Config):
-    """Approach, force steps at rest, motion (P04 sec. 5.2)."""
+    """
+    The scenario of an experiment: approach, force steps at rest, motion (P04 sec. 5.2).
+
+    Times count from the first sample.
+    """
 
     approach: ApproachConfig = ApproachConfig()
     force_steps: tuple[ForceStepConfig, ...] = ()
@@ -176,7 +179,7 @@ class ScenarioTask:
         Times and sizes; control rate [Hz].
     names, leading_columns
         Forces and couples in the order of every contact vector, and for each the index of the
-        normal force of its contact; its own if not given.
+        normal force of its contact.
 
     Attributes
     ----------
@@ -190,7 +193,7 @@ class ScenarioTask:
         config: ReferenceConfig,
         rate: float,
         names: Sequence[str],
-        leading_columns: Sequence[int] | None = None,
+        leading_columns: Sequence[int],
     ) -> None:
         self._approach = config.approach
         self._motion = config.motion
@@ -204,7 +207,7 @@ class ScenarioTask:
             'contact_threshold': self._approach.contact_threshold,
             'preload': self._approach.preload,
         }
-        self._leading_columns = _leading_or_own(names, leading_columns)
+        self._leading_columns = np.array(leading_columns)
         is_force = self._leading_columns == np.arange(len(names))
         self.forces = _forces_after_steps(
             config.force_steps,
@@ -308,15 +311,6 @@ class ScenarioTask:
         return speed * direction, rate * direction
 
 
-def _leading_or_own(
-    names: Sequence[str], leading_columns: Sequence[int] | None
-) -> NDArray[np.int64]:
-    """Return the leading column of each of some columns; its own where none is given."""
-    if leading_columns is None:
-        return np.arange(len(names))
-    return np.array(leading_columns)
-
-
 def _forces_after_steps(
     steps: Sequence[ForceStepConfig], preload: Mapping[str, float]
 ) -> Matrix:
@@ -348,11 +342,9 @@ class CommandedTask:
     contact_state: Mapping[str, float] = {}
     seeks = False
 
-    def __init__(
-        self, names: Sequence[str], leading_columns: Sequence[int] | None = None
-    ) -> None:
+    def __init__(self, names: Sequence[str], leading_columns: Sequence[int]) -> None:
         self._names = tuple(names)
-        self._leading_columns = _leading_or_own(names, leading_columns)
+        self._leading_columns = np.array(leading_columns)
         self.start(None, np.empty((0, 3)))
 
     def start(self, pose: Pose | None, normals_world: Matrix) -> None:

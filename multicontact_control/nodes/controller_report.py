@@ -508,7 +508,7 @@ class ControllerReport:
         status = self._status
         log = self._loop.events
         friction = yield from self._node.background.compute(
-            self._loop.supervisor.explanations.friction
+            self._loop.supervisor.explanations.explain_friction
         )
         values = {
             'reaction': status.reaction,

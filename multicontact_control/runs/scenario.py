@@ -20,7 +20,7 @@ from multicontact_control.config import (
     read_yaml,
     validate,
 )
-from multicontact_control.config.base import EVERY_NODE, read_node_parameters
+from multicontact_control.config.base import ANY_NODE, read_node_parameters
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, run_all_checks
@@ -386,9 +386,9 @@ def read_controller_files(files: Sequence[Path]) -> ControllerFiles:
     estimator: dict[str, Any] = {}
     urdf_dir = Path()
     for path in files:
-        sections = read_node_parameters(path, (EVERY_NODE, *PRESET_NODES))
+        sections = read_node_parameters(path, (ANY_NODE, *PRESET_NODES))
         # What both know, the rate and the contacts, the estimator gets from the controller's.
-        shared = sections.get(EVERY_NODE, {})
+        shared = sections.get(ANY_NODE, {})
         section = merged(
             {name: value for name, value in shared.items() if name not in of_estimator},
             sections.get(CONTROLLER),

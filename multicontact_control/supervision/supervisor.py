@@ -243,7 +243,7 @@ class Supervisor:
             if not found & MODEL_NOT_FINITE:
                 self._arm = self.controller.arm
             if found & RESIDUAL_CLEARED:
-                self._add_finding(self.explanations.lag())
+                self._add_finding(self.explanations.explain_late_wrench())
         return self._choose_answer(verdict, found)
 
     def _choose_answer(self, verdict: InputVerdict, found: int) -> Answer:
@@ -311,7 +311,7 @@ class Supervisor:
         if not self._in_control:
             self._hand_control_to_law()
         if found & RESIDUAL_CLEARED:
-            self._add_finding(self.explanations.lag())
+            self._add_finding(self.explanations.explain_late_wrench())
         # A blend passes in a moment, and a limited rate is caught up with: they are left out.
         if self.guarded and found & LASTING_LIMITS:
             self.controller.account_for_torque(self.gate.last)
@@ -429,7 +429,7 @@ class Supervisor:
             self._reacting % round(STANDING_TIME / self._period) == 1
             and not self._weighed
         ):
-            gravity = self.explanations.gravity(self._causes)
+            gravity = self.explanations.explain_other_gravity(self._causes)
             self._weighed = bool(gravity)
             self._add_finding(gravity)
         self._paused, self._in_control = True, False
@@ -465,7 +465,7 @@ class Supervisor:
             return (text,)
         if self.explanations.comes_of_velocities(causes):
             self.inputs.refute_worst_velocity()
-        return self.explanations.of(causes)
+        return self.explanations.explain_causes(causes)
 
     def _answer_exception(self, part: str, error: Exception) -> Answer:
         """Answer after an exception, in the law or in what is around it, and tell what it says."""
@@ -537,7 +537,7 @@ class Supervisor:
         """Return what was done in a tick in which something is not as in the one before."""
         unwatched, read_before = '', tuple[str, ...]()
         if self._verdict.efforts_unusable:
-            unwatched = self.explanations.unwatched()
+            unwatched = self.explanations.explain_unwatched_joints()
         if self._reads_before[0]:
             read_before = self.task.read_before
         return SupervisorStatus(

@@ -31,7 +31,7 @@ NO_FRICTION = {'coulomb': [], 'viscous': []}
 def make_law(reference=None, **changes):
     """Return a law without joint friction, and its reference: commands by themselves."""
     config = controller_config(friction=NO_FRICTION, **changes)
-    reference = reference or CommandedTask(config.contact_names)
+    reference = reference or CommandedTask(config.column_names, config.leading_columns)
     return Law(config, reference), reference
 
 

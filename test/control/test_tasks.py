@@ -22,7 +22,10 @@ POSE = Pose(np.array([0.0, 0.5, 0.6]), np.eye(3))
 
 def _scenario(**values):
     source = ScenarioTask(
-        ReferenceConfig(**values), rate=RATE, names=('table', 'board')
+        ReferenceConfig(**values),
+        rate=RATE,
+        names=('table', 'board'),
+        leading_columns=(0, 1),
     )
     source.start(POSE, NORMALS)
     return source
@@ -87,7 +90,7 @@ def test_sine_motion_derivatives_agree_with_differences():
 
 
 def test_twist_of_a_motion_expires_when_none_follows():
-    source = CommandedTask(('table', 'board'))
+    source = CommandedTask(('table', 'board'), (0, 1))
     source.start(POSE, NORMALS)
     motion = MotionReading(
         POSE.position_world, np.array([0, 0, 0, 1.0]), np.ones(6), np.ones(6)
@@ -104,7 +107,7 @@ def test_twist_of_a_motion_expires_when_none_follows():
 
 
 def test_commanded_task_is_the_same_object_until_something_else_is_commanded():
-    source = CommandedTask(('table', 'board'))
+    source = CommandedTask(('table', 'board'), (0, 1))
     source.start(POSE, NORMALS)
     first = source.task_at(0.0)
     assert source.task_at(0.1) is first

@@ -143,7 +143,9 @@ def test_change_of_law_is_continuous_and_decays_at_its_declared_rate():
 BIAS = [0.0, 0.0, 3.0, 0.0, 0.0, 0.0]
 BIASED = controller_config(tool={'bias_sensor': BIAS})
 CONTACTS = len(BIASED.contact_names)
-SUPERVISOR = Supervisor(BIASED, ROBOT, CommandedTask(BIASED.contact_names))
+SUPERVISOR = Supervisor(
+    BIASED, ROBOT, CommandedTask(BIASED.column_names, BIASED.leading_columns)
+)
 
 
 @settings(max_examples=100, deadline=None)
