@@ -192,7 +192,7 @@ def run_franky_sim(address: str, output: Path | None) -> None:
     robot = find_robot('fr3')
     arm, stopped = robot.arm, [False]
     flange = (
-        arm.operational.se3.rotation
+        arm.operational.transform.rotation
     )  # of the vendor's flange, in which its load is given
     face = np.array([0.0, 0.0, robot.file.tool.face_offset])
     with MujocoSimulator() as simulator:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from multicontact_control.config import Config, parameter, UnitVector3, Vector, Vector3
 from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
-from multicontact_control.errors import ConfigError, counted
+from multicontact_control.errors import ConfigError, format_count
 
 LARGEST_PUSH = 150.0  # N; ISO/TS 15066 lets an arm press a hand or a chest with 140 N
 PUSH_TIME = 0.8  # s, of a push that is asked for, longer than a push test holds
@@ -114,7 +114,7 @@ class SensorConfig(Config):
         125.0, 'Cut-off of the last of the cascaded low-passes.', unit='Hz', gt=0.0
     )
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         for name, counts in (
             ('bias', (6,)),
             ('full_scale', (6,)),
@@ -197,7 +197,7 @@ class PlantConfig(Config):
         'URDF link, carried by the last joint, at whose origin the tool is pushed.',
     )
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         for field, known in (
             ('contact_names', set(self.contacts.values())),
             ('obstacle_names', set(self.surfaces)),
@@ -231,7 +231,7 @@ class PlantConfig(Config):
                 name.startswith('drive') and not flexible
             )
             if len(values) != count and not (optional and not values):
-                yield ConfigError(name, counted(count, 'values'), len(values))
+                yield ConfigError(name, format_count(count, 'values'), len(values))
             least = min(values, default=1.0)
             if name in ('drive_stiffness', 'torque_limit') and least <= 0.0:
                 yield ConfigError(name, 'values above 0', least)

@@ -18,16 +18,16 @@ import tempfile
 from typing import Any
 
 from multicontact_control.arrays import Vector
-from multicontact_control.compiled import cache_folder
+from multicontact_control.compiled import find_cache_folder
 from multicontact_control.config import merge, read_parameters, read_yaml, validate
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import config_dir, named_file
+from multicontact_control.paths import find_config_folder, find_named_file
 import numpy as np
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
 from sim_bridge.config import SurfaceConfig
-from sim_bridge.posture import frame_jacobian, frame_pose, limits_of
-from sim_bridge.robot_file import RobotFile, WideConfig
-from sim_bridge.urdf_arm import read_arm
+from sim_bridge.posture import frame_jacobian, frame_pose, joint_limits
+from sim_bridge.robot_file import RobotFile, WideContactConfig
+from sim_bridge.urdf_arm import read_robot_arm
 
 FOLDER = 'robots'
 DEFAULT = 'puma'
@@ -65,7 +65,7 @@ class Robot:
     def arm(self) -> Arm:
         """Return the arm with its tool."""
         file = self.file
-        arm = read_arm(urdf_path(file.urdf, self.folder), file)
+        arm = read_robot_arm(urdf_path(file.urdf, self.folder), file)
         none = (0.0,) * len(arm.links)
         given = zip(
             arm.links,
@@ -169,7 +169,9 @@ class Robot:
         """Return an edge or face as the controller has it, from where its tips are."""
         wide = self._wide(name, controller['contacts'])
         like = controller['contacts'][wide.like]
-        to_operational = self.arm.operational.se3.inverse() * self.arm.sensor.se3
+        to_operational = (
+            self.arm.operational.transform.inverse() * self.arm.sensor.transform
+        )
         tips = np.array(
             [to_operational.act(np.array(self.arm.tips[tip])) for tip in wide.tips]
         )
@@ -191,7 +193,7 @@ class Robot:
             'friction_std': WIDE_FRICTION,
         }
 
-    def _wide(self, name: str, contacts: Mapping[str, Any]) -> WideConfig:
+    def _wide(self, name: str, contacts: Mapping[str, Any]) -> WideContactConfig:
         wide = self.file.wide_contacts[name]
         for field, names, known in (
             ('tips', wide.tips, self.arm.tips),
@@ -222,7 +224,7 @@ class Robot:
     def _path(self, name: str) -> Path:
         """Return a file that the robot's names: beside it, or in config/."""
         beside = self.folder / name
-        return beside if beside.is_file() else config_dir() / name
+        return beside if beside.is_file() else find_config_folder() / name
 
     def _parameters(self, name: str) -> dict[str, Any]:
         return read_parameters(self._path(name))
@@ -260,11 +262,11 @@ class Robot:
     def _derived_controller(self) -> dict[str, Any]:
         """Return controller.yaml with this arm in the place of its own."""
         arm, file = self.arm, self.file
-        base = read_parameters(config_dir() / 'controller.yaml')
+        base = read_parameters(find_config_folder() / 'controller.yaml')
         rate, limits = float(base.get('rate', 500.0)), base.get('limits', {})
         model = arm.model()
         home = frame_pose(model, np.array(file.home)).translation
-        operational, sensor = arm.operational.se3, arm.sensor.se3
+        operational, sensor = arm.operational.transform, arm.sensor.transform
         points = {
             name: operational.actInv(
                 sensor.act(np.array(arm.tips[contact.tip]))
@@ -273,7 +275,7 @@ class Robot:
         }
         lower, upper = (
             np.clip(limit, -RANGE_OF_CONTINUOUS, RANGE_OF_CONTINUOUS).tolist()
-            for limit in limits_of(model)
+            for limit in joint_limits(model)
         )
         derived = {
             'robot': {
@@ -314,14 +316,14 @@ class Robot:
 
 def robot_names() -> tuple[str, ...]:
     """Return the names of the robots that come with the package, the default one first."""
-    names = sorted(path.stem for path in (config_dir() / FOLDER).glob('*.yaml'))
+    names = sorted(path.stem for path in (find_config_folder() / FOLDER).glob('*.yaml'))
     return tuple(sorted(names, key=lambda name: name != DEFAULT))
 
 
 def find_robot(name: str = DEFAULT) -> Robot:
     """Return a robot of config/robots, or of the file at a path; ConfigError."""
-    path = named_file('robot', FOLDER, name)
-    known = path.parent == config_dir() / FOLDER
+    path = find_named_file('robot', FOLDER, name)
+    known = path.parent == find_config_folder() / FOLDER
     return _robot(
         path.stem if known else str(path.resolve()), path, path.stat().st_mtime_ns
     )
@@ -376,7 +378,7 @@ def _package_folder(package: str) -> Path | None:
 def _urdf_file(arm: Arm) -> Path:
     """Write the URDF of an arm where the same text is found again, and return its path."""
     stamp = hashlib.sha256(arm.urdf.encode()).hexdigest()[:16]
-    folder = (cache_folder() or Path(tempfile.gettempdir())) / f'urdf-{stamp}'
+    folder = (find_cache_folder() or Path(tempfile.gettempdir())) / f'urdf-{stamp}'
     path = folder / f'{arm.name}.urdf'
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)

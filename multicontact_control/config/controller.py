@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from operator import attrgetter
 from typing import Literal
 
+from multicontact_control.choices import LawName
 from multicontact_control.config.base import (
     Config,
     NonNegativeVector,
@@ -20,7 +21,7 @@ from multicontact_control.config.contact import (
     KINDS,
     SUFFIXES,
 )
-from multicontact_control.config.force import ForceConfig, LawName, VarianceBoundsConfig
+from multicontact_control.config.force import ForceConfig, VarianceBoundsConfig
 from multicontact_control.config.robot import (
     RobotConfig,
     SensorFrontEndConfig,
@@ -32,7 +33,7 @@ from multicontact_control.config.supervision import (
     LimitsConfig,
     WatchdogConfig,
 )
-from multicontact_control.errors import ConfigError, counted
+from multicontact_control.errors import ConfigError, format_count
 
 MAX_DELAY_PERIODS = 10
 FASTEST_MOMENTUM = 0.4  # bandwidth per rate: the residual is a mean over some samples
@@ -170,13 +171,13 @@ class ControllerConfig(Config):
         ge=0.0,
     )
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         joints = len(self.robot.joint_names)
         for name in PER_JOINT:
             count = len(attrgetter(name)(self))
             if count not in (0, joints):
                 yield ConfigError(
-                    name, f'{counted(joints, "values")}, one per joint', count
+                    name, f'{format_count(joints, "values")}, one per joint', count
                 )
         for name in ('sensor.frozen_ticks', 'watchdog.frozen_joint_ticks'):
             if attrgetter(name)(self) == 1:
@@ -188,7 +189,7 @@ class ControllerConfig(Config):
                 'contact_names', f'distinct names among {known}', list(names)
             )
         else:
-            yield from self._law_misfits()
+            yield from self._force_law_errors()
         momentum = self.wrench_input == 'momentum'
         if momentum == bool(self.robot.sensor_frame):
             yield ConfigError(
@@ -208,9 +209,9 @@ class ControllerConfig(Config):
                 f'{bounds.smallest:g} to {bounds.largest:g} N^2 (noise_variance)',
                 initial,
             )
-        yield from self._delay_misfits()
+        yield from self._delay_errors()
 
-    def _law_misfits(self) -> Iterator[ConfigError]:
+    def _force_law_errors(self) -> Iterator[ConfigError]:
         force, adaptive = self.force, self.force.stiffness == 'adaptive'
         others = sorted({self.law_of(name) for name in self.contact_names} - {'aob'})
         # What needs contacts that do not move each other, as N alpha* (eq. 30) lets them.
@@ -255,7 +256,7 @@ class ControllerConfig(Config):
                 'force.damping_rate', 'above 0 with adaptive stiffness', 0.0
             )
 
-    def _delay_misfits(self) -> Iterator[ConfigError]:
+    def _delay_errors(self) -> Iterator[ConfigError]:
         sensor, nyquist = self.sensor, 0.5 * self.rate
         if sensor.filter_order and sensor.filter_cutoff >= nyquist:
             yield ConfigError(

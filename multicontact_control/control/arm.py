@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
-    add,
-    between,
+    add_vector,
     cross,
     dot,
-    multiply,
-    rotated,
+    multiply_vector,
+    rotate_vector,
     solve_lower,
+    vector_between,
     velocity_at,
 )
 from multicontact_control.arrays import Matrix, Vector
@@ -28,12 +28,12 @@ from multicontact_control.dynamics.operational_space import (
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.flags import (
-    AMBIGUOUS,
+    FORCES_AMBIGUOUS,
     JOINT_SPEED,
-    NO_NUMBERS,
+    MODEL_NOT_FINITE,
     OPERATIONAL_SPEED,
-    PASSED,
-    TOUCHED,
+    RESIDUAL_CLEARED,
+    RESIDUAL_EXCEEDED,
 )
 from multicontact_control.records import (
     Contact,
@@ -66,7 +66,7 @@ UNPROVEN_THRESHOLD = 3.0  # N m, least threshold of a joint until it has moved t
 
 
 class ArmSpace(Record, Protocol):
-    """What `see_arm` works in; one."""
+    """What `update_arm_state` works in; one."""
 
     # Of the tool on the arm, or that the residual stands for [N, N m].
     wrench: Annotated[Vector, 6]
@@ -105,8 +105,8 @@ def observe_momentum(
     """
     momentum, frame, tool = control.momentum, control.frame, control.tool
     n, elapsed, wrench = joints.shape[0], momentum.elapsed, space.wrench
-    to_com = rotated(frame.sensor_rotation, tool.com_sensor)
-    to_sensor = between(frame.position, frame.sensor_position)
+    to_com = rotate_vector(frame.sensor_rotation, tool.com_sensor)
+    to_sensor = vector_between(frame.position, frame.sensor_position)
     lever = to_com[0] + to_sensor[0], to_com[1] + to_sensor[1], to_com[2] + to_sensor[2]
     velocity = velocity_at(frame.twist, lever)  # of the tool's centre of mass
     if elapsed > 0.0:
@@ -114,20 +114,20 @@ def observe_momentum(
         if not momentum.config.is_input:
             operational_wrench(control, wrench)
             # Of what the sensor feels, the arm's model has the tool's inertia already.
-            change = between(momentum.com_velocity, velocity)
+            change = vector_between(momentum.com_velocity, velocity)
             inertia = (
                 -tool.mass * change[0] / elapsed,
                 -tool.mass * change[1] / elapsed,
                 -tool.mass * change[2] / elapsed,
             )
-            add(wrench[:3], inertia)
-            add(wrench[3:], cross(lever, inertia))
+            add_vector(wrench[:3], inertia)
+            add_vector(wrench[3:], cross(lever, inertia))
         for i in range(n):
             space.felt[i] = dot(jacobian[:, i], wrench)
             space.inertial[i] = 0.0
             for j in range(n):
                 space.inertial[i] += mass_matrix[min(i, j), max(i, j)] * (
-                    joints[j].velocity - joints[j].watch.last_velocity
+                    joints[j].velocity - joints[j].watch.previous_velocity
                 )
             space.inertial[i] /= elapsed
         share, touched = 1.0 - np.exp(-momentum.config.bandwidth * elapsed), False
@@ -140,7 +140,7 @@ def observe_momentum(
             unexplained = (
                 watch.effort
                 - space.inertial[i]
-                - (0.5 * (joint.bias_torque + watch.last_bias))
+                - (0.5 * (joint.bias_torque + watch.previous_bias_torque))
             )
             unexplained -= joint.config.coulomb * direction
             unexplained -= joint.config.viscous * joint.velocity
@@ -150,14 +150,16 @@ def observe_momentum(
             ):  # the other joints go on
                 watch.residual += share * (unexplained - watch.residual)
                 dynamic_share = momentum.config.dynamic_share
-                watch.slack += share * (
-                    dynamic_share * abs(space.inertial[i]) + watch.doubt - watch.slack
+                watch.dynamic_threshold += share * (
+                    dynamic_share * abs(space.inertial[i])
+                    + watch.effort_uncertainty
+                    - watch.dynamic_threshold
                 )
-                acceleration = (joint.velocity - watch.last_velocity) / elapsed
+                acceleration = (joint.velocity - watch.previous_velocity) / elapsed
                 learn_friction(
                     momentum, joint, share, direction, acceleration, space.felt[i]
                 )
-            limit = watch.threshold + watch.slack
+            limit = watch.threshold + watch.dynamic_threshold
             touched = touched or abs(watch.residual) > factor * limit
         momentum.collided = touched
     momentum.com_velocity[:] = velocity
@@ -180,39 +182,46 @@ def learn_friction(
     that is not compensated, and raises the threshold, less a standard deviation.
     """
     elapsed, config, watch = momentum.elapsed, joint.config, joint.watch
-    evidence = watch.evidence
+    statistics = watch.residual_statistics
     moving = direction**2 * elapsed
-    if evidence.rested < REST_TIME:
-        evidence.rested += elapsed
-        evidence.at_rest += (
-            (elapsed - moving) / evidence.rested * (watch.residual - evidence.at_rest)
+    if statistics.time_at_rest < REST_TIME:
+        statistics.time_at_rest += elapsed
+        statistics.residual_at_rest += (
+            (elapsed - moving)
+            / statistics.time_at_rest
+            * (watch.residual - statistics.residual_at_rest)
         )
-    beyond = watch.residual - evidence.at_rest
+    beyond = watch.residual - statistics.residual_at_rest
     fading = np.exp(-elapsed / FADING_TIME)
-    evidence.power = fading * evidence.power + elapsed * beyond**2
+    statistics.residual_power = fading * statistics.residual_power + elapsed * beyond**2
     for k, value in enumerate((direction, joint.velocity, acceleration, felt)):
-        value = evidence.regressor[k] + share * (value - evidence.regressor[k])
-        evidence.regressor[k] = value
-        for sums, other in ((evidence.square, value), (evidence.product, beyond)):
+        value = statistics.regressor[k] + share * (value - statistics.regressor[k])
+        statistics.regressor[k] = value
+        for sums, other in (
+            (statistics.regressor_power, value),
+            (statistics.correlation, beyond),
+        ):
             sums[k] = fading * sums[k] + elapsed * value * other
-    if evidence.moved < LEARNING_TIME and not momentum.collided:
-        evidence.moved += moving
-        weight = moving / (evidence.moved + PRIOR_TIME)
-        evidence.friction += weight * (beyond * np.sign(direction) - evidence.friction)
-        evidence.mean_square += weight * (beyond**2 - evidence.mean_square)
-    if config.learnt_limit > 0.0:
-        least = config.least_threshold
-        if evidence.moved < LEARNING_TIME:
-            least = max(least, min(UNPROVEN_THRESHOLD, config.learnt_limit))
-        # Of what touches the arm, which grows, the deviation is near the mean.
-        learnt = evidence.friction - np.sqrt(
-            max(evidence.mean_square - evidence.friction**2, 0.0)
+    if statistics.time_in_motion < LEARNING_TIME and not momentum.collided:
+        statistics.time_in_motion += moving
+        weight = moving / (statistics.time_in_motion + PRIOR_TIME)
+        statistics.friction += weight * (
+            beyond * np.sign(direction) - statistics.friction
         )
-        if learnt > config.learnt_limit:
-            learnt = config.learnt_limit
+        statistics.mean_square += weight * (beyond**2 - statistics.mean_square)
+    if config.learnt_friction_limit > 0.0:
+        least = config.least_threshold
+        if statistics.time_in_motion < LEARNING_TIME:
+            least = max(least, min(UNPROVEN_THRESHOLD, config.learnt_friction_limit))
+        # Of what touches the arm, which grows, the deviation is near the mean.
+        learnt = statistics.friction - np.sqrt(
+            max(statistics.mean_square - statistics.friction**2, 0.0)
+        )
+        if learnt > config.learnt_friction_limit:
+            learnt = config.learnt_friction_limit
         # No number, as after an impossible effort, is no friction.
         watch.threshold = least + (
-            learnt if learnt > config.allowance else config.allowance
+            learnt if learnt > config.declared_friction else config.declared_friction
         )
 
 
@@ -225,9 +234,9 @@ def follow_touch(momentum: Momentum, joints: Records[Joint]) -> bool:
     """
     calm = True
     for i in range(joints.shape[0]):
-        watch, evidence = joints[i].watch, joints[i].watch.evidence
-        beyond = watch.residual - evidence.at_rest
-        evidence.area += momentum.elapsed * beyond
+        watch, statistics = joints[i].watch, joints[i].watch.residual_statistics
+        beyond = watch.residual - statistics.residual_at_rest
+        statistics.residual_integral += momentum.elapsed * beyond
         calm = calm and abs(beyond) < CALM_SHARE * watch.threshold
     momentum.touched = momentum.touched or momentum.collided
     momentum.calm = momentum.calm + momentum.elapsed if calm else 0.0
@@ -237,8 +246,11 @@ def follow_touch(momentum: Momentum, joints: Records[Joint]) -> bool:
         momentum.touched = False
         return True
     for i in range(joints.shape[0]):
-        evidence = joints[i].watch.evidence
-        evidence.area, evidence.felt_before = 0.0, evidence.regressor[WRENCH]
+        statistics = joints[i].watch.residual_statistics
+        statistics.residual_integral, statistics.calm_wrench_torque = (
+            0.0,
+            statistics.regressor[WRENCH],
+        )
     return False
 
 
@@ -265,14 +277,14 @@ def wrench_of_residual(
     for i in range(n):
         reduced[i] = joints[i].watch.residual
     solve_lower(inertia.L[:n, :n], reduced)
-    multiply(inertia.Y[:n].T, reduced, space.acceleration)
-    multiply(inertia.Lambda, space.acceleration, space.wrench)
-    control.wrench[:3] = rotated(rotation.T, space.wrench[:3])
-    control.wrench[3:] = rotated(rotation.T, space.wrench[3:])
+    multiply_vector(inertia.Y[:n].T, reduced, space.acceleration)
+    multiply_vector(inertia.Lambda, space.acceleration, space.wrench)
+    control.wrench[:3] = rotate_vector(rotation.T, space.wrench[:3])
+    control.wrench[3:] = rotate_vector(rotation.T, space.wrench[3:])
 
 
 @compiled
-def see_arm(
+def update_arm_state(
     q: Vector,
     velocity: Vector,
     mass_matrix: Matrix,
@@ -307,17 +319,18 @@ def see_arm(
     Returns
     -------
     int
-        The sum of NO_NUMBERS, OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS, TOUCHED and PASSED.
+        The sum of MODEL_NOT_FINITE, OPERATIONAL_SPEED, JOINT_SPEED, FORCES_AMBIGUOUS,
+        RESIDUAL_EXCEEDED and RESIDUAL_CLEARED.
 
     """
     frame, flags = control.frame, 0
     for j in range(joints.shape[0]):
         if not np.isfinite(bias_torque[j]):
-            return NO_NUMBERS
+            return MODEL_NOT_FINITE
     for j in range(joints.shape[0]):
         joint = joints[j]
-        joint.watch.last_velocity = joint.velocity
-        joint.watch.last_bias = joint.bias_torque
+        joint.watch.previous_velocity = joint.velocity
+        joint.watch.previous_bias_torque = joint.bias_torque
         joint.q, joint.velocity = q[j], velocity[j]
         joint.inertia, joint.bias_torque = mass_matrix[j, j], bias_torque[j]
         if abs(joint.velocity) > joint.config.speed_limit:
@@ -326,7 +339,7 @@ def see_arm(
     frame.rotation[:] = rotation
     frame.sensor_position[:] = sensor_position
     frame.sensor_rotation[:] = sensor_rotation
-    multiply(jacobian, velocity, frame.twist)
+    multiply_vector(jacobian, velocity, frame.twist)
     speed, turn = frame.twist[:3], frame.twist[3:]
     if dot(speed, speed) > frame.config.speed_limit**2 or (
         dot(turn, turn) > frame.config.turn_limit**2
@@ -334,13 +347,13 @@ def see_arm(
         flags |= OPERATIONAL_SPEED
     if control.momentum.config.bandwidth > 0.0:
         if observe_momentum(control, joints, mass_matrix, jacobian, space):
-            flags |= TOUCHED
+            flags |= RESIDUAL_EXCEEDED
         if follow_touch(control.momentum, joints):
-            flags |= PASSED
+            flags |= RESIDUAL_CLEARED
         if control.momentum.config.is_input:
             wrench_of_residual(control, joints, mass_matrix, jacobian, space)
     if not measure_contacts(control, contacts, space.contacts):
-        flags |= AMBIGUOUS
+        flags |= FORCES_AMBIGUOUS
     return flags
 
 
@@ -395,12 +408,12 @@ class ArmState:
     @property
     def finite(self) -> bool:
         """Whether the model gave finite numbers; if not, the arm is where it was before."""
-        return not self.flags & NO_NUMBERS
+        return not self.flags & MODEL_NOT_FINITE
 
     def refresh(self) -> bool:
         """Take in what has been written into `motion`; return whether the model is `finite`."""
         terms = self.robot.compute(self.q, self.velocity)
-        self.flags = see_arm(
+        self.flags = update_arm_state(
             self.q,
             self.velocity,
             terms.mass_matrix,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import NamedTuple, NoReturn
 
-from multicontact_control.algebra import quintic
+from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import ControllerConfig, ToolConfig
 from multicontact_control.contact.geometry import check_columns, place_columns
@@ -22,11 +22,11 @@ from multicontact_control.errors import (
     SingularTaskError,
 )
 from multicontact_control.flags import (
-    AMBIGUOUS,
-    DEPENDENT,
-    NO_NUMBERS,
-    SINGULAR,
-    TORQUE,
+    COLUMNS_DEPENDENT,
+    FORCES_AMBIGUOUS,
+    MODEL_NOT_FINITE,
+    POSTURE_SINGULAR,
+    TORQUE_LIMITED,
 )
 from multicontact_control.force.force_law import (
     act_beyond,
@@ -216,7 +216,7 @@ class Controller:
             tool_between(
                 self._last_tool,
                 self.next_tool,
-                quintic(elapsed, self.config.transition.slew_time)[0],
+                quintic_blend(elapsed, self.config.transition.slew_time)[0],
             )
         )
 
@@ -310,7 +310,7 @@ class Controller:
             If the contacts' normals are not independent.
 
         """
-        if self.arm.flags & (AMBIGUOUS | NO_NUMBERS):
+        if self.arm.flags & (FORCES_AMBIGUOUS | MODEL_NOT_FINITE):
             self.refuse()
         terms = self.robot.terms
         found = control_law(
@@ -323,9 +323,9 @@ class Controller:
             self.laws,
             self._space,
         )
-        if found & (SINGULAR | DEPENDENT):
+        if found & (POSTURE_SINGULAR | COLUMNS_DEPENDENT):
             self.refuse(found)
-        return bool(found & TORQUE)
+        return bool(found & TORQUE_LIMITED)
 
     def own_weight(self) -> Vector:
         """Return the torque by which drives with `adds_gravity` carry the arm, (n,) [N m]."""
@@ -351,20 +351,20 @@ class Controller:
         N = self.contacts['N'][active].T
         answer = self.contacts['answer'][active]
         unlimited = self.arm.joints['answer']['unlimited']
-        beyond = answer['alpha_fed'] - answer['alpha_est']
+        beyond = answer['alpha_fed_forward'] - answer['alpha_est']
         twist_rate = terms.jacobian @ np.linalg.solve(
             M, torque - unlimited + terms.jacobian.T @ (N @ beyond)
         )
         act_beyond(self.laws, active, N.T @ twist_rate)
 
-    def refuse(self, found: int = DEPENDENT) -> NoReturn:
+    def refuse(self, found: int = COLUMNS_DEPENDENT) -> NoReturn:
         """Raise what `control_law` has found, or that the model has no finite numbers."""
         if not self.arm.finite:
             raise SingularTaskError(
                 "the arm's dynamics: expected finite numbers, got others at joint positions "
                 f'{self.arm.q.tolist()} and velocities {self.arm.velocity.tolist()}'
             )
-        if found & DEPENDENT:
+        if found & COLUMNS_DEPENDENT:
             raise ContactGeometryError(
                 'N: expected independent columns, got normals and contact points of '
                 f'{", ".join(self.config.column_names)} that depend on each other'

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
-    add_scaled,
+    add_scaled_vector,
     dot,
-    multiply,
+    multiply_vector,
     solve_cholesky,
     solve_lower,
 )
@@ -24,7 +24,11 @@ from multicontact_control.dynamics.operational_space import (
     mobility_and_inertia,
 )
 from multicontact_control.dynamics.rotations import rotation_vector
-from multicontact_control.flags import DEPENDENT, SINGULAR, TORQUE
+from multicontact_control.flags import (
+    COLUMNS_DEPENDENT,
+    POSTURE_SINGULAR,
+    TORQUE_LIMITED,
+)
 from multicontact_control.force.force_law import answer_forces, ForceLaw, ForceSpace
 from multicontact_control.records import (
     Contact,
@@ -144,7 +148,7 @@ def force_law(
     (r, r); `inputs` are u of the contact points or, as published, of the coordinates along N_i,
     shape (r,) [m/s^2]; `alpha_star`, shape (r,), is overwritten.
     """
-    multiply(rows, twist, alpha_star)
+    multiply_vector(rows, twist, alpha_star)
     if not law.decoupled:
         solve_cholesky(factor, alpha_star)
     for i in range(inputs.shape[0]):
@@ -155,7 +159,7 @@ def force_law(
         alpha_star[i] = inputs[i] - law.K_2 * alpha_star[i]
     if law.decoupled:
         solve_cholesky(factor, alpha_star)
-    multiply(rows.T, alpha_star, f_c)
+    multiply_vector(rows.T, alpha_star, f_c)
 
 
 @compiled
@@ -183,8 +187,8 @@ def finish_torque(law: Law, joints: Records[Joint]) -> bool:
         answer.torque += config.viscous * joint.velocity
         answer.priority += config.viscous * joint.velocity
         answer.unlimited = answer.torque
-        upper = joint.added + config.torque_limit
-        lower = joint.added - config.torque_limit
+        upper = joint.drive_gravity_torque + config.torque_limit
+        lower = joint.drive_gravity_torque - config.torque_limit
         first = answer.priority
         if answer.torque > upper:
             exceeded = True
@@ -199,8 +203,8 @@ def finish_torque(law: Law, joints: Records[Joint]) -> bool:
     share = max(share, law.least_share)
     for j in range(n):
         joint, config, answer = joints[j], joints[j].config, joints[j].answer
-        upper = joint.added + config.torque_limit
-        lower = joint.added - config.torque_limit
+        upper = joint.drive_gravity_torque + config.torque_limit
+        lower = joint.drive_gravity_torque - config.torque_limit
         answer.torque = answer.priority + share * (answer.torque - answer.priority)
         if answer.torque > upper:
             answer.torque = upper
@@ -223,9 +227,9 @@ def control_law(
     """
     Work out the joint torque of one tick.
 
-    F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + N alpha_fed, Gamma = J^T F (P04
-    eqs 23-27), then null space, friction and limits. As published alpha_fed is the estimate; see
-    `force_to_feed`.
+    F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + N alpha_fed_forward, Gamma = J^T F (P04
+    eqs 23-27), then null space, friction and limits. As published
+    alpha_fed_forward is the estimate; see `force_to_feed`.
 
     Parameters
     ----------
@@ -241,8 +245,8 @@ def control_law(
     Returns
     -------
     int
-        TORQUE if a limit was enforced; SINGULAR or DEPENDENT if there is no answer, and the force
-        laws have not been touched.
+        TORQUE_LIMITED if a limit was enforced; POSTURE_SINGULAR or COLUMNS_DEPENDENT if there is
+        no answer, and the force laws have not been touched.
 
     """
     law, frame, task = control.law, control.frame, control.task
@@ -251,7 +255,7 @@ def control_law(
         mass_matrix, jacobian, law.singular_mobility, inertia
     )
     if damping < 0.0:
-        return SINGULAR
+        return POSTURE_SINGULAR
     rows, weighted_rows = space.rows[:count], space.weighted_rows[:count]
     factor, weighted_factor = (
         space.factor[:count, :count],
@@ -259,19 +263,19 @@ def control_law(
     )
     inputs, alpha_star = space.inputs[:count], space.alpha_star[:count]
     for i in range(count):
-        multiply(inertia.mobility, contacts[i].N, space.along)
+        multiply_vector(inertia.mobility, contacts[i].N, space.along)
         contacts[i].mobility = dot(contacts[i].N, space.along)
         rows[i] = 0.0
         if contacts[i].answer.active:
             rows[i] = contacts[i].N
         weighted_rows[i] = rows[i]
         if law.inertia_metric:
-            multiply(inertia.mobility, rows[i], weighted_rows[i])
+            multiply_vector(inertia.mobility, rows[i], weighted_rows[i])
     if not (
         factorise_contacts(contacts, False, rows, rows, factor)
         and factorise_contacts(contacts, False, rows, weighted_rows, weighted_factor)
     ):
-        return DEPENDENT
+        return COLUMNS_DEPENDENT
     motion_law(law, task, frame, space.f_t)
     answer_forces(laws, contacts, control, inputs, space.forces)
     if not law.decoupled:
@@ -292,17 +296,17 @@ def control_law(
     for j in range(n):
         reduced[j] = joints[j].bias_torque
     solve_lower(inertia.L[:n, :n], reduced)
-    multiply(inertia.Y[:n].T, reduced, space.bias)
+    multiply_vector(inertia.Y[:n].T, reduced, space.bias)
     for i in range(6):
         for j in range(n):
             space.bias[i] -= jacobian_rate[i, j] * joints[j].velocity
         acceleration[i] += space.bias[i]
     force, held = space.force, space.held
-    multiply(inertia.Lambda, acceleration, force)
+    multiply_vector(inertia.Lambda, acceleration, force)
     held[:] = 0.0
     for i in range(count):
-        add_scaled(force, contacts[i].answer.alpha_fed, rows[i])
-        add_scaled(held, contacts[i].answer.alpha_fed, rows[i])
+        add_scaled_vector(force, contacts[i].answer.alpha_fed_forward, rows[i])
+        add_scaled_vector(held, contacts[i].answer.alpha_fed_forward, rows[i])
     for j in range(n):
         joints[j].answer.torque = 0.0
         joints[j].answer.priority = joints[j].bias_torque
@@ -321,4 +325,4 @@ def control_law(
             space.pull[:n],
             space.along,
         )
-    return TORQUE if finish_torque(law, joints) else 0
+    return TORQUE_LIMITED if finish_torque(law, joints) else 0

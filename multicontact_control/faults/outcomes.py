@@ -8,7 +8,7 @@ from itertools import pairwise
 import math
 from typing import NamedTuple
 
-from multicontact_control.arrays import Mask, Matrix, stretches, Vector
+from multicontact_control.arrays import find_true_stretches, Mask, Matrix, Vector
 from multicontact_control.faults.unasked_motion import MotionTrace, unasked_motion
 from multicontact_control.faults.vocabulary import Fault, REST, SLIDING
 from multicontact_control.judging.metrics import torque_limit
@@ -287,7 +287,7 @@ def find_violations(seen: Observation, setup: Setup) -> tuple[set[str], float]:
     if seen.limited_rate and jumps.any():
         problems.add('torque rate beyond its limit')
     is_above = seen.force > FORCE_MARGIN * config.contact_state.force_ceiling
-    for begin, end in stretches(is_above):
+    for begin, end in find_true_stretches(is_above):
         lasted = seen.time[end - 1] - seen.time[begin] + config.period
         if lasted > RETRACT_TIME * (1.0 + TOLERANCE):
             problems.add('force beyond the ceiling for too long')

@@ -52,7 +52,7 @@ class SituationRun:
         self._bias = self._sensor_bias(setup)
         distance = situation.farther if situation.force else NOWHERE
         for surface in range(len(setup.plant.touched)):
-            self.loop.plant.contacts.shift(surface, distance)
+            self.loop.plant.contacts.shift_surface(surface, distance)
         self.seen: defaultdict[str, list[Any]] = defaultdict(list)  # of every tick
 
     def _sensor_bias(self, setup: Setup) -> Vector:

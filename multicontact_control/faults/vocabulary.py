@@ -40,9 +40,9 @@ FAR = 10.0  # m, where they are not in the way
 PARTS = (
     'inputs.validate',
     'controller.robot.compute',
-    'task.ask',
-    'reactions.torque',
-    'gate.apply',
+    'task.update_wanted_task',
+    'reactions.reaction_torque',
+    'gate.apply_torque',
 )
 
 
@@ -401,7 +401,7 @@ def _put_wall(number: int) -> PlantEdit:
         plant.contacts.put_before_tip(number, 2e-3)
 
     def end(plant: Any, _choice: Vector) -> None:
-        plant.contacts.shift(number, FAR)
+        plant.contacts.shift_surface(number, FAR)
 
     return PlantEdit(begin, end)
 
@@ -424,10 +424,10 @@ def _plant_faults() -> Iterator[Fault]:
         _surface_fault('stiffness_x20', 'scale_stiffness', 20.0, 1.0 / 20.0),
         _surface_fault('stiffness_x5', 'scale_stiffness', 5.0, 1.0 / 5.0),
         _surface_fault('stiffness_x0.2', 'scale_stiffness', 0.2, 5.0),
-        _surface_fault('surface_removed', 'shift', 1.0, -1.0),
-        _surface_fault('surface_gone', 'shift', 1.0),
-        _surface_fault('surface_jump_2mm_up', 'shift', -2e-3),
-        _surface_fault('surface_jump_2mm_down', 'shift', 2e-3),
+        _surface_fault('surface_removed', 'shift_surface', 1.0, -1.0),
+        _surface_fault('surface_gone', 'shift_surface', 1.0),
+        _surface_fault('surface_jump_2mm_up', 'shift_surface', -2e-3),
+        _surface_fault('surface_jump_2mm_down', 'shift_surface', 2e-3),
         _surface_fault('friction_x5', 'scale_friction', 5.0, 0.2),
         Fault('side_wall', PLANT, _put_wall(SIDE_WALL)),
         Fault('torque_limit_halved', PLANT, _limit_torque(0.5)),

@@ -15,14 +15,9 @@ from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig, FedForward, ForceConfig
 from multicontact_control.config.contact import FORCE
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.laws import (
-    LAWS,
-    Linear,
-    LinearLaw,
-    LinearRow,
-    LoopModel,
-    steady_law,
-)
+from multicontact_control.force.laws.aob import steady_law
+from multicontact_control.force.laws.design import find_law, LoopModel
+from multicontact_control.force.laws.linear import Linear, LinearLaw, LinearRow
 from multicontact_control.force.margins import (
     closed_loop,
     last_stable,
@@ -59,6 +54,7 @@ from multicontact_control.records import (
     record_dtype,
     Records,
 )
+from multicontact_control.registry import FORCE_LAWS
 import numpy as np
 
 ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
@@ -106,7 +102,7 @@ def loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
 
 def gains_of(name: str, force: ForceConfig) -> Gains:
     """Return what the design of a law reads, by name: the same gains are designed for once."""
-    return tuple((field, getattr(force, field)) for field in LAWS[name].reads)
+    return tuple((field, getattr(force, field)) for field in find_law(name).reads)
 
 
 def design_law(
@@ -131,7 +127,7 @@ def _design_of(name: str, gains: Gains, model: LoopModel) -> ObserverDesign | Li
     # A design has what it says that it reads, and nothing that the key is without.
     force: Any = SimpleNamespace(**dict(gains))
     with _designing(name):
-        design = LAWS[name].design(model, force)
+        design = find_law(name).design(model, force)
         for field in fields(design):
             value = getattr(design, field.name)
             if isinstance(value, np.ndarray) and not np.isfinite(value).all():
@@ -157,7 +153,7 @@ def make_force_laws(config: ControllerConfig) -> Records[ForceLaw]:
     Each is for the configured stiffness; adaptive laws start from the largest of their range.
     """
     laws: Records[ForceLaw] = np.zeros(len(config.columns), dtype=FORCE_LAW)
-    names, force = list(LAWS), config.force
+    names, force = list(FORCE_LAWS), config.force
     adaptive = force.stiffness == 'adaptive'
     limits = []
     if adaptive:
@@ -346,10 +342,10 @@ def force_to_feed(law: ForceLaw, contact: Contact, K_2: float) -> float:
 
     The estimate, as published; or the desired force; or, mixed, as much of the desired one as the
     surface lets it act before the loop does, g = min(1, K_2^2 / (2 k N^T Lambda^-1 N)). The
-    measured one if the contact is `guarded`: what a surface that has gone does not bear would go
-    to the other contacts.
+    measured one where the contact says `use_measured_force`: what a surface that has gone does not
+    bear would go to the other contacts.
     """
-    if contact.guarded or law.fed == MEASURED:
+    if contact.use_measured_force or law.fed == MEASURED:
         return (
             contact.alpha_meas
             if contact.config.kind != FORCE
@@ -377,22 +373,22 @@ def bound_speed(
     """
     Return u within what keeps the tip at `speed_bound` if nothing bears it [m/s^2].
 
-    The tip accelerates by a = u - K_2 v + N^T Lambda^-1 N alpha_fed into free space. It is kept at
-    or below G (v_max - v) + b, where b is what a surface turns out to bear: it grows
-    while the tip is slower than it may be although it is pushed, and is forgotten. The force law
+    The tip accelerates by a = u - K_2 v + N^T Lambda^-1 N alpha_fed_forward into free space. It is
+    kept at or below G (v_max - v) + b, where b is what a surface turns out to bear: it grows while
+    the tip is slower than it may be although it is pushed, and is forgotten. The force law
     is told what acts. `speed` is that of the contact point INTO the surface [m/s].
     """
     period = control.law.period
     damping = control.law.K_2 * speed
-    fed = contact.answer.alpha_fed * contact.mobility
+    fed = contact.answer.alpha_fed_forward * contact.mobility
     slower = contact.speed_bound - speed
     rate = min(max(control.law.K_2, SLOWEST_BOUND), FASTEST_BOUND)
-    largest = rate * slower + contact.borne
+    largest = rate * slower + contact.borne_acceleration
     if u - damping + fed <= largest:
-        contact.borne *= 1.0 - min(period / BORNE_TIME, 1.0)
+        contact.borne_acceleration *= 1.0 - min(period / BORNE_TIME, 1.0)
         return u
-    contact.borne = max(
-        contact.borne + BOUND_SHARE * rate * rate * slower * period, 0.0
+    contact.borne_acceleration = max(
+        contact.borne_acceleration + BOUND_SHARE * rate * rate * slower * period, 0.0
     )
     bounded = largest + damping - fed
     law.observer.command += bounded - u
@@ -423,16 +419,16 @@ def answer_forces(
             contact.config.surface_speed + contact.surface_speed_est
         )
         if (
-            contact.borne > 0.0
+            contact.borne_acceleration > 0.0
         ):  # what does not answer the motion says nothing of a surface
             law.stiffness.felt = False
         elif law.stiffness.config.adaptive:
             learn_stiffness(laws, contacts, i, control, speed, space.fit)
         if not answer.active:
             law.observer.running = law.linear.running = False
-            answer.alpha_est = answer.alpha_rate_est = answer.alpha_fed = inputs[i] = (
-                0.0
-            )
+            answer.alpha_est = answer.alpha_rate_est = (
+                answer.alpha_fed_forward
+            ) = inputs[i] = 0.0
             continue
         stiffness, observer = law.stiffness, law.observer
         if law.is_linear:
@@ -458,8 +454,8 @@ def answer_forces(
         else:
             observe(observer, contact, control.measured, 0.0, space.observer)
             inputs[i] = command(observer, answer.alpha_des)
-        answer.alpha_fed = force_to_feed(law, contact, control.law.K_2)
+        answer.alpha_fed_forward = force_to_feed(law, contact, control.law.K_2)
         if contact.speed_bound > 0.0:
             inputs[i] = bound_speed(contact, law, control, inputs[i], speed)
         else:
-            contact.borne = 0.0
+            contact.borne_acceleration = 0.0

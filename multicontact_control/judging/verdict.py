@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import math
 from typing import Any, NamedTuple
 
-from multicontact_control.arrays import Mask, stretches
+from multicontact_control.arrays import find_true_stretches, Mask
 from multicontact_control.judging.metrics import (
     RunMetrics,
     torque_limit,
@@ -22,7 +22,7 @@ from multicontact_control.runs.scenario import Setup
 from multicontact_control.supervision import contacts
 from multicontact_control.supervision.gate import LIMIT_NAMES
 from multicontact_control.supervision.reactions import INFLATE, NONE
-from multicontact_control.supervision.report import CAPACITY
+from multicontact_control.supervision.report import EVENT_CAPACITY
 import numpy as np
 
 STABLE, POOR, HELD, NOT_STABLE, SILENT, UNJUDGED = (
@@ -78,9 +78,10 @@ LOCKSTEP, REAL_TIME, EXTERNAL_RUN, RECORDED = (
     'external',
     'recorded',
 )
-WHOLE = tuple(contacts.NAMES[i] for i in (contacts.IMPACT, contacts.HOLDING))
+WHOLE = tuple(contacts.STATE_NAMES[i] for i in (contacts.IMPACT, contacts.HOLDING))
 GONE = tuple(
-    contacts.NAMES[i] for i in (contacts.LOST, contacts.RETRACTING, contacts.GIVEN_UP)
+    contacts.STATE_NAMES[i]
+    for i in (contacts.LOST, contacts.RETRACTING, contacts.GIVEN_UP)
 )
 LIMITS = tuple(LIMIT_NAMES.values())
 
@@ -306,7 +307,7 @@ def _doubt(run: RunMetrics, ended_early: str, missing: Sequence[Missing]) -> str
         if lost.any():
             gaps = [
                 Missing(float(run.data.time[begin]), end / run.data.rate)
-                for begin, end in stretches(lost)
+                for begin, end in find_true_stretches(lost)
             ]
             return (
                 f'{name}: {name_missing(gaps, "force")}; what is there passed no limit'
@@ -338,7 +339,7 @@ def _findings(
         data,
         'torque saturated'
         + (' at the limit of the simulated drives' if of_drives.any() else ''),
-        stretches(np.asarray(saturated.any(axis=1))),
+        find_true_stretches(np.asarray(saturated.any(axis=1))),
     )
     # Before the load a contact may still be sought.
     awaited = run.windows.loaded.any() and not (interrupted or missing)
@@ -423,9 +424,9 @@ def _interventions(run: RunMetrics, log: Sequence[tuple[float, str]]) -> list[st
             times.append(event.time)
             names.update(begun)
     helped = []
-    if len(events) == CAPACITY:
+    if len(events) == EVENT_CAPACITY:
         helped.append(
-            f'the supervisor changed something {CAPACITY} times or more: what it did '
+            f'the supervisor changed something {EVENT_CAPACITY} times or more: what it did '
             f'before {events[0].time:.3g} s is not known'
         )
     commonest = ', '.join(f'{name} {count}' for name, count in names.most_common(3))

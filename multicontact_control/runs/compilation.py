@@ -19,7 +19,7 @@ import sys
 from typing import Any
 
 from llvmlite import binding as llvm
-from multicontact_control.compiled import cache_folder, HERE
+from multicontact_control.compiled import find_cache_folder, HERE
 import numpy as np
 from rich.console import Console
 
@@ -39,7 +39,7 @@ def ensure_compiled() -> int:
 
     One command at a time does so, on two cores.
     """
-    folder = cache_folder()
+    folder = find_cache_folder()
     if folder is not None and _marker(folder).is_file():
         return 0
     console = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -101,7 +101,7 @@ def compile_beside() -> None:
     from multicontact_control.runs.scenario import resolve
     from multicontact_control.supervision.contact_task import limit_task, TASK_LIMITS
     from multicontact_control.supervision.contacts import CONTACT_STATE
-    from multicontact_control.supervision.gate import GATE, pass_gate
+    from multicontact_control.supervision.gate import GATE_STATE, pass_gate
     from multicontact_control.supervision.input_checks import check_inputs, INPUT_STAGE
     from sim_bridge.plant import Plant
 
@@ -110,7 +110,7 @@ def compile_beside() -> None:
     controls: Any = np.zeros(1, dtype=CONTROL)
     contacts: Any = np.zeros(2, dtype=CONTACT)
     states: Any = np.zeros(2, dtype=CONTACT_STATE)
-    gates: Any = np.zeros(1, dtype=GATE)
+    gates: Any = np.zeros(1, dtype=GATE_STATE)
     limits: Any = np.zeros(1, dtype=TASK_LIMITS)
     stages: Any = np.zeros(1, dtype=INPUT_STAGE)
     stages['settings']['commands'] = 2
@@ -137,18 +137,19 @@ def _compile_law() -> None:
 def _call_all() -> None:
     """Make numba compile all that is left, above all the tick."""
     from multicontact_control.force.force_law import continue_laws, make_force_laws
-    from multicontact_control.force.noise import ESTIMATORS, make_noise_estimator
+    from multicontact_control.force.noise import make_noise_estimator
     from multicontact_control.force.stiffness import (
         find_stiffness,
         FIT_SPACE,
         friction_of_others,
     )
     from multicontact_control.records import CONTACT, FRAME
+    from multicontact_control.registry import NOISE_ESTIMATORS
     from multicontact_control.runs.closed_loop import run_in_process
     from multicontact_control.runs.scenario import resolve
 
     quick = resolve('quick')
-    for estimator in ESTIMATORS:
+    for estimator in NOISE_ESTIMATORS:
         make_noise_estimator(
             quick.noise_estimator.model_copy(update={'estimator': estimator})
         )

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 import zipfile
 
-from multicontact_control.arrays import Mask, Matrix, stretches, Vector
+from multicontact_control.arrays import find_true_stretches, Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import RunError
@@ -217,7 +217,7 @@ def gaps_of(data: RunData) -> list[Missing]:
     longest = LONGEST_GAP * data.rate
     return [
         Missing(begin / data.rate, end / data.rate)
-        for begin, end in stretches(~data.recorded())
+        for begin, end in find_true_stretches(~data.recorded())
         if end - begin > longest
     ]
 
@@ -370,7 +370,7 @@ def _commands(
         begun[begins[named]] = forces[named]
         newest = np.where(np.isnan(begun), 0, np.arange(data.ticks + 1))
         asked = begun[np.maximum.accumulate(newest)][:-1]
-        for begin, end in stretches(asked > 0.0):
+        for begin, end in find_true_stretches(asked > 0.0):
             reached = np.flatnonzero(desired[begin:end] >= REACHED * asked[begin:end])
             if reached.size:
                 asked[begin : begin + reached[0]] = 0.0

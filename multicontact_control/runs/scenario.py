@@ -23,9 +23,9 @@ from multicontact_control.config import (
 from multicontact_control.config.base import EVERY_NODE, read_node_parameters
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.errors import check_all, ConfigError
-from multicontact_control.files import write_text
-from multicontact_control.paths import config_dir, named_file
+from multicontact_control.errors import ConfigError, run_all_checks
+from multicontact_control.files import replace_text_file
+from multicontact_control.paths import find_config_folder, find_named_file
 from multicontact_control.runs.parameter_file import write_parameters
 import numpy as np
 from sim_bridge.config import PlantConfig
@@ -139,7 +139,7 @@ class Setup:
             ('reference.yaml', self.scenario.reference),
             ('scenario.yaml', self.scenario),
         ):
-            write_text(
+            replace_text_file(
                 folder / name,
                 yaml.safe_dump(config.model_dump(mode='json'), sort_keys=False),
             )
@@ -200,7 +200,7 @@ def plant_source(name: str = '', robot: str = '') -> PlantSource:
 def preset_values(name: str) -> dict[str, dict[str, Any]]:
     """Return what a preset of config/presets, or a file, lays over controller and estimator."""
     by_node = (
-        read_node_parameters(named_file('preset', 'presets', name), PRESET_NODES)
+        read_node_parameters(find_named_file('preset', 'presets', name), PRESET_NODES)
         if name
         else {}
     )
@@ -231,7 +231,7 @@ def resolve(
     if not isinstance(seed, int) or seed < 0:
         raise ConfigError('seed', 'a whole number >= 0', seed)
     path, source = (
-        named_file('scenario', 'scenarios', scenario),
+        find_named_file('scenario', 'scenarios', scenario),
         plant_source(plant, robot),
     )
     config = scenario_with(read_yaml(path), scenario_overrides or {}, duration, path)
@@ -242,7 +242,7 @@ def resolve(
         'noise_variance', {}
     )
     special = source.robot.controller_special(source.plant) if source.plant else {}
-    controller_config, estimator_config, plant_config = check_all(
+    controller_config, estimator_config, plant_config = run_all_checks(
         lambda: validate(
             ControllerConfig,
             merged(
@@ -257,7 +257,7 @@ def resolve(
         lambda: validate(
             NoiseEstimatorConfig,
             merged(
-                read_parameters(config_dir() / 'noise_estimator.yaml'),
+                read_parameters(find_config_folder() / 'noise_estimator.yaml'),
                 {
                     'contact_names': source.robot.controller_base()['contact_names'],
                     'noise_variance': bounds,
@@ -440,7 +440,7 @@ def resolve_external(
     read, laid_over = read_controller_files(files), preset_values(preset)
     path, values = Path(COMMANDS), {'name': COMMANDS, 'duration': UNTIL_STOPPED}
     if scenario is not None:
-        path = named_file('scenario', 'scenarios', scenario)
+        path = find_named_file('scenario', 'scenarios', scenario)
         values = read_yaml(path)
     elif scenario_overrides:
         raise ConfigError(
@@ -454,7 +454,7 @@ def resolve_external(
     estimator_config = validate(
         NoiseEstimatorConfig,
         merged(
-            read_parameters(config_dir() / 'noise_estimator.yaml'),
+            read_parameters(find_config_folder() / 'noise_estimator.yaml'),
             {
                 'contact_names': list(controller_config.column_names),
                 'rate': controller_config.rate,

@@ -7,16 +7,26 @@ from typing import Any, Literal
 
 from multicontact_control.config import Config, parameter, read_yaml, validate
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import named_file
+from multicontact_control.paths import find_named_file
+from multicontact_control.registry import FORCE_LAWS, NOISE_ESTIMATORS
 from multicontact_control.runs.overrides import read_settings
 from multicontact_control.runs.scenario import plant_source
 import numpy as np
-from pydantic import field_validator, model_validator, NonNegativeInt
+from pydantic import (
+    field_validator,
+    model_validator,
+    NonNegativeInt,
+    ValidationInfo,
+)
 from sim_bridge.robots import find_robot
 
 Kind = Literal['sweep', 'compare', 'map', 'tune', 'faults', 'situations']
 Aggregate = Literal['median', 'min', 'max', 'share', 'set', 'good_values']
 Choices = Mapping[str, Sequence[Any]]  # values by factor
+REGISTRIES: Mapping[str, Mapping[str, str]] = {  # by parameter that chooses from one
+    'controller.force.law': FORCE_LAWS,
+    'noise_estimator.estimator': NOISE_ESTIMATORS,
+}
 
 
 class FactorConfig(Config):
@@ -41,6 +51,9 @@ class FactorConfig(Config):
         '', "Dotted name, `robot`, `scenario` or `preset`; the factor's name if empty."
     )
     multiples_of: str = parameter('', 'Parameter that the values are multiples of.')
+    choices_of: Literal['', 'controller.force.law', 'noise_estimator.estimator'] = (
+        parameter('', 'Parameter each registered value of which is a level, too.')
+    )
     levels: dict[str, dict[str, Any]] = parameter(
         {}, 'Parameters and their values, by the label of the level.'
     )
@@ -55,6 +68,16 @@ class FactorConfig(Config):
             levels = {str(label): level or {} for label, level in given.items()}
             return {'levels': levels}
         return given
+
+    @field_validator('levels')
+    @classmethod
+    def _add_choices(
+        cls, levels: dict[str, dict[str, Any]], info: ValidationInfo
+    ) -> dict[str, dict[str, Any]]:
+        """Put a level for every registered value of `choices_of` before those of the file."""
+        name = info.data.get('choices_of', '')
+        registered = {choice: {name: choice} for choice in REGISTRIES.get(name, ())}
+        return registered | levels
 
     @model_validator(mode='after')
     def _check_values(self) -> FactorConfig:
@@ -268,7 +291,7 @@ def read_study(name: str) -> StudyConfig:
         If there is no such file, or a value in it is not acceptable.
 
     """
-    path = named_file('study', 'studies', name)
+    path = find_named_file('study', 'studies', name)
     study = validate(StudyConfig, read_yaml(path), str(path))
     return study.model_copy(update={'parts': study.whole_parts()})
 

@@ -20,7 +20,11 @@ import time
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.files import finite, read_json, write_json
+from multicontact_control.files import (
+    read_json_file,
+    replace_json_file,
+    replace_nonfinite_numbers,
+)
 from multicontact_control.judging.display import count_bar
 from multicontact_control.runs.compilation import ensure_compiled
 from multicontact_control.runs.scenario import resolve, Setup
@@ -145,7 +149,7 @@ def read_finished(folder: Path, keys: Iterable[str]) -> dict[str, dict[str, Any]
     for key in keys:
         path = _cell_file(folder, key)
         if path.exists():
-            finished[key] = read_json(path)['metrics']
+            finished[key] = read_json_file(path)['metrics']
     return finished
 
 
@@ -219,7 +223,7 @@ def run_jobs(
                 'wall_s': wall_time,
                 'metrics': metrics,
             }
-            write_json(_cell_file(folder, key), content)
+            replace_json_file(_cell_file(folder, key), content)
             finished[key] = metrics
             progress.advance(bar)
             is_next_tenth = 10 * len(finished) % len(jobs) < 10
@@ -279,7 +283,7 @@ def _run_job(key: str, job: Job) -> Outcome:
         if job.key() != key:
             raise RunError('a worker has other code, libraries or configuration files')
         start = time.perf_counter()
-        metrics = finite(job.run())
+        metrics = replace_nonfinite_numbers(job.run())
         return Outcome(key, metrics, time.perf_counter() - start)
 
 

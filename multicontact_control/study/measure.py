@@ -98,7 +98,7 @@ def _move_surface(
 
     def disturb(loop: Any) -> None:
         if loop.tick in moves:
-            loop.plant.contacts.shift(last_surface, moves[loop.tick])
+            loop.plant.contacts.shift_surface(last_surface, moves[loop.tick])
 
     return disturb
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 from multicontact_control import __version__
-from multicontact_control.errors import counted
-from multicontact_control.files import write_json
+from multicontact_control.errors import format_count
+from multicontact_control.files import replace_json_file
 from multicontact_control.judging import page
 from multicontact_control.runs.overrides import unit_of
 from multicontact_control.study import table
@@ -118,7 +118,7 @@ class Study:
     def write_files(self, results: Results, folder: Path) -> None:
         """Write study, table, figure and page into the folder."""
         frame = results.frame
-        write_json(folder / STUDY_FILE, self.config.model_dump(mode='json'))
+        replace_json_file(folder / STUDY_FILE, self.config.model_dump(mode='json'))
         frame.to_csv(folder / CSV_FILE, index=False)
         frame.to_parquet(folder / TABLE_FILE, index=False)
         image = ''
@@ -152,7 +152,7 @@ class Study:
         remarks = ''
         warnings = self.list_warnings(results)
         if warnings:
-            title = counted(len(warnings), 'remarks')
+            title = format_count(len(warnings), 'remarks')
             remarks = page.folded(title, _bullet_list(warnings))
         parts.append(remarks)
         for heading, text in self.further_sections(results).items():
@@ -211,7 +211,7 @@ def run_study(
         if not dry_run:
             prepare_folder(folder, overwrite=overwrite)
         console.print(
-            f'study {name}: {counted(len(keys), "jobs")}, '
+            f'study {name}: {format_count(len(keys), "jobs")}, '
             f'{len(read_finished(folder, keys))} of them finished before'
         )
         if dry_run:

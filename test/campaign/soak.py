@@ -16,7 +16,8 @@ from pathlib import Path
 import sys
 
 from joblib import delayed, Parallel
-from multicontact_control.control.tasks import MotionReading, quintic
+from multicontact_control.algebra import quintic_blend
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError
 from multicontact_control.faults import fault_run
 from multicontact_control.faults.outcomes import (
@@ -27,7 +28,7 @@ from multicontact_control.faults.outcomes import (
 from multicontact_control.faults.vocabulary import FAULTS, PlantEdit
 from multicontact_control.judging.oscillation import oscillations
 from multicontact_control.runs.closed_loop import ClosedLoop
-from multicontact_control.supervision.contacts import HOLDING, NAMES
+from multicontact_control.supervision.contacts import HOLDING, STATE_NAMES
 import numpy as np
 import pandas as pd
 from rich.progress import track
@@ -151,7 +152,7 @@ class Soak:
         before, way = self._target, np.append(goal - self._target, np.zeros(3))
         duration = max(1.0, 1.875 * float(np.linalg.norm(way)) / FASTEST)
         for k in range(1, round(duration * self._rate) + 1):
-            s, ds, dds = quintic(k * self._period, duration)
+            s, ds, dds = quintic_blend(k * self._period, duration)
             self.loop.control.set_motion(
                 MotionReading(before + s * way[:3], self._turn, ds * way, dds * way)
             )
@@ -198,7 +199,7 @@ class Soak:
         wanted, status = np.array(list(self.wanted.values())), self.loop.status
         errors = np.array(forces) - wanted
         held = all(
-            state == NAMES[HOLDING]
+            state == STATE_NAMES[HOLDING]
             for state, force in zip(status.contact_states, wanted)
             if force > 0.0
         )

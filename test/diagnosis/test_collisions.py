@@ -3,7 +3,7 @@
 from contextlib import closing
 
 from multicontact_control.diagnosis.friction import undeclared_friction
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 import numpy as np
@@ -22,7 +22,7 @@ FRICTION = 1.2  # N m, of a UR5's first wrist joint
 
 def rubbing(folder, **controller):
     """Return a UR5 whose first wrist joint has friction that only the plant knows of."""
-    robot = yaml.safe_load((config_dir() / 'robots' / 'ur5.yaml').read_text())
+    robot = yaml.safe_load((find_config_folder() / 'robots' / 'ur5.yaml').read_text())
     robot |= {
         'coulomb': [0.0, 0.0, 0.0, FRICTION, 0.0, 0.0],
         'plants': {'rigid': {'plant': {'joint_friction_scale': 1.0}}},
@@ -42,14 +42,14 @@ def test_undeclared_friction_is_learnt_and_named(tmp_path):
         elbow_forces(loop, 3500)
         assert not loop.control.events.collisions
         assert loop.status.contact_states == ('holding', 'holding')
-        friction = joints['watch']['evidence']['friction']
+        friction = joints['watch']['residual_statistics']['friction']
         np.testing.assert_allclose(
             friction, [0.0, 0.0, 0.0, FRICTION, 0.0, 0.0], atol=0.1
         )
         (named,) = undeclared_friction(joints, names)
         assert named.startswith(names[3])
         loop.control.supervisor.reset()
-        assert not joints['watch']['evidence']['friction'].any()
+        assert not joints['watch']['residual_statistics']['friction'].any()
 
 
 @pytest.mark.parametrize(

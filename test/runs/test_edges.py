@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from multicontact_control.control.tasks import MotionReading, quintic
+from multicontact_control.algebra import quintic_blend
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from robots import needs_mujoco, ROBOTS
 from scipy.spatial.transform import Rotation
 from sim_bridge.new_robot import new_robot
-from sim_bridge.posture import frame_pose, limits_of, reach
+from sim_bridge.posture import find_posture_at, frame_pose, joint_limits
 from sim_bridge.robots import find_robot
 
 URDF = Path(__file__).parents[1] / 'data' / 'six_joints.urdf'
@@ -29,16 +30,16 @@ class Course(NamedTuple):
 
     @property
     def duration(self):
-        return 1.875 * self.distance / self.speed  # of the quintic, one way
+        return 1.875 * self.distance / self.speed  # of the quintic_blend, one way
 
     def at(self, time, start):
         """Return the motion command at a time [s] after a start pose."""
-        out, _, _ = quintic(time, self.duration)
-        share, rate, change = quintic(time - self.duration - REST, self.duration)
+        out, _, _ = quintic_blend(time, self.duration)
+        share, rate, change = quintic_blend(time - self.duration - REST, self.duration)
         if time < self.duration + REST:
             share, rate, change = (
                 1.0 - x if n == 0 else -x
-                for n, x in enumerate(quintic(time, self.duration))
+                for n, x in enumerate(quintic_blend(time, self.duration))
             )
         way = self.distance * (1.0 - share)
         direction = np.array(self.direction)
@@ -198,9 +199,9 @@ def test_box_of_a_new_robot_is_reached_everywhere(foreign):
     pose, rng = frame_pose(model, home), np.random.default_rng(1)
     assert (lower < pose.translation).all() and (pose.translation < upper).all()
     assert (upper - lower > 0.15).all()
-    stops = limits_of(model)
+    stops = joint_limits(model)
     for point in rng.uniform(lower, upper, (20, 3)):
         pose.translation = point
-        q = reach(model, pose, home)
+        q = find_posture_at(model, pose, home)
         assert q is not None
         assert (stops[0] <= q).all() and (q <= stops[1]).all()

@@ -10,7 +10,7 @@ from multicontact_control.faults.fault_run import resolve_with_obstacles
 from multicontact_control.faults.vocabulary import ELBOW_WALL, FAR
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
-from multicontact_control.supervision.reactions import RECOVERING, Recovery
+from multicontact_control.supervision.reactions import RECOVERING, RecoveryPolicy
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -72,14 +72,14 @@ def test_recovery_waits_longer_after_each_relapse_and_latches_physical_causes(
     cause, soon
 ):
     """From 50 ms up to 2 s; a reaction is a relapse within `soon` after control has resumed."""
-    recovery, tick = Recovery(WatchdogConfig().recovery_time, H), 0
+    recovery, tick = RecoveryPolicy(WatchdogConfig().recovery_time, H), 0
 
     def stop(after):
         """Return the wait after some seconds of control [s]; None for ever."""
         nonlocal tick
         tick += round(after / H)
-        recovery.stopped((cause,), tick)
-        waits = [k * H for k in range(2000) if recovery.missing(k) == ()]
+        recovery.note_reaction((cause,), tick)
+        waits = [k * H for k in range(2000) if recovery.waiting_causes(k) == ()]
         recovery.resumed_at = tick
         return waits[0] if waits else None
 
@@ -87,10 +87,10 @@ def test_recovery_waits_longer_after_each_relapse_and_latches_physical_causes(
     if soon == 5.0:
         waits[3:] = [None] * 3
     assert [stop(0.5 * soon) for _ in waits] == pytest.approx(waits, abs=1.01 * H)
-    recovery.allow()
-    assert recovery.missing(2000) == ()
+    recovery.unlatch_control()
+    assert recovery.waiting_causes(2000) == ()
     assert stop(1.1 * soon) == pytest.approx(0.05)
-    assert recovery.missing(0) == (RECOVERING,)
+    assert recovery.waiting_causes(0) == (RECOVERING,)
 
 
 @on_both_plants
@@ -239,7 +239,7 @@ def test_contact_that_was_given_up_comes_back(way):
         )
     ) as loop:
         loop.advance()
-        loop.plant.contacts.shift(1, 0.1)
+        loop.plant.contacts.shift_surface(1, 0.1)
         loop.control.set_forces({'table': 10.0, 'board': 10.0})
         # A stream of commands seeks nothing anew, one after a while does.
         advance(
@@ -249,7 +249,7 @@ def test_contact_that_was_given_up_comes_back(way):
                 {'table': 10.0 + 0.1 * np.sin(time)}
             ),
         )
-        loop.plant.contacts.shift(1, -0.1)
+        loop.plant.contacts.shift_surface(1, -0.1)
         loop.control.set_forces({'board': 10.0})  # as before: nothing new
         loop.advance()
         assert loop.status.contact_states == ('holding', 'given up')
@@ -308,9 +308,9 @@ def test_joint_at_its_limit_does_not_wind_the_observers_up(plant):
 def test_surface_that_vanishes_for_a_moment_leaves_the_other_force(plant):
     """In means over 12 ms."""
     with pressing(plant) as loop:
-        loop.plant.contacts.shift(1, 0.05)
+        loop.plant.contacts.shift_surface(1, 0.05)
         gone, _ = advance(loop, 0.3)
-        loop.plant.contacts.shift(1, -0.05)
+        loop.plant.contacts.shift_surface(1, -0.05)
         back, statuses = advance(loop, 1.5)
     error = np.concatenate([gone, back])[:, 0] - 15.0
     assert np.abs(np.convolve(error, np.full(6, 1.0 / 6.0), 'valid')).max() < (
@@ -377,7 +377,7 @@ def test_collision_of_15_newtons_is_seen_within_20_ms_and_held_against(
         assert statuses[seen].reaction == 'hold'
         assert forces.max() < 20.0
         assert loop.control.events.collisions.total() >= 1
-        loop.plant.contacts.shift(ELBOW_WALL, FAR)
+        loop.plant.contacts.shift_surface(ELBOW_WALL, FAR)
         _, statuses = elbow_forces(loop, 1500, corrupt)
     assert (statuses[-1].reaction, statuses[-1].causes) == ('none', ())
 

@@ -8,8 +8,8 @@ import time
 from typing import Any
 
 from multicontact_control.nodes import qos, topics
-from multicontact_control.nodes.graph import ignore, take
-from multicontact_control.nodes.link import GuestNode
+from multicontact_control.nodes.graph import ignore_message, take_message
+from multicontact_control.nodes.link import ServiceClientNode
 
 OURS = (topics.CONTROLLER, topics.ESTIMATOR, topics.RECORDER)
 UNNAMED = '_NODE_NAME_UNKNOWN_'  # of a topic's end, until its node is known, too
@@ -46,14 +46,14 @@ class _Stream:
         return [name for name in self._joints if name not in message.name]
 
     def poll(self) -> None:
-        while (taken := take(self.subscription)) is not None:
+        while (taken := take_message(self.subscription)) is not None:
             if self.lacking(taken[0]):
                 self.other = taken[0]
                 continue
             self.newest, self.other, self.at = taken[0], None, time.monotonic()
 
 
-class RobotWatch(GuestNode):
+class RobotWatch(ServiceClientNode):
     """Listens to the topics of a `robot`."""
 
     def __init__(self, domain_id: int, namespace: str, robot: Robot) -> None:
@@ -62,7 +62,10 @@ class RobotWatch(GuestNode):
         self._streams = {
             topic: _Stream(
                 self.node.create_subscription(
-                    topic.message, topic.name, ignore, qos.profile(100, reliable=False)
+                    topic.message,
+                    topic.name,
+                    ignore_message,
+                    qos.make_profile(100, reliable=False),
                 ),
                 robot.joint_names if topic is topics.JOINT_STATES else (),
             )

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import link, messages, qos, topics
-from multicontact_control.nodes.graph import ignore, SAFE_TIME, take
+from multicontact_control.nodes.graph import ignore_message, SAFE_TIME, take_message
 from multicontact_control.runs.graph.domain import domain_in_use, reserve_domain
 from multicontact_control.runs.graph.processes import NodeProcesses
 from multicontact_control.runs.graph.robot import RobotWatch
@@ -72,7 +72,7 @@ class GraphResult:
     ended: str = ''  # what ended it early on the side of the user's own robot
 
 
-class ProgressListener(link.GuestNode):
+class ProgressListener(link.ServiceClientNode):
     """Reads the newest measured forces when asked, and takes no time in between."""
 
     def __init__(self, domain_id: int, namespace: str = '') -> None:
@@ -80,7 +80,7 @@ class ProgressListener(link.GuestNode):
         self._forces = self.node.create_subscription(
             topics.MEASURED_FORCES.message,
             topics.MEASURED_FORCES.name,
-            ignore,
+            ignore_message,
             qos.GLANCE,
         )
         self._first = self._start = 0.0
@@ -88,7 +88,7 @@ class ProgressListener(link.GuestNode):
 
     def newest(self) -> GraphProgress | None:
         """Return what came last since the last call, if anything."""
-        taken = take(self._forces)
+        taken = take_message(self._forces)
         if taken is None:
             return None
         message, now = taken[0], time.monotonic()
@@ -142,7 +142,7 @@ class RunningGraph:
         self._keep_waiting(f'{what}, in ROS domain {self.domain_id}')
 
     def _lead(self, transition: str) -> None:
-        with link.GuestNode(
+        with link.ServiceClientNode(
             'lifecycle_driver',
             self.domain_id,
             self.spec.namespace,
@@ -150,7 +150,7 @@ class RunningGraph:
         ) as driver:
             for name in MANAGED:
                 try:
-                    driver.change(name, transition)
+                    driver.change_state(name, transition)
                 except link.TransitionError:
                     raise RunError(
                         self.processes.report(name, f'cannot {transition}')
@@ -165,14 +165,14 @@ class RunningGraph:
         ):
             with (
                 contextlib.suppress(RunError),
-                link.GuestNode(
+                link.ServiceClientNode(
                     'run_end',
                     self.domain_id,
                     self.spec.namespace,
                     patience=DEACTIVATION_TIMEOUT,
                 ) as driver,
             ):
-                driver.change(CONTROLLER, link.DEACTIVATE)
+                driver.change_state(CONTROLLER, link.DEACTIVATE)
                 time.sleep(SAFE_TIME)
         self.processes.stop(hurry=hurry)
         self.progress.newest()
@@ -208,7 +208,7 @@ def running_graph(
 def _require_free_names(spec: GraphSpec, domain_id: int) -> None:
     """Check that no node of another graph has a name of this one's; RunError."""
     if domain_in_use(domain_id):  # by a driver or a page, too
-        with link.GuestNode('run_start', domain_id, spec.namespace) as guest:
+        with link.ServiceClientNode('run_start', domain_id, spec.namespace) as guest:
             time.sleep(DISCOVERY_TIME)
             known = guest.node.get_node_names_and_namespaces()
         if taken := {(name, f'/{spec.namespace}') for name in spec.nodes} & {*known}:

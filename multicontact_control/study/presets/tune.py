@@ -10,7 +10,7 @@ from typing import Any
 from multicontact_control.commissioning.law_report import write_preset
 from multicontact_control.config import merge, read_yaml
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.overrides import overrides_of
 from multicontact_control.runs.scenario import preset_values
 from multicontact_control.study.cells import Cell, cells_with_seeds
@@ -47,7 +47,7 @@ class TuneStudy(Study):
     """
 
     def __init__(self, config: StudyConfig) -> None:
-        ranges = read_yaml(config_dir() / 'tuning.yaml')
+        ranges = read_yaml(find_config_folder() / 'tuning.yaml')
         law = config.law
         if law not in ranges:
             raise ConfigError(
