@@ -10,7 +10,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from multicontact_control.config import ControllerConfig
-from multicontact_control.contact.geometry import misread_friction
+from multicontact_control.contact.geometry import find_misread_friction
 from multicontact_control.contact.resolution import resolutions, SPREAD
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.loop import ControlLoop
@@ -458,7 +458,7 @@ def _hard_to_read(config: ControllerConfig, output: ControlOutput) -> list[str]:
     trouble = [
         f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
         f'contacts.{where}.friction_std'
-        for where, what, gain in misread_friction(
+        for where, what, gain in find_misread_friction(
             config, output.contacts, output.pose.rotation_world
         )
     ]

@@ -7,9 +7,10 @@ import math
 from typing import Any
 
 from multicontact_control.errors import RunError
-from multicontact_control.judging.claims import evidence_of
-from multicontact_control.judging.metrics import LASTING, RunMetrics
-from multicontact_control.judging.results import summarise
+from multicontact_control.judging.contact_metrics import LASTING_PUSH
+from multicontact_control.judging.evidence import collect_evidence
+from multicontact_control.judging.metrics import RunMetrics
+from multicontact_control.judging.run_summary import summarise_run
 from multicontact_control.runs.scenario import dotted, Setup
 import numpy as np
 
@@ -17,9 +18,8 @@ END_TIME = 0.5  # s, the end of a run that tells whether it has settled
 SETTLED = 0.1  # of the command: with a larger error at its end a run has not settled
 SHORTEST = 2  # samples that a summary can be made of
 AWAY = 0.05  # m, by which a surface moves away
-MEAN_TIME = (
-    0.012  # s, over which forces of a vanishing surface's neighbour are averaged
-)
+# s, over which forces of a vanishing surface's neighbour are averaged.
+MEAN_TIME = 0.012
 IN_FULL = ('ticks', 'contacts', 'motion', 'torque', 'unstable_at_s')  # of summary.json
 WINDOW_FIGURES = (  # of the evidence, by the window in which they are measured
     ('rest', 'rms_n'),
@@ -65,7 +65,7 @@ def measure_run(
         if data.ticks < SHORTEST:
             raise RunError(result.ended_early)
         run = RunMetrics(data, setup)
-        summary = summarise(
+        summary = summarise_run(
             data,
             setup,
             mode='in_process',
@@ -75,7 +75,7 @@ def measure_run(
         )
         return {
             'summary': summary,
-            'evidence': evidence_of(data, setup, summary),
+            'evidence': collect_evidence(data, setup, summary),
             'final_error_share': _final_error_share(run),
             'activity_nm': _torque_activity(run),
             'neighbour_n': _neighbour_error(run, surface_gone),
@@ -131,7 +131,7 @@ def _neighbour_error(run: RunMetrics, gone: tuple[float, float] | None) -> float
     leaves, _ = gone
     time = run.data.time
     count = round(MEAN_TIME * run.data.rate)
-    error = run.error[(time >= leaves) & (time < leaves + 1.0), 0]
+    error = run.contacts[0].error[(time >= leaves) & (time < leaves + 1.0)]
     if len(error) < count:  # the run ended before
         return None
     means = np.convolve(error, np.full(count, 1.0 / count), 'valid')
@@ -158,8 +158,8 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
     pushes = []
     for contact in contacts:
         pushes += [push for push in contact['recoveries'] if not push['moving']]
-    short_pushes = [push for push in pushes if push['duration'] < LASTING]
-    lasting_pushes = [push for push in pushes if push['duration'] >= LASTING]
+    short_pushes = [push for push in pushes if push['duration'] < LASTING_PUSH]
+    lasting_pushes = [push for push in pushes if push['duration'] >= LASTING_PUSH]
     row = {
         'stable': bool(summary.get('stable', False)),
         'verdict': summary.get('verdict'),

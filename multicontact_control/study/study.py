@@ -126,7 +126,7 @@ class Study:
         if figure is not None:
             for name in (FIGURE_FILE, PRINTED_FIGURE_FILE):
                 figure.savefig(folder / name, dpi=DPI)
-            image = page.image(folder / FIGURE_FILE, self.config.name)
+            image = page.render_image(folder / FIGURE_FILE, self.config.name)
         page.write_page(
             folder / PAGE_FILE,
             f'Study {self.config.name}',
@@ -144,7 +144,7 @@ class Study:
         for section, lines in table.make_listing(results.frame, config).items():
             head = [escape(name) for name in lines]
             rows = [[escape(text) for text in line] for line in lines.to_numpy()]
-            cells = page.table(head, rows, numbers_from=lines.attrs['labels'])
+            cells = page.render_table(head, rows, numbers_from=lines.attrs['labels'])
             parts.append(f'<h2>{escape(section)}</h2>{cells}')
         parts.append(
             f'<p class=note>{escape(config.notes)} Every run is in {CSV_FILE}.</p>'
@@ -153,7 +153,7 @@ class Study:
         warnings = self.list_warnings(results)
         if warnings:
             title = format_count(len(warnings), 'remarks')
-            remarks = page.folded(title, _bullet_list(warnings))
+            remarks = page.render_details(title, _bullet_list(warnings))
         parts.append(remarks)
         for heading, text in self.further_sections(results).items():
             parts.append(f'<h2>{escape(heading)}</h2>{text}')

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from multicontact_control.judging.page import COLOURS
+from multicontact_control.judging.panels import CURVE_COLOURS
 from multicontact_control.runs.overrides import EVERY
 from multicontact_control.study.config import ColumnConfig, StudyConfig
 import numpy as np
@@ -22,7 +22,7 @@ from rich.markup import escape
 from rich.table import Table
 
 WIDE_RANGE = 20.0  # largest over smallest, from which an axis is logarithmic
-MARKERS = 'osD^vPp'  # one for each of COLOURS
+MARKERS = 'osD^vPp'  # one for each of CURVE_COLOURS
 CROSS: dict[str, Any] = {
     'linestyle': '',
     'marker': 'x',
@@ -374,7 +374,7 @@ def group_series(
                 word = _equation(frame, study, factor, word)
             words.append(word)
         style = {
-            'color': COLOURS[number % len(COLOURS)],
+            'color': CURVE_COLOURS[number % len(CURVE_COLOURS)],
             'marker': MARKERS[number % len(MARKERS)],
             'markersize': 5,
         }

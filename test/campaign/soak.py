@@ -26,7 +26,7 @@ from multicontact_control.faults.outcomes import (
     OBSTACLE_FORCE,
 )
 from multicontact_control.faults.vocabulary import FAULTS, PlantEdit
-from multicontact_control.judging.oscillation import oscillations
+from multicontact_control.judging.oscillation import find_oscillations
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.supervision.contacts import HOLDING, STATE_NAMES
 import numpy as np
@@ -107,7 +107,7 @@ class Soak:
         self._problems.update(
             f'{name} oscillates at {line.frequency:.0f} Hz with {line.rms:.2g} N rms'
             for (name, force), error in zip(self.wanted.items(), errors.T)
-            for line in oscillations(
+            for line in find_oscillations(
                 error,
                 np.full(len(error), force),
                 np.ones(len(error), dtype=bool),

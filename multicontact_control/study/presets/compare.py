@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from multicontact_control.judging.claims import Claim, judge_claims, PAPER_ESTIMATOR
-from multicontact_control.judging.page import claims_table
+from multicontact_control.judging.page import render_claims
 from multicontact_control.study.study import Results, Study
 
 LIKE_THE_PAPER = ('active state', 'K_2')  # parts
@@ -36,7 +36,7 @@ class CompareStudy(Study):
                 f'K_2 = {rate:g} 1/s': claims for rate, claims in claims_by_rate.items()
             }
             heading = f'Claims of the paper over K_2, plant {plant}'
-            sections[heading] = claims_table(columns)
+            sections[heading] = render_claims(columns)
         return sections
 
 
