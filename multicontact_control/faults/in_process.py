@@ -32,7 +32,7 @@ def with_obstacles(scenario: str, plant: str, seed: int) -> Setup:
     """Resolve a scenario with walls far away that the first contact's tip, or the elbow, meets."""
     setup = resolve(scenario, plant=plant, seed=seed)
     tip = setup.plant.surfaces[setup.plant.contact_names[0]].tip_link
-    elbow, normal = plant_source(plant).robot.elbow()
+    elbow, normal = plant_source(plant).robot.find_elbow()
     walls = {
         name: {
             'tip_link': link,
