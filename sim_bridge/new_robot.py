@@ -13,8 +13,8 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, validate
 from multicontact_control.dynamics.robot import (
     check_torques,
+    find_followers,
     Follower,
-    followers,
     largest_gravity,
     load_model,
 )
@@ -336,7 +336,7 @@ def _find_arm_joints(
     _require_turning_chain(sensor, chain, moving)
     if tip != sensor and sensor not in joints_up_to(root, tip):
         raise ConfigError('--tip', f"'{sensor}' or a link beyond it", f"'{tip}'")
-    coupled = followers(root)
+    coupled = find_followers(root)
     locked = dict(lock)
     for name, joint in moving.items():
         if name not in chain and name not in coupled and name not in locked:

@@ -10,7 +10,7 @@ from multicontact_control.arrays import require_shape, Vector
 from multicontact_control.config import ToolConfig
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.records import Records
-from multicontact_control.sensor.tool import weight_reading
+from multicontact_control.sensor.tool import predict_weight_reading
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME, TOOL_LINK
@@ -271,7 +271,9 @@ class Plant:
         rotation = frame_pose(self.model, self._home, SENSOR_FRAME).rotation
         arm = self.description
         carried = ToolConfig(mass=arm.carried_mass, com_sensor=arm.carried_com)
-        return weight_reading(rotation, carried, np.array(self.config.gravity_world))
+        return predict_weight_reading(
+            rotation, carried, np.array(self.config.gravity_world)
+        )
 
     def _take_sample(self) -> Sample:
         return Sample(

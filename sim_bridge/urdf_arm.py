@@ -18,7 +18,11 @@ import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.config import Vector3
 from multicontact_control.dynamics.robot import load_model
-from multicontact_control.dynamics.urdf import check_tree, ends_of, parse_urdf
+from multicontact_control.dynamics.urdf import (
+    check_link_tree,
+    find_joint_ends,
+    parse_urdf,
+)
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
@@ -139,7 +143,7 @@ def read_urdf(path: Path) -> str:
             f'{path}, which is xacro',
             hint=f'write one with `xacro {path.name} > arm.urdf`',
         )
-    check_tree(root)
+    check_link_tree(root)
     return ElementTree.tostring(root, encoding='unicode')
 
 
@@ -147,12 +151,12 @@ def joints_up_to(
     root: ElementTree.Element, link: str
 ) -> dict[str, ElementTree.Element]:
     """Return the joints of a URDF from the base to a link, each under the link it carries."""
-    carriers = {ends_of(joint)[1]: joint for joint in root.findall('joint')}
+    carriers = {find_joint_ends(joint)[1]: joint for joint in root.findall('joint')}
     from_link = {}
     while link in carriers:
         joint = carriers.pop(link)
         from_link[link] = joint
-        link, _ = ends_of(joint)
+        link, _ = find_joint_ends(joint)
     return dict(reversed(from_link.items()))
 
 
@@ -183,7 +187,7 @@ def _remove_tool(root: ElementTree.Element, mount: str) -> ElementTree.Element:
         if element.tag == 'link':
             carried = element.get('name', '')
         elif element.tag == 'joint':
-            _, carried = ends_of(element)
+            _, carried = find_joint_ends(element)
         # Other elements name joints that may be gone.
         if element.tag not in ('link', 'joint') or carried in beyond:
             root.remove(element)

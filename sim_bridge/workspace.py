@@ -6,7 +6,7 @@ from itertools import product
 from typing import NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.supervision.bounds import SINGULAR
+from multicontact_control.supervision.bounds import SINGULAR_ROOT
 import numpy as np
 import pinocchio as pin
 from sim_bridge.posture import (
@@ -129,4 +129,4 @@ def _is_free(model: pin.Model, q: Vector) -> bool:
     M = pin.crba(model, model.createData(), q)
     J = frame_jacobian(model, q)
     smallest_mobility = np.linalg.eigvalsh(J @ np.linalg.solve(M, J.T))[0]
-    return bool(np.sqrt(max(smallest_mobility, 0.0)) > SINGULAR_MARGIN * SINGULAR)
+    return bool(np.sqrt(max(smallest_mobility, 0.0)) > SINGULAR_MARGIN * SINGULAR_ROOT)

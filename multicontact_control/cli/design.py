@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from multicontact_control.cli.options import Law
+from multicontact_control.choices import LawName
 import typer
 
 
 def design(
-    law: Annotated[Law, typer.Argument(metavar='LAW', help='Force law.')],
+    law: Annotated[LawName, typer.Argument(metavar='LAW', help='Force law.')],
     stiffness: Annotated[
         tuple[float, float],
         typer.Option(metavar='SOFTEST STIFFEST', help='Range of the surfaces [N/m].'),

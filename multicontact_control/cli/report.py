@@ -41,35 +41,37 @@ def report(
     their table. Of a recording without ground truth the measured forces are shown, and the run is
     not judged. Names and rate are those of the messages, or of --controller.
     """
-    from multicontact_control.judging.claims import claims_of
+    from multicontact_control.judging.claims import judge_claims_of_run
     from multicontact_control.judging.display import print_claims
     from multicontact_control.judging.report import write_report
-    from multicontact_control.judging.results import (
-        is_whole_run,
-        load,
-        report_folder,
+    from multicontact_control.judging.results import load
+    from multicontact_control.judging.run_folders import (
+        find_report_folder,
+        is_finished_run,
     )
-    from multicontact_control.judging.verdict import verdict_text
+    from multicontact_control.judging.verdict import describe_verdict
     from rich.console import Console
 
-    if all(map(is_whole_run, runs)):
+    if all(map(is_finished_run, runs)):
         options.refuse_options(
             context,
             ('controller', 'namespace'),
             'with runs of this package, which know their own',
         )
     loaded = [load(path, controller or (), namespace) for path in runs]
-    paths = write_report(loaded, out or report_folder(runs[0]), claims=claims)
+    paths = write_report(loaded, out or find_report_folder(runs[0]), claims=claims)
     for run in loaded:
         quality = run.summary.get('quality')  # which an older version did not write
         for line in (
-            verdict_text(run.summary),
+            describe_verdict(run.summary),
             quality,
             *run.summary.get('remarks', ()),
         ):
             if line:
                 typer.echo(f'{run.folder}: {line}')
-        said = claims_of(run.data, run.setup, run.summary, asked=claims)
+        said = judge_claims_of_run(
+            run.data, run.setup, run.summary, any_scenario=claims
+        )
         if said:
             print_claims(
                 Console(highlight=False, soft_wrap=True),

@@ -106,9 +106,9 @@ def run(
             setup = setup.commanded_over_topics()
     # Only now: bad input is refused before the simulator is loaded.
     from multicontact_control.judging.judged_run import run_on_graph
-    from multicontact_control.judging.results import run_folder
+    from multicontact_control.judging.run_folders import open_run_folder
 
-    with run_folder(
+    with open_run_folder(
         chosen.out, setup.scenario.name, overwrite=chosen.overwrite, now=datetime.now()
     ) as folder:
         summary, interrupted = run_on_graph(
@@ -138,13 +138,13 @@ def simulate(chosen: options.RunOptions) -> None:
     """
     options.end_at_signals('interrupted; nothing of this run is kept')
     setup = chosen.setup()
-    from multicontact_control.judging.judged_run import run_simulate
-    from multicontact_control.judging.results import run_folder
+    from multicontact_control.judging.judged_run import simulate_run
+    from multicontact_control.judging.run_folders import open_run_folder
 
-    with run_folder(
+    with open_run_folder(
         chosen.out, setup.scenario.name, overwrite=chosen.overwrite, now=datetime.now()
     ) as folder:
-        summary = run_simulate(setup, folder, supervised=not chosen.bare)
+        summary = simulate_run(setup, folder, supervised=not chosen.bare)
     end_by_verdict(summary)
 
 
@@ -188,10 +188,13 @@ def view(
     viser is not installed.
     """
     if recording is not None:
-        from multicontact_control.judging.results import run_of
+        from multicontact_control.judging.run_folders import (
+            find_run_folder,
+            is_run_folder,
+        )
 
         options.refuse_options(context, ('seed', 'engine'), 'with a recording')
-        if run_of(recording)[1]:
+        if is_run_folder(find_run_folder(recording)):
             options.refuse_options(
                 context, OF_THE_ARM, 'with a run, which knows its own'
             )

@@ -101,7 +101,7 @@ def compile_beside() -> None:
     from multicontact_control.runs.scenario import resolve
     from multicontact_control.supervision.contact_task import limit_task, TASK_LIMITS
     from multicontact_control.supervision.contacts import CONTACT_STATE
-    from multicontact_control.supervision.gate import GATE, pass_gate
+    from multicontact_control.supervision.gate import GATE_STATE, pass_gate
     from multicontact_control.supervision.input_checks import check_inputs, INPUT_STAGE
     from sim_bridge.plant import Plant
 
@@ -110,7 +110,7 @@ def compile_beside() -> None:
     controls: Any = np.zeros(1, dtype=CONTROL)
     contacts: Any = np.zeros(2, dtype=CONTACT)
     states: Any = np.zeros(2, dtype=CONTACT_STATE)
-    gates: Any = np.zeros(1, dtype=GATE)
+    gates: Any = np.zeros(1, dtype=GATE_STATE)
     limits: Any = np.zeros(1, dtype=TASK_LIMITS)
     stages: Any = np.zeros(1, dtype=INPUT_STAGE)
     stages['settings']['commands'] = 2
@@ -137,18 +137,19 @@ def _compile_law() -> None:
 def _call_all() -> None:
     """Make numba compile all that is left, above all the tick."""
     from multicontact_control.force.force_law import continue_laws, make_force_laws
-    from multicontact_control.force.noise import ESTIMATORS, make_noise_estimator
+    from multicontact_control.force.noise import make_noise_estimator
     from multicontact_control.force.stiffness import (
-        find_stiffness,
+        estimate_stiffness,
         FIT_SPACE,
         friction_of_others,
     )
     from multicontact_control.records import CONTACT, FRAME
+    from multicontact_control.registry import NOISE_ESTIMATORS
     from multicontact_control.runs.closed_loop import run_in_process
     from multicontact_control.runs.scenario import resolve
 
     quick = resolve('quick')
-    for estimator in ESTIMATORS:
+    for estimator in NOISE_ESTIMATORS:
         make_noise_estimator(
             quick.noise_estimator.model_copy(update={'estimator': estimator})
         )
@@ -159,7 +160,7 @@ def _call_all() -> None:
     laws[0]['observer']['running'] = True
     for new, old in zip(laws[1:], laws):
         continue_laws(new, old)
-    find_stiffness(
+    estimate_stiffness(
         laws[1][0]['stiffness'], 0.0, 0.0, 0.0, 0.0, np.zeros(1, dtype=FIT_SPACE)[0]
     )
     friction_of_others(np.zeros(1, dtype=FRAME)[0], np.zeros(2, dtype=CONTACT), 0)
