@@ -330,9 +330,9 @@ def content_of(
 def _missing(messages: bag.BagMessages, data: RunData) -> tuple[Missing, ...]:
     """Return the stretches without samples, also before the first and after the last one."""
     missing = gaps_of(data)
-    if messages.begin_lost:
+    if messages.loss.at_begin:
         missing.insert(0, Missing(-math.inf, 0.0))
-    if messages.end_lost:
+    if messages.loss.at_end:
         missing.append(Missing(data.ticks / data.rate, math.inf))
     return tuple(missing)
 
@@ -379,7 +379,7 @@ def _commands(
 
 
 def _remarks(messages: bag.BagMessages, data: RunData) -> tuple[str, ...]:
-    remarks = [*messages.unreadable, *messages.lost]
+    remarks = [*messages.unreadable, *messages.loss.words]
     for topic, values, expected in (
         (SAMPLES, data.q, data.joint_names),
         (MEASURED, data.alpha_meas, data.contact_names),
