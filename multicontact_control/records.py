@@ -155,7 +155,7 @@ class Law(Record, Protocol):
 LAW = record_dtype(Law)
 
 
-class Evidence(Record, Protocol):
+class ResidualStatistics(Record, Protocol):
     """
     What the residual of a joint has followed.
 
@@ -164,27 +164,27 @@ class Evidence(Record, Protocol):
 
     # The newest, and the sum of their squares.
     regressor: Annotated[Vector, 4]
-    square: Annotated[Vector, 4]
+    regressor_power: Annotated[Vector, 4]
 
     # Sum of each times what the residual is beyond `at_rest`.
-    product: Annotated[Vector, 4]
+    correlation: Annotated[Vector, 4]
 
-    power: float  # sum of the squares of that [N^2 m^2]
+    residual_power: float  # sum of the squares of that [N^2 m^2]
 
     # Its mean at rest in the first 0.2 s [N m], and of those [s].
-    at_rest: float
-    rested: float
+    residual_at_rest: float
+    time_at_rest: float
 
     # Mean along the first 0.5 s of motion [N m], and of those [s].
     friction: float
-    moved: float
+    time_in_motion: float
 
     mean_square: float  # along them [N^2 m^2]
-    area: float  # integral of the same since the arm was calm last [N m s]
-    felt_before: float  # J_i^T f when it was [N m]
+    residual_integral: float  # integral of the same since the arm was calm last [N m s]
+    calm_wrench_torque: float  # J_i^T f when it was [N m]
 
 
-EVIDENCE = record_dtype(Evidence)
+RESIDUAL_STATISTICS = record_dtype(ResidualStatistics)
 
 
 class JointConfig(Record, Protocol):
@@ -206,8 +206,8 @@ class JointConfig(Record, Protocol):
     least_threshold: float  # of the residual, without friction [N m]
 
     # Friction in it, at least and at most [N m].
-    allowance: float
-    learnt_limit: float
+    declared_friction: float
+    learnt_friction_limit: float
 
 
 JOINT_CONFIG = record_dtype(JointConfig)
@@ -221,19 +221,19 @@ class JointWatch(Record, Protocol):
     unwatched: bool  # whether it is not known, neither measured nor commanded
 
     # Of that sample [rad/s], [N m].
-    last_velocity: float
-    last_bias: float
+    previous_velocity: float
+    previous_bias_torque: float
 
     # Of the torques: what neither model nor wrist sensor explains [N m].
     residual: float
 
-    doubt: float  # by how much the effort may be another [N m]
+    effort_uncertainty: float  # by how much the effort may be another [N m]
     threshold: float  # of the residual, from which on it counts, at rest [N m]
 
     # Added to that, as the arm accelerates or the effort is in doubt [N m].
-    slack: float
+    dynamic_threshold: float
 
-    evidence: Evidence
+    residual_statistics: ResidualStatistics
 
 
 JOINT_WATCH = record_dtype(JointWatch)
@@ -259,11 +259,11 @@ class JointGate(Record, Protocol):
     lower: float
     upper: float
 
-    last: float  # what was commanded last and what was added [N m]
+    commanded_torque: float  # what was commanded last and what was added [N m]
 
     # See `supervision.gate.blend` [N m].
-    lacking: float
-    difference: float
+    blended_difference: float
+    faded_difference: float
 
 
 JOINT_GATE = record_dtype(JointGate)
@@ -282,7 +282,9 @@ class Joint(Record, Protocol):
     velocity: float  # [rad/s]
     inertia: float  # diagonal element of M [kg m^2]
     bias_torque: float  # element of C v + g [N m]
-    added: float  # to the command by the drives themselves, 0 if they add nothing [N m]
+    drive_gravity_torque: (
+        float  # to the command by the drives themselves, 0 if they add nothing [N m]
+    )
     watch: JointWatch
     answer: JointAnswer
     gate: JointGate
@@ -405,7 +407,7 @@ class ForceAnswer(Record, Protocol):
 
     active: bool  # whether its force is controlled
     alpha_des: float  # desired force [N]
-    alpha_fed: float  # force fed forward [N]
+    alpha_fed_forward: float  # force fed forward [N]
 
     # Estimated force and its rate [N], [N/s].
     alpha_est: float
@@ -468,7 +470,9 @@ class Contact(Record, Protocol):
     alpha_meas: float  # measured force, without `untared` [N]
     untared: float  # what was read in free space, before a touch [N]
     speed_bound: float  # into a surface that has not answered, 0 for none [m/s]
-    borne: float  # what such a surface was found to bear, as an acceleration [m/s^2]
+    borne_acceleration: (
+        float  # what such a surface was found to bear, as an acceleration [m/s^2]
+    )
     noise_variance: float  # R_k [N^2]
 
     # Whether the measured force is fed forward, as the surface seems to be gone.

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.control.arm import ArmSpace, see_arm
+from multicontact_control.control.arm import ArmSpace, update_arm_state
 from multicontact_control.control.law import control_law, LawSpace
 from multicontact_control.flags import (
     ALARMS,
@@ -77,8 +77,8 @@ def tick(
     stages
         SEE, ACT or both.
     joints, controls, contacts, laws, states
-        Records of `JOINT`, shape (n,), whose `gate.last` is the torque that is commanded, one of
-        `CONTROL`, and records of `CONTACT`, `FORCE_LAW` and `CONTACT_STATE`, shape (r,).
+        Records of `JOINT`, shape (n,), whose `gate.commanded_torque` is what is commanded, one
+        of `CONTROL`, and records of `CONTACT`, `FORCE_LAW` and `CONTACT_STATE`, shape (r,).
     limits, judgements, gates, workspaces
         One record of `TASK_LIMITS`, of `JUDGEMENT`, of `GATE` and of `WORKSPACE`.
     q, velocity
@@ -96,7 +96,7 @@ def tick(
     """
     control, space, found = controls[0], workspaces[0], 0
     if stages & SEE:
-        found = see_arm(
+        found = update_arm_state(
             q,
             velocity,
             mass_matrix,

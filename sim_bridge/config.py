@@ -114,7 +114,7 @@ class SensorConfig(Config):
         125.0, 'Cut-off of the last of the cascaded low-passes.', unit='Hz', gt=0.0
     )
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         for name, counts in (
             ('bias', (6,)),
             ('full_scale', (6,)),
@@ -197,7 +197,7 @@ class PlantConfig(Config):
         'URDF link, carried by the last joint, at whose origin the tool is pushed.',
     )
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         for field, known in (
             ('contact_names', set(self.contacts.values())),
             ('obstacle_names', set(self.surfaces)),

@@ -153,7 +153,7 @@ class RobotFile(Config):
     plant_aliases: dict[str, str] = parameter({}, 'Other names of these.')
     default_plant: str = parameter('rigid', 'Which of them is taken if none is named.')
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         for name in () if self.controller_file else ('home', 'contacts'):
             if not getattr(self, name):
                 yield ConfigError(name, 'a value, without a controller_file', 'nothing')

@@ -80,14 +80,14 @@ class Config(BaseModel):
         extra='forbid', frozen=True, validate_default=True, allow_inf_nan=False
     )
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         """Yield an error for everything that does not fit together."""
         yield from ()
 
     @model_validator(mode='after')
     def _check(self, info: ValidationInfo) -> Self:
         """Let `validate` collect the misfits of all models; a constructor raises its own."""
-        errors = list(self._misfits())
+        errors = list(self._cross_field_errors())
         if info.context is not None:
             info.context.extend(errors)
         elif errors:

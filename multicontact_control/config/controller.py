@@ -170,7 +170,7 @@ class ControllerConfig(Config):
         ge=0.0,
     )
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         joints = len(self.robot.joint_names)
         for name in PER_JOINT:
             count = len(attrgetter(name)(self))
@@ -188,7 +188,7 @@ class ControllerConfig(Config):
                 'contact_names', f'distinct names among {known}', list(names)
             )
         else:
-            yield from self._law_misfits()
+            yield from self._force_law_errors()
         momentum = self.wrench_input == 'momentum'
         if momentum == bool(self.robot.sensor_frame):
             yield ConfigError(
@@ -208,9 +208,9 @@ class ControllerConfig(Config):
                 f'{bounds.smallest:g} to {bounds.largest:g} N^2 (noise_variance)',
                 initial,
             )
-        yield from self._delay_misfits()
+        yield from self._delay_errors()
 
-    def _law_misfits(self) -> Iterator[ConfigError]:
+    def _force_law_errors(self) -> Iterator[ConfigError]:
         force, adaptive = self.force, self.force.stiffness == 'adaptive'
         others = sorted({self.law_of(name) for name in self.contact_names} - {'aob'})
         # What needs contacts that do not move each other, as N alpha* (eq. 30) lets them.
@@ -255,7 +255,7 @@ class ControllerConfig(Config):
                 'force.damping_rate', 'above 0 with adaptive stiffness', 0.0
             )
 
-    def _delay_misfits(self) -> Iterator[ConfigError]:
+    def _delay_errors(self) -> Iterator[ConfigError]:
         sensor, nyquist = self.sensor, 0.5 * self.rate
         if sensor.filter_order and sensor.filter_cutoff >= nyquist:
             yield ConfigError(

@@ -112,7 +112,7 @@ class AdaptiveStiffnessConfig(Config):
         8e4, 'Largest stiffness of the model, at the first touch.', unit='N/m', gt=0.0
     )
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         if self.highest <= self.lowest:
             yield ConfigError(
                 'adaptive.highest',
@@ -200,7 +200,7 @@ class VarianceBoundsConfig(Config):
         gt=0.0,
     )
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         if self.largest <= self.smallest:
             yield ConfigError(
                 'noise_variance.largest',
@@ -255,7 +255,7 @@ class NoiseEstimatorConfig(Config):
     )
     noise_variance: VarianceBoundsConfig = VarianceBoundsConfig()
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         for name in ('zero_frequency', 'pole_frequency'):
             if getattr(self, name) >= 0.5 * self.rate:
                 yield ConfigError(

@@ -51,7 +51,7 @@ class RobotConfig(Config):
         True, 'Whether the effort in joint_states is a torque, and not a motor current.'
     )
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         count, positions = len(self.locked_joints), len(self.locked_positions)
         if positions not in (0, count):
             yield ConfigError(
@@ -128,7 +128,7 @@ class SensorFrontEndConfig(Config):
         'and scale of the sensor; false in a simulation.',
     )
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         scales = list(self.full_scale)
         if len(scales) not in (0, 6) or min(scales, default=1.0) <= 0.0:
             yield ConfigError('sensor.full_scale', '6 values above 0, or none', scales)

@@ -67,7 +67,7 @@ class ContactStateConfig(Config):
         60.0, 'Measured force at which a contact is left.', unit='N', gt=0.0, le=1000.0
     )
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         for lower, upper in (
             ('release_threshold', 'contact_threshold'),
             ('preload', 'force_ceiling'),
@@ -123,7 +123,7 @@ class LimitsConfig(Config):
     )
     workspace_upper: Vector = parameter((), 'Upper corner of that box.', unit='m')
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         for kind in ('joint', 'workspace'):
             lower, upper = (
                 getattr(self, f'{kind}_lower'),

@@ -102,8 +102,8 @@ def measure_contacts(
     """
     Work out the contact forces; return whether the columns of N are independent.
 
-    alpha = (N^T N)^-1 N^T f_c (P04 eqs 2, 5, 7), or as `allow_for_friction` says, of all contacts
-    together. To the friction that is expected of each the likeliest other is added,
+    alpha = (N^T N)^-1 N^T f_c (P04 eqs 2, 5, 7), or as `whiten_by_friction_covariance` says, of
+    all contacts together. To the friction that is expected of each the likeliest other is added,
     s^2 T^T W^-1 (f_c - N alpha). Of the contacts, records of `CONTACT`, shape (r,), `N` is filled
     in, which follows from the posture alone; `alpha_meas`, without what is `untared`, and
     `friction` only if the columns are independent. `space` is a record of `CONTACT_SPACE`.
@@ -117,7 +117,7 @@ def measure_contacts(
         rows[i] = contacts[i].N
     if law.separated:
         expect_friction(frame, contacts, space.friction, rows)
-        allow_for_friction(control, contacts, space)
+        whiten_by_friction_covariance(control, contacts, space)
     if not factorise_contacts(contacts, True, rows, rows, factor):
         return False
     multiply(rows, wrench, alpha)
@@ -170,7 +170,7 @@ def expect_friction(
 
 
 @compiled
-def allow_for_friction(
+def whiten_by_friction_covariance(
     control: Control, contacts: Records[Contact], space: ContactSpace
 ) -> None:
     """

@@ -66,7 +66,7 @@ UNPROVEN_THRESHOLD = 3.0  # N m, least threshold of a joint until it has moved t
 
 
 class ArmSpace(Record, Protocol):
-    """What `see_arm` works in; one."""
+    """What `update_arm_state` works in; one."""
 
     # Of the tool on the arm, or that the residual stands for [N, N m].
     wrench: Annotated[Vector, 6]
@@ -127,7 +127,7 @@ def observe_momentum(
             space.inertial[i] = 0.0
             for j in range(n):
                 space.inertial[i] += mass_matrix[min(i, j), max(i, j)] * (
-                    joints[j].velocity - joints[j].watch.last_velocity
+                    joints[j].velocity - joints[j].watch.previous_velocity
                 )
             space.inertial[i] /= elapsed
         share, touched = 1.0 - np.exp(-momentum.config.bandwidth * elapsed), False
@@ -140,7 +140,7 @@ def observe_momentum(
             unexplained = (
                 watch.effort
                 - space.inertial[i]
-                - (0.5 * (joint.bias_torque + watch.last_bias))
+                - (0.5 * (joint.bias_torque + watch.previous_bias_torque))
             )
             unexplained -= joint.config.coulomb * direction
             unexplained -= joint.config.viscous * joint.velocity
@@ -150,14 +150,16 @@ def observe_momentum(
             ):  # the other joints go on
                 watch.residual += share * (unexplained - watch.residual)
                 dynamic_share = momentum.config.dynamic_share
-                watch.slack += share * (
-                    dynamic_share * abs(space.inertial[i]) + watch.doubt - watch.slack
+                watch.dynamic_threshold += share * (
+                    dynamic_share * abs(space.inertial[i])
+                    + watch.effort_uncertainty
+                    - watch.dynamic_threshold
                 )
-                acceleration = (joint.velocity - watch.last_velocity) / elapsed
+                acceleration = (joint.velocity - watch.previous_velocity) / elapsed
                 learn_friction(
                     momentum, joint, share, direction, acceleration, space.felt[i]
                 )
-            limit = watch.threshold + watch.slack
+            limit = watch.threshold + watch.dynamic_threshold
             touched = touched or abs(watch.residual) > factor * limit
         momentum.collided = touched
     momentum.com_velocity[:] = velocity
@@ -180,39 +182,46 @@ def learn_friction(
     that is not compensated, and raises the threshold, less a standard deviation.
     """
     elapsed, config, watch = momentum.elapsed, joint.config, joint.watch
-    evidence = watch.evidence
+    statistics = watch.residual_statistics
     moving = direction**2 * elapsed
-    if evidence.rested < REST_TIME:
-        evidence.rested += elapsed
-        evidence.at_rest += (
-            (elapsed - moving) / evidence.rested * (watch.residual - evidence.at_rest)
+    if statistics.time_at_rest < REST_TIME:
+        statistics.time_at_rest += elapsed
+        statistics.residual_at_rest += (
+            (elapsed - moving)
+            / statistics.time_at_rest
+            * (watch.residual - statistics.residual_at_rest)
         )
-    beyond = watch.residual - evidence.at_rest
+    beyond = watch.residual - statistics.residual_at_rest
     fading = np.exp(-elapsed / FADING_TIME)
-    evidence.power = fading * evidence.power + elapsed * beyond**2
+    statistics.residual_power = fading * statistics.residual_power + elapsed * beyond**2
     for k, value in enumerate((direction, joint.velocity, acceleration, felt)):
-        value = evidence.regressor[k] + share * (value - evidence.regressor[k])
-        evidence.regressor[k] = value
-        for sums, other in ((evidence.square, value), (evidence.product, beyond)):
+        value = statistics.regressor[k] + share * (value - statistics.regressor[k])
+        statistics.regressor[k] = value
+        for sums, other in (
+            (statistics.regressor_power, value),
+            (statistics.correlation, beyond),
+        ):
             sums[k] = fading * sums[k] + elapsed * value * other
-    if evidence.moved < LEARNING_TIME and not momentum.collided:
-        evidence.moved += moving
-        weight = moving / (evidence.moved + PRIOR_TIME)
-        evidence.friction += weight * (beyond * np.sign(direction) - evidence.friction)
-        evidence.mean_square += weight * (beyond**2 - evidence.mean_square)
-    if config.learnt_limit > 0.0:
-        least = config.least_threshold
-        if evidence.moved < LEARNING_TIME:
-            least = max(least, min(UNPROVEN_THRESHOLD, config.learnt_limit))
-        # Of what touches the arm, which grows, the deviation is near the mean.
-        learnt = evidence.friction - np.sqrt(
-            max(evidence.mean_square - evidence.friction**2, 0.0)
+    if statistics.time_in_motion < LEARNING_TIME and not momentum.collided:
+        statistics.time_in_motion += moving
+        weight = moving / (statistics.time_in_motion + PRIOR_TIME)
+        statistics.friction += weight * (
+            beyond * np.sign(direction) - statistics.friction
         )
-        if learnt > config.learnt_limit:
-            learnt = config.learnt_limit
+        statistics.mean_square += weight * (beyond**2 - statistics.mean_square)
+    if config.learnt_friction_limit > 0.0:
+        least = config.least_threshold
+        if statistics.time_in_motion < LEARNING_TIME:
+            least = max(least, min(UNPROVEN_THRESHOLD, config.learnt_friction_limit))
+        # Of what touches the arm, which grows, the deviation is near the mean.
+        learnt = statistics.friction - np.sqrt(
+            max(statistics.mean_square - statistics.friction**2, 0.0)
+        )
+        if learnt > config.learnt_friction_limit:
+            learnt = config.learnt_friction_limit
         # No number, as after an impossible effort, is no friction.
         watch.threshold = least + (
-            learnt if learnt > config.allowance else config.allowance
+            learnt if learnt > config.declared_friction else config.declared_friction
         )
 
 
@@ -225,9 +234,9 @@ def follow_touch(momentum: Momentum, joints: Records[Joint]) -> bool:
     """
     calm = True
     for i in range(joints.shape[0]):
-        watch, evidence = joints[i].watch, joints[i].watch.evidence
-        beyond = watch.residual - evidence.at_rest
-        evidence.area += momentum.elapsed * beyond
+        watch, statistics = joints[i].watch, joints[i].watch.residual_statistics
+        beyond = watch.residual - statistics.residual_at_rest
+        statistics.residual_integral += momentum.elapsed * beyond
         calm = calm and abs(beyond) < CALM_SHARE * watch.threshold
     momentum.touched = momentum.touched or momentum.collided
     momentum.calm = momentum.calm + momentum.elapsed if calm else 0.0
@@ -237,8 +246,11 @@ def follow_touch(momentum: Momentum, joints: Records[Joint]) -> bool:
         momentum.touched = False
         return True
     for i in range(joints.shape[0]):
-        evidence = joints[i].watch.evidence
-        evidence.area, evidence.felt_before = 0.0, evidence.regressor[WRENCH]
+        statistics = joints[i].watch.residual_statistics
+        statistics.residual_integral, statistics.calm_wrench_torque = (
+            0.0,
+            statistics.regressor[WRENCH],
+        )
     return False
 
 
@@ -272,7 +284,7 @@ def wrench_of_residual(
 
 
 @compiled
-def see_arm(
+def update_arm_state(
     q: Vector,
     velocity: Vector,
     mass_matrix: Matrix,
@@ -316,8 +328,8 @@ def see_arm(
             return NO_NUMBERS
     for j in range(joints.shape[0]):
         joint = joints[j]
-        joint.watch.last_velocity = joint.velocity
-        joint.watch.last_bias = joint.bias_torque
+        joint.watch.previous_velocity = joint.velocity
+        joint.watch.previous_bias_torque = joint.bias_torque
         joint.q, joint.velocity = q[j], velocity[j]
         joint.inertia, joint.bias_torque = mass_matrix[j, j], bias_torque[j]
         if abs(joint.velocity) > joint.config.speed_limit:
@@ -400,7 +412,7 @@ class ArmState:
     def refresh(self) -> bool:
         """Take in what has been written into `motion`; return whether the model is `finite`."""
         terms = self.robot.compute(self.q, self.velocity)
-        self.flags = see_arm(
+        self.flags = update_arm_state(
             self.q,
             self.velocity,
             terms.mass_matrix,

@@ -351,7 +351,7 @@ class Controller:
         N = self.contacts['N'][active].T
         answer = self.contacts['answer'][active]
         unlimited = self.arm.joints['answer']['unlimited']
-        beyond = answer['alpha_fed'] - answer['alpha_est']
+        beyond = answer['alpha_fed_forward'] - answer['alpha_est']
         twist_rate = terms.jacobian @ np.linalg.solve(
             M, torque - unlimited + terms.jacobian.T @ (N @ beyond)
         )

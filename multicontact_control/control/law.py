@@ -183,8 +183,8 @@ def finish_torque(law: Law, joints: Records[Joint]) -> bool:
         answer.torque += config.viscous * joint.velocity
         answer.priority += config.viscous * joint.velocity
         answer.unlimited = answer.torque
-        upper = joint.added + config.torque_limit
-        lower = joint.added - config.torque_limit
+        upper = joint.drive_gravity_torque + config.torque_limit
+        lower = joint.drive_gravity_torque - config.torque_limit
         first = answer.priority
         if answer.torque > upper:
             exceeded = True
@@ -199,8 +199,8 @@ def finish_torque(law: Law, joints: Records[Joint]) -> bool:
     share = max(share, law.least_share)
     for j in range(n):
         joint, config, answer = joints[j], joints[j].config, joints[j].answer
-        upper = joint.added + config.torque_limit
-        lower = joint.added - config.torque_limit
+        upper = joint.drive_gravity_torque + config.torque_limit
+        lower = joint.drive_gravity_torque - config.torque_limit
         answer.torque = answer.priority + share * (answer.torque - answer.priority)
         if answer.torque > upper:
             answer.torque = upper
@@ -223,9 +223,9 @@ def control_law(
     """
     Work out the joint torque of one tick.
 
-    F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + N alpha_fed, Gamma = J^T F (P04
-    eqs 23-27), then null space, friction and limits. As published alpha_fed is the estimate; see
-    `force_to_feed`.
+    F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + N alpha_fed_forward, Gamma = J^T F (P04
+    eqs 23-27), then null space, friction and limits. As published
+    alpha_fed_forward is the estimate; see `force_to_feed`.
 
     Parameters
     ----------
@@ -301,8 +301,8 @@ def control_law(
     multiply(inertia.Lambda, acceleration, force)
     held[:] = 0.0
     for i in range(count):
-        add_scaled(force, contacts[i].answer.alpha_fed, rows[i])
-        add_scaled(held, contacts[i].answer.alpha_fed, rows[i])
+        add_scaled(force, contacts[i].answer.alpha_fed_forward, rows[i])
+        add_scaled(held, contacts[i].answer.alpha_fed_forward, rows[i])
     for j in range(n):
         joints[j].answer.torque = 0.0
         joints[j].answer.priority = joints[j].bias_torque

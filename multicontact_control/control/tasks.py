@@ -124,7 +124,7 @@ class ReferenceConfig(Config):
     force_steps: tuple[ForceStepConfig, ...] = ()
     motion: SineConfig | None = None
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         times = [step.time for step in self.force_steps]
         if times != sorted(times):
             yield ConfigError('reference.force_steps', 'times in rising order', times)

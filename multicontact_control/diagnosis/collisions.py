@@ -14,7 +14,7 @@ from multicontact_control.control.arm import (
     WRENCH,
 )
 from multicontact_control.diagnosis.friction import UNDECLARED
-from multicontact_control.records import Evidence, Joint, Momentum, Records
+from multicontact_control.records import Joint, Momentum, Records, ResidualStatistics
 import numpy as np
 
 EXPLAINED = (
@@ -55,19 +55,24 @@ def explain_collision(
     """
     watch = joints['watch']
     residual = watch['residual']
-    shares = np.abs(residual) / (watch['threshold'] + watch['slack'])
+    shares = np.abs(residual) / (watch['threshold'] + watch['dynamic_threshold'])
     worst = int(np.argmax(shares))
     name = names[worst]
-    evidence = watch['evidence'][worst]
+    statistics = watch['residual_statistics'][worst]
     loaded = [joint for joint, share in zip(names, shares) if share > RELEASE]
     if not loaded:
         loaded = [name]
-    hardly_rested = evidence['rested'] < RESTED_SHARE * REST_TIME
-    if hardly_rested or evidence['at_rest'] / residual[worst] > AT_REST_SHARE:
-        settled = 1.0 - np.exp(-momentum['config']['bandwidth'] * evidence['rested'])
+    hardly_rested = statistics['time_at_rest'] < RESTED_SHARE * REST_TIME
+    if (
+        hardly_rested
+        or statistics['residual_at_rest'] / residual[worst] > AT_REST_SHARE
+    ):
+        settled = 1.0 - np.exp(
+            -momentum['config']['bandwidth'] * statistics['time_at_rest']
+        )
         cause = _explain_rest(residual / settled, joints['bias_torque'], len(loaded))
         return f'{name}: the residual is there from the first sample on{cause}'
-    followed = _explain_motion(residual[worst], evidence)
+    followed = _explain_motion(residual[worst], statistics)
     if followed:
         return f'{name}: the residual {followed}'
     return (
@@ -77,19 +82,19 @@ def explain_collision(
     )
 
 
-def _explain_motion(residual: float, evidence: Evidence) -> str:
+def _explain_motion(residual: float, statistics: ResidualStatistics) -> str:
     """Return which regressor the residual of a joint [N m] has followed; empty if none."""
-    squares = np.maximum(evidence['square'], np.finfo(float).tiny)
-    explained = evidence['product'] ** 2 / squares
-    slope = evidence['product'] / squares
+    squares = np.maximum(statistics['regressor_power'], np.finfo(float).tiny)
+    explained = statistics['correlation'] ** 2 / squares
+    slope = statistics['correlation'] / squares
     against = slope < 0.0
     against[WRENCH] = False  # a wrench may be read with another sign
     explained[against] = 0.0  # what pushes a joint moves it that way, too
     best = int(np.argmax(explained))
-    if not explained[best] > EXPLAINED * evidence['power']:
+    if not explained[best] > EXPLAINED * statistics['residual_power']:
         return ''
     if best == DIRECTION:
-        friction = max(abs(residual), evidence['friction'])
+        friction = max(abs(residual), statistics['friction'])
         factor = f'at least {friction:.2g}'
     elif best == WRENCH:  # the residual is what is beyond the wrench that is read
         factor = f'{1.0 + slope[best]:.2g}'

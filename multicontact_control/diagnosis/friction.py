@@ -19,9 +19,9 @@ MOVED_SHARE = (
 def undeclared_friction(joints: Records[Joint], names: Sequence[str]) -> Iterator[str]:
     """Yield a sentence for each joint that has shown friction which is not declared."""
     for joint, name in zip(joints, names):
-        evidence = joint['watch']['evidence']
-        friction = evidence['friction']
-        has_moved = evidence['moved'] > MOVED_SHARE * LEARNING_TIME
+        statistics = joint['watch']['residual_statistics']
+        friction = statistics['friction']
+        has_moved = statistics['time_in_motion'] > MOVED_SHARE * LEARNING_TIME
         counts = friction > RELEASE * joint['config']['least_threshold']
         if has_moved and counts:
             yield f'{name}: the residual {UNDECLARED.format(f"{friction:.2g}")}'

@@ -20,9 +20,11 @@ def explain_lag(joints: Records[Joint]) -> str:
     `JOINT`, shape (n,).
     """
     watch = joints['watch']
-    evidence, weights = watch['evidence'], 1.0 / watch['threshold']
-    areas = evidence['area'] * weights
-    changes = (evidence['regressor'][:, WRENCH] - evidence['felt_before']) * weights
+    statistics, weights = watch['residual_statistics'], 1.0 / watch['threshold']
+    areas = statistics['residual_integral'] * weights
+    changes = (
+        statistics['regressor'][:, WRENCH] - statistics['calm_wrench_torque']
+    ) * weights
     if not np.abs(changes).max() > LEAST_CHANGE:
         return ''
     lag = (areas @ changes) / (changes @ changes)

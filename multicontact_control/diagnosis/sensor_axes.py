@@ -93,8 +93,8 @@ def _forces_at_the_sensor(
 ) -> tuple[Vector, Vector]:
     """Return the force that is read and the one that the torques show, sensor axes [N]."""
     watch = joints['watch']
-    felt = watch['evidence']['regressor'][:, WRENCH]
-    rested = watch['evidence']['rested'].max()
+    felt = watch['residual_statistics']['regressor'][:, WRENCH]
+    rested = watch['residual_statistics']['time_at_rest'].max()
     settled = 1.0 - np.exp(-momentum['config']['bandwidth'] * rested)
     torques = np.column_stack([felt, felt + watch['residual']]) / settled
     wrenches = fit_over_joints(jacobian.T, torques, watch['threshold'])

@@ -377,22 +377,22 @@ def bound_speed(
     """
     Return u within what keeps the tip at `speed_bound` if nothing bears it [m/s^2].
 
-    The tip accelerates by a = u - K_2 v + N^T Lambda^-1 N alpha_fed into free space. It is kept at
-    or below G (v_max - v) + b, where b is what a surface turns out to bear: it grows
-    while the tip is slower than it may be although it is pushed, and is forgotten. The force law
+    The tip accelerates by a = u - K_2 v + N^T Lambda^-1 N alpha_fed_forward into free space. It is
+    kept at or below G (v_max - v) + b, where b is what a surface turns out to bear: it grows while
+    the tip is slower than it may be although it is pushed, and is forgotten. The force law
     is told what acts. `speed` is that of the contact point INTO the surface [m/s].
     """
     period = control.law.period
     damping = control.law.K_2 * speed
-    fed = contact.answer.alpha_fed * contact.mobility
+    fed = contact.answer.alpha_fed_forward * contact.mobility
     slower = contact.speed_bound - speed
     rate = min(max(control.law.K_2, SLOWEST_BOUND), FASTEST_BOUND)
-    largest = rate * slower + contact.borne
+    largest = rate * slower + contact.borne_acceleration
     if u - damping + fed <= largest:
-        contact.borne *= 1.0 - min(period / BORNE_TIME, 1.0)
+        contact.borne_acceleration *= 1.0 - min(period / BORNE_TIME, 1.0)
         return u
-    contact.borne = max(
-        contact.borne + BOUND_SHARE * rate * rate * slower * period, 0.0
+    contact.borne_acceleration = max(
+        contact.borne_acceleration + BOUND_SHARE * rate * rate * slower * period, 0.0
     )
     bounded = largest + damping - fed
     law.observer.command += bounded - u
@@ -423,16 +423,16 @@ def answer_forces(
             contact.config.surface_speed + contact.surface_speed_est
         )
         if (
-            contact.borne > 0.0
+            contact.borne_acceleration > 0.0
         ):  # what does not answer the motion says nothing of a surface
             law.stiffness.felt = False
         elif law.stiffness.config.adaptive:
             learn_stiffness(laws, contacts, i, control, speed, space.fit)
         if not answer.active:
             law.observer.running = law.linear.running = False
-            answer.alpha_est = answer.alpha_rate_est = answer.alpha_fed = inputs[i] = (
-                0.0
-            )
+            answer.alpha_est = answer.alpha_rate_est = (
+                answer.alpha_fed_forward
+            ) = inputs[i] = 0.0
             continue
         stiffness, observer = law.stiffness, law.observer
         if law.is_linear:
@@ -458,8 +458,8 @@ def answer_forces(
         else:
             observe(observer, contact, control.measured, 0.0, space.observer)
             inputs[i] = command(observer, answer.alpha_des)
-        answer.alpha_fed = force_to_feed(law, contact, control.law.K_2)
+        answer.alpha_fed_forward = force_to_feed(law, contact, control.law.K_2)
         if contact.speed_bound > 0.0:
             inputs[i] = bound_speed(contact, law, control, inputs[i], speed)
         else:
-            contact.borne = 0.0
+            contact.borne_acceleration = 0.0

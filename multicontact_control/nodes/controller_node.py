@@ -81,7 +81,7 @@ class ControllerNodeConfig(StartupConfig):
     command: CommandLimits = CommandLimits()
     push_test: PushTestConfig = PushTestConfig()
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         if self.patience and self.patience < 1.0:
             yield ConfigError('patience', '0, or at least 1 period', self.patience)
 

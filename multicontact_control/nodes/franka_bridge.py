@@ -125,7 +125,7 @@ class FrankaBridgeConfig(graph.StartupConfig):
     )
     late: LateConfig = LateConfig()
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         late = self.late
         if not late.command_age < late.hold_time < late.stop_time:
             yield ConfigError(

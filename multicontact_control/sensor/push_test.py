@@ -62,7 +62,7 @@ class PushTestConfig(Config):
         30.0, 'Longest wait for rest, for a push or for its end.', unit='s', gt=0.0
     )
 
-    def _misfits(self) -> Iterator[ConfigError]:
+    def _cross_field_errors(self) -> Iterator[ConfigError]:
         if {direction[1] for direction in self.directions} != set('xyz'):
             yield ConfigError(
                 'push_test.directions',

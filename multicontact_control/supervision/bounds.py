@@ -324,7 +324,7 @@ def predict_acceleration(
         operational_wrench(control, wrench)
     else:
         for i in range(contacts.shape[0]):
-            add_scaled(wrench, contacts[i].answer.alpha_fed, contacts[i].N)
+            add_scaled(wrench, contacts[i].answer.alpha_fed_forward, contacts[i].N)
     for j in range(n):
         joint = joints[j]
         friction = (

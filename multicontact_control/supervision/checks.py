@@ -231,17 +231,22 @@ def watch_arm(config: ControllerConfig, controller: Controller) -> None:
     joint['speed_limit'] = SPEED_EXCESS * np.array(limits.joint_speed or np.inf)
     frame['config']['speed_limit'] = SPEED_EXCESS * limits.operational_speed
     frame['config']['turn_limit'] = SPEED_EXCESS * limits.operational_turn
-    watch['evidence'] = joint['allowance'] = joint['learnt_limit'] = 0
+    watch['residual_statistics'] = joint['declared_friction'] = joint[
+        'learnt_friction_limit'
+    ] = 0
     least = (
         np.inf if config.wrench_input == 'momentum' else np.array(collision.threshold)
     )
     if not np.size(least):
         limit = np.array(config.torque_limit or controller.robot.torque_limit)
         least = np.maximum(collision.limit_share * limit, LEAST_THRESHOLD)
-        joint['allowance'] = collision.friction_share * np.array(
+        joint['declared_friction'] = collision.friction_share * np.array(
             config.friction.coulomb or 0.0
         )
-        joint['learnt_limit'] = LEARNT_SHARE * limit
-    joint['least_threshold'], watch['threshold'] = least, least + joint['allowance']
+        joint['learnt_friction_limit'] = LEARNT_SHARE * limit
+    joint['least_threshold'], watch['threshold'] = (
+        least,
+        least + joint['declared_friction'],
+    )
     momentum['config']['bandwidth'] = config.momentum_bandwidth
     momentum['config']['dynamic_share'] = collision.dynamic_share

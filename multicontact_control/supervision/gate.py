@@ -122,9 +122,9 @@ def blend(gate: Gate, joints: Records[Joint], law: int, torque: Vector) -> None:
         largest = 0.0
         for j in range(n):
             joint = joints[j].gate
-            joint.lacking = joint.last - torque[j]
-            largest = max(largest, abs(joint.lacking))
-            torque[j] = joint.last
+            joint.blended_difference = joint.commanded_torque - torque[j]
+            largest = max(largest, abs(joint.blended_difference))
+            torque[j] = joint.commanded_torque
         duration = max(
             gate.config.blend_time, STEEPEST * largest / gate.config.blend_rate
         )
@@ -134,22 +134,24 @@ def blend(gate: Gate, joints: Records[Joint], law: int, torque: Vector) -> None:
         gate.elapsed += 1.0
         missing = 1.0 - quintic(gate.elapsed, gate.duration)[0]
         for j in range(n):
-            torque[j] += missing * joints[j].gate.lacking
+            torque[j] += missing * joints[j].gate.blended_difference
         gate.blending = gate.elapsed < gate.duration
     if law != gate.law and gate.begun:
         gate.fading = True
         for j in range(n):
-            joints[j].gate.difference = joints[j].gate.last - torque[j]
+            joints[j].gate.faded_difference = (
+                joints[j].gate.commanded_torque - torque[j]
+            )
     elif gate.fading:
         largest = 0.0
         for j in range(n):
-            joints[j].gate.difference *= gate.config.keep
-            largest = max(largest, abs(joints[j].gate.difference))
+            joints[j].gate.faded_difference *= gate.config.keep
+            largest = max(largest, abs(joints[j].gate.faded_difference))
         gate.fading = largest >= FADED
     gate.law = law
     if gate.fading:
         for j in range(n):
-            torque[j] += joints[j].gate.difference
+            torque[j] += joints[j].gate.faded_difference
 
 
 @compiled
@@ -220,9 +222,12 @@ def pass_gate(
             gate.space,
         )
     for j in range(n):
-        joint, last = joints[j], joints[j].gate.last
+        joint, last = joints[j], joints[j].gate.commanded_torque
         limit, step = joint.config.torque_limit, joint.config.torque_step
-        clipped = min(max(torque[j], joint.added - limit), joint.added + limit)
+        clipped = min(
+            max(torque[j], joint.drive_gravity_torque - limit),
+            joint.drive_gravity_torque + limit,
+        )
         if clipped != torque[j]:
             enforced |= TORQUE
         slowed = clipped
@@ -230,7 +235,7 @@ def pass_gate(
             slowed = min(max(clipped, last - step), last + step)
         if slowed != clipped:
             enforced |= TORQUE_RATE
-        joint.gate.last = slowed
+        joint.gate.commanded_torque = slowed
     gate.begun = True
     return enforced
 
@@ -281,7 +286,7 @@ class TorqueGate:
         rate = config.limits.torque_rate if guarded else ()
         joints['torque_step'] = np.array(rate or np.inf) * config.period
         joints['gate_speed'] = config.limits.joint_speed or np.inf
-        self.last: Vector = self._joints['gate']['last']
+        self.last: Vector = self._joints['gate']['commanded_torque']
         self.retune(config.transition)
         self.reset()
         self.apply(-1, np.zeros(len(self._joints)))  # no tick is to wait for numba
@@ -294,7 +299,7 @@ class TorqueGate:
 
     def reset(self) -> None:
         """Forget the torque that acts."""
-        self._joints['added'] = self.last[:] = 0.0
+        self._joints['drive_gravity_torque'] = self.last[:] = 0.0
         for name in ('begun', 'ranged', 'law', 'pending', 'blending', 'fading'):
             self._gate[name] = 0
 
@@ -305,7 +310,10 @@ class TorqueGate:
 
     def begin(self, torque: Vector) -> None:
         """Go over from a torque, shape (n,) [N m], that acts before the first tick."""
-        limit, added = self._joints['config']['torque_limit'], self._joints['added']
+        limit, added = (
+            self._joints['config']['torque_limit'],
+            self._joints['drive_gravity_torque'],
+        )
         self.last[:] = np.clip(torque, added - limit, added + limit)
         self._gate['begun'] = True
         self.go_over()
@@ -325,8 +333,8 @@ class TorqueGate:
 
     def allow_for(self, added: Vector) -> None:
         """Take in what the drives add to a command [N m], which changes the torque that acts."""
-        self.last += added - self._joints['added']
-        self._joints['added'] = added
+        self.last += added - self._joints['drive_gravity_torque']
+        self._joints['drive_gravity_torque'] = added
 
     def apply(self, law: int, torque: Vector, *, seen: bool = True) -> int:
         """

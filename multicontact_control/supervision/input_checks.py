@@ -591,20 +591,22 @@ def _supply_torques(
     heard = _hear_torques(inputs, torques, joints, h)
     for j in range(joints.shape[0]):
         watch, torque = joints[j].watch, torques[j]
-        watch.doubt, watch.unwatched = (
+        watch.effort_uncertainty, watch.unwatched = (
             0.0,
             watch.effort_fault != HEARD and not by_command,
         )
         if watch.unwatched and torque.unheard * h > FORGOTTEN:
-            watch.residual = watch.slack = 0.0  # it would block the arm for good
+            watch.residual = watch.dynamic_threshold = (
+                0.0  # it would block the arm for good
+            )
         if watch.effort_fault == HEARD:
             watch.effort = inputs.effort[j]
             if settings.adds_gravity:
-                watch.effort += joints[j].added
+                watch.effort += joints[j].drive_gravity_torque
         elif by_command:
             before, last = torque.commanded[oldest], torque.commanded[next_oldest]
             after = torque.commanded[third_oldest]
-            watch.doubt = max(
+            watch.effort_uncertainty = max(
                 abs(last - before), abs(after - last)
             )  # a period early or late
             watch.effort = last

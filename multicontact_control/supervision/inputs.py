@@ -322,7 +322,7 @@ class Inputs:
     def reset(self) -> None:
         """Forget everything; the next tick is the first."""
         self._stage[:], self._variance[:] = self._initial, self._initial_variance
-        for name in ('residual', 'slack', 'doubt'):
+        for name in ('residual', 'dynamic_threshold', 'effort_uncertainty'):
             self._joints['watch'][name] = 0
         self._momentum['elapsed'], self._momentum['collided'] = 0.0, False
 

@@ -171,7 +171,7 @@ class Reactions:
     def __init__(self, config: ControllerConfig, controller: Controller) -> None:
         self._period = config.period
         self._robot, self._contacts = controller.robot, controller.contacts
-        self._added: Vector = controller.arm.joints['added']
+        self._added: Vector = controller.arm.joints['drive_gravity_torque']
         self._release_threshold = config.contact_state.release_threshold
         self._task: Records[Task] = controller.controls['task']
         self._law: Records[Law] = controller.controls['law']

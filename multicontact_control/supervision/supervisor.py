@@ -372,7 +372,7 @@ class Supervisor:
         acting = np.zeros(self._robot.joint_count)
         if self._arm is not None:
             acting = self._robot.terms.gravity.copy()
-        measured = self.inputs.effort + self._joints['added']
+        measured = self.inputs.effort + self._joints['drive_gravity_torque']
         self.gate.begin(np.where(np.isnan(measured), acting, measured))
 
     def _refuse(self, cause: str) -> Answer:
@@ -482,7 +482,7 @@ class Supervisor:
         self._reaction = reaction
         torque = self.gate.last.copy()
         if self._adds_gravity:
-            torque -= self._joints['added']
+            torque -= self._joints['drive_gravity_torque']
         if self._arm is None:
             self._output = self._output._replace(torque=torque)
         else:

@@ -322,11 +322,11 @@ def test_torques_have_no_spike_on_the_way_through_a_singularity(
     assert np.abs(np.diff(shares, axis=0)).max() < 0.02
 
 
-def limited(torque, priority, limit, least_share=0.0, added=0.0):
+def limited(torque, priority, limit, least_share=0.0, drive_gravity_torque=0.0):
     joints = np.zeros(len(torque), dtype=JOINT)
     joints['answer']['torque'], joints['answer']['priority'] = torque, priority
     joints['config']['torque_limit'] = limit
-    joints['added'] = added
+    joints['drive_gravity_torque'] = drive_gravity_torque
     law = np.zeros(1, dtype=LAW)
     law['least_share'] = least_share
     was_limited = finish_torque(law[0], joints)
@@ -368,10 +368,16 @@ def test_torque_beyond_its_limits_keeps_its_direction(seed, size):
             [20.0, 3.0],
             [11.0, 1.0],
             [10.0, 10.0],
-            {'added': [5.0, 0.0]},
+            {'drive_gravity_torque': [5.0, 0.0]},
             [15.0, 1.0 + 8.0 / 9.0],
         ),
-        ([14.0, -6.0], [0.0, 0.0], [10.0, 10.0], {'added': [5.0, 4.0]}, [14.0, -6.0]),
+        (
+            [14.0, -6.0],
+            [0.0, 0.0],
+            [10.0, 10.0],
+            {'drive_gravity_torque': [5.0, 4.0]},
+            [14.0, -6.0],
+        ),
     ],
 )
 def test_torque_beyond_its_share_is_cut_joint_by_joint(

@@ -42,14 +42,14 @@ def test_undeclared_friction_is_learnt_and_named(tmp_path):
         elbow_forces(loop, 3500)
         assert not loop.control.events.collisions
         assert loop.status.contact_states == ('holding', 'holding')
-        friction = joints['watch']['evidence']['friction']
+        friction = joints['watch']['residual_statistics']['friction']
         np.testing.assert_allclose(
             friction, [0.0, 0.0, 0.0, FRICTION, 0.0, 0.0], atol=0.1
         )
         (named,) = undeclared_friction(joints, names)
         assert named.startswith(names[3])
         loop.control.supervisor.reset()
-        assert not joints['watch']['evidence']['friction'].any()
+        assert not joints['watch']['residual_statistics']['friction'].any()
 
 
 @pytest.mark.parametrize(
