@@ -110,7 +110,7 @@ def run_on_graph(
     node is not acceptable, RunError if ROS cannot be loaded or a node dies.
     """
     from multicontact_control.nodes.controller_node import ControllerNodeConfig
-    from multicontact_control.runs.graph.robot import Robot
+    from multicontact_control.runs.graph.robot import ExpectedRobot
     from multicontact_control.runs.graph.spec import CONTROLLER, GraphSpec
 
     config = folder / results.CONFIG_FOLDER
@@ -125,7 +125,7 @@ def run_on_graph(
         node = validate(ControllerNodeConfig, of_node, 'controller_node')
         options |= {
             'domain_id': options.get('domain_id') or 0,
-            'robot': Robot(
+            'robot': ExpectedRobot(
                 setup.controller.robot.joint_names,
                 setup.controller.wrench_input,
                 node.effort_output_topic,

@@ -199,7 +199,7 @@ def summarise(
         data, setup, mode=mode, ended_early=ended_early, events=during, missing=missing
     )
     run = RunMetrics(data, setup, missing)
-    named = [recording.name_missing(missing)] if missing else []
+    named = [recording.describe_missing(missing)] if missing else []
     contacts = {
         name: run.contact_summary(i) for i, name in enumerate(data.contact_names)
     }
@@ -423,7 +423,7 @@ def _names(messages: BagMessages, topics: Sequence[str]) -> tuple[str, ...]:
 
 def _rate(path: Path, messages: BagMessages) -> float:
     """Return the rate of the samples' stamps without their gaps [Hz], whole if it nearly is."""
-    topic = recording.sample_topic(messages)
+    topic = recording.find_sample_topic(messages)
     apart = np.diff(np.unique(messages.by_topic[topic].stamps))
     if not len(apart):
         raise RunError(f'{path}: {topic}: expected at least 2 samples, got 1')
@@ -479,7 +479,7 @@ def load(
         path, files = bag, files or ([own] if own.is_file() else ())
     messages = recording.read_graph(path, namespace)
     setup = _setup_of_recording(path, messages, files)
-    content = recording.content_of(path, messages, setup.controller, answered=True)
+    content = recording.align_messages(path, messages, setup.controller, answered=True)
     remarks = list(content.remarks)
     if content.lacking:
         remarks.insert(0, f'not in the recording: {", ".join(content.lacking)}')

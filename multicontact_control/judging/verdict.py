@@ -14,8 +14,8 @@ from multicontact_control.judging.metrics import (
     truth_lacking,
 )
 from multicontact_control.runs.recording import (
+    describe_missing,
     Missing,
-    name_missing,
     RunData,
 )
 from multicontact_control.runs.scenario import Setup
@@ -290,7 +290,7 @@ def _doubt(run: RunMetrics, ended_early: str, missing: Sequence[Missing]) -> str
     if ended_early == INTERRUPTED:
         return INTERRUPTED
     if missing:
-        return f'{name_missing(missing)}; what is there passed no limit'
+        return f'{describe_missing(missing)}; what is there passed no limit'
     if not np.isfinite(run.force).any():
         return 'neither true nor measured forces'
     if not run.windows.loaded.any():
@@ -308,9 +308,7 @@ def _doubt(run: RunMetrics, ended_early: str, missing: Sequence[Missing]) -> str
                 Missing(float(run.data.time[begin]), end / run.data.rate)
                 for begin, end in stretches(lost)
             ]
-            return (
-                f'{name}: {name_missing(gaps, "force")}; what is there passed no limit'
-            )
+            return f'{name}: {describe_missing(gaps, "force")}; what is there passed no limit'
     unknown = truth_lacking(run.without_truth(), run.data.contact_names)
     return f'{unknown}; {BY_MEASUREMENT} no limit was passed' if unknown else ''
 

@@ -64,7 +64,7 @@ def run_cells(study: StudyConfig) -> list[Cell]:
                 **absent,
                 **{name: value for name, value, _ in chosen},
                 **{
-                    name: overrides.value_of(name, setup)
+                    name: overrides.read_value(name, setup)
                     for name in absent
                     if is_parameter(name)
                 },
@@ -121,7 +121,7 @@ def _job(
             settings |= _multiples(
                 factor.sets, settings.pop(factor.sets), factor.multiples_of, base
             )
-    laid_over = overrides.overrides_of({**values, **settings}, base, 'factors.')
+    laid_over = overrides.nest_overrides({**values, **settings}, base, 'factors.')
     return RunJob(
         {
             **arguments,
@@ -137,7 +137,7 @@ def _job(
 
 def _fulfilled(where: Mapping[str, Any], setup: Setup) -> bool:
     return all(
-        overrides.value_of(name, setup) == value for name, value in where.items()
+        overrides.read_value(name, setup) == value for name, value in where.items()
     )
 
 
@@ -146,8 +146,8 @@ def _multiples(name: str, factor: float, of: str, setup: Setup) -> dict[str, flo
     star = name.split('.').index(overrides.EVERY) if overrides.EVERY in name else None
     return {
         '.'.join(place): factor
-        * overrides.value_of(
+        * overrides.read_value(
             of if star is None else of.replace(overrides.EVERY, place[star]), setup
         )
-        for place in overrides.paths_of(name, setup, 'factors')
+        for place in overrides.find_places(name, setup, 'factors')
     }

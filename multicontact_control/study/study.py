@@ -12,7 +12,7 @@ from multicontact_control import __version__
 from multicontact_control.errors import counted
 from multicontact_control.files import write_json
 from multicontact_control.judging import page
-from multicontact_control.runs.overrides import unit_of
+from multicontact_control.runs.overrides import find_unit
 from multicontact_control.study import table
 from multicontact_control.study.cells import Cell, is_parameter, run_cells
 from multicontact_control.study.config import StudyConfig
@@ -87,7 +87,7 @@ class Study:
             )
         )
         units = {
-            name: unit_of(name, cells[0].job.setup())
+            name: find_unit(name, cells[0].job.setup())
             for name in cells[0].factors
             if is_parameter(name)
         }

@@ -33,7 +33,7 @@ from multicontact_control.judging.figures import (
 from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.results import load, load_run
 from multicontact_control.judging.verdict import judge, verdict_text
-from multicontact_control.runs.recording import gaps_of
+from multicontact_control.runs.recording import find_gaps
 from multicontact_control.runs.scenario import resolve
 import numpy as np
 import pytest
@@ -234,7 +234,7 @@ def test_step_is_not_judged_across_what_is_missing(tmp_path, away):
     run = RunMetrics(data, setup)
     assert run.step_responses(0) == []
     assert not run.windows.loaded[part].any()
-    assert judge(data, setup, missing=gaps_of(data)).unjudged.startswith(
+    assert judge(data, setup, missing=find_gaps(data)).unjudged.startswith(
         'no samples from '
     )
 

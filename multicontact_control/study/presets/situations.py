@@ -175,7 +175,7 @@ def _laid_over(
     robot = arguments.get('robot', '')
     named = {**arguments, 'robot': foreign_robot() if robot == FOREIGN else robot}
     nested = (
-        overrides.overrides_of(settings, resolve(**named), 'factors.')
+        overrides.nest_overrides(settings, resolve(**named), 'factors.')
         if settings
         else {}
     )

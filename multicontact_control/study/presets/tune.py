@@ -11,7 +11,7 @@ from multicontact_control.commissioning.law_report import write_preset
 from multicontact_control.config import merge, read_yaml
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import config_dir
-from multicontact_control.runs.overrides import overrides_of
+from multicontact_control.runs.overrides import nest_overrides
 from multicontact_control.runs.scenario import preset_values
 from multicontact_control.study.cells import Cell, seeded
 from multicontact_control.study.config import FactorConfig, StudyConfig
@@ -106,7 +106,7 @@ class TuneStudy(Study):
             write_preset(
                 merge(
                     preset_values(self.preset),
-                    overrides_of(best, first.job.setup(), 'gains.'),
+                    nest_overrides(best, first.job.setup(), 'gains.'),
                 ),
                 folder / f'{law}.yaml',
                 f'{law}, tuned on seed {first.factors["seed"]} of {plants}',

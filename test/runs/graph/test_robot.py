@@ -6,7 +6,7 @@ from fake_arm import wrench_message
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.graph import create_publisher, ignore
 from multicontact_control.nodes.link import GuestNode
-from multicontact_control.runs.graph.robot import Robot, RobotWatch
+from multicontact_control.runs.graph.robot import ExpectedRobot, RobotWatch
 import pytest
 from ros_graph import wait_for
 
@@ -49,7 +49,7 @@ def wait_until(watch, robot, condition, **published):
 
 
 def test_watch_names_what_is_missing_until_nothing_is_and_what_falls_silent(domain_id):
-    with RobotWatch(domain_id, '', Robot(JOINTS, timeout=0.2)) as watch:
+    with RobotWatch(domain_id, '', ExpectedRobot(JOINTS, timeout=0.2)) as watch:
         for topic in ('/joint_states', '/ft_sensor/wrench', '/joint_effort_command'):
             assert topic in watch.missing()
         with (
@@ -80,7 +80,7 @@ def test_watch_names_what_is_missing_until_nothing_is_and_what_falls_silent(doma
 
 
 def test_robot_without_a_wrist_sensor_needs_none(domain_id):
-    expected = Robot(JOINTS, wrench_input='momentum')
+    expected = ExpectedRobot(JOINTS, wrench_input='momentum')
     with (
         RobotWatch(domain_id, '', expected) as watch,
         closing(Publisher(domain_id)) as robot,
