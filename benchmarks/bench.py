@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from time import perf_counter_ns
 
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.files import write_json
+from multicontact_control.files import replace_json_file
 from multicontact_control.force.noise import make_noise_estimator
 from multicontact_control.loop import ControlLoop
 from multicontact_control.process import settle_process
@@ -331,7 +331,7 @@ def main(arguments=None):
             print(f'{name}: skipped, {error}')
     print_tables(result)
     if options.json:
-        write_json(options.json, result)
+        replace_json_file(options.json, result)
     return 0
 
 

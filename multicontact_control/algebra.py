@@ -92,37 +92,37 @@ def dot(x: Vector | Triple, y: Vector | Triple) -> float:
 
 
 @compiled
-def length(x: Vector | Triple) -> float:
+def vector_length(x: Vector | Triple) -> float:
     """Return |x|."""
     return np.sqrt(dot(x, x))
 
 
 @compiled
-def add(x: Vector, y: Vector | Triple) -> None:
+def add_vector(x: Vector, y: Vector | Triple) -> None:
     """Add y to x, both of shape (n,)."""
     for i in range(len(x)):
         x[i] += y[i]
 
 
 @compiled
-def add_scaled(x: Vector, factor: float, y: Vector | Triple) -> None:
+def add_scaled_vector(x: Vector, factor: float, y: Vector | Triple) -> None:
     """Add a multiple of y to x, both of shape (n,)."""
     for i in range(len(x)):
         x[i] += factor * y[i]
 
 
 @compiled
-def multiply(A: Matrix, x: Vector, y: Vector) -> None:
+def multiply_vector(A: Matrix, x: Vector, y: Vector) -> None:
     """Fill y, shape (n,), with A x."""
     for i in range(A.shape[0]):
         y[i] = dot(A[i], x)
 
 
 @compiled
-def gram(X: Matrix, G: Matrix) -> None:
+def gram_matrix(X: Matrix, G: Matrix) -> None:
     """Fill G, shape (m, m), with X^T X, X of shape (n, m)."""
     for i in range(X.shape[1]):
-        multiply(X.T, X[:, i], G[i])
+        multiply_vector(X.T, X[:, i], G[i])
 
 
 @compiled
@@ -135,7 +135,7 @@ def frobenius_norm(A: Matrix) -> float:
 
 
 @compiled
-def invert(A: Matrix, factor: Matrix, root: Matrix, inverse: Matrix) -> bool:
+def invert_symmetric(A: Matrix, factor: Matrix, root: Matrix, inverse: Matrix) -> bool:
     """
     Fill in A^-1 of a symmetric A, shape (n, n); return whether A is positive definite.
 
@@ -147,7 +147,7 @@ def invert(A: Matrix, factor: Matrix, root: Matrix, inverse: Matrix) -> bool:
     for i in range(A.shape[0]):
         root[i, i] = 1.0
     solve_lower_columns(factor, root)
-    gram(root, inverse)
+    gram_matrix(root, inverse)
     return True
 
 
@@ -201,19 +201,21 @@ def rotate_pair(A: Matrix, vectors: Matrix, i: int, j: int) -> None:
 
 
 @compiled
-def between(start: Vector | Triple, end: Vector | Triple) -> Triple:
+def vector_between(start: Vector | Triple, end: Vector | Triple) -> Triple:
     """Return the way from one point to another."""
     return end[0] - start[0], end[1] - start[1], end[2] - start[2]
 
 
 @compiled
-def combined(a: float, x: Vector | Triple, b: float, y: Vector | Triple) -> Triple:
+def linear_combination(
+    a: float, x: Vector | Triple, b: float, y: Vector | Triple
+) -> Triple:
     """Return a x + b y."""
     return a * x[0] + b * y[0], a * x[1] + b * y[1], a * x[2] + b * y[2]
 
 
 @compiled
-def divided(vector: Vector | Triple, divisor: float) -> Triple:
+def divide_vector(vector: Vector | Triple, divisor: float) -> Triple:
     """Return a vector over a number."""
     return vector[0] / divisor, vector[1] / divisor, vector[2] / divisor
 
@@ -229,13 +231,13 @@ def cross(a: Vector | Triple, b: Vector | Triple) -> Triple:
 
 
 @compiled
-def across(vector: Vector | Triple, axis: Vector | Triple) -> Triple:
+def component_across(vector: Vector | Triple, axis: Vector | Triple) -> Triple:
     """Return what a vector has across a unit axis."""
-    return combined(1.0, vector, -dot(vector, axis), axis)
+    return linear_combination(1.0, vector, -dot(vector, axis), axis)
 
 
 @compiled
-def rotated(rotation: Matrix, vector: Vector | Triple) -> Triple:
+def rotate_vector(rotation: Matrix, vector: Vector | Triple) -> Triple:
     """Return R v, R of shape (3, 3)."""
     return dot(rotation[0], vector), dot(rotation[1], vector), dot(rotation[2], vector)
 
@@ -248,12 +250,12 @@ def velocity_at(twist: Vector, lever: Vector | Triple) -> Triple:
 
 
 @compiled
-def rotate_by(vector: Vector, rotation: Matrix) -> None:
+def turn_rotation_by_vector(vector: Vector, rotation: Matrix) -> None:
     """Turn a rotation, shape (3, 3), by a rotation vector [rad] (Rodrigues)."""
-    angle = length(vector)
+    angle = vector_length(vector)
     if angle < 1e-12:
         return
-    axis = divided(vector, angle)
+    axis = divide_vector(vector, angle)
     for j in range(3):
         once = cross(axis, rotation[:, j])
         twice = cross(axis, once)
@@ -266,7 +268,7 @@ def rotate_by(vector: Vector, rotation: Matrix) -> None:
 
 
 @compiled
-def quintic(elapsed: float, duration: float) -> Triple:
+def quintic_blend(elapsed: float, duration: float) -> Triple:
     """Return b = 10 x^3 - 15 x^4 + 6 x^5, x = elapsed / duration, and its two derivatives."""
     if elapsed >= duration:
         return 1.0, 0.0, 0.0

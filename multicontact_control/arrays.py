@@ -18,7 +18,7 @@ def require_shape(
         raise ShapeError(name, f'shape {expected}', array.shape)
 
 
-def stretches(mask: Mask) -> list[tuple[int, int]]:
+def find_true_stretches(mask: Mask) -> list[tuple[int, int]]:
     """Return the first place of every run of True, and the place after its last."""
     edges = np.flatnonzero(
         np.diff(np.concatenate([[False], mask, [False]]).astype(int))

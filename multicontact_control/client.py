@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 import time
 
+from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Vector
 from multicontact_control.config import LimitsConfig
 from multicontact_control.contact.geometry import placed_way
-from multicontact_control.control.tasks import quintic, shortest_duration
+from multicontact_control.control.tasks import shortest_duration
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, RunError
 from multicontact_control.nodes import messages, topics
@@ -111,32 +112,32 @@ class MultiContactClient(ControllerLink):
     def activate(self) -> None:
         """Configure and activate estimator and controller; they know of no command from before."""
         if self.has_lifecycle(topics.ESTIMATOR, wait=1.0):
-            self.bring_up(topics.ESTIMATOR)
-        self.bring_up(topics.CONTROLLER)
+            self.configure_and_activate(topics.ESTIMATOR)
+        self.configure_and_activate(topics.CONTROLLER)
 
     def deactivate(self) -> None:
         """Let the controller command its safe behaviour and obey no more."""
-        if self.state(topics.CONTROLLER) == 'active':
-            self.change(topics.CONTROLLER, DEACTIVATE)
+        if self.get_state(topics.CONTROLLER) == 'active':
+            self.change_state(topics.CONTROLLER, DEACTIVATE)
 
     def status(self) -> ControllerStatus | None:
         """Return what the controller has said of itself last, None if nothing so far."""
-        self.look()
+        self.take_statuses()
         return self.last_status
 
     def hold(self, on: bool = True) -> None:
         """Hold the arm where it is and obey no motion, or let go of it again."""
         if not isinstance(on, bool):
             raise messages.MessageError('on', 'true or false', repr(on))
-        self.ask('hold', SetBool, SetBool.Request(data=on))
+        self.request_service('hold', SetBool, SetBool.Request(data=on))
 
     def tare(self) -> None:
         """Take what the wrist sensor reads now for its zero; nothing may touch the tool."""
-        self.ask('tare', Trigger, Trigger.Request())
+        self.request_service('tare', Trigger, Trigger.Request())
 
     def retry(self) -> None:
         """Resume control that waits for an operator, and seek contacts that were given up."""
-        self.ask('retry', Trigger, Trigger.Request())
+        self.request_service('retry', Trigger, Trigger.Request())
 
     def set_forces(
         self,
@@ -153,16 +154,16 @@ class MultiContactClient(ControllerLink):
         messages.require_named_numbers('forces', forces, 'N')
         if centres is not None:
             messages.require_named_numbers('centres', centres, 'm')
-        self.fresh(topics.DESIRED_FORCES)  # before its first sample it refuses
+        self.receive_fresh(topics.DESIRED_FORCES)  # before its first sample it refuses
         if forces:
-            self.command(
+            self.command_until_answered(
                 topics.FORCE_COMMAND,
                 messages.joint_state_message(
                     0, list(forces), effort=list(forces.values())
                 ),
             )
         if centres:
-            self.command(
+            self.command_until_answered(
                 topics.FORCE_COMMAND,
                 messages.joint_state_message(
                     0, list(centres), position=list(centres.values())
@@ -213,7 +214,7 @@ class MultiContactClient(ControllerLink):
         goal_pose = Pose.from_quaternion(goal, last)
         _require_time(duration, start.pose_desired.way_to(goal_pose), limits)
         # All that takes time comes first: the motion runs from the sample that it starts at.
-        status = self.command(
+        status = self.command_until_answered(
             topics.MOTION_COMMAND,
             messages.motion_message(
                 start.position_desired,
@@ -242,7 +243,9 @@ class MultiContactClient(ControllerLink):
         while elapsed < duration:
             before, state = state, self.read()
             advance = min(state.time - before.time, LONGEST_ADVANCE)
-            self.accepted(identifier)  # what it refuses of the way ends the motion
+            self.find_acceptance(
+                identifier
+            )  # what it refuses of the way ends the motion
             status = self._known_status()
             if not _is_controlled(status):
                 interrupted += advance
@@ -250,15 +253,15 @@ class MultiContactClient(ControllerLink):
                 continue
             interrupted = 0.0
             elapsed += advance
-            s, ds, dds = quintic(elapsed, duration)
+            s, ds, dds = quintic_blend(elapsed, duration)
             point = messages.motion_message(
                 start.position_desired + s * way[:3],
                 (Rotation.from_rotvec(s * way[3:]) * turn).as_quat(),
                 ds * way,
                 dds * way,
             )
-            self.send(topics.MOTION_COMMAND, point, identifier)
-        self.command(topics.MOTION_COMMAND, point)
+            self.publish_command(topics.MOTION_COMMAND, point, identifier)
+        self.command_until_answered(topics.MOTION_COMMAND, point)
 
     def _arrive(
         self,
@@ -269,7 +272,7 @@ class MultiContactClient(ControllerLink):
         """Wait until the arm is at a goal, as far as contacts leave that free; NotReachedError."""
         waited, state = 0.0, self.read()
         while True:
-            self.look()
+            self.take_statuses()
             status = self._known_status()
             distance, angle = _free_distance(state.pose.way_to(goal), status)
             left, turn_left = _free_distance(state.pose_desired.way_to(goal), status)
@@ -285,7 +288,7 @@ class MultiContactClient(ControllerLink):
         """Return the status that was looked at last; RunError if the controller sends none."""
         status = self.last_status
         if status is None:
-            status = self._awaited(
+            status = self._await_value(
                 self.status, f'{topics.STATUS.name}: expected a message'
             )
         return status
@@ -297,14 +300,14 @@ class MultiContactClient(ControllerLink):
             for name in LimitsConfig.model_fields
             if name.startswith(('operational_', 'workspace_'))
         ]
-        values = self.parameters(
+        values = self.get_parameters(
             topics.CONTROLLER, *(f'limits.{name}' for name in names)
         )
         return LimitsConfig(**dict(zip(names, values)))
 
     def read(self) -> ArmState:
         """Return the state of a sample that comes from now on."""
-        forces, estimated, desired, pose, pose_desired = self.fresh(
+        forces, estimated, desired, pose, pose_desired = self.receive_fresh(
             *STATE_TOPICS, one_stamp=True
         )
         return ArmState(
@@ -312,7 +315,7 @@ class MultiContactClient(ControllerLink):
             _by_name(forces),
             _by_name(estimated),
             _by_name(desired),
-            _by_name(self.newest(topics.NOISE_VARIANCE) or JointState()),
+            _by_name(self.get_newest(topics.NOISE_VARIANCE) or JointState()),
             *messages.pose_arrays(pose.pose),
             *messages.pose_arrays(pose_desired.pose),
         )
@@ -350,9 +353,11 @@ class MultiContactClient(ControllerLink):
         """Return what keeps the commanded forces from being held in the next samples."""
         seen: list[JointState] = []
         while not seen or 0.0 <= _time_of(seen[-1]) - _time_of(seen[0]) < settle_time:
-            seen += self.fresh(topics.MEASURED_FORCES)
+            seen += self.receive_fresh(topics.MEASURED_FORCES)
         measured = dict(zip(seen[0].name, np.mean([x.effort for x in seen], axis=0)))
-        status = self._awaited(self.status, f'{topics.STATUS.name}: expected a message')
+        status = self._await_value(
+            self.status, f'{topics.STATUS.name}: expected a message'
+        )
         missing = [] if _is_controlled(status) else [status.text]
         for name, force in status.forces.items():
             off, held = abs(measured[name] - force), NAMES[HOLDING]

@@ -26,7 +26,7 @@ _kernels: list[Any] = []
 
 
 @cache
-def cache_folder() -> Path | None:
+def find_cache_folder() -> Path | None:
     """
     Return the folder of what is compiled of these sources, None where none can be written.
 
@@ -55,7 +55,7 @@ def cache_folder() -> Path | None:
 
 def compiled(function: FunctionT) -> FunctionT:
     """Compile a function with numba on its first call, or take it from the cache on disk."""
-    folder, config = cache_folder(), cast(Any, numba.config)
+    folder, config = find_cache_folder(), cast(Any, numba.config)
     before, config.CACHE_DIR = config.CACHE_DIR, str(folder or '')
     kernel: Any = numba.njit(cache=folder is not None, error_model='numpy')(function)
     config.CACHE_DIR = before  # others in the process keep their own cache
@@ -63,7 +63,7 @@ def compiled(function: FunctionT) -> FunctionT:
     return cast(FunctionT, kernel)
 
 
-def compiled_here() -> int:
+def count_compilations() -> int:
     """Return how often this process had to compile, because nothing on disk served."""
     return sum(
         sum(kernel.stats.cache_misses.values())

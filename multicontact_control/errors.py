@@ -95,7 +95,7 @@ class RosError(RunError, ImportError):
     """ROS 2 cannot be loaded."""
 
 
-def check_all(*checks: Callable[[], object]) -> list[Any]:
+def run_all_checks(*checks: Callable[[], object]) -> list[Any]:
     """Call every check, return their results; ConfigError with the errors of all of them."""
     results, errors = [], []
     for check in checks:
@@ -108,6 +108,6 @@ def check_all(*checks: Callable[[], object]) -> list[Any]:
     return results
 
 
-def counted(number: int, what: str) -> str:
+def format_count(number: int, what: str) -> str:
     """Return a number with its noun; `what` is the plural, which ends in s."""
     return f'{number} {what.removesuffix("s") if number == 1 else what}'

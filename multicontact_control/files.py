@@ -10,19 +10,19 @@ from typing import Any
 from multicontact_control.errors import ConfigError
 
 
-def write_text(path: Path, text: str) -> None:
+def replace_text_file(path: Path, text: str) -> None:
     """Replace a file by text in UTF-8."""
     partial = path.with_suffix('.partial')
     partial.write_text(text, encoding='utf-8')
     partial.replace(path)
 
 
-def write_json(path: Path, content: Any) -> None:
+def replace_json_file(path: Path, content: Any) -> None:
     """Replace a file by JSON values; ValueError for a number that is not finite."""
-    write_text(path, json.dumps(content, indent=2, allow_nan=False) + '\n')
+    replace_text_file(path, json.dumps(content, indent=2, allow_nan=False) + '\n')
 
 
-def read_json(path: Path) -> Any:
+def read_json_file(path: Path) -> Any:
     """Read JSON; ConfigError if the file cannot be read or is not JSON."""
     try:
         return json.loads(path.read_text(encoding='utf-8'))
@@ -32,10 +32,10 @@ def read_json(path: Path) -> Any:
         ) from None
 
 
-def finite(value: Any) -> Any:
+def replace_nonfinite_numbers(value: Any) -> Any:
     """Return JSON values with None for every number that is not finite."""
     if isinstance(value, dict):
-        return {name: finite(entry) for name, entry in value.items()}
+        return {name: replace_nonfinite_numbers(entry) for name, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [finite(entry) for entry in value]
+        return [replace_nonfinite_numbers(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -11,7 +11,7 @@ from multicontact_control.errors import ConfigError
 PACKAGE_DIR = Path(__file__).resolve().parent
 
 
-def config_dir(package_dir: Path = PACKAGE_DIR) -> Path:
+def find_config_folder(package_dir: Path = PACKAGE_DIR) -> Path:
     """
     Return the folder of the configuration files; ConfigError if none exists.
 
@@ -40,9 +40,9 @@ def config_dir(package_dir: Path = PACKAGE_DIR) -> Path:
     )
 
 
-def named_file(kind: str, folder: str, name: str) -> Path:
+def find_named_file(kind: str, folder: str, name: str) -> Path:
     """Return a YAML file in a folder of ``config/`` by its name, or any file by its path."""
-    there = config_dir() / folder
+    there = find_config_folder() / folder
     for path in (there / f'{name}.yaml', Path(name)):
         if path.is_file():
             return path

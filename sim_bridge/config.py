@@ -7,7 +7,7 @@ from typing import Literal
 
 from multicontact_control.config import Config, parameter, UnitVector3, Vector, Vector3
 from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
-from multicontact_control.errors import ConfigError, counted
+from multicontact_control.errors import ConfigError, format_count
 
 LARGEST_PUSH = 150.0  # N; ISO/TS 15066 lets an arm press a hand or a chest with 140 N
 PUSH_TIME = 0.8  # s, of a push that is asked for, longer than a push test holds
@@ -231,7 +231,7 @@ class PlantConfig(Config):
                 name.startswith('drive') and not flexible
             )
             if len(values) != count and not (optional and not values):
-                yield ConfigError(name, counted(count, 'values'), len(values))
+                yield ConfigError(name, format_count(count, 'values'), len(values))
             least = min(values, default=1.0)
             if name in ('drive_stiffness', 'torque_limit') and least <= 0.0:
                 yield ConfigError(name, 'values above 0', least)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from multicontact_control.config import Config, parameter, UnitVector3, Vector, Vector3
-from multicontact_control.errors import ConfigError, counted
+from multicontact_control.errors import ConfigError, format_count
 from sim_bridge.arm import Body, Placement
 
 
@@ -177,7 +177,7 @@ class RobotFile(Config):
             if len(getattr(self, name)) not in (0, count):
                 yield ConfigError(
                     name,
-                    f'{counted(count, "values")}, one per joint',
+                    f'{format_count(count, "values")}, one per joint',
                     len(getattr(self, name)),
                 )
         if self.tool is not None and self.tip_links:

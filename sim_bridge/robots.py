@@ -18,10 +18,10 @@ import tempfile
 from typing import Any
 
 from multicontact_control.arrays import Vector
-from multicontact_control.compiled import cache_folder
+from multicontact_control.compiled import find_cache_folder
 from multicontact_control.config import merge, read_parameters, read_yaml, validate
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import config_dir, named_file
+from multicontact_control.paths import find_config_folder, find_named_file
 import numpy as np
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
 from sim_bridge.config import SurfaceConfig
@@ -222,7 +222,7 @@ class Robot:
     def _path(self, name: str) -> Path:
         """Return a file that the robot's names: beside it, or in config/."""
         beside = self.folder / name
-        return beside if beside.is_file() else config_dir() / name
+        return beside if beside.is_file() else find_config_folder() / name
 
     def _parameters(self, name: str) -> dict[str, Any]:
         return read_parameters(self._path(name))
@@ -260,7 +260,7 @@ class Robot:
     def _derived_controller(self) -> dict[str, Any]:
         """Return controller.yaml with this arm in the place of its own."""
         arm, file = self.arm, self.file
-        base = read_parameters(config_dir() / 'controller.yaml')
+        base = read_parameters(find_config_folder() / 'controller.yaml')
         rate, limits = float(base.get('rate', 500.0)), base.get('limits', {})
         model = arm.model()
         home = frame_pose(model, np.array(file.home)).translation
@@ -314,14 +314,14 @@ class Robot:
 
 def robot_names() -> tuple[str, ...]:
     """Return the names of the robots that come with the package, the default one first."""
-    names = sorted(path.stem for path in (config_dir() / FOLDER).glob('*.yaml'))
+    names = sorted(path.stem for path in (find_config_folder() / FOLDER).glob('*.yaml'))
     return tuple(sorted(names, key=lambda name: name != DEFAULT))
 
 
 def find_robot(name: str = DEFAULT) -> Robot:
     """Return a robot of config/robots, or of the file at a path; ConfigError."""
-    path = named_file('robot', FOLDER, name)
-    known = path.parent == config_dir() / FOLDER
+    path = find_named_file('robot', FOLDER, name)
+    known = path.parent == find_config_folder() / FOLDER
     return _robot(
         path.stem if known else str(path.resolve()), path, path.stat().st_mtime_ns
     )
@@ -376,7 +376,7 @@ def _package_folder(package: str) -> Path | None:
 def _urdf_file(arm: Arm) -> Path:
     """Write the URDF of an arm where the same text is found again, and return its path."""
     stamp = hashlib.sha256(arm.urdf.encode()).hexdigest()[:16]
-    folder = (cache_folder() or Path(tempfile.gettempdir())) / f'urdf-{stamp}'
+    folder = (find_cache_folder() or Path(tempfile.gettempdir())) / f'urdf-{stamp}'
     path = folder / f'{arm.name}.urdf'
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)

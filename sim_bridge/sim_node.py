@@ -24,13 +24,13 @@ from multicontact_control.arrays import Vector
 from multicontact_control.config import parameter
 from multicontact_control.errors import MessageError, RunError
 from multicontact_control.nodes import diagnostics, messages, qos, topics
+from multicontact_control.nodes.background import BackgroundThread
 from multicontact_control.nodes.graph import (
     create_publisher,
-    Refusals,
+    RefusalLog,
     StartupConfig,
     StartupGate,
 )
-from multicontact_control.nodes.helper import Helper
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import MessageReader, StreamPublisher
@@ -107,9 +107,9 @@ class SimNode(Node):
         plant_config: PlantConfig
         config: SimNodeConfig
         parameters = ParameterSet(self, PlantConfig, SimNodeConfig)
-        plant_config, config = parameters.configurations()
+        plant_config, config = parameters.build_configurations()
         self._plant_config, self._config = plant_config, config
-        parameters.use = self._change
+        parameters.apply_design = self._change
         self._plant = Plant(plant_config, rate=config.rate, seed=config.seed)
         # The first step ever takes many times as long as all others: not in the run.
         self._plant.step(self._plant.initial_torque)
@@ -117,7 +117,7 @@ class SimNode(Node):
         self._plant.payload = config.payload
         self._delay_ticks = plant_config.actuator_delay_ticks
         self._delay = ActuatorDelay(self._delay_ticks, self._plant.initial_torque)
-        self._refusals = Refusals(self.get_logger())
+        self._refusals = RefusalLog(self.get_logger())
         self._tick = 0
         self._answered = -1
         self._commanded = 0  # when the last command came
@@ -168,14 +168,19 @@ class SimNode(Node):
             raw=True,
         )
         self._read = MessageReader(
-            JointState, partial(messages.read_named, names=joints, fields=['effort'])
+            JointState,
+            partial(messages.read_named_vectors, names=joints, fields=['effort']),
         )
         self.create_subscription(
             topics.PUSH.message, topics.PUSH.name, self._on_push, topics.PUSH.profile
         )
         self._watch = diagnostics.LoopStatistics(config.rate)
-        self._inputs = diagnostics.Inputs(self, config.rate, topics.EFFORT_COMMAND)
-        self._diagnostics = diagnostics.Diagnostics(self, self._statuses, Helper())
+        self._inputs = diagnostics.InputMonitor(
+            self, config.rate, topics.EFFORT_COMMAND
+        )
+        self._diagnostics = diagnostics.DiagnosticsPublisher(
+            self, self._statuses, BackgroundThread()
+        )
         description.publish(String(data=self._plant.description.urdf))
         self._gate = StartupGate(self, config)
         self._origin = 0  # stamp of sample 0 [ns]
@@ -355,13 +360,17 @@ class SimNode(Node):
         sample, streams, stamp = self._sample, self._streams, self._stamp(self._tick)
         if self._clock_publisher is not None:
             self._clock_publisher.publish(Clock(clock=messages.ns_to_stamp(stamp)))
-        streams[topics.WRENCH].send(stamp, sample.wrench)
-        streams[topics.WRENCH_FILTERED].send(stamp, sample.wrench_filtered)
-        streams[topics.JOINT_STATES].send(stamp, sample.q, sample.qd, sample.effort)
+        streams[topics.WRENCH].publish_if_subscribed(stamp, sample.wrench)
+        streams[topics.WRENCH_FILTERED].publish_if_subscribed(
+            stamp, sample.wrench_filtered
+        )
+        streams[topics.JOINT_STATES].publish_if_subscribed(
+            stamp, sample.q, sample.qd, sample.effort
+        )
 
     def _publish_truth(self) -> None:
         """Publish what only an observer may know."""
-        self._streams[topics.TRUE_FORCES].send(
+        self._streams[topics.TRUE_FORCES].publish_if_subscribed(
             self._stamp(self._tick), self._sample.contact_force
         )
         if self._surfaces.due(self._tick):
@@ -379,7 +388,7 @@ class SimNode(Node):
 
     def _on_command(self, data: bytes) -> None:
         received = self._inputs.last[topics.EFFORT_COMMAND] = time.monotonic_ns()
-        with self._refusals.guard(topics.EFFORT_COMMAND):
+        with self._refusals.logging_refusals(topics.EFFORT_COMMAND):
             stamp, torque = self._read(data)
             tick = round((stamp - self._origin) * 1e-9 * self._config.rate)
             if not (tick >= 0 and self._stamp(tick) == stamp):
@@ -403,7 +412,7 @@ class SimNode(Node):
                         self._miss()
 
     def _on_push(self, message: Vector3Stamped) -> None:
-        with self._refusals.guard(topics.PUSH):
+        with self._refusals.logging_refusals(topics.PUSH):
             place, force = message.header.frame_id, message.vector
             if place not in ('', TOOL):
                 raise MessageError(
@@ -429,7 +438,7 @@ class SimNode(Node):
                 contacts.set_friction(number, new.friction)
         self._plant_config, self._plant.payload = config, configurations[1].payload
 
-    def _statuses(self) -> list[diagnostics.Status]:
+    def _statuses(self) -> list[diagnostics.ComponentStatus]:
         wall = (time.monotonic_ns() - self._start) * 1e-9
         loop = {
             **self._watch.report(),
@@ -442,7 +451,7 @@ class SimNode(Node):
         missed = loop['deadline_misses']
         forces = zip(self._plant.contact_names, self._sample.contact_force.tolist())
         return [
-            diagnostics.Status(
+            diagnostics.ComponentStatus(
                 'loop', loop, warning=f'{missed} deadlines missed' if missed else ''
             ),
             self._inputs.status(
@@ -451,14 +460,14 @@ class SimNode(Node):
                 if self._hold.posture is None
                 else ': the drives hold their position',
             ),
-            diagnostics.Status(
+            diagnostics.ComponentStatus(
                 'contacts',
                 {
                     name: f'touching with {force:.4g} N' if force > 0.0 else 'free'
                     for name, force in forces
                 },
             ),
-            diagnostics.message_status(self._refusals),
+            diagnostics.refusal_status(self._refusals),
         ]
 
 

@@ -13,7 +13,7 @@ from multicontact_control.config import (
 from multicontact_control.control.controller import Controller, ControlOutput
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.flags import AMBIGUOUS
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.supervision.contact_task import ContactTask, limit_task
 import numpy as np
 from sim_bridge.config import PlantConfig
@@ -32,7 +32,7 @@ HOME = np.array(
 
 def controller_config(**changes):
     """Return the PUMA's configuration with nested changes."""
-    values = read_parameters(config_dir() / 'controller.yaml')
+    values = read_parameters(find_config_folder() / 'controller.yaml')
     return validate(ControllerConfig, merge(values, changes), 'controller.yaml')
 
 
@@ -55,7 +55,7 @@ class Law:
 
     def __init__(self, config, reference, base_dir=None):
         self.controller = Controller(
-            config, RobotModel(config.robot, base_dir or config_dir())
+            config, RobotModel(config.robot, base_dir or find_config_folder())
         )
         self.reference = reference
         self._task = ContactTask(
@@ -84,7 +84,7 @@ class Law:
 
 def plant_config(name, **changes):
     """Return a plant that comes with the package, ``puma`` or ``rigid``, with nested changes."""
-    values = read_parameters(config_dir() / f'plant_{name}.yaml')
+    values = read_parameters(find_config_folder() / f'plant_{name}.yaml')
     return validate(PlantConfig, merge(values, changes))
 
 

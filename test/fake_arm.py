@@ -5,8 +5,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.graph import create_publisher, ignore, take
-from multicontact_control.paths import config_dir
+from multicontact_control.nodes.graph import (
+    create_publisher,
+    ignore_message,
+    take_message,
+)
+from multicontact_control.paths import find_config_folder
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np
 from rclpy.qos import QoSProfile
@@ -39,7 +43,7 @@ class FakeArm:
         self._middleware = middleware
         node = middleware.node
         self.config = controller_config()
-        self.state = RobotModel(self.config.robot, config_dir()).update(
+        self.state = RobotModel(self.config.robot, find_config_folder()).update(
             HOME, np.zeros(6)
         )
         self.weight = weight_reading(
@@ -62,16 +66,16 @@ class FakeArm:
             )
         )
         self._commands = node.create_subscription(
-            JointState, 'joint_effort_command', ignore, DEPTH
+            JointState, 'joint_effort_command', ignore_message, DEPTH
         )
         self._forces = {
             kind: node.create_subscription(
-                JointState, f'contact_forces/{kind}', ignore, DEPTH
+                JointState, f'contact_forces/{kind}', ignore_message, DEPTH
             )
             for kind in ('desired', 'measured')
         }
         self._diagnostics = node.create_subscription(
-            DiagnosticArray, 'diagnostics', ignore, DEPTH
+            DiagnosticArray, 'diagnostics', ignore_message, DEPTH
         )
 
     def press(self, **forces):
@@ -138,7 +142,7 @@ class FakeArm:
         def answered():
             stamp = self.send()
             for _ in range(40):
-                while (taken := take(self._commands)) is not None:
+                while (taken := take_message(self._commands)) is not None:
                     answers.append(np.array(taken[0].effort))
                     if messages.stamp_to_ns(taken[0].header.stamp) == stamp:
                         return True

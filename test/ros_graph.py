@@ -11,8 +11,8 @@ import sys
 import time
 from typing import Any, TypeVar
 
-from multicontact_control.nodes.graph import take
-from multicontact_control.nodes.link import GuestNode
+from multicontact_control.nodes.graph import take_message
+from multicontact_control.nodes.link import ServiceClientNode
 from multicontact_control.nodes.recorder_node import Bag
 from multicontact_control.nodes.topics import Topic
 from multicontact_control.runs.graph.domain import reserve_domain
@@ -146,7 +146,7 @@ class Middleware:
     """
 
     def __init__(self, domain_id: int) -> None:
-        self._guest = GuestNode('sim_node', domain_id)
+        self._guest = ServiceClientNode('sim_node', domain_id)
         self.node = self._guest.node
         self._processes: list[subprocess.Popen[str]] = []
         self._environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
@@ -187,6 +187,6 @@ class Middleware:
     def take(self, subscription):
         """Return the newest message of a subscription, None without any."""
         newest = None
-        while (taken := take(subscription)) is not None:
+        while (taken := take_message(subscription)) is not None:
             newest = taken[0]
         return newest

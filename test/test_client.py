@@ -14,8 +14,12 @@ from multicontact_control.client import (
 )
 from multicontact_control.errors import MessageError, MulticontactError, RunError
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.graph import create_publisher, ignore, take
-from multicontact_control.nodes.link import GuestNode
+from multicontact_control.nodes.graph import (
+    create_publisher,
+    ignore_message,
+    take_message,
+)
+from multicontact_control.nodes.link import ServiceClientNode
 from multicontact_control.nodes.messages import ACCEPTED, ControllerStatus
 import numpy as np
 import pytest
@@ -43,7 +47,7 @@ def test_first_command_is_sent_again_to_a_recorder_that_is_connected_after_it(
     topic = topics.FORCE_COMMAND
     command = messages.joint_state_message(0, ['table'], effort=[10.0])
     with (
-        GuestNode('controller_node', domain_id, 'small') as controller,
+        ServiceClientNode('controller_node', domain_id, 'small') as controller,
         MultiContactClient('small', domain_id=domain_id, timeout=PATIENCE) as client,
         ThreadPoolExecutor(1) as pool,
     ):
@@ -51,12 +55,12 @@ def test_first_command_is_sent_again_to_a_recorder_that_is_connected_after_it(
             controller.node.create_subscription,
             topic.message,
             topic.name,
-            ignore,
+            ignore_message,
             topic.profile,
         )
         status, heard = create_publisher(controller.node, topics.STATUS), subscribe()
         sending = pool.submit(client.command, topic, command)
-        first, _ = wait_for(lambda: take(heard), 'the command')
+        first, _ = wait_for(lambda: take_message(heard), 'the command')
         recorder = subscribe()
         accepted = ControllerStatus(  # the controller knows of 2 readers
             ACCEPTED,
@@ -72,11 +76,11 @@ def test_first_command_is_sent_again_to_a_recorder_that_is_connected_after_it(
             '',
             {},
         )
-        message = accepted.message('status', DiagnosticStatus.OK)
+        message = accepted.to_message('status', DiagnosticStatus.OK)
         wait_for(lambda: status.publish(message) or sending.done(), 'the client')
-        assert wait_for(lambda: take(recorder), 'the record')[0].effort.tolist() == [
-            10.0
-        ]
+        assert wait_for(lambda: take_message(recorder), 'the record')[
+            0
+        ].effort.tolist() == [10.0]
 
 
 def reached(arm, **forces):
@@ -218,7 +222,7 @@ def test_motion_along_a_held_normal_is_accepted_with_what_is_left_out(arm):
         np.zeros(6),
         np.zeros(6),
     )
-    status = arm.command(topics.MOTION_COMMAND, point)
+    status = arm.command_until_answered(topics.MOTION_COMMAND, point)
     assert set(status.placing) == {'table', 'board'}
     assert (
         '50 mm and 0 rad of the way are not obeyed: there table, board'
@@ -228,7 +232,7 @@ def test_motion_along_a_held_normal_is_accepted_with_what_is_left_out(arm):
     along = messages.motion_message(
         start.position_desired, start.quaternion_desired, np.zeros(6), np.zeros(6)
     )
-    assert arm.command(topics.MOTION_COMMAND, along).left_out == ''
+    assert arm.command_until_answered(topics.MOTION_COMMAND, along).left_out == ''
 
 
 def test_move_in_a_reaction_that_waits_for_an_operator_raises_place_and_cause(
@@ -330,7 +334,7 @@ def test_move_returns_only_within_its_tolerance(arm):
             "controller_node: expected parameters that it has, got 'nosuch'$",
         ),
         (
-            lambda arm: arm.parameters('controller_node', 'tool.mass', 'nosuch'),
+            lambda arm: arm.get_parameters('controller_node', 'tool.mass', 'nosuch'),
             "controller_node: expected parameters that it has, got 'nosuch'$",
         ),
         (lambda arm: arm.hold('yes'), "on: expected true or false, got 'yes'"),
@@ -385,11 +389,11 @@ def test_closed_client_says_so_whatever_it_is_asked(domain_id):
 
 def test_push_that_no_person_can_give_is_refused_and_moves_nothing(arm, domain_id):
     before = arm.read()
-    with GuestNode('pusher', domain_id, 'arm') as pusher:
+    with ServiceClientNode('pusher', domain_id, 'arm') as pusher:
         heard = pusher.node.create_subscription(
             topics.DIAGNOSTICS.message,
             topics.DIAGNOSTICS.name,
-            ignore,
+            ignore_message,
             topics.DIAGNOSTICS.profile,
         )
         push = create_publisher(pusher.node, topics.PUSH)
@@ -398,7 +402,7 @@ def test_push_that_no_person_can_give_is_refused_and_moves_nothing(arm, domain_i
 
         def refusal():
             push.publish(message)
-            taken = take(heard)
+            taken = take_message(heard)
             return taken and [
                 value.key
                 for part in taken[0].status
@@ -449,12 +453,12 @@ def test_clients_made_in_threads_at_once_all_command_and_read(arm, domain_id):
 def test_client_deactivates_and_activates_a_real_controller(arm, domain_id):
     reached(arm, table=5.0, board=5.0)
     with (
-        GuestNode('driver', domain_id, 'arm') as driver,
+        ServiceClientNode('driver', domain_id, 'arm') as driver,
         MultiContactClient('arm', domain_id=domain_id, timeout=1.0) as impatient,
     ):
         for _ in range(2):  # once more makes no difference
             arm.deactivate()
-            assert driver.state('controller_node') == 'inactive'
+            assert driver.get_state('controller_node') == 'inactive'
         for call in (impatient.read, lambda: impatient.set_forces({'table': 5.0})):
             with pytest.raises(RunError, match='is the controller active'):
                 call()
@@ -462,7 +466,7 @@ def test_client_deactivates_and_activates_a_real_controller(arm, domain_id):
             arm.hold()
         for _ in range(2):
             arm.activate()
-            assert driver.state('controller_node') == 'active'
+            assert driver.get_state('controller_node') == 'active'
         # What was commanded before is forgotten, by both.
         assert arm.read().forces_desired == {'table': 0.0, 'board': 0.0}
         assert reached(arm, table=6.0).forces_desired == {'table': 6.0, 'board': 0.0}

@@ -18,7 +18,7 @@ INNER = HEAD + '@compiled\ndef inner(x): return x + {}\n'
 RUN = (
     'from multicontact_control import compiled\n'
     'from multicontact_control.outer import outer\n'
-    'print(outer(1.0), compiled.compiled_here())'
+    'print(outer(1.0), compiled.count_compilations())'
 )
 
 

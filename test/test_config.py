@@ -8,7 +8,7 @@ from multicontact_control.config import (
     validate,
 )
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.parameter_file import write_parameters
 import numpy as np
 import pytest
@@ -168,7 +168,7 @@ def test_all_that_is_wrong_is_named_at_once():
     ],
 )
 def test_parameter_files_read_back_as_written(tmp_path, name, model, change):
-    config = validate(model, read_parameters(config_dir() / name) | change)
+    config = validate(model, read_parameters(find_config_folder() / name) | change)
     write_parameters(tmp_path / name, {'/**': config.model_dump()})
     assert validate(model, read_parameters(tmp_path / name)) == config
 

@@ -3,10 +3,10 @@
 from arms import HOME, pressed_wrench, still_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from multicontact_control.compiled import compiled_here
+from multicontact_control.compiled import count_compilations
 from multicontact_control.errors import CalibrationError, CommandError, ConfigError
 from multicontact_control.loop import ControlLoop
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.sampling import Action, SampleTiming
 from multicontact_control.sensor.push_test import PushTestConfig
 from multicontact_control.sensor.tool import weight_reading
@@ -33,7 +33,11 @@ class Bench:
     def __init__(self, *, supervised=True, **changes):
         self.config = still_config(**changes)
         self.loop = ControlLoop(
-            self.config, None, CommandLimits(), config_dir(), supervised=supervised
+            self.config,
+            None,
+            CommandLimits(),
+            find_config_folder(),
+            supervised=supervised,
         )
         self.timing = SampleTiming(
             self.config.rate, supervised=supervised, patience=1.5
@@ -381,7 +385,7 @@ def test_events_are_at_the_time_of_their_samples_when_a_simulator_has_paused():
 
 def test_no_tick_compiles_anything():
     """In any reaction: it would take seconds."""
-    bench, before = Bench(), compiled_here()
+    bench, before = Bench(), count_compilations()
     make_contact(bench)
     for step, *_ in FAULTS.values():
         for _ in range(20):
@@ -390,7 +394,7 @@ def test_no_tick_compiles_anything():
     bench.loop.hold(True)
     bench.step(5)
     assert {'float', 'hold', 'inflate'} <= set(bench.loop.events.reactions)
-    assert compiled_here() == before
+    assert count_compilations() == before
 
 
 def test_tare_needs_recent_readings_of_a_good_sensor_on_an_arm_at_rest():

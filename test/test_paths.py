@@ -5,8 +5,8 @@ from pathlib import Path
 import sys
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.files import write_json
-from multicontact_control.paths import config_dir
+from multicontact_control.files import replace_json_file
+from multicontact_control.paths import find_config_folder
 import pytest
 
 SHARE = Path('share', 'multicontact_control', 'config')
@@ -20,24 +20,24 @@ def test_config_dir_is_the_checkouts_or_in_a_prefix_or_in_an_ament_prefix(
     (tmp_path / 'checkout/config').mkdir(parents=True)
     (tmp_path / 'checkout/package.xml').touch()
     assert (
-        config_dir(tmp_path / 'checkout/multicontact_control')
+        find_config_folder(tmp_path / 'checkout/multicontact_control')
         == tmp_path / 'checkout/config'
     )
     package = tmp_path / 'prefix/lib/python3.11/site-packages/multicontact_control'
     # A folder of that name beside an installed package is no checkout's.
     (package.parent / 'config').mkdir(parents=True)
     with pytest.raises(ConfigError, match='/environment/share.*/workspace/share'):
-        config_dir(package)
+        find_config_folder(package)
     for prefix in ('workspace', 'environment', 'prefix'):
         (tmp_path / prefix / SHARE).mkdir(parents=True)
-        assert config_dir(package) == tmp_path / prefix / SHARE
-    assert (config_dir() / 'scenarios').is_dir()
+        assert find_config_folder(package) == tmp_path / prefix / SHARE
+    assert (find_config_folder() / 'scenarios').is_dir()
 
 
 def test_file_is_replaced_at_once_or_not_at_all(tmp_path):
     path = tmp_path / 'a.txt'
-    write_json(path, {'x': [1.5, None]})
+    replace_json_file(path, {'x': [1.5, None]})
     with pytest.raises(ValueError):
-        write_json(path, {'x': float('nan')})
+        replace_json_file(path, {'x': float('nan')})
     assert json.loads(path.read_text()) == {'x': [1.5, None]}
     assert list(tmp_path.iterdir()) == [path]

@@ -11,7 +11,7 @@ import signal
 from typing import Annotated, Any, Literal, TYPE_CHECKING
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 import typer
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ def flattened(command: Callable[..., None]) -> Callable[..., None]:
 
 def described(folder: str) -> dict[str, str]:
     """Return the names of the files in a folder of ``config/``, with the first line of each."""
-    there = config_dir() / folder
+    there = find_config_folder() / folder
     files = {
         path.relative_to(there).with_suffix('').as_posix(): path.read_text(
             encoding='utf-8'

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from multicontact_control.cli import options
-from multicontact_control.errors import check_all, ConfigError
+from multicontact_control.errors import ConfigError, run_all_checks
 import typer
 
 
@@ -102,7 +102,7 @@ def study(
     from multicontact_control.study.study import run_study
 
     texts = [*([f'plant={plants}'] if plants else []), *(settings or ())]
-    config, choices = check_all(
+    config, choices = run_all_checks(
         lambda: files.read_study(name), lambda: files.read_choices(texts)
     )
     if law and config.kind != 'tune':

@@ -37,9 +37,9 @@ def list_topics(
     domain_id: DomainId = None,
 ) -> None:
     """List the topics of a running graph with their types."""
-    from multicontact_control.nodes.link import GuestNode
+    from multicontact_control.nodes.link import ServiceClientNode
 
-    with GuestNode(NODE, domain_id) as guest:
+    with ServiceClientNode(NODE, domain_id) as guest:
         time.sleep(wait)
         for name, types in sorted(guest.node.get_topic_names_and_types()):
             if '/_' not in name:
@@ -59,13 +59,13 @@ def echo(
 ) -> None:
     """Print the messages of a topic as YAML documents, until Ctrl-C."""
     from multicontact_control.nodes import graph
-    from multicontact_control.nodes.runtime import stop_signals
+    from multicontact_control.nodes.runtime import collect_stop_signals
 
-    stop = stop_signals()
+    stop = collect_stop_signals()
     with _subscribed(topic, timeout, domain_id, stop) as (kind, subscription):
         document(kind(), field)  # refuses a wrong field before the first message
         while not stop:
-            if taken := graph.take(subscription):
+            if taken := graph.take_message(subscription):
                 print(document(taken[0], field), flush=True)
                 if once:
                     return
@@ -81,14 +81,14 @@ def rate(
 ) -> None:
     """Print how often messages of a topic arrive, a line each second, until Ctrl-C."""
     from multicontact_control.nodes import graph
-    from multicontact_control.nodes.runtime import stop_signals
+    from multicontact_control.nodes.runtime import collect_stop_signals
 
-    stop = stop_signals()
+    stop = collect_stop_signals()
     with _subscribed(topic, timeout, domain_id, stop) as (_, subscription):
         arrivals: list[int] = []  # ns; the last of a line begins the next
         due = time.monotonic() + LINE_PERIOD
         while not stop:
-            while taken := graph.take(subscription):
+            while taken := graph.take_message(subscription):
                 arrivals.append(taken[1]['received_timestamp'])
             if time.monotonic() < due:
                 time.sleep(POLL_PERIOD)
@@ -120,12 +120,12 @@ def _subscribed(
 ) -> Iterator[tuple[Any, Any]]:
     """Yield the type of a topic's messages, and a subscription as its publisher offers it."""
     from multicontact_control.nodes import graph
-    from multicontact_control.nodes.link import GuestNode
+    from multicontact_control.nodes.link import ServiceClientNode
     from rclpy.qos import QoSProfile
 
     name = graph.full_topic_name('topic', f'/{topic.strip("/")}')
     end = time.monotonic() + timeout
-    with GuestNode(NODE, domain_id) as guest:
+    with ServiceClientNode(NODE, domain_id) as guest:
         while not (publishers := guest.node.get_publishers_info_by_topic(name)):
             if stop or time.monotonic() > end:
                 raise RunError(
@@ -146,7 +146,7 @@ def _subscribed(
             guest.node.create_subscription(
                 message,
                 name,
-                graph.ignore,
+                graph.ignore_message,
                 QoSProfile(
                     depth=DEPTH,
                     reliability=offered.reliability,

@@ -20,7 +20,7 @@ from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.errors import ConfigError, counted, RunError
+from multicontact_control.errors import ConfigError, format_count, RunError
 from multicontact_control.force import stiffness
 from multicontact_control.runs.recording import RunData
 from multicontact_control.runs.scenario import Setup
@@ -279,7 +279,7 @@ def show(contacts: Mapping[str, Mapping[str, Any]]) -> str:
             if contact['explained'] is None
             else (f', {100.0 * contact["explained"]:.1f} % explained')
         )
-        lines.append(f'{name}: {counted(contact["samples"], "samples")}{share}')
+        lines.append(f'{name}: {format_count(contact["samples"], "samples")}{share}')
         for key, (text, unit, scale, digits) in TEXTS.items():
             value = contact[key]
             lines.append(

@@ -34,23 +34,25 @@ def push_running(
         domain_id=domain_id,
         timeout=TIMEOUT,
     ) as link:
-        if (state := link.state(topics.CONTROLLER)) != 'active':
+        if (state := link.get_state(topics.CONTROLLER)) != 'active':
             raise RunError(
                 f'{topics.CONTROLLER}: expected an active controller, got {state}'
             )
-        text = link.ask('push_test', Trigger, Trigger.Request())
+        text = link.request_service('push_test', Trigger, Trigger.Request())
         tell(text)
-        link.look()  # of before the test
+        link.take_statuses()  # of before the test
         begun = False
         try:
             while not text.startswith(OVER):
-                link.fresh(topics.EFFORT_COMMAND)
-                for instruction in [status.push_test for status in link.look()]:
+                link.receive_fresh(topics.EFFORT_COMMAND)
+                for instruction in [
+                    status.push_test for status in link.take_statuses()
+                ]:
                     begun = begun or instruction not in ('', DISABLED)
                     if begun and instruction != text:
                         text = instruction or CANCELLED
                         tell(text)
         except KeyboardInterrupt:
-            tell(link.ask('cancel_push_test', Trigger, Trigger.Request()))
+            tell(link.request_service('cancel_push_test', Trigger, Trigger.Request()))
             raise
         return text.startswith(PASSED)

@@ -8,7 +8,7 @@ from pathlib import Path
 import time
 from typing import Any
 
-from multicontact_control.arrays import Matrix, stretches, Vector
+from multicontact_control.arrays import find_true_stretches, Matrix, Vector
 from multicontact_control.config import ControllerConfig, ToolConfig
 from multicontact_control.config.contact import ContactConfig
 from multicontact_control.dynamics.robot import RobotModel
@@ -128,7 +128,7 @@ def find_rests(time: Vector, q: Matrix) -> list[tuple[float, float]]:
     still = (speed <= SPEED) & (np.diff(time, prepend=time[0]) <= LOOK)
     rests = [
         (float(time[begin]) + SETTLE_TIME, float(time[end - 1]))
-        for begin, end in stretches(still)
+        for begin, end in find_true_stretches(still)
     ]
     return [(start, stop) for start, stop in rests if stop - start >= AVERAGE_TIME]
 
@@ -289,7 +289,7 @@ def _rest(
         1, ATTEMPTS + 1
     ):  # where samples are lost, more of them are needed
         while not len(joints) or 1e-9 * joints.stamps[-1] < since + rests * REST_TIME:
-            for columns, message in zip((joints, felt), link.fresh(*heard)):
+            for columns, message in zip((joints, felt), link.receive_fresh(*heard)):
                 columns.add_message(message, time.time_ns())
         poses = quiet_rests('calibrate', joints, felt, controller, robot, said.append)
         if poses:

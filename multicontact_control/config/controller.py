@@ -32,7 +32,7 @@ from multicontact_control.config.supervision import (
     LimitsConfig,
     WatchdogConfig,
 )
-from multicontact_control.errors import ConfigError, counted
+from multicontact_control.errors import ConfigError, format_count
 
 MAX_DELAY_PERIODS = 10
 FASTEST_MOMENTUM = 0.4  # bandwidth per rate: the residual is a mean over some samples
@@ -176,7 +176,7 @@ class ControllerConfig(Config):
             count = len(attrgetter(name)(self))
             if count not in (0, joints):
                 yield ConfigError(
-                    name, f'{counted(joints, "values")}, one per joint', count
+                    name, f'{format_count(joints, "values")}, one per joint', count
                 )
         for name in ('sensor.frozen_ticks', 'watchdog.frozen_joint_ticks'):
             if attrgetter(name)(self) == 1:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import math
 
 from multicontact_control.config.base import Config, parameter, Vector, Vector3
-from multicontact_control.errors import ConfigError, counted
+from multicontact_control.errors import ConfigError, format_count
 
 
 class RobotConfig(Config):
@@ -56,7 +56,7 @@ class RobotConfig(Config):
         if positions not in (0, count):
             yield ConfigError(
                 'robot.locked_positions',
-                counted(count, 'values') + ', one per locked joint, or none',
+                format_count(count, 'values') + ', one per locked joint, or none',
                 positions,
             )
 

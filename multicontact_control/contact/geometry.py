@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 import math
 
-from multicontact_control.algebra import across, cross, rotated
+from multicontact_control.algebra import component_across, cross, rotate_vector
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
@@ -43,15 +43,15 @@ def fill_normal_space(contacts: Records[Contact], rotation: Matrix) -> None:
         contact, config = contacts[i], contacts[i].config
         if config.kind == FORCE:
             contact.N[:3] = contact.normal
-            contact.N[3:] = cross(rotated(rotation, config.point), contact.normal)
+            contact.N[3:] = cross(rotate_vector(rotation, config.point), contact.normal)
             continue
         normal, direction = (
             contacts[config.leader].normal,
-            rotated(rotation, config.direction),
+            rotate_vector(rotation, config.direction),
         )
         contact.N[:3] = 0.0
         if config.kind == ACROSS:
-            contact.N[3:] = across(direction, normal)
+            contact.N[3:] = component_across(direction, normal)
         else:
             contact.N[3:] = cross(direction, normal)
         contact.N[3:] *= config.half_length
@@ -109,10 +109,12 @@ def friction_coupling(contacts: Records[Contact], rotation_world: Matrix) -> Mat
     for j, contact in enumerate(contacts):
         if contact['config']['kind'] != FORCE:
             continue
-        across = np.eye(3) - np.outer(contact['normal'], contact['normal'])
-        moments = np.cross(rotation_world @ contact['config']['point'], across.T).T
+        across_normal = np.eye(3) - np.outer(contact['normal'], contact['normal'])
+        moments = np.cross(
+            rotation_world @ contact['config']['point'], across_normal.T
+        ).T
         coupling[:, j] = np.linalg.norm(
-            N_inverse @ np.vstack([across, moments]), axis=1
+            N_inverse @ np.vstack([across_normal, moments]), axis=1
         )
     return coupling
 

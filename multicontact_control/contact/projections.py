@@ -7,7 +7,12 @@ neither Omega_f nor Omega_m is formed, only what they make of vectors.
 
 from __future__ import annotations
 
-from multicontact_control.algebra import add_scaled, cholesky, multiply, solve_cholesky
+from multicontact_control.algebra import (
+    add_scaled_vector,
+    cholesky,
+    multiply_vector,
+    solve_cholesky,
+)
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.records import Contact, Records
@@ -65,8 +70,8 @@ def compose_acceleration(
     """
     for i in range(6):
         acceleration[i] = f_t[i] - f_c[i]
-    multiply(rows, acceleration, beta)
+    multiply_vector(rows, acceleration, beta)
     solve_cholesky(weighted_factor, beta)
     acceleration[:] = f_t
     for i in range(rows.shape[0]):
-        add_scaled(acceleration, -beta[i], weighted_rows[i])
+        add_scaled_vector(acceleration, -beta[i], weighted_rows[i])

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from multicontact_control.algebra import (
-    between,
-    combined,
-    divided,
+    divide_vector,
     dot,
-    length,
-    rotated,
+    linear_combination,
+    rotate_vector,
+    vector_between,
+    vector_length,
     velocity_at,
 )
 from multicontact_control.compiled import compiled
@@ -64,29 +64,31 @@ def follow_normal(frame: Frame, contact: Contact) -> None:
     config, normal = contact.config, contact.normal
     if contact.alpha_meas < PRESSED:
         return
-    velocity = velocity_at(frame.twist, rotated(frame.rotation, config.point))
+    velocity = velocity_at(frame.twist, rotate_vector(frame.rotation, config.point))
     squared_speed = dot(velocity, velocity)
     if squared_speed < SLIDING_SPEED * SLIDING_SPEED:
         return
     steep = dot(velocity, config.normal)
     if steep * steep > max(STEEP, 1.0 - config.smallest_cosine**2) * squared_speed:
         return
-    force = combined(contact.alpha_meas, normal, 1.0, contact.friction)
-    seen = combined(1.0, force, -dot(force, velocity) / squared_speed, velocity)
-    size = length(seen)
+    force = linear_combination(contact.alpha_meas, normal, 1.0, contact.friction)
+    seen = linear_combination(
+        1.0, force, -dot(force, velocity) / squared_speed, velocity
+    )
+    size = vector_length(seen)
     if size < PRESSED:
         return
-    missing = between(normal, divided(seen, size))
-    way = config.normal_gain * length(missing)
+    missing = vector_between(normal, divide_vector(seen, size))
+    way = config.normal_gain * vector_length(missing)
     gain = config.normal_gain
     if way > config.turn_limit:
         gain *= config.turn_limit / way
-    turned = combined(1.0, normal, gain, missing)
-    normal[:] = divided(turned, length(turned))
+    turned = linear_combination(1.0, normal, gain, missing)
+    normal[:] = divide_vector(turned, vector_length(turned))
     cosine = dot(normal, config.normal)
     if cosine < config.smallest_cosine:
-        side = combined(1.0, normal, -cosine, config.normal)
+        side = linear_combination(1.0, normal, -cosine, config.normal)
         sine = np.sqrt(1.0 - config.smallest_cosine * config.smallest_cosine)
-        normal[:] = combined(
-            config.smallest_cosine, config.normal, sine / length(side), side
+        normal[:] = linear_combination(
+            config.smallest_cosine, config.normal, sine / vector_length(side), side
         )

@@ -11,17 +11,17 @@ from __future__ import annotations
 from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
-    across,
-    add,
-    add_scaled,
-    between,
+    add_scaled_vector,
+    add_vector,
     cholesky,
+    component_across,
     cross,
     dot,
-    multiply,
-    rotated,
+    multiply_vector,
+    rotate_vector,
     solve_cholesky,
     solve_lower,
+    vector_between,
     velocity_at,
 )
 from multicontact_control.arrays import Matrix, require_shape, Vector
@@ -90,9 +90,9 @@ def operational_wrench(control: Control, wrench: Vector) -> None:
         for j in range(3):
             wrench[i] += rotation[i, j] * (reading[j] - bias[j])
             wrench[3 + i] += rotation[i, j] * (reading[3 + j] - bias[3 + j])
-    lever = between(frame.position, frame.sensor_position)
-    add(wrench[3:], cross(rotated(rotation, tool.com_sensor), weight))
-    add(wrench[3:], cross(lever, wrench))
+    lever = vector_between(frame.position, frame.sensor_position)
+    add_vector(wrench[3:], cross(rotate_vector(rotation, tool.com_sensor), weight))
+    add_vector(wrench[3:], cross(lever, wrench))
 
 
 @compiled
@@ -120,14 +120,14 @@ def measure_contacts(
         whiten_by_friction_covariance(control, contacts, space)
     if not factorise_contacts(contacts, True, rows, rows, factor):
         return False
-    multiply(rows, wrench, alpha)
+    multiply_vector(rows, wrench, alpha)
     solve_cholesky(factor, alpha)
     for i in range(count):
         contacts[i].alpha_meas = alpha[i] - contacts[i].untared
     if not law.separated:
         return True
     for i in range(count):
-        add_scaled(wrench, -alpha[i], rows[i])
+        add_scaled_vector(wrench, -alpha[i], rows[i])
     for i in range(count):
         contact, column = contacts[i], space.column
         for axis in range(3):
@@ -159,14 +159,14 @@ def expect_friction(
         friction[i] = 0.0
         if contact.config.friction_coefficient <= 0.0:
             continue
-        point = rotated(frame.rotation, contact.config.point)
-        velocity = across(velocity_at(frame.twist, point), contact.normal)
+        point = rotate_vector(frame.rotation, contact.config.point)
+        velocity = component_across(velocity_at(frame.twist, point), contact.normal)
         share = contact.config.friction_coefficient / np.sqrt(
             dot(velocity, velocity) + SLIP_SPEED**2
         )
-        add_scaled(friction[i], share, velocity)
-        add(rows[i, :3], friction[i])
-        add(rows[i, 3:], cross(point, friction[i]))
+        add_scaled_vector(friction[i], share, velocity)
+        add_vector(rows[i, :3], friction[i])
+        add_vector(rows[i, 3:], cross(point, friction[i]))
 
 
 @compiled
@@ -221,9 +221,9 @@ def fill_friction(
     normal = contact.normal
     column[:] = 0.0
     if axis < 3:
-        add_scaled(column[:3], -normal[axis], normal)
+        add_scaled_vector(column[:3], -normal[axis], normal)
         column[axis] += 1.0
-        column[3:] = cross(rotated(frame.rotation, contact.config.point), column)
+        column[3:] = cross(rotate_vector(frame.rotation, contact.config.point), column)
     else:
         column[3:] = normal
     weigh_at_sensor(law, frame, column)
@@ -232,7 +232,7 @@ def fill_friction(
 @compiled
 def weigh_at_sensor(law: Law, frame: Frame, wrench: Vector) -> None:
     """Move a wrench from the operational point to the sensor, in units of its noise."""
-    moment = cross(between(frame.position, frame.sensor_position), wrench)
+    moment = cross(vector_between(frame.position, frame.sensor_position), wrench)
     for i in range(3):
         wrench[i] /= law.force_noise
         wrench[3 + i] = (wrench[3 + i] - moment[i]) / law.torque_noise

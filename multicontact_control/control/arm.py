@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
-    add,
-    between,
+    add_vector,
     cross,
     dot,
-    multiply,
-    rotated,
+    multiply_vector,
+    rotate_vector,
     solve_lower,
+    vector_between,
     velocity_at,
 )
 from multicontact_control.arrays import Matrix, Vector
@@ -105,8 +105,8 @@ def observe_momentum(
     """
     momentum, frame, tool = control.momentum, control.frame, control.tool
     n, elapsed, wrench = joints.shape[0], momentum.elapsed, space.wrench
-    to_com = rotated(frame.sensor_rotation, tool.com_sensor)
-    to_sensor = between(frame.position, frame.sensor_position)
+    to_com = rotate_vector(frame.sensor_rotation, tool.com_sensor)
+    to_sensor = vector_between(frame.position, frame.sensor_position)
     lever = to_com[0] + to_sensor[0], to_com[1] + to_sensor[1], to_com[2] + to_sensor[2]
     velocity = velocity_at(frame.twist, lever)  # of the tool's centre of mass
     if elapsed > 0.0:
@@ -114,14 +114,14 @@ def observe_momentum(
         if not momentum.config.is_input:
             operational_wrench(control, wrench)
             # Of what the sensor feels, the arm's model has the tool's inertia already.
-            change = between(momentum.com_velocity, velocity)
+            change = vector_between(momentum.com_velocity, velocity)
             inertia = (
                 -tool.mass * change[0] / elapsed,
                 -tool.mass * change[1] / elapsed,
                 -tool.mass * change[2] / elapsed,
             )
-            add(wrench[:3], inertia)
-            add(wrench[3:], cross(lever, inertia))
+            add_vector(wrench[:3], inertia)
+            add_vector(wrench[3:], cross(lever, inertia))
         for i in range(n):
             space.felt[i] = dot(jacobian[:, i], wrench)
             space.inertial[i] = 0.0
@@ -277,10 +277,10 @@ def wrench_of_residual(
     for i in range(n):
         reduced[i] = joints[i].watch.residual
     solve_lower(inertia.L[:n, :n], reduced)
-    multiply(inertia.Y[:n].T, reduced, space.acceleration)
-    multiply(inertia.Lambda, space.acceleration, space.wrench)
-    control.wrench[:3] = rotated(rotation.T, space.wrench[:3])
-    control.wrench[3:] = rotated(rotation.T, space.wrench[3:])
+    multiply_vector(inertia.Y[:n].T, reduced, space.acceleration)
+    multiply_vector(inertia.Lambda, space.acceleration, space.wrench)
+    control.wrench[:3] = rotate_vector(rotation.T, space.wrench[:3])
+    control.wrench[3:] = rotate_vector(rotation.T, space.wrench[3:])
 
 
 @compiled
@@ -338,7 +338,7 @@ def update_arm_state(
     frame.rotation[:] = rotation
     frame.sensor_position[:] = sensor_position
     frame.sensor_rotation[:] = sensor_rotation
-    multiply(jacobian, velocity, frame.twist)
+    multiply_vector(jacobian, velocity, frame.twist)
     speed, turn = frame.twist[:3], frame.twist[3:]
     if dot(speed, speed) > frame.config.speed_limit**2 or (
         dot(turn, turn) > frame.config.turn_limit**2

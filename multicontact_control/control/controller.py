@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import NamedTuple, NoReturn
 
-from multicontact_control.algebra import quintic
+from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import ControllerConfig, ToolConfig
 from multicontact_control.contact.geometry import check_columns, place_columns
@@ -216,7 +216,7 @@ class Controller:
             tool_between(
                 self._last_tool,
                 self.next_tool,
-                quintic(elapsed, self.config.transition.slew_time)[0],
+                quintic_blend(elapsed, self.config.transition.slew_time)[0],
             )
         )
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
-    add_scaled,
+    add_scaled_vector,
     dot,
-    multiply,
+    multiply_vector,
     solve_cholesky,
     solve_lower,
 )
@@ -144,7 +144,7 @@ def force_law(
     (r, r); `inputs` are u of the contact points or, as published, of the coordinates along N_i,
     shape (r,) [m/s^2]; `alpha_star`, shape (r,), is overwritten.
     """
-    multiply(rows, twist, alpha_star)
+    multiply_vector(rows, twist, alpha_star)
     if not law.decoupled:
         solve_cholesky(factor, alpha_star)
     for i in range(inputs.shape[0]):
@@ -155,7 +155,7 @@ def force_law(
         alpha_star[i] = inputs[i] - law.K_2 * alpha_star[i]
     if law.decoupled:
         solve_cholesky(factor, alpha_star)
-    multiply(rows.T, alpha_star, f_c)
+    multiply_vector(rows.T, alpha_star, f_c)
 
 
 @compiled
@@ -259,14 +259,14 @@ def control_law(
     )
     inputs, alpha_star = space.inputs[:count], space.alpha_star[:count]
     for i in range(count):
-        multiply(inertia.mobility, contacts[i].N, space.along)
+        multiply_vector(inertia.mobility, contacts[i].N, space.along)
         contacts[i].mobility = dot(contacts[i].N, space.along)
         rows[i] = 0.0
         if contacts[i].answer.active:
             rows[i] = contacts[i].N
         weighted_rows[i] = rows[i]
         if law.inertia_metric:
-            multiply(inertia.mobility, rows[i], weighted_rows[i])
+            multiply_vector(inertia.mobility, rows[i], weighted_rows[i])
     if not (
         factorise_contacts(contacts, False, rows, rows, factor)
         and factorise_contacts(contacts, False, rows, weighted_rows, weighted_factor)
@@ -292,17 +292,17 @@ def control_law(
     for j in range(n):
         reduced[j] = joints[j].bias_torque
     solve_lower(inertia.L[:n, :n], reduced)
-    multiply(inertia.Y[:n].T, reduced, space.bias)
+    multiply_vector(inertia.Y[:n].T, reduced, space.bias)
     for i in range(6):
         for j in range(n):
             space.bias[i] -= jacobian_rate[i, j] * joints[j].velocity
         acceleration[i] += space.bias[i]
     force, held = space.force, space.held
-    multiply(inertia.Lambda, acceleration, force)
+    multiply_vector(inertia.Lambda, acceleration, force)
     held[:] = 0.0
     for i in range(count):
-        add_scaled(force, contacts[i].answer.alpha_fed_forward, rows[i])
-        add_scaled(held, contacts[i].answer.alpha_fed_forward, rows[i])
+        add_scaled_vector(force, contacts[i].answer.alpha_fed_forward, rows[i])
+        add_scaled_vector(held, contacts[i].answer.alpha_fed_forward, rows[i])
     for j in range(n):
         joints[j].answer.torque = 0.0
         joints[j].answer.priority = joints[j].bias_torque

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import math
 from typing import NamedTuple, Protocol
 
-from multicontact_control.algebra import quintic
+from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.config import (
     Config,
@@ -131,7 +131,7 @@ class ReferenceConfig(Config):
 
 
 def shortest_duration(change: Vector, limits: LimitsConfig) -> float:
-    """Return the least time of a `quintic` over a way, shape (6,) [m, rad], within limits [s]."""
+    """Return the least time of a `quintic_blend` within limits [s] over a way, (6,) [m, rad]."""
     durations = [0.0]
     for part, speed, acceleration in (
         (change[:3], limits.operational_speed, limits.operational_acceleration),
@@ -146,13 +146,13 @@ def shortest_duration(change: Vector, limits: LimitsConfig) -> float:
 
 
 def sine_motion(config: SineConfig, time: float) -> tuple[float, float, float]:
-    """Return s = A b(tau / t_b) sin(2 pi tau / T) [m], b the `quintic`, and its derivatives."""
+    """Return s = A b(tau / t_b) sin(2 pi tau / T) [m], b a quintic, and its two derivatives."""
     tau = time - config.start_time
     if tau <= 0.0:
         return 0.0, 0.0, 0.0
     w = 2.0 * math.pi / config.period
     sine, cosine = math.sin(w * tau), math.cos(w * tau)
-    b, db, ddb = quintic(tau, config.blend_time)
+    b, db, ddb = quintic_blend(tau, config.blend_time)
     A = config.amplitude
     return (
         A * b * sine,

@@ -10,9 +10,9 @@ from multicontact_control.algebra import (
     diagonalise,
     dot,
     frobenius_norm,
-    gram,
-    invert,
-    multiply,
+    gram_matrix,
+    invert_symmetric,
+    multiply_vector,
     solve_lower,
     solve_lower_columns,
     solve_lower_transposed,
@@ -88,11 +88,11 @@ def mobility_and_inertia(
         return -1.0, 0.0
     Y[:] = jacobian.T
     solve_lower_columns(L, Y)
-    gram(Y, mobility)
+    gram_matrix(Y, mobility)
     smallest, trace = 0.0, 0.0
     for i in range(6):
         trace += mobility[i, i]
-    if invert(mobility, space.factor, space.root, space.Lambda):
+    if invert_symmetric(mobility, space.factor, space.root, space.Lambda):
         smallest = 1.0 / frobenius_norm(space.Lambda)
     if smallest >= singular_mobility and smallest * MAX_CONDITION > trace:
         return 0.0, smallest
@@ -111,7 +111,7 @@ def mobility_and_inertia(
         not (smallest + damping) * MAX_CONDITION > largest + damping
     ):  # or it is not a number
         return -1.0, smallest
-    invert(mobility, space.factor, space.root, space.Lambda)
+    invert_symmetric(mobility, space.factor, space.root, space.Lambda)
     return damping, smallest
 
 
@@ -137,7 +137,7 @@ def mobility_gradient(
     J has shape (6, n), M = L L^T, Y = L^-1 J^T; `joint_rates`, shape (n,), is overwritten.
     """
     n = jacobian.shape[1]
-    multiply(Y, direction, joint_rates)
+    multiply_vector(Y, direction, joint_rates)
     solve_lower_transposed(L, joint_rates)  # M^-1 J^T u
     linear, angular = direction[:3], direction[3:]
     for k in range(n):
@@ -192,7 +192,7 @@ def add_nullspace_torque(
                 free[i] += mass_matrix[min(i, j), max(i, j)] * pull[j]
         joints[i].answer.torque += free[i]
     solve_lower(inertia.L[:n, :n], free)
-    multiply(inertia.Y[:n].T, free, acceleration)
+    multiply_vector(inertia.Y[:n].T, free, acceleration)
     for j in range(n):
         for i in range(6):
             joints[j].answer.torque -= jacobian[i, j] * dot(

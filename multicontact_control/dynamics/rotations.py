@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from multicontact_control.algebra import length, rotated, Triple
+from multicontact_control.algebra import rotate_vector, Triple, vector_length
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 import numpy as np
@@ -45,19 +45,19 @@ def rotation_vector(rotation_des: Matrix, rotation: Matrix) -> Triple:
     The result is in [rad], the orientations are of shape (3, 3).
     """
     error = (
-        rotated(rotation, rotation_des[0]),
-        rotated(rotation, rotation_des[1]),
-        rotated(rotation, rotation_des[2]),
+        rotate_vector(rotation, rotation_des[0]),
+        rotate_vector(rotation, rotation_des[1]),
+        rotate_vector(rotation, rotation_des[2]),
     )
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = error
     vector = (0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy))  # its skew part
     cosine = 0.5 * (xx + yy + zz - 1.0)
-    sine = length(vector)
+    sine = vector_length(vector)
     if (
         cosine < -0.99
     ):  # near half a turn the skew part vanishes and no longer names the axis
         x, y, z, w = quaternion_of(error)
-        sine = length((x, y, z))
+        sine = vector_length((x, y, z))
         angle = 2.0 * np.arctan2(sine, abs(w))
         if w < 0.0:
             angle = -angle

@@ -8,7 +8,7 @@ from itertools import pairwise
 import math
 from typing import NamedTuple
 
-from multicontact_control.arrays import Mask, Matrix, stretches, Vector
+from multicontact_control.arrays import find_true_stretches, Mask, Matrix, Vector
 from multicontact_control.faults.unasked import unasked_motion, Way
 from multicontact_control.faults.vocabulary import Fault, REST, SLIDING
 from multicontact_control.judging.metrics import torque_limit
@@ -268,7 +268,7 @@ def never_allowed(seen: Observation, setup: Setup) -> tuple[set[str], float]:
     if any(
         seen.time[end - 1] - seen.time[begin] + config.period
         > RETRACT_TIME * (1.0 + TOLERANCE)
-        for begin, end in stretches(above)
+        for begin, end in find_true_stretches(above)
     ):
         problems.add('force beyond the ceiling for too long')
     return problems, fraction

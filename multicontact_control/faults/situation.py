@@ -16,12 +16,12 @@ import tempfile
 from typing import Any, Literal, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.compiled import cache_folder
+from multicontact_control.compiled import find_cache_folder
 from multicontact_control.config import Config, merge, parameter, Vector3
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
 from multicontact_control.faults.course import Course, REST_TIME
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.scenario import resolve, Setup
 import numpy as np
 from scipy.linalg import null_space
@@ -111,9 +111,9 @@ class SituationConfig(Config):
 @cache
 def foreign_robot() -> str:
     """Return the file of a robot that `multicontact new-robot` has written for a foreign arm."""
-    urdf = config_dir() / 'studies' / FOREIGN_URDF
+    urdf = find_config_folder() / 'studies' / FOREIGN_URDF
     stamp = hashlib.sha256(urdf.read_bytes()).hexdigest()[:16]
-    folder = (cache_folder() or Path(tempfile.gettempdir())) / f'foreign-{stamp}'
+    folder = (find_cache_folder() or Path(tempfile.gettempdir())) / f'foreign-{stamp}'
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / 'arm.yaml'
     with tempfile.TemporaryDirectory(

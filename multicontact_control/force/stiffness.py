@@ -21,7 +21,13 @@ from collections.abc import Sequence
 import math
 from typing import Annotated, Protocol
 
-from multicontact_control.algebra import across, cholesky, dot, rotated, solve_cholesky
+from multicontact_control.algebra import (
+    cholesky,
+    component_across,
+    dot,
+    rotate_vector,
+    solve_cholesky,
+)
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ForceConfig
@@ -504,13 +510,13 @@ def friction_of_others(frame: Frame, contacts: Records[Contact], which: int) -> 
         other = contacts[j]
         if j == which or other.config.kind != FORCE or other.alpha_meas <= 0.0:
             continue
-        lever = rotated(frame.rotation, other.config.point)
+        lever = rotate_vector(frame.rotation, other.config.point)
         velocity = (
             twist[0] + twist[4] * lever[2] - twist[5] * lever[1],
             twist[1] + twist[5] * lever[0] - twist[3] * lever[2],
             twist[2] + twist[3] * lever[1] - twist[4] * lever[0],
         )
-        sliding = across(velocity, other.normal)
+        sliding = component_across(velocity, other.normal)
         total += (
             other.alpha_meas
             * dot(sliding, normal)

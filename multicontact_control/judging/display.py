@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from multicontact_control.errors import counted
+from multicontact_control.errors import format_count
 from multicontact_control.judging.metrics import truth_lacking
 from multicontact_control.judging.verdict import (
     EXTERNAL_RUN,
@@ -174,7 +174,7 @@ def print_claims(console: Console, claims: Sequence[Mapping[str, Any]]) -> None:
     others = len(claims) - len(judged)
     if others:
         console.print(
-            f'{counted(others, "claims")} not judged by one run: `multicontact study '
+            f'{format_count(others, "claims")} not judged by one run: `multicontact study '
             'compare` has the runs that they are about'
         )
 
@@ -217,7 +217,7 @@ def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
     ):
         if timing.get(name):
             lines.append(
-                f'[yellow]warning: {counted(timing[name], what)} {event}[/yellow]'
+                f'[yellow]warning: {format_count(timing[name], what)} {event}[/yellow]'
             )
     lines += [f'[yellow]{escape(text)}[/yellow]' for text in summary.get('remarks', ())]
     path = escape(str(folder))

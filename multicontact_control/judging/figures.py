@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from multicontact_control.arrays import Mask, stretches, Vector
+from multicontact_control.arrays import find_true_stretches, Mask, Vector
 from multicontact_control.judging.display import headline
 from multicontact_control.judging.metrics import NO_TRUTH, RunMetrics
 from multicontact_control.judging.page import (
@@ -309,7 +309,7 @@ def _judged(data: RunData, setup: Setup) -> list[Span]:
             ('start', start),
             ('moving', run.windows.moving),
         )
-        for begin, end in stretches(binary_closing(mask, closing) | mask)
+        for begin, end in find_true_stretches(binary_closing(mask, closing) | mask)
     ]
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import signal
 from typing import Any, TYPE_CHECKING
 
-from multicontact_control.compiled import compiled_here
+from multicontact_control.compiled import count_compilations
 from multicontact_control.config import merge, validate
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.files import finite, write_json
+from multicontact_control.files import replace_json_file, replace_nonfinite_numbers
 from multicontact_control.judging import results
 from multicontact_control.judging.claims import claims_of
 from multicontact_control.judging.display import print_summary, progress_bar
@@ -70,7 +70,7 @@ def run_simulate(
         result.data,
         setup,
         mode='in_process',
-        timing={'kernels_compiled': compiled_here()},
+        timing={'kernels_compiled': count_compilations()},
         ended_early=result.ended_early,
         events=result.events if supervised else None,
     )
@@ -257,6 +257,6 @@ def _finish(
     """Judge the claims, write figures and summary, show the table."""
     summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
     draw_figures(data, setup, summary, folder / results.FIGURE_FOLDER)
-    write_json(folder / results.SUMMARY_FILE, finite(summary))
+    replace_json_file(folder / results.SUMMARY_FILE, replace_nonfinite_numbers(summary))
     print_summary(CONSOLE, summary, folder)
     return summary

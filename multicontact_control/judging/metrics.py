@@ -185,7 +185,7 @@ class RunMetrics:
         """Return where the force of a contact is not known for more than 0.1 s."""
         longest = LONGEST_GAP * self.data.rate
         unknown = np.zeros(self.data.ticks, dtype=bool)
-        for begin, end in oscillation.stretches(np.isnan(self.force[:, i])):
+        for begin, end in oscillation.find_true_stretches(np.isnan(self.force[:, i])):
             unknown[begin:end] = end - begin > longest
         return unknown
 
@@ -273,7 +273,7 @@ class RunMetrics:
     def _time_until_within(self, error: Vector, band: float) -> float | None:
         """Return from when on an error [N] stays within a band for 0.1 s [s], None if never."""
         least = round(BAND_HELD * self.data.rate)
-        for begin, end in oscillation.stretches(np.abs(error) <= band):
+        for begin, end in oscillation.find_true_stretches(np.abs(error) <= band):
             if end - begin >= least:
                 return begin / self.data.rate
         return None
@@ -352,7 +352,7 @@ class RunMetrics:
         least = LOSS_TIME * self.data.rate - 1e-9
         return [
             (begin, end)
-            for begin, end in oscillation.stretches(judged & gone)
+            for begin, end in oscillation.find_true_stretches(judged & gone)
             if end - begin >= least
         ]
 
@@ -369,7 +369,7 @@ class RunMetrics:
         """Return where the force of a contact oscillates, among the samples `judged`."""
         # A couple, which may well be 0, is judged while its contact is pressed, and by how hard.
         found = []
-        for begin, end in oscillation.stretches(~self.unknown(i)):
+        for begin, end in oscillation.find_true_stretches(~self.unknown(i)):
             between = np.zeros(self.data.ticks, dtype=bool)
             between[begin:end] = True
             found += oscillation.oscillations(

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from multicontact_control.arrays import Mask, Matrix, stretches, Vector
+from multicontact_control.arrays import find_true_stretches, Mask, Matrix, Vector
 import numpy as np
 from scipy.signal import periodogram
 
@@ -90,7 +90,9 @@ def oscillations(
         ]
     ).T
     episodes = []
-    for begin, end in stretches(np.convolve(oscillates, np.ones(STRETCH)) > 0.0):
+    for begin, end in find_true_stretches(
+        np.convolve(oscillates, np.ones(STRETCH)) > 0.0
+    ):
         inside = begin + np.flatnonzero(oscillates[begin:end])
         episodes.append(
             Oscillation(
@@ -127,7 +129,7 @@ def bridged(values: Vector, rate: float) -> Vector:
         return values
     places = np.arange(len(values))
     filled = np.interp(places, places[~missing], values[~missing])
-    for begin, end in stretches(missing):
+    for begin, end in find_true_stretches(missing):
         outside = begin == 0 or end == len(values)
         if outside or end - begin > LONGEST_BRIDGE * rate:
             filled[begin:end] = np.nan

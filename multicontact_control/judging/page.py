@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.errors import counted
-from multicontact_control.files import write_text
+from multicontact_control.errors import format_count
+from multicontact_control.files import replace_text_file
 from multicontact_control.judging.claims import Claim
 import numpy as np
 import pandas as pd
@@ -133,7 +133,7 @@ def write_page(path: Path, title: str, body: str) -> None:
             f'<script>{read("uPlot.iife.min.js")}</script><script>{read("figures.js")}</script>'
         )
     )
-    write_text(
+    replace_text_file(
         path,
         (
             f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -199,8 +199,8 @@ def claims_table(claims: Mapping[str, Sequence[Claim]]) -> str:
     )
     if others:
         page += folded(
-            f'{counted(len(others), "claims")} not judged: `multicontact study compare` has the '
-            'runs that they are about',
+            f'{format_count(len(others), "claims")} not judged: `multicontact study compare` has '
+            'the runs that they are about',
             table(('claim', 'in the paper', 'expected'), others, numbers_from=3),
         )
     return page

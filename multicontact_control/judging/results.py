@@ -28,7 +28,7 @@ from multicontact_control.config.contact import (
     SUFFIXES,
 )
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.files import finite, read_json
+from multicontact_control.files import read_json_file, replace_nonfinite_numbers
 from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.verdict import (
     judge,
@@ -230,7 +230,9 @@ def summarise(
         'ended_early': ended_early or None,
         'claims': [],
         'without_truth': run.without_truth(),
-        'missing': finite([{'from_s': begin, 'to_s': end} for begin, end in missing]),
+        'missing': replace_nonfinite_numbers(
+            [{'from_s': begin, 'to_s': end} for begin, end in missing]
+        ),
         'remarks': [*named, *_bounded_variances(data, setup), *remarks],
         'commanded_by_topic': setup.commanded_by_topic,
         'supervised': events is not None,
@@ -272,7 +274,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
             'one without, which did not come to its end',
             hint='`multicontact report` reads what was recorded',
         )
-    summary = read_json(folder / SUMMARY_FILE)
+    summary = read_json_file(folder / SUMMARY_FILE)
     if not isinstance(summary, dict) or summary.get('schema') != SCHEMA:
         raise ConfigError(
             str(folder / SUMMARY_FILE), f'the summary of a run (schema {SCHEMA})'

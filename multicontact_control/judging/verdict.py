@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import math
 from typing import Any, NamedTuple
 
-from multicontact_control.arrays import Mask, stretches
+from multicontact_control.arrays import find_true_stretches, Mask
 from multicontact_control.judging.metrics import (
     RunMetrics,
     torque_limit,
@@ -306,7 +306,7 @@ def _doubt(run: RunMetrics, ended_early: str, missing: Sequence[Missing]) -> str
         if lost.any():
             gaps = [
                 Missing(float(run.data.time[begin]), end / run.data.rate)
-                for begin, end in stretches(lost)
+                for begin, end in find_true_stretches(lost)
             ]
             return f'{name}: {describe_missing(gaps, "force")}; what is there passed no limit'
     unknown = truth_lacking(run.without_truth(), run.data.contact_names)
@@ -336,7 +336,7 @@ def _findings(
         data,
         'torque saturated'
         + (' at the limit of the simulated drives' if of_drives.any() else ''),
-        stretches(np.asarray(saturated.any(axis=1))),
+        find_true_stretches(np.asarray(saturated.any(axis=1))),
     )
     # Before the load a contact may still be sought.
     awaited = run.windows.loaded.any() and not (interrupted or missing)

@@ -20,12 +20,12 @@ from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_report import ControllerReport
 from multicontact_control.nodes.controller_topics import (
     ControllerOutputs,
-    serve_commands,
+    create_command_servers,
 )
-from multicontact_control.nodes.diagnostics import Status
+from multicontact_control.nodes.diagnostics import ComponentStatus
 from multicontact_control.nodes.graph import SAFE_TIME, StartupConfig
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
-from multicontact_control.nodes.parameters import folder_of
+from multicontact_control.nodes.parameters import find_parameter_folder
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import MessageReader
 from multicontact_control.sampling import Action, Decision, SampleTiming
@@ -114,7 +114,7 @@ class ControllerNode(ManagedNode):
         )
         self._heard = 0  # messages of whatever use
         self._folder_of = partial(
-            folder_of,
+            find_parameter_folder,
             node_name=self.get_name(),
             arguments=options.get('cli_args', sys.argv),
         )
@@ -153,7 +153,7 @@ class ControllerNode(ManagedNode):
             ),
             topics.JOINT_STATES: (
                 partial(
-                    messages.read_named,
+                    messages.read_named_vectors,
                     names=robot.joint_names,
                     fields=('position',),
                     optional=('velocity',),
@@ -171,8 +171,8 @@ class ControllerNode(ManagedNode):
         self._report = ControllerReport(
             self, loop, timing, [*self._inputs], may_pause=node_config.lockstep
         )
-        serve_commands(
-            self, loop, self._report.answer, lambda: self._node_config.push_test
+        create_command_servers(
+            self, loop, self._report.report_answer, lambda: self._node_config.push_test
         )
         for topic, (read, take_in) in self._inputs.items():
             self._inputs[topic] = MessageReader(topic.message, read), take_in
@@ -203,7 +203,7 @@ class ControllerNode(ManagedNode):
             f'deactivated: commanding {kind} from the next sample on'
         )
 
-    def take_leave(self, spinner: Spinner) -> None:
+    def shutdown_safely(self, spinner: Spinner) -> None:
         """Go over to the safe behaviour for a while, unless the robot has been silent as long."""
         if not self.working:
             return
@@ -214,7 +214,7 @@ class ControllerNode(ManagedNode):
         ):
             self.spin_once(spinner)
 
-    def clean_up(self) -> None:
+    def write_run_counts(self) -> None:
         """Write the counts of this run, if asked to."""
         report = self._report
         self._node_config.write_counts(
@@ -228,23 +228,25 @@ class ControllerNode(ManagedNode):
             }
         )
 
-    def design(self, configurations: Sequence[Any]) -> tuple[Design | None, Any]:
+    def compute_design(
+        self, configurations: Sequence[Any]
+    ) -> tuple[Design | None, Any]:
         """Compute what a new configuration of the controller leads to; None if it is as it was."""
         config, node_config = configurations
         if config == self._loop.config:
             return None, node_config
         return self._loop.design(config), node_config
 
-    def reconfigure(self, design: tuple[Design | None, Any]) -> None:
+    def apply_design(self, design: tuple[Design | None, Any]) -> None:
         """Go on with new configurations from the next sample on; raise if that cannot be."""
         new, node_config = design
         if new is not None:
             self._loop.use(new)
         self._node_config, self._loop.limits = node_config, node_config.command
 
-    def statuses(self) -> Iterator[Status | None]:
+    def collect_statuses(self) -> Iterator[ComponentStatus | None]:
         """Yield what diagnostics report, and None for a pause."""
-        return self._report.statuses()
+        return self._report.collect_statuses()
 
     def _on_message(self, topic: topics.Topic, data: bytes) -> None:
         """Take in a message, and do what it leads to."""
@@ -257,12 +259,12 @@ class ControllerNode(ManagedNode):
             take_in(*read(data))
             safe = self._loop.supervisor.safe
             if self.working or safe:
-                self._do(self._timing.what_now(start, safe=safe), start)
+                self._carry_out(self._timing.what_now(start, safe=safe), start)
             self._report.inputs.last[topic] = start
         except MulticontactError as error:
-            self.refusals.refuse(topic.name, error)
+            self.refusals.log_refusal(topic.name, error)
 
-    def look(self, spinner: Spinner) -> None:
+    def do_due_work(self, spinner: Spinner) -> None:
         """Answer what has waited for the gate; go on with half a sample or none if it is time."""
         now, heard = time.monotonic_ns(), -1
         late = 0 < self.due <= now
@@ -272,14 +274,14 @@ class ControllerNode(ManagedNode):
         safe = self._loop.supervisor.safe
         if self.working or safe:
             now = time.monotonic_ns()
-            self._do(
+            self._carry_out(
                 self._timing.late(now)
                 if late
                 else self._timing.what_now(now, safe=safe),
                 now,
             )
 
-    def _do(self, decision: Decision, start: int) -> None:
+    def _carry_out(self, decision: Decision, start: int) -> None:
         """Do what is due after a message that came at a monotonic time [ns], command first."""
         action, inputs = decision
         loop, timing, outputs = self._loop, self._timing, self._outputs
@@ -289,7 +291,7 @@ class ControllerNode(ManagedNode):
             loop.restart()
             self._report.restarts += 1
         elif action is Action.REFUSE:
-            self.refusals.refuse(
+            self.refusals.log_refusal(
                 topics.JOINT_STATES.name,
                 MessageError(
                     'stamp', 'one after that of the last sample', 'an older one'
@@ -312,12 +314,12 @@ class ControllerNode(ManagedNode):
                 outputs.publish_bare(Float64MultiArray(data=self._torque))
         if inputs is not None:
             self._report.watch.latencies.add(time.monotonic_ns() - start)
-            self._report.look()
+            self._report.report_changes()
         self._report.samples += action in NEW
         if action in WHOLE:
             self._report.watch.add_period(start)
         if action in SHOWN and loop.output is not None:
-            outputs.show(timing.answered_stamp, timing.tick, loop.output)
+            outputs.publish_tick(timing.answered_stamp, timing.tick, loop.output)
 
 
 def _warm_up(loop: ControlLoop) -> None:

@@ -16,10 +16,10 @@ from multicontact_control.control.controller import ControlOutput
 from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.diagnostics import (
-    Inputs,
+    ComponentStatus,
+    InputMonitor,
     LoopStatistics,
-    message_status,
-    Status,
+    refusal_status,
 )
 from multicontact_control.nodes.graph import create_publisher
 from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
@@ -66,11 +66,11 @@ class ControllerReport:
     ) -> None:
         self._node, self._loop, self._timing = node, loop, timing
         self._status_name = f'{node.get_name()}: status'
-        bare = node.parameter_set.value('effort_output_topic')
+        bare = node.parameter_set.present_value('effort_output_topic')
         self._owned = [x.name for x in (*inputs, topics.EFFORT_COMMAND)] + [
             bare
         ] * bool(bare)
-        self.inputs = Inputs(node, loop.config.rate, *inputs, may_pause=may_pause)
+        self.inputs = InputMonitor(node, loop.config.rate, *inputs, may_pause=may_pause)
         self.watch = LoopStatistics(loop.config.rate)
         self._publisher = create_publisher(node, topics.STATUS)
         self.samples = self.restarts = self._refused = self._told = 0
@@ -80,7 +80,7 @@ class ControllerReport:
         self._answered: tuple[Any, ...] = ()
         self._reported_at = (0, 0, -1)  # turns, samples, and the stamp of the newest
 
-    def answer(
+    def report_answer(
         self,
         source: str,
         identifier: str,
@@ -111,7 +111,7 @@ class ControllerReport:
                     REFUSED, identifier, f'{source}: {error}', readers=readers
                 )
 
-    def look(self) -> None:
+    def report_changes(self) -> None:
         """Tell what has changed with the newest tick, if anything has."""
         loop, status = self._loop, self._loop.status or QUIET
         instruction = loop.push_gate.instruction
@@ -220,18 +220,18 @@ class ControllerReport:
             },
         )
         return partial(
-            state.message,
+            state.to_message,
             self._status_name,
             DiagnosticStatus.WARN if trouble else DiagnosticStatus.OK,
         )
 
-    def statuses(self) -> Iterator[Status | None]:
+    def collect_statuses(self) -> Iterator[ComponentStatus | None]:
         """Yield what diagnostics report, and None where a sample may come between."""
         loop, timing, active = self._loop, self._timing, self._node.state == ACTIVE
         told = self._told
         build_message = self._state(STATE)
         yield None
-        message = yield from self._node.helper.do(
+        message = yield from self._node.background.compute(
             lambda: serialize_message(build_message())
         )
         if told == self._told:  # else what is newer has been told meanwhile
@@ -246,8 +246,8 @@ class ControllerReport:
         if active:
             warnings += self._odd_samples()
         yield None
-        seen = yield from self._node.helper.do(self.watch.report)
-        yield Status(
+        seen = yield from self._node.background.compute(self.watch.report)
+        yield ComponentStatus(
             'loop',
             {
                 **seen.result(),
@@ -265,7 +265,7 @@ class ControllerReport:
         yield from self._publishers()
         yield from self._contacts()
         yield from self._sensor()
-        yield message_status(self._node.refusals, unpaired=timing.unpaired)
+        yield refusal_status(self._node.refusals, unpaired=timing.unpaired)
         if loop.supervisor.guarded:
             yield from self._supervisor()
 
@@ -311,16 +311,16 @@ class ControllerReport:
                 f'expected {config.rate:g} Hz',
             )
 
-    def _publishers(self) -> Iterator[Status | None]:
+    def _publishers(self) -> Iterator[ComponentStatus | None]:
         """Yield how many publish each input and command; warn with names where several do."""
-        counted = yield from self._node.helper.do(self._count_publishers)
+        counted = yield from self._node.background.compute(self._count_publishers)
         nodes = counted.result()
         several = '; '.join(
             f'{name} has {counts.total()} publishers, expected 1: {_with_counts(counts)}'
             for name, counts in nodes.items()
             if counts.total() > 1
         )
-        yield Status(
+        yield ComponentStatus(
             'publishers',
             {name: counts.total() for name, counts in nodes.items()},
             self._warn('publishers', several),
@@ -338,9 +338,9 @@ class ControllerReport:
             for name in self._owned
         }
 
-    def _supervisor(self) -> Iterator[Status | None]:
+    def _supervisor(self) -> Iterator[ComponentStatus | None]:
         """Yield what the supervisor does, and in how many ticks it did something else."""
-        friction = yield from self._node.helper.do(
+        friction = yield from self._node.background.compute(
             self._loop.supervisor.explanations.friction
         )
         status, log = self._loop.status or QUIET, self._loop.events
@@ -348,7 +348,7 @@ class ControllerReport:
         trouble = self._reaction() or friction.result()
         if status.unwatched:
             trouble = f'{trouble}; {status.unwatched}' if trouble else status.unwatched
-        yield Status(
+        yield ComponentStatus(
             'supervisor',
             {
                 'reaction': status.reaction,
@@ -380,14 +380,16 @@ class ControllerReport:
             (f'{status.reaction} instead of control: {causes}', *supervisor.findings)
         )
 
-    def _contacts(self) -> Iterator[Status | None]:
+    def _contacts(self) -> Iterator[ComponentStatus | None]:
         """Yield the states of the contacts and R [N^2]; their forces are on topics."""
         loop, output, config = self._loop, self._loop.output, self._loop.config
         values: dict[str, Any] = {'held': loop.held}
         if output is None:
-            yield Status('contacts', values)
+            yield ComponentStatus('contacts', values)
             return
-        unreadable = yield from self._node.helper.do(_hard_to_read, config, output)
+        unreadable = yield from self._node.background.compute(
+            _hard_to_read, config, output
+        )
         trouble: list[str] = []
         if self._timing.variance is not None:
             variances = dict(zip(config.column_names, self._timing.variance.tolist()))
@@ -417,18 +419,20 @@ class ControllerReport:
         trouble += [
             f'{name} is {state}' for name, state in states.items() if state in TROUBLED
         ]
-        yield Status('contacts', values | states, '; '.join(trouble))
+        yield ComponentStatus('contacts', values | states, '; '.join(trouble))
 
-    def _sensor(self) -> Iterator[Status | None]:
+    def _sensor(self) -> Iterator[ComponentStatus | None]:
         """Yield the health of the wrist sensor, and what is still to be proved of it."""
         gate, supervisor = self._loop.push_gate, self._loop.supervisor
-        felt = yield from self._node.helper.do(supervisor.explanations.stray_force)
+        felt = yield from self._node.background.compute(
+            supervisor.explanations.stray_force
+        )
         stray = '' if gate.running else felt.result()
         if stray:
             self._warn('stray', stray)
         fault = supervisor.inputs.sensor_fault
         failed = gate.result is not None and not gate.result.passed and not gate.running
-        yield Status(
+        yield ComponentStatus(
             'sensor',
             {
                 'fault': fault or 'none',

@@ -15,7 +15,7 @@ from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.graph import create_publisher, full_topic_name
 from multicontact_control.nodes.lifecycle import ManagedNode
-from multicontact_control.nodes.messages import identifier_of, JOINT_FIELDS
+from multicontact_control.nodes.messages import get_identifier, JOINT_FIELDS
 from multicontact_control.nodes.streams import StreamPublisher
 from multicontact_control.sensor.push_test import PushTestConfig
 import numpy as np
@@ -100,7 +100,7 @@ class ControllerOutputs:
         commands = StreamPublisher(
             node, topics.EFFORT_COMMAND, build(0, joints, effort=np.zeros(len(joints)))
         )
-        self.command, self.publish = commands.write, commands.publish
+        self.command, self.publish = commands.encode_message, commands.publish
         self.publish_bare = (
             node.create_publisher(
                 Float64MultiArray,
@@ -124,15 +124,15 @@ class ControllerOutputs:
         self._markers = create_publisher(node, topics.CONTACT_MARKERS)
         self._marker_ticks = max(1, round(config.rate / MARKER_RATE))
 
-    def show(self, stamp: int, tick: int, output: ControlOutput) -> None:
+    def publish_tick(self, stamp: int, tick: int, output: ControlOutput) -> None:
         """Publish forces, innovations, poses and markers of a tick with a stamp [ns]."""
         for publisher, numbers in self._shown:
-            publisher.send(stamp, *numbers(output))
+            publisher.publish_if_subscribed(stamp, *numbers(output))
         if tick % self._marker_ticks == 0:
-            self._markers.publish(contact_arrows(self._config, stamp, output))
+            self._markers.publish(build_contact_arrows(self._config, stamp, output))
 
 
-def contact_arrows(
+def build_contact_arrows(
     config: ControllerConfig, stamp: int, output: ControlOutput
 ) -> MarkerArray:
     """
@@ -201,7 +201,7 @@ SERVICES = {
 }
 
 
-def serve_commands(
+def create_command_servers(
     node: ManagedNode,
     loop: ControlLoop,
     answer: Callable[[str, str, Exception | None, str], None],
@@ -223,7 +223,7 @@ def serve_commands(
             if source == topics.MOTION_COMMAND.name:
                 left_out = outcome
         except MulticontactError as error:
-            node.refusals.refuse(source, error)
+            node.refusals.log_refusal(source, error)
             outcome = refusal = error
         answer(source, identifier, refusal, left_out)
         return outcome
@@ -256,7 +256,7 @@ def serve_commands(
             topic.message,
             topic.name,
             lambda message, source=topic.name, work=command: obey(
-                source, work, message, identifier_of(message)
+                source, work, message, get_identifier(message)
             ),
             qos.EVENT,
         )

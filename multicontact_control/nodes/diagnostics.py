@@ -11,8 +11,8 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from multicontact_control.arrays import Vector
 from multicontact_control.nodes import topics
-from multicontact_control.nodes.graph import create_publisher, Refusals
-from multicontact_control.nodes.helper import Helper
+from multicontact_control.nodes.background import BackgroundThread
+from multicontact_control.nodes.graph import create_publisher, RefusalLog
 from multicontact_control.nodes.topics import CONTROLLER, ESTIMATOR, SIM, Topic
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
@@ -31,7 +31,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 
 @dataclass(frozen=True)
-class Status:
+class ComponentStatus:
     """A part of a node, e.g. ``loop``: values by name, and what is not as it should be."""
 
     part: str
@@ -40,7 +40,7 @@ class Status:
     error: str = ''
 
 
-def status_message(name: str, status: Status) -> DiagnosticStatus:
+def build_status_message(name: str, status: ComponentStatus) -> DiagnosticStatus:
     """Return the message of a part of a node."""
     return DiagnosticStatus(
         name=f'{name}: {status.part}',
@@ -62,32 +62,32 @@ def status_message(name: str, status: Status) -> DiagnosticStatus:
     )
 
 
-def report_message(node: Node, statuses: Iterable[Status]) -> bytes:
+def serialize_report(node: Node, statuses: Iterable[ComponentStatus]) -> bytes:
     """Return the message of a whole report of a node, serialised."""
     name = node.get_fully_qualified_name().lstrip('/')
     message = DiagnosticArray(
-        status=[status_message(name, status) for status in statuses]
+        status=[build_status_message(name, status) for status in statuses]
     )
     message.header.stamp = node.get_clock().now().to_msg()
     return bytes(serialize_message(message))
 
 
-class Diagnostics:
+class DiagnosticsPublisher:
     """
     Publishes what `collect` yields of a node, once a second of the wall clock.
 
     No sample waits for a whole report: it is made step by step, with `PAUSE` between two of them,
-    and the message by the helper.
+    and the message by the background thread.
     `collect` yields None where its own work may pause.
     """
 
     def __init__(
         self,
         node: Node,
-        collect: Callable[[], Iterable[Status | None]],
-        helper: Helper,
+        collect: Callable[[], Iterable[ComponentStatus | None]],
+        background: BackgroundThread,
     ) -> None:
-        self._node, self._collect, self._helper = node, collect, helper
+        self._node, self._collect, self._background = node, collect, background
         self._publisher = create_publisher(node, topics.DIAGNOSTICS)
         self._next = self._due = time.monotonic_ns() + PERIOD  # report, and step
         self._steps: Iterator[None] | None = None  # of the report that is being made
@@ -118,7 +118,9 @@ class Diagnostics:
             if status is not None:
                 statuses.append(status)
         yield
-        message = yield from self._helper.do(report_message, self._node, statuses)
+        message = yield from self._background.compute(
+            serialize_report, self._node, statuses
+        )
         self._publisher.publish(message.result())
 
 
@@ -186,7 +188,7 @@ class LoopStatistics:
         }
 
 
-class Inputs:
+class InputMonitor:
     """
     When each input came `last`, monotonic time [ns]; logs what is missing, and what comes again.
 
@@ -216,7 +218,7 @@ class Inputs:
         last = self.last[topic]
         return (time.monotonic_ns() - last) * 1e-9 if last else math.inf
 
-    def status(self, *, needed: bool, consequence: str = '') -> Status:
+    def status(self, *, needed: bool, consequence: str = '') -> ComponentStatus:
         """Return ages; if `needed`, which are above `max_age`, and what is done about it."""
         ages = {topic: self.age(topic) for topic in self.last}
         stale = {
@@ -229,7 +231,7 @@ class Inputs:
             f'no {topic.name} ' + (f'for {age:.3g} s' if age < math.inf else 'ever')
             for topic, age in stale.items()
         )
-        return Status(
+        return ComponentStatus(
             'inputs',
             {
                 f'age_s {topic.name}': age if age < math.inf else None
@@ -283,9 +285,9 @@ class Inputs:
         )
 
 
-def message_status(refusals: Refusals, **dropped: int) -> Status:
+def refusal_status(refusals: RefusalLog, **dropped: int) -> ComponentStatus:
     """Return what was refused, by cause, and what was dropped."""
-    return Status(
+    return ComponentStatus(
         'messages',
         {
             'refused': sum(refusals.counts.values()),

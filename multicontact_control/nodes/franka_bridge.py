@@ -26,9 +26,9 @@ from multicontact_control.config import Config, parameter
 from multicontact_control.config import Vector as Numbers
 from multicontact_control.errors import ConfigError, MulticontactError, RunError
 from multicontact_control.nodes import diagnostics, graph, messages, qos, topics
-from multicontact_control.nodes.helper import Helper
+from multicontact_control.nodes.background import BackgroundThread
 from multicontact_control.nodes.parameters import load_parameters
-from multicontact_control.nodes.runtime import one_line, run_node, Spinner
+from multicontact_control.nodes.runtime import run_node, shorten_ros_error, Spinner
 from multicontact_control.nodes.streams import MessageReader, StreamPublisher
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
@@ -43,17 +43,20 @@ SWITCH_INTERVAL = (
 )
 STATUS_PERIOD, LOG_PERIOD, CONNECT_PERIOD = 1.0, 5.0, 0.5  # s
 RECOVERY_TIMEOUT, JOIN_TIMEOUT = 10.0, 2.0  # s
-COMMANDED, HELD, DAMPED, STOPPED = 'commanded', 'held', 'damped', 'stopped'  # a torque
+TORQUE_COMMANDED = 'commanded'
+TORQUE_HELD = 'held'
+TORQUE_DAMPED = 'damped'
+TORQUE_STOPPED = 'stopped'
 FIGURES = (
     'cycles',
     'starts',
     'aborts',
     'recoveries',
     'lost_cycles',
-    COMMANDED,
-    HELD,
-    DAMPED,
-    STOPPED,
+    TORQUE_COMMANDED,
+    TORQUE_HELD,
+    TORQUE_DAMPED,
+    TORQUE_STOPPED,
     'rate_limited',
     'wrench_late',
     'highest_torque_rate',
@@ -144,7 +147,7 @@ class LateRule:
     """
 
     def __init__(self, config: LateConfig) -> None:
-        self._config, self.kind = config, COMMANDED
+        self._config, self.kind = config, TORQUE_COMMANDED
         self._damping, self._step = np.array(config.damping), config.torque_rate * CYCLE
         self.figures: dict[str, float] = dict.fromkeys(FIGURES, 0)
 
@@ -159,18 +162,20 @@ class LateRule:
         """
         config = self._config
         self.kind = (
-            COMMANDED
+            TORQUE_COMMANDED
             if age <= config.command_age
-            else HELD
+            else TORQUE_HELD
             if age <= config.hold_time
-            else DAMPED
+            else TORQUE_DAMPED
             if age <= config.stop_time
-            else STOPPED
+            else TORQUE_STOPPED
         )
         self.figures[self.kind] += 1
-        if self.kind == STOPPED:
+        if self.kind == TORQUE_STOPPED:
             return None
-        change = (-self._damping * speed if self.kind == DAMPED else commanded) - before
+        change = (
+            -self._damping * speed if self.kind == TORQUE_DAMPED else commanded
+        ) - before
         limited = np.clip(change, -self._step, self._step)
         self.figures['rate_limited'] += bool(np.any(limited != change))
         self.figures['highest_torque_rate'] = max(
@@ -202,7 +207,7 @@ class FrankaBridge(Node):
         )
         self._command, self._command_stamp = np.zeros(JOINTS), 0
         self._wrench, self._wrench_stamp = np.zeros(6), 0  # and when it came
-        self._refusals = graph.Refusals(self.get_logger())
+        self._refusals = graph.RefusalLog(self.get_logger())
         self._refused: deque[tuple[str, Exception]] = deque(maxlen=100)
         self._samples = StreamPublisher(
             self,
@@ -226,7 +231,11 @@ class FrankaBridge(Node):
         self._heard = {
             topic: (
                 self._listener.create_subscription(
-                    topic.message, topic.name, graph.ignore, qos.SENSOR, raw=True
+                    topic.message,
+                    topic.name,
+                    graph.ignore_message,
+                    qos.SENSOR,
+                    raw=True,
                 ),
                 MessageReader(topic.message, read),
             )
@@ -234,7 +243,7 @@ class FrankaBridge(Node):
                 (
                     topics.EFFORT_COMMAND,
                     partial(
-                        messages.read_named,
+                        messages.read_named_vectors,
                         names=self._config.joint_names,
                         fields=['effort'],
                     ),
@@ -243,10 +252,12 @@ class FrankaBridge(Node):
             )
         }
         self._watch = diagnostics.LoopStatistics(1.0 / CYCLE)
-        self._inputs = diagnostics.Inputs(
+        self._inputs = diagnostics.InputMonitor(
             self, 1.0 / (CYCLE * self._config.divider), sensor
         )
-        self._diagnostics = diagnostics.Diagnostics(self, self._statuses, Helper())
+        self._diagnostics = diagnostics.DiagnosticsPublisher(
+            self, self._statuses, BackgroundThread()
+        )
         self._status_publisher = self.create_publisher(
             DiagnosticStatus, '~/status', qos.EVENT
         )
@@ -353,7 +364,7 @@ class FrankaBridge(Node):
     def _take_inputs(self, stamp: int) -> None:
         """Take in the newest command and wrench."""
         for topic, (subscription, read) in self._heard.items():
-            while (taken := graph.take(subscription)) is not None:
+            while (taken := graph.take_message(subscription)) is not None:
                 try:
                     if topic is topics.EFFORT_COMMAND:
                         self._command_stamp, self._command = read(taken[0])
@@ -384,7 +395,7 @@ class FrankaBridge(Node):
     def _publish(self, stamp: int, state: Any, speed: Vector) -> None:
         """Publish a sample."""
         if 1e-9 * (stamp - self._wrench_stamp) <= self._config.wrench_age:
-            self._wrenches.send(stamp, self._wrench)
+            self._wrenches.publish_if_subscribed(stamp, self._wrench)
         else:
             self._figures['wrench_late'] += 1
         effort = (
@@ -392,7 +403,7 @@ class FrankaBridge(Node):
             if self._model is None
             else (np.array(state.tau_J) - np.array(self._model.gravity(state)))
         )
-        self._samples.send(stamp, state.q, speed, effort)
+        self._samples.publish_if_subscribed(stamp, state.q, speed, effort)
 
     def _fail(self, error: Exception) -> None:
         """Take note of what ended torque control or the connection."""
@@ -403,7 +414,7 @@ class FrankaBridge(Node):
         elif self._active is not None:
             with contextlib.suppress(RuntimeError, self._library.FrankaException):
                 self._finish()  # libfranka then knows that it has ended
-        text = one_line(error).removeprefix('libfranka: ').rstrip('.')
+        text = shorten_ros_error(error).removeprefix('libfranka: ').rstrip('.')
         self._problem = (
             f'{self._config.address}: {text}' if self._robot is None else text
         )
@@ -443,7 +454,7 @@ class FrankaBridge(Node):
         response.message = self._problem if done else 'no answer of the robot'
         return response
 
-    def _robot_status(self) -> diagnostics.Status:
+    def _robot_status(self) -> diagnostics.ComponentStatus:
         """Return what the robot and the bridge do."""
         mode, error, warning = self._mode, self._problem, ''
         if self._active is not None:
@@ -452,16 +463,16 @@ class FrankaBridge(Node):
             control = 'off'
         else:
             control = (
-                'has ended; ' * (self._rule.kind == STOPPED)
+                'has ended; ' * (self._rule.kind == TORQUE_STOPPED)
                 + 'starts with the next command'
             )
-        if control in (HELD, DAMPED):
+        if control in (TORQUE_HELD, TORQUE_DAMPED):
             warning = f'no command in time: torques are {control}'
         elif control == 'off' and mode != 'Idle':
             warning = f'the robot is in mode {mode}'
         if error and (self._lost or self._robot is not None):
             error += '; call ~/recover'
-        return diagnostics.Status(
+        return diagnostics.ComponentStatus(
             'robot',
             {
                 'torque_control': control,
@@ -476,14 +487,18 @@ class FrankaBridge(Node):
     def _report(self) -> None:
         """Publish on ``~/status`` what changes, and once a second; log it."""
         while self._refused:
-            self._refusals.refuse(*self._refused.popleft())
+            self._refusals.log_refusal(*self._refused.popleft())
         status, now = self._robot_status(), time.monotonic()
         control = status.values['torque_control']
         texts = (
             status.error,
             status.warning,
             f'{self._config.address}: torque control '
-            + ('runs' if control in (COMMANDED, HELD, DAMPED) else control),
+            + (
+                'runs'
+                if control in (TORQUE_COMMANDED, TORQUE_HELD, TORQUE_DAMPED)
+                else control
+            ),
         )
         if texts != self._reported[1] or now > self._reported[0] + STATUS_PERIOD:
             if status.error and status.error not in self._reported[1]:
@@ -495,14 +510,16 @@ class FrankaBridge(Node):
             elif not status.error and texts[2] not in self._reported[1]:
                 self.get_logger().info(texts[2])
             self._reported = (now, texts)
-            self._status_publisher.publish(diagnostics.status_message(NAME, status))
+            self._status_publisher.publish(
+                diagnostics.build_status_message(NAME, status)
+            )
 
-    def _statuses(self) -> Sequence[diagnostics.Status]:
+    def _statuses(self) -> Sequence[diagnostics.ComponentStatus]:
         return [
             self._robot_status(),
-            diagnostics.Status('loop', self._watch.report()),
+            diagnostics.ComponentStatus('loop', self._watch.report()),
             self._inputs.status(needed=self._robot is not None),
-            diagnostics.message_status(self._refusals),
+            diagnostics.refusal_status(self._refusals),
         ]
 
 

@@ -11,10 +11,10 @@ from typing import Any
 
 from multicontact_control.config import Config, parameter
 from multicontact_control.errors import ConfigError, MulticontactError
-from multicontact_control.files import write_json
+from multicontact_control.files import replace_json_file
 from multicontact_control.nodes import qos
 from multicontact_control.nodes.private import RcutilsLogger
-from multicontact_control.nodes.runtime import loaded_kernels, one_line
+from multicontact_control.nodes.runtime import loaded_kernels, shorten_ros_error
 from multicontact_control.nodes.topics import Topic, TOPICS
 from multicontact_control.process import claim_processor
 from rclpy.exceptions import NameValidationException
@@ -57,12 +57,12 @@ class StartupConfig(Config):
         """Write the counts and times of a run, if asked to."""
         if self.timing_file:
             kernels = loaded_kernels()
-            write_json(
+            replace_json_file(
                 Path(self.timing_file),
                 {
                     **counts,
                     'cpu_s': time.process_time(),
-                    'kernels_compiled': kernels.compiled_here() if kernels else 0,
+                    'kernels_compiled': kernels.count_compilations() if kernels else 0,
                 },
             )
 
@@ -75,7 +75,7 @@ def full_topic_name(field: str, name: str, node: Node | None = None) -> str:
         validate_full_topic_name(full)
     except (NameValidationException, ValueError) as error:
         raise ConfigError(
-            field, 'a name of a topic', f"'{name}' ({one_line(error)})"
+            field, 'a name of a topic', f"'{name}' ({shorten_ros_error(error)})"
         ) from None
     return full
 
@@ -85,7 +85,7 @@ def create_publisher(node: Node, topic: Topic) -> Publisher:
     return node.create_publisher(topic.message, topic.name, topic.profile)
 
 
-def compatible(offered: QoSProfile, requested: QoSProfile) -> bool:
+def offers_enough(offered: QoSProfile, requested: QoSProfile) -> bool:
     """Return whether a publisher offers the reliability and durability that a reader requests."""
     # rclpy's own check takes the endless deadline of a discovered reader for one that is set.
     return bool(
@@ -94,7 +94,7 @@ def compatible(offered: QoSProfile, requested: QoSProfile) -> bool:
     )
 
 
-def take(subscription: Subscription) -> tuple[Any, dict[str, Any]] | None:
+def take_message(subscription: Subscription) -> tuple[Any, dict[str, Any]] | None:
     """Return the next message that waits, and what is known of it; no executor is needed."""
     with subscription.handle:
         taken: tuple[Any, dict[str, Any]] | None = subscription.handle.take_message(
@@ -103,18 +103,18 @@ def take(subscription: Subscription) -> tuple[Any, dict[str, Any]] | None:
     return taken
 
 
-def ignore(_message: object) -> None:
+def ignore_message(_message: object) -> None:
     """Stand in for the callback of a subscription whose messages are taken."""
 
 
-class Refusals:
+class RefusalLog:
     """Counts what was refused by cause, and logs it once."""
 
     def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger
         self.counts: Counter[str] = Counter()
 
-    def refuse(self, source: str, error: Exception) -> None:
+    def log_refusal(self, source: str, error: Exception) -> None:
         """Take note of what came from a topic, service or parameter and cannot be used."""
         cause = f'{source}: {error}'.split(', got ')[0]
         self.counts[cause] += 1
@@ -124,12 +124,12 @@ class Refusals:
             )
 
     @contextmanager
-    def guard(self, topic: Topic) -> Iterator[None]:
+    def logging_refusals(self, topic: Topic) -> Iterator[None]:
         """Count a message of a topic as refused if its use inside raises an error of ours."""
         try:
             yield
         except MulticontactError as error:
-            self.refuse(topic.name, error)
+            self.log_refusal(topic.name, error)
 
 
 class StartupGate:
@@ -183,7 +183,7 @@ class StartupGate:
                 for x in self._node.get_subscriptions_info_by_topic(
                     publisher.topic_name
                 )
-                if compatible(publisher.qos_profile, x.qos_profile)
+                if offers_enough(publisher.qos_profile, x.qos_profile)
             ]
             present = {
                 x.node_name

@@ -13,9 +13,9 @@ from typing import Any
 
 from multicontact_control.config import Config
 from multicontact_control.errors import MulticontactError
-from multicontact_control.nodes.diagnostics import Diagnostics, Status
-from multicontact_control.nodes.graph import Refusals, StartupConfig, StartupGate
-from multicontact_control.nodes.helper import Helper
+from multicontact_control.nodes.background import BackgroundThread
+from multicontact_control.nodes.diagnostics import ComponentStatus, DiagnosticsPublisher
+from multicontact_control.nodes.graph import RefusalLog, StartupConfig, StartupGate
 from multicontact_control.nodes.live_changes import LiveChanges
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.private import change_state_service, RCLError
@@ -41,19 +41,21 @@ class ManagedNode(LifecycleNode):
     A transition that fails says why in one line and leaves the node where it was. rclpy calls
     callbacks in every state: they look at `state`. A node is `working` once it is active and its
     peers are there. `look` is called at `due` at the latest, monotonic time [ns]; 0 for now and
-    then. What takes longer than a sample may wait is for the `helper`.
+    then. What takes longer than a sample may wait is for the `background`.
     """
 
     def __init__(self, name: str, *models: type[Config], **options: Any) -> None:
         super().__init__(name, **options)
         self.state, self.working, self.due = UNCONFIGURED, False, 0
-        self.refusals = Refusals(self.get_logger())
+        self.refusals = RefusalLog(self.get_logger())
         self.parameter_set = ParameterSet(self, *models)
-        self.parameter_set.refuse = self.refusals.refuse
-        self.parameter_set.design = self.design
-        self.helper = Helper()
-        self._changes = LiveChanges(self, self.parameter_set, self.helper)
-        self._diagnostics = Diagnostics(self, self._all_statuses, self.helper)
+        self.parameter_set.report_refusal = self.refusals.log_refusal
+        self.parameter_set.compute_design = self.compute_design
+        self.background = BackgroundThread()
+        self._changes = LiveChanges(self, self.parameter_set, self.background)
+        self._diagnostics = DiagnosticsPublisher(
+            self, self._all_statuses, self.background
+        )
         self._gate: StartupGate | None = None
         self._gate_passed, self._failure = (
             False,
@@ -76,27 +78,27 @@ class ManagedNode(LifecycleNode):
         """Forget the past and begin; return what to wait for."""
 
     @abstractmethod
-    def clean_up(self) -> None:
+    def write_run_counts(self) -> None:
         """Write the counts of the run; the ends of topics are destroyed by themselves."""
 
     @abstractmethod
-    def statuses(self) -> Iterable[Status | None]:
+    def collect_statuses(self) -> Iterable[ComponentStatus | None]:
         """Yield what diagnostics report, and None where a sample may come between."""
 
     def deactivate(self) -> None:
         """Stop the node's work; by itself it gives no more answers."""
 
-    def design(self, configurations: Sequence[Any]) -> Any:
+    def compute_design(self, configurations: Sequence[Any]) -> Any:
         """Return what new configurations lead to, or raise; called in another thread."""
         return configurations
 
-    def reconfigure(self, design: Any) -> None:
+    def apply_design(self, design: Any) -> None:
         """Go on with what new configurations lead to, or raise and change nothing."""
 
-    def look(self, spinner: Spinner) -> None:
+    def do_due_work(self, spinner: Spinner) -> None:
         """Do what is due; called after each callback, at `due`, and when the gate has opened."""
 
-    def take_leave(self, spinner: Spinner) -> None:
+    def shutdown_safely(self, spinner: Spinner) -> None:
         """Do what others need before the process ends; called when it has been asked to."""
 
     def run(self, spinner: Spinner) -> None:
@@ -107,7 +109,7 @@ class ManagedNode(LifecycleNode):
                     raise self._failure
         while not (spinner.stop or self.state == FINALIZED):
             self.spin_once(spinner)
-        self.take_leave(spinner)
+        self.shutdown_safely(spinner)
         end = time.monotonic() + DRAIN_TIME
         while time.monotonic() < end:
             spinner.spin_once(SPIN_TIMEOUT)
@@ -119,26 +121,26 @@ class ManagedNode(LifecycleNode):
         if self.state == ACTIVE and not self.working and self._gate is not None:
             self.working = self._gate_passed = self._gate.poll()
         if self.working or self.state == INACTIVE:
-            self.look(spinner)
+            self.do_due_work(spinner)
         self._changes.poll()
         self._diagnostics.poll()
 
-    def _all_statuses(self) -> Iterator[Status | None]:
-        yield Status('life cycle', {'state': self.state})
+    def _all_statuses(self) -> Iterator[ComponentStatus | None]:
+        yield ComponentStatus('life cycle', {'state': self.state})
         if self.state in (ACTIVE, INACTIVE):
-            yield from self.statuses()
+            yield from self.collect_statuses()
 
     def close(self) -> None:
         """Leave what a configured node leaves at its end."""
         if self.state in (ACTIVE, INACTIVE):
-            self.clean_up()
+            self.write_run_counts()
 
     def on_configure(self, _state: LifecycleState) -> Any:
         """Implement `LifecycleNode`."""
 
         def work() -> None:
-            self.configure(self.parameter_set.configurations())
-            self.parameter_set.use = self.reconfigure
+            self.configure(self.parameter_set.build_configurations())
+            self.parameter_set.apply_design = self.apply_design
             self.parameter_set.version += 1
             settle_process()
 
@@ -172,7 +174,7 @@ class ManagedNode(LifecycleNode):
     def _end(self) -> None:
         """Close, and destroy the ends of topics and services that `configure` has created."""
         self.close()
-        self.parameter_set.use = None
+        self.parameter_set.apply_design = None
         self._diagnostics.restart()
         if self._gate is not None:
             self._lasting.append(self._gate.marker)

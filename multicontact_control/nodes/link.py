@@ -15,12 +15,12 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from multicontact_control.errors import MessageError, RunError
 from multicontact_control.nodes import qos, topics
-from multicontact_control.nodes.graph import create_publisher, take
+from multicontact_control.nodes.graph import create_publisher, take_message
 from multicontact_control.nodes.messages import (
     ControllerStatus,
-    identify,
     new_identifier,
     REFUSED,
+    set_identifier,
 )
 from multicontact_control.nodes.runtime import start_ros
 from multicontact_control.nodes.topics import Topic
@@ -107,7 +107,7 @@ def _parameter_message(name: str, value: Any) -> Any:
         ) from None
 
 
-class GuestNode:
+class ServiceClientNode:
     """
     A node without parameters and logs, which calls services and transitions of others.
 
@@ -175,28 +175,28 @@ class GuestNode:
                 'make another one'
             )
 
-    def bring_up(self, node_name: str) -> None:
+    def configure_and_activate(self, node_name: str) -> None:
         """Configure and activate a node, as far as it is not."""
         for state, transition in (('unconfigured', CONFIGURE), ('inactive', ACTIVATE)):
-            if self.state(node_name) == state:
-                self.change(node_name, transition)
+            if self.get_state(node_name) == state:
+                self.change_state(node_name, transition)
 
-    def change(self, node_name: str, transition: str) -> None:
+    def change_state(self, node_name: str, transition: str) -> None:
         """Lead a node to where a transition goes; TransitionError if it refuses, NoAnswerError."""
         request = ChangeState.Request(transition=Transition(label=transition))
         with suppress(
             NoAnswerError
         ):  # it is lost, or the node is at work and answers later
-            if self.call(
+            if self.call_service(
                 node_name, ChangeState, 'change_state', request, FIRST_TIMEOUT
             ).success:
                 return
-        if self.state(node_name) != GOALS[transition]:
+        if self.get_state(node_name) != GOALS[transition]:
             raise TransitionError(
                 f'{node_name} refused to {transition}; its log says why'
             )
 
-    def state(self, node_name: str) -> str:
+    def get_state(self, node_name: str) -> str:
         """Return the state of a node; NoAnswerError."""
         give_up = time.monotonic() + self._patience
         while (
@@ -204,7 +204,7 @@ class GuestNode:
         ):  # one that is killed and started again seems to listen, and never answers
             try:
                 return str(
-                    self.call(
+                    self.call_service(
                         node_name, GetState, 'get_state', GetState.Request(), ASK_PERIOD
                     ).current_state.label
                 )
@@ -215,13 +215,13 @@ class GuestNode:
     def has_lifecycle(self, node_name: str, wait: float) -> bool:
         """Return whether a node has a lifecycle, looking for it for up to `wait` [s]."""
         self._require_open()
-        return self._wait(
+        return self._wait_until(
             self._client(node_name, GetState, 'get_state').service_is_ready,
             wait,
             f'{node_name} to appear',
         )
 
-    def call(
+    def call_service(
         self,
         node_name: str,
         service: Any,
@@ -235,7 +235,7 @@ class GuestNode:
             self._client(node_name, service, name),
             min(timeout, self._patience),
         )
-        if not self._wait(
+        if not self._wait_until(
             client.service_is_ready, self._patience, f'{node_name} to appear'
         ):
             raise NoAnswerError(
@@ -243,20 +243,22 @@ class GuestNode:
                 f'{self._patience:g} s in {self._domain}, got none'
             )
         future = client.call_async(request)
-        if not self._wait(future.done, timeout, f'{node_name} to answer'):
+        if not self._wait_until(future.done, timeout, f'{node_name} to answer'):
             client.remove_pending_request(future)
             raise NoAnswerError(
                 f'{client.service_name}: expected an answer within {timeout:g} s, got none'
             )
         return future.result()
 
-    def parameters(self, node_name: str, *names: str) -> list[Any]:
+    def get_parameters(self, node_name: str, *names: str) -> list[Any]:
         """Return parameters of a node; RunError if it lacks one."""
         request = GetParameters.Request(names=names)
         values = [
             *map(
                 parameter_value_to_python,
-                self.call(node_name, GetParameters, 'get_parameters', request).values,
+                self.call_service(
+                    node_name, GetParameters, 'get_parameters', request
+                ).values,
             )
         ]
         if len(values) != len(names) or None in values:
@@ -273,7 +275,7 @@ class GuestNode:
                 _parameter_message(name, value) for name, value in values.items()
             ]
         )
-        result = self.call(
+        result = self.call_service(
             node_name, SetParametersAtomically, 'set_parameters_atomically', request
         ).result
         if not result.successful:
@@ -284,7 +286,7 @@ class GuestNode:
 
     def _require_known(self, node_name: str, names: Iterable[str]) -> None:
         """Refuse names of parameters that a node does not have; RunError with all of them."""
-        known = self.call(
+        known = self.call_service(
             node_name, ListParameters, 'list_parameters', ListParameters.Request()
         ).result.names
         unknown = [f"'{name}'" for name in names if name not in known]
@@ -293,7 +295,9 @@ class GuestNode:
                 f'{node_name}: expected parameters that it has, got {", ".join(unknown)}'
             )
 
-    def _wait(self, condition: Callable[[], Any], timeout: float, what: str) -> bool:
+    def _wait_until(
+        self, condition: Callable[[], Any], timeout: float, what: str
+    ) -> bool:
         """Return whether a condition came true in time; errors of `keep_waiting` go through."""
         give_up = time.monotonic() + timeout
         while not condition():
@@ -304,7 +308,7 @@ class GuestNode:
         return True
 
 
-class ControllerLink(GuestNode):
+class ControllerLink(ServiceClientNode):
     """
     One end of a connection to a running controller, without a thread.
 
@@ -362,28 +366,28 @@ class ControllerLink(GuestNode):
             publisher.wait_for_all_acked(Duration(seconds=CONNECTION_TIME))
         super().close()
 
-    def _taken(self, topic: Topic) -> deque[Any]:
+    def _take_arrived(self, topic: Topic) -> deque[Any]:
         self._require_open()
         kept = self._kept[topic]
-        while (taken := take(self._subscriptions[topic])) is not None:
+        while (taken := take_message(self._subscriptions[topic])) is not None:
             kept.append(taken[0])
         return kept
 
-    def newest(self, topic: Topic) -> Any | None:
+    def get_newest(self, topic: Topic) -> Any | None:
         """Return the newest message of a topic, None if none has come so far."""
-        return next(reversed(self._taken(topic)), None)
+        return next(reversed(self._take_arrived(topic)), None)
 
-    def queue(self, topic: Topic) -> list[Any]:
+    def take_queued(self, topic: Topic) -> list[Any]:
         """Return the messages of a topic that have come since this was called last."""
-        messages = list(self._taken(topic))
+        messages = list(self._take_arrived(topic))
         self._kept[topic].clear()
         return messages
 
-    def fresh(self, *wanted: Topic, one_stamp: bool = False) -> list[Any]:
+    def receive_fresh(self, *wanted: Topic, one_stamp: bool = False) -> list[Any]:
         """Return messages that come from now on, all of one stamp if asked to; RunError."""
 
         def complete() -> list[Any] | None:
-            messages: list[Any] = [self.newest(topic) for topic in wanted]
+            messages: list[Any] = [self.get_newest(topic) for topic in wanted]
             stamps = [x and x.header.stamp for x in messages]
             return (
                 None
@@ -393,12 +397,12 @@ class ControllerLink(GuestNode):
             )
 
         for topic in wanted:
-            self._taken(topic).clear()
-        return self._awaited(
+            self._take_arrived(topic).clear()
+        return self._await_value(
             complete, f'{", ".join(topic.name for topic in wanted)}: expected a message'
         )
 
-    def _awaited(self, get: Callable[[], T | None], missing: str) -> T:
+    def _await_value(self, get: Callable[[], T | None], missing: str) -> T:
         give_up = time.monotonic() + self._patience
         while (value := get()) is None:
             if time.monotonic() > give_up:
@@ -409,39 +413,42 @@ class ControllerLink(GuestNode):
             time.sleep(POLL_PERIOD)
         return value
 
-    def look(self) -> list[ControllerStatus]:
+    def take_statuses(self) -> list[ControllerStatus]:
         """Return what the controller has said of itself and of commands since the last look."""
         statuses = [
-            ControllerStatus.of(message) for message in self.queue(topics.STATUS)
+            ControllerStatus.from_message(message)
+            for message in self.take_queued(topics.STATUS)
         ]
         for self.last_status in statuses:
             self._on_status(self.last_status)
         return statuses
 
-    def ask(self, name: str, service: Any, request: Any) -> str:
+    def request_service(self, name: str, service: Any, request: Any) -> str:
         """Call a service of the controller; return what it says; CommandRefusedError."""
-        answer = self.call(topics.CONTROLLER, service, name, request)
+        answer = self.call_service(topics.CONTROLLER, service, name, request)
         if not answer.success:
             raise CommandRefusedError(
                 f'{topics.CONTROLLER}: {name} refused: {answer.message}'
             )
         return str(answer.message)
 
-    def send(self, topic: Topic, command: Any, identifier: str) -> None:
+    def publish_command(self, topic: Topic, command: Any, identifier: str) -> None:
         """Publish a command once, without waiting for an answer."""
         self._require_open()
-        identify(command, identifier)
+        set_identifier(command, identifier)
         self._publishers[topic].publish(command)
 
-    def accepted(self, identifier: str) -> ControllerStatus | None:
+    def find_acceptance(self, identifier: str) -> ControllerStatus | None:
         """Return the acceptance of a command since the last look, if any; CommandRefusedError."""
-        answers = [status for status in self.look() if status.command == identifier]
+        answers = [
+            status for status in self.take_statuses() if status.command == identifier
+        ]
         for status in answers:
             if status.event == REFUSED:
                 raise CommandRefusedError(status.text)
         return answers[-1] if answers else None
 
-    def command(self, topic: Topic, command: Any) -> ControllerStatus:
+    def command_until_answered(self, topic: Topic, command: Any) -> ControllerStatus:
         """
         Publish a command until it is accepted, and return what the controller says then.
 
@@ -453,20 +460,22 @@ class ControllerLink(GuestNode):
         identifier, due, sent_to = new_identifier(), 0.0, 0
         readers = self._publishers[topic].get_subscription_count
 
-        def accepted() -> ControllerStatus | None:
+        def publish_until_answered() -> ControllerStatus | None:
             nonlocal due, sent_to
             if (
                 time.monotonic() >= due
             ):  # one that comes before the connection stands is lost
                 due, sent_to = time.monotonic() + RESEND_PERIOD, readers()
-                self.send(topic, command, identifier)
-            return self.accepted(identifier)
+                self.publish_command(topic, command, identifier)
+            return self.find_acceptance(identifier)
 
-        answer = self._awaited(accepted, f'{topic.name}: expected an answer')
+        answer = self._await_value(
+            publish_until_answered, f'{topic.name}: expected an answer'
+        )
         if topic not in self._connected:
             self._connected.add(topic)
-            if sent_to < answer.readers and self._wait(
+            if sent_to < answer.readers and self._wait_until(
                 lambda: readers() >= answer.readers, CONNECTION_TIME, topic.name
             ):
-                self.send(topic, command, identifier)
+                self.publish_command(topic, command, identifier)
         return answer

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
-from multicontact_control.nodes.helper import Helper
+from multicontact_control.nodes.background import BackgroundThread
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.private import answer_later
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
@@ -21,12 +21,15 @@ class LiveChanges:
     """
     Answers requests to set parameters of a node, each once its change is in force or refused.
 
-    What a change leads to takes longer than a sample may wait: the helper computes it, one change
+    What a change leads to takes longer than a sample may wait: a background
+    thread computes it, one change
     after the other. `poll`, called by the node's loop, takes it over.
     """
 
-    def __init__(self, node: Node, parameters: ParameterSet, helper: Helper) -> None:
-        self._parameters, self._helper = parameters, helper
+    def __init__(
+        self, node: Node, parameters: ParameterSet, background: BackgroundThread
+    ) -> None:
+        self._parameters, self._background = parameters, background
         self._requests: deque[Iterator[None]] = deque()
         for service in node.services:
             if service.srv_type is SetParameters:
@@ -71,6 +74,8 @@ class LiveChanges:
             version = None
             while version != parameters.version:  # another change has come first
                 version = parameters.version
-                designed = yield from self._helper.do(parameters.design_change, change)
+                designed = yield from self._background.compute(
+                    parameters.design_change, change
+                )
             results.append(parameters.apply(change, designed.result))
         answer()

@@ -21,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Pose, Transform, Twist, WrenchStamped
 from multicontact_control.arrays import Vector
 from multicontact_control.control.tasks import MotionReading
-from multicontact_control.errors import counted, MessageError
+from multicontact_control.errors import format_count, MessageError
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from numpy.typing import ArrayLike
@@ -64,21 +64,21 @@ def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
         numbers = np.array(values)
     except ValueError:  # rows of different lengths
         raise MessageError(
-            field, f'{counted(length, "values")} in one row', repr(values)
+            field, f'{format_count(length, "values")} in one row', repr(values)
         ) from None
     if numbers.dtype.kind not in NUMBERS:
         raise MessageError(
-            field, f'{counted(length, "values")} that are numbers', repr(values)
+            field, f'{format_count(length, "values")} that are numbers', repr(values)
         )
     numbers = numbers.astype(np.float64)
     if numbers.ndim != 1:
         raise MessageError(
             field,
-            f'{counted(length, "values")} in one row',
+            f'{format_count(length, "values")} in one row',
             f'an array of shape {numbers.shape}',
         )
     if numbers.size != length:
-        raise MessageError(field, counted(length, 'values'), f'{numbers.size}')
+        raise MessageError(field, format_count(length, 'values'), f'{numbers.size}')
     if not math.isfinite(sum(numbers.tolist())):
         raise MessageError(field, 'finite numbers', numbers.tolist())
     return numbers
@@ -135,7 +135,7 @@ def quaternion_array(values: ArrayLike, field: str) -> Vector:
     return quaternion / norm
 
 
-def read_named(
+def read_named_vectors(
     message: JointState,
     names: Sequence[str],
     fields: Sequence[str],
@@ -159,7 +159,7 @@ def read_named(
         usable = whole and (field in partial or math.isfinite(sum(vector.tolist())))
         if not usable and field in fields:
             raise MessageError(
-                field, counted(len(given), 'finite values'), values.tolist()
+                field, format_count(len(given), 'finite values'), values.tolist()
             )
         vectors.append(vector if usable else None)
     return stamp_to_ns(message.header.stamp), *vectors
@@ -167,7 +167,7 @@ def read_named(
 
 def read_variance(message: JointState, names: Sequence[str]) -> tuple[int, Vector]:
     """Return the stamp of a message [ns] and a variance above 0 per name [N^2]."""
-    stamp, variance = read_named(message, names, ('effort',))
+    stamp, variance = read_named_vectors(message, names, ('effort',))
     if min(variance.tolist()) <= 0.0:
         raise MessageError('effort', 'variances above 0', variance.tolist())
     return stamp, variance
@@ -180,7 +180,7 @@ def read_wrench(message: WrenchStamped, frame: str = '') -> tuple[int, Vector]:
         raise MessageError(
             'header.frame_id', f"'{frame}' (robot.sensor_frame), or none", f"'{given}'"
         )
-    wrench = _numbers('xyz', message.wrench.force, message.wrench.torque)
+    wrench = _list_numbers('xyz', message.wrench.force, message.wrench.torque)
     return stamp_to_ns(message.header.stamp), finite_array(wrench, 6, 'wrench')
 
 
@@ -210,8 +210,8 @@ def read_motion(message: MultiDOFJointTrajectoryPoint) -> MotionReading:
     if len(message.transforms) != 1:
         raise MessageError('transforms', 'one pose', f'{len(message.transforms)}')
     pose = message.transforms[0]
-    position = finite_array(_numbers('xyz', pose.translation), 3, 'translation')
-    quaternion = finite_array(_numbers('xyzw', pose.rotation), 4, 'rotation')
+    position = finite_array(_list_numbers('xyz', pose.translation), 3, 'translation')
+    quaternion = finite_array(_list_numbers('xyzw', pose.rotation), 4, 'rotation')
     norm = float(np.linalg.norm(quaternion))
     if abs(norm - 1.0) > UNIT_QUATERNION_TOLERANCE:
         raise MessageError(
@@ -229,10 +229,10 @@ def _read_twist(twists: Sequence[Twist], field: str) -> Vector:
     if len(twists) > 1:
         raise MessageError(field, 'at most one', f'{len(twists)}')
     twist = twists[0] if twists else Twist()
-    return finite_array(_numbers('xyz', twist.linear, twist.angular), 6, field)
+    return finite_array(_list_numbers('xyz', twist.linear, twist.angular), 6, field)
 
 
-def _numbers(axes: str, *parts: Any) -> list[float]:
+def _list_numbers(axes: str, *parts: Any) -> list[float]:
     """Return the numbers of vectors or quaternions, one after the other."""
     return [getattr(part, axis) for part in parts for axis in axes]
 
@@ -240,12 +240,12 @@ def _numbers(axes: str, *parts: Any) -> list[float]:
 def pose_arrays(pose: Pose) -> tuple[Vector, Vector]:
     """Return the position [m] of a pose and its quaternion x, y, z, w."""
     return (
-        np.array(_numbers('xyz', pose.position)),
-        np.array(_numbers('xyzw', pose.orientation)),
+        np.array(_list_numbers('xyz', pose.position)),
+        np.array(_list_numbers('xyzw', pose.orientation)),
     )
 
 
-def _fill(values: ArrayLike, field: str, axes: str, *parts: Any) -> None:
+def _set_numbers(values: ArrayLike, field: str, axes: str, *parts: Any) -> None:
     """Put numbers into vectors or quaternions, one after the other."""
     numbers = iter(finite_array(values, len(axes) * len(parts), field).tolist())
     for part in parts:
@@ -275,10 +275,10 @@ def motion_message(
 ) -> MultiDOFJointTrajectoryPoint:
     """Build a commanded motion of the operational point; twist and acceleration linear first."""
     pose, twist, acceleration = Transform(), Twist(), Twist()
-    _fill(position_world, 'translation', 'xyz', pose.translation)
-    _fill(quaternion_xyzw, 'rotation', 'xyzw', pose.rotation)
-    _fill(twist_world, 'velocities', 'xyz', twist.linear, twist.angular)
-    _fill(
+    _set_numbers(position_world, 'translation', 'xyz', pose.translation)
+    _set_numbers(quaternion_xyzw, 'rotation', 'xyzw', pose.rotation)
+    _set_numbers(twist_world, 'velocities', 'xyz', twist.linear, twist.angular)
+    _set_numbers(
         acceleration_world,
         'accelerations',
         'xyz',
@@ -324,7 +324,7 @@ class ControllerStatus:
         return dict(each.split(' ', 1) for each in self.contacts.split(', ') if each)
 
     @classmethod
-    def of(cls, message: DiagnosticStatus) -> ControllerStatus:
+    def from_message(cls, message: DiagnosticStatus) -> ControllerStatus:
         """Return what a message on ``~/status`` says."""
         values = {x.key: x.value for x in message.values}
         forces = [each.rsplit(' ', 1) for each in values['forces'].split(', ') if each]
@@ -339,7 +339,7 @@ class ControllerStatus:
             **{name: values[name] for name in STATUS_TEXTS},
         )
 
-    def message(self, name: str, level: bytes) -> DiagnosticStatus:
+    def to_message(self, name: str, level: bytes) -> DiagnosticStatus:
         """Return the message that says so."""
         values = {each: getattr(self, each) for each in STATUS_TEXTS} | {
             'refused': str(self.refused),
@@ -366,7 +366,7 @@ def new_identifier() -> str:
     return str(1 + secrets.randbelow(2**31 - 1))
 
 
-def identify(command: Any, identifier: str) -> None:
+def set_identifier(command: Any, identifier: str) -> None:
     """Give a command on a topic an identifier; that of a motion is a number of 31 bits."""
     if isinstance(command, JointState):
         command.header.frame_id = identifier
@@ -374,7 +374,7 @@ def identify(command: Any, identifier: str) -> None:
         command.time_from_start.sec = int(identifier or 0)
 
 
-def identifier_of(command: Any) -> str:
+def get_identifier(command: Any) -> str:
     """Return the identifier of a command on a topic, empty if it has none."""
     return str(
         command.header.frame_id

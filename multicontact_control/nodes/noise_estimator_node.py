@@ -14,10 +14,10 @@ from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.force.noise import Innovation, make_noise_estimator
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.diagnostics import (
-    Inputs,
+    ComponentStatus,
+    InputMonitor,
     LoopStatistics,
-    message_status,
-    Status,
+    refusal_status,
 )
 from multicontact_control.nodes.graph import StartupConfig
 from multicontact_control.nodes.lifecycle import ACTIVE, ManagedNode
@@ -57,7 +57,8 @@ class NoiseEstimatorNode(ManagedNode):
         ]
         self._readers = {
             topic: MessageReader(
-                topic.message, partial(messages.read_named, names=names, fields=fields)
+                topic.message,
+                partial(messages.read_named_vectors, names=names, fields=fields),
             )
             for topic, fields in zip(
                 heard, (['effort'], ['position', 'velocity', 'effort'])
@@ -71,7 +72,7 @@ class NoiseEstimatorNode(ManagedNode):
                 qos.INPUT,
                 raw=True,
             )
-        self._inputs = Inputs(self, self._config.rate, *heard)
+        self._inputs = InputMonitor(self, self._config.rate, *heard)
 
     def activate(self) -> StartupConfig:
         """Start with an empty window."""
@@ -82,7 +83,7 @@ class NoiseEstimatorNode(ManagedNode):
         self._inputs.restart()
         return self._node_config
 
-    def clean_up(self) -> None:
+    def write_run_counts(self) -> None:
         """Write the counts of this run, if asked to."""
         self._node_config.write_counts(
             {'samples': self._samples, 'refused': dict(self.refusals.counts)}
@@ -94,7 +95,7 @@ class NoiseEstimatorNode(ManagedNode):
         if topic is topics.MEASURED_FORCES:
             self._watch.add_period(received)
         if self.state == ACTIVE:
-            with self.refusals.guard(topic):
+            with self.refusals.logging_refusals(topic):
                 stamp, *vectors = self._readers[topic](data)
                 if topic is topics.MEASURED_FORCES:
                     self._waiting.append((stamp, vectors[0]))
@@ -104,13 +105,13 @@ class NoiseEstimatorNode(ManagedNode):
                         (stamp, Innovation(innovation, prior, variance))
                     )
                 self._inputs.last[topic] = received
-                self.look()
+                self.do_due_work()
         if self._samples != answered:
             self._watch.latencies.add(time.monotonic_ns() - received)
 
-    def look(self, _spinner: Spinner | None = None) -> None:
+    def do_due_work(self, _spinner: Spinner | None = None) -> None:
         """Answer everything that waits, in order; an innovation that is lost is not waited for."""
-        with self.refusals.guard(topics.MEASURED_FORCES):
+        with self.refusals.logging_refusals(topics.MEASURED_FORCES):
             while self.working and self._waiting:
                 stamp, values = self._waiting[0]
                 if self._estimator.uses_innovation and (
@@ -123,7 +124,7 @@ class NoiseEstimatorNode(ManagedNode):
                         self._estimator.reset()
                     self._last_stamp, self._last_answer = stamp, b''
                     self._samples += 1
-                    self._last_answer = self._publisher.write(
+                    self._last_answer = self._publisher.encode_message(
                         stamp,
                         self._estimator.update(
                             values, dict(self._innovations).get(stamp)
@@ -132,11 +133,13 @@ class NoiseEstimatorNode(ManagedNode):
                 if self._last_answer:
                     self._publisher.publish(self._last_answer)
 
-    def statuses(self) -> Iterator[Status]:
+    def collect_statuses(self) -> Iterator[ComponentStatus]:
         """Yield what diagnostics report."""
-        yield Status('loop', {**self._watch.report(), 'samples': self._samples})
+        yield ComponentStatus(
+            'loop', {**self._watch.report(), 'samples': self._samples}
+        )
         yield self._inputs.status(needed=self.state == ACTIVE)
-        yield message_status(
+        yield refusal_status(
             self.refusals,
             dropped=self._estimator.dropped,
             **{

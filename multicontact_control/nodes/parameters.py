@@ -23,7 +23,7 @@ from multicontact_control.config.base import (
     sets_parameter,
     validate,
 )
-from multicontact_control.errors import check_all, ConfigError, MulticontactError
+from multicontact_control.errors import ConfigError, MulticontactError, run_all_checks
 from multicontact_control.nodes.private import parameter_overrides
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
@@ -100,20 +100,24 @@ class ParameterSet:
                 name, _plain(value), descriptor, ignore_override=True
             )
         self._unknown = {name: x for name, x in given.items() if name not in self._live}
-        self.design: Callable[[Sequence[Any]], Any] = lambda configurations: (
+        self.compute_design: Callable[[Sequence[Any]], Any] = lambda configurations: (
             configurations
         )
-        self.use: Callable[[Any], None] | None = None
+        self.apply_design: Callable[[Any], None] | None = None
         self.version = 0
         self._designed: Callable[[], Any] | None = (
             None  # of the change that is under way
         )
-        self.refuse: Callable[[str, Exception], None] = lambda name, error: None
+        self.report_refusal: Callable[[str, Exception], None] = lambda name, error: None
         node.add_on_set_parameters_callback(self._on_set)
 
-    def configurations(self, changes: Mapping[str, Any] | None = None) -> list[Any]:
+    def build_configurations(
+        self, changes: Mapping[str, Any] | None = None
+    ) -> list[Any]:
         """Return a configuration per model, with changes by name; ConfigError of all at once."""
-        present = {name: self.value(name) for name in self._live} | dict(changes or {})
+        present = {name: self.present_value(name) for name in self._live} | dict(
+            changes or {}
+        )
         values: dict[str, Any] = {}
         for name, value in [*present.items(), *self._unknown.items()]:
             if value is not None:
@@ -127,7 +131,7 @@ class ParameterSet:
                 key, f'a known parameter ({", ".join(known)})', f"unknown '{key}'"
             )
 
-        return check_all(
+        return run_all_checks(
             *(partial(refuse, key) for key in values if key not in known),
             *(
                 partial(
@@ -139,7 +143,7 @@ class ParameterSet:
             ),
         )
 
-    def value(self, name: str) -> Any:
+    def present_value(self, name: str) -> Any:
         """Return the present value of a parameter, None if it has none."""
         return _plain(self._node.get_parameter_or(name).value)
 
@@ -147,9 +151,15 @@ class ParameterSet:
         """Return what a change leads to, or raise; another thread may wait for it."""
         changes = self._known(parameters)
         for name, value in changes.items():
-            if value is None or not self._live[name] and value != self.value(name):
-                raise ConfigError(name, hint=f'{LOCKED}; it stays {self.value(name)}')
-        return self.design(self.configurations(changes))
+            if (
+                value is None
+                or not self._live[name]
+                and value != self.present_value(name)
+            ):
+                raise ConfigError(
+                    name, hint=f'{LOCKED}; it stays {self.present_value(name)}'
+                )
+        return self.compute_design(self.build_configurations(changes))
 
     def apply(
         self,
@@ -170,18 +180,18 @@ class ParameterSet:
 
     def _on_set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         changes = self._known(parameters)
-        if self.use is None or not changes:
+        if self.apply_design is None or not changes:
             return SetParametersResult(successful=True)
         designed = self._designed or partial(self.design_change, parameters)
         try:
-            self.use(designed())
+            self.apply_design(designed())
             self.version += 1
         except Exception as error:
             if not isinstance(
                 error, MulticontactError
             ):  # a mistake here: not for the arm to pay
                 self._node.get_logger().error(traceback.format_exc())
-            self.refuse(next(iter(changes)), error)
+            self.report_refusal(next(iter(changes)), error)
             return SetParametersResult(
                 successful=False, reason=str(error) or repr(error)
             )
@@ -195,7 +205,7 @@ def _plain(value: Any) -> Any:
     )
 
 
-def folder_of(name: str, node_name: str, arguments: Sequence[str]) -> Path:
+def find_parameter_folder(name: str, node_name: str, arguments: Sequence[str]) -> Path:
     """
     Return where a relative path starts that is the value of a parameter of a node.
 
@@ -216,6 +226,6 @@ def folder_of(name: str, node_name: str, arguments: Sequence[str]) -> Path:
 def load_parameters(node: Node, *models: type[Config]) -> list[Any]:
     """Declare the parameters of models, which stay as they are; return the configurations."""
     parameters = ParameterSet(node, *models)
-    configurations = parameters.configurations()
-    parameters.use = lambda configurations: None
+    configurations = parameters.build_configurations()
+    parameters.apply_design = lambda configurations: None
     return configurations

@@ -10,7 +10,9 @@ from __future__ import annotations
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 
-def profile(depth: int, *, reliable: bool = True, latched: bool = False) -> QoSProfile:
+def make_profile(
+    depth: int, *, reliable: bool = True, latched: bool = False
+) -> QoSProfile:
     """Return a profile that keeps the newest messages."""
     return QoSProfile(
         depth=depth,
@@ -24,22 +26,22 @@ def profile(depth: int, *, reliable: bool = True, latched: bool = False) -> QoSP
     )
 
 
-STREAM = profile(5000)
+STREAM = make_profile(5000)
 """Publishers at the control rate, and readers that may lose nothing however late they look: the
 recorder (10 s at 500 Hz), and a client of what a controller tells it now and then."""
 
-INPUT = profile(10)
+INPUT = make_profile(10)
 """Readers at the control rate: 20 ms at 500 Hz; what is older than that is of no use to them."""
 
-SENSOR = profile(4, reliable=False)
+SENSOR = make_profile(4, reliable=False)
 """The controller's inputs in real time, which drivers often publish best effort: a reader that was
 late goes on with the newest. In lockstep, where a loss would stop everything, they are INPUT."""
 
-EVENT = profile(10)
+EVENT = make_profile(10)
 """What is sent now and then, as commands and diagnostics: none may be lost, nor replayed later."""
 
-GLANCE = profile(1, reliable=False)
+GLANCE = make_profile(1, reliable=False)
 """Progress displays: only the newest value counts, and the sender must not wait for it."""
 
-LATCHED = profile(1, latched=True)
+LATCHED = make_profile(1, latched=True)
 """Descriptions: a reader that comes late still gets the last one."""

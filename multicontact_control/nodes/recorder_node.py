@@ -19,8 +19,8 @@ from typing import Any
 from multicontact_control.config import parameter
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import graph, qos
-from multicontact_control.nodes.diagnostics import Diagnostics, Status
-from multicontact_control.nodes.helper import Helper
+from multicontact_control.nodes.background import BackgroundThread
+from multicontact_control.nodes.diagnostics import ComponentStatus, DiagnosticsPublisher
 from multicontact_control.nodes.parameters import load_parameters
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.topics import CONTROLLER, RECORDER, Topic, TOPICS
@@ -143,8 +143,8 @@ class RecorderNode(Node):
                     self.create_subscription(
                         topic.message,
                         topic.name,
-                        graph.ignore,
-                        qos.profile(qos.STREAM.depth, latched=latched),
+                        graph.ignore_message,
+                        qos.make_profile(qos.STREAM.depth, latched=latched),
                         raw=True,
                     ),
                 )
@@ -153,7 +153,9 @@ class RecorderNode(Node):
             Counter()
         )  # messages by topic, since the first of each
         self._next_flush = 0.0
-        self._diagnostics = Diagnostics(self, self._statuses, Helper())
+        self._diagnostics = DiagnosticsPublisher(
+            self, self._statuses, BackgroundThread()
+        )
         self._gate = graph.StartupGate(self, self._config)
 
     def run(self, spinner: Spinner) -> None:
@@ -172,7 +174,7 @@ class RecorderNode(Node):
         """Write what has arrived, in the order of publication; return whether anything has."""
         arrived = []
         for stream in self._streams:
-            while (taken := graph.take(stream.subscription)) is not None:
+            while (taken := graph.take_message(stream.subscription)) is not None:
                 data, info = taken
                 sent = (
                     info['source_timestamp']
@@ -200,7 +202,7 @@ class RecorderNode(Node):
         for stream in self._streams:
             name, asked = stream.connection.topic, stream.subscription.qos_profile
             if not all(
-                graph.compatible(x.qos_profile, asked)
+                graph.offers_enough(x.qos_profile, asked)
                 for x in self.get_publishers_info_by_topic(name)
             ):
                 self._drain()
@@ -208,8 +210,8 @@ class RecorderNode(Node):
                 stream.subscription = self.create_subscription(
                     stream.topic.message,
                     name,
-                    graph.ignore,
-                    qos.profile(asked.depth, reliable=False),
+                    graph.ignore_message,
+                    qos.make_profile(asked.depth, reliable=False),
                     raw=True,
                 )
                 self.get_logger().info(f'{name}: recorded best effort, as published')
@@ -220,13 +222,13 @@ class RecorderNode(Node):
         counts = {x.topic: self._bag.counts[x.id] for x in self._bag.connections}
         self._config.write_counts({'counts': counts, 'lost': self._lost.total()})
 
-    def _statuses(self) -> list[Status]:
+    def _statuses(self) -> list[ComponentStatus]:
         if self._gate.open:  # which looks at the ends that there are now
             self._meet_publishers()
         warning = f'messages lost on {", ".join(self._lost)}' if self._lost else ''
         return [
-            Status('loop', {'messages': sum(self._bag.counts.values())}),
-            Status(
+            ComponentStatus('loop', {'messages': sum(self._bag.counts.values())}),
+            ComponentStatus(
                 'messages',
                 {
                     'dropped': self._lost.total(),

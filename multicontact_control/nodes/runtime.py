@@ -17,7 +17,7 @@ import traceback
 from typing import Any
 
 from multicontact_control.errors import ConfigError, MulticontactError, RunError
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.process import settle_process
 import rclpy
 from rclpy.duration import Duration
@@ -31,7 +31,7 @@ try:
 except ImportError:
     EventsExecutor = SingleThreadedExecutor
 
-FULL = (
+DISK_FULL_ERRORS = (
     errno.ENOSPC,
     errno.EDQUOT,
     errno.EFBIG,
@@ -43,7 +43,7 @@ ACKNOWLEDGE_TIMEOUT = (
 )
 
 
-def stop_signals() -> list[int]:
+def collect_stop_signals() -> list[int]:
     """Return a list that each SIGINT and SIGTERM joins, which then do not end the process."""
     received: list[int] = []
     for number in SIGNALS:  # rclpy's own way would end a node that still sends
@@ -80,7 +80,7 @@ def start_ros(args: Sequence[str] | None, **options: Any) -> None:
     # Without it the graph would announce itself to the whole network.
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault(
-        'FASTRTPS_DEFAULT_PROFILES_FILE', str(config_dir() / 'fastdds.xml')
+        'FASTRTPS_DEFAULT_PROFILES_FILE', str(find_config_folder() / 'fastdds.xml')
     )
     if not os.access(os.environ.get('ROS_HOME') or os.environ.get('HOME', ''), os.W_OK):
         os.environ.setdefault(
@@ -89,7 +89,7 @@ def start_ros(args: Sequence[str] | None, **options: Any) -> None:
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO, **options)
     except (RuntimeError, UnicodeError) as error:
-        text = one_line(error)
+        text = shorten_ros_error(error)
         if 'parse' not in text and 'failed to' in text:
             raise RunError(f'ROS 2 cannot be started: {text}') from None
         hint = (
@@ -98,7 +98,7 @@ def start_ros(args: Sequence[str] | None, **options: Any) -> None:
         raise ConfigError('--ros-args', hint, text) from None
 
 
-def one_line(error: BaseException) -> str:
+def shorten_ros_error(error: BaseException) -> str:
     """Return an error of ROS without the place in its sources."""
     return ' '.join(str(error).split(', at /')[0].split())
 
@@ -107,14 +107,15 @@ def run_node(make_node: Callable[[], Any]) -> int:
     """
     Run a node in this process until `run(spinner)` returns, then `close()`; return the exit code.
 
-    It is 2 for a bad configuration, one of `FULL` for a full disk, and 1 for another error.
+    It is 2 for a bad configuration, the number of the error for a full disk,
+    and 1 for another error.
     """
-    program, stop = os.path.basename(sys.argv[0]), stop_signals()
+    program, stop = os.path.basename(sys.argv[0]), collect_stop_signals()
     try:
         start_ros(None)
-        check_arguments(program, make_node)
+        check_command_line(program, make_node)
         kernels = loaded_kernels()
-        kept = kernels.cache_folder() if kernels else None
+        kept = kernels.find_cache_folder() if kernels else None
         if kernels and not (kept and os.listdir(kept)):
             print(
                 f'{program}: compiling the numerical kernels: this takes a while, once; '
@@ -125,15 +126,19 @@ def run_node(make_node: Callable[[], Any]) -> int:
         _run(make_node(), stop)
         return 0
     except MulticontactError as error:
-        text = '; '.join(map(one_line, getattr(error, 'errors', [error])))
+        text = '; '.join(map(shorten_ros_error, getattr(error, 'errors', [error])))
         print(f'{program}: {text}', file=sys.stderr)
         return 2 if isinstance(error, ConfigError) else 1
     except Exception as error:
-        code = error.errno if isinstance(error, OSError) and error.errno in FULL else 1
+        code = (
+            error.errno
+            if isinstance(error, OSError) and error.errno in DISK_FULL_ERRORS
+            else 1
+        )
         with contextlib.suppress(OSError):  # the log may be on the same disk
-            print(f'{program}: {error}', file=sys.stderr) if code in FULL else (
-                traceback.print_exc()
-            )
+            print(
+                f'{program}: {error}', file=sys.stderr
+            ) if code in DISK_FULL_ERRORS else (traceback.print_exc())
         return code
     finally:
         # A signal that comes while interpreter and middleware shut down would end it with -15.
@@ -146,7 +151,7 @@ def run_node(make_node: Callable[[], Any]) -> int:
         rclpy.try_shutdown()
 
 
-def check_arguments(program: str, node: Callable[[], Any]) -> None:
+def check_command_line(program: str, node: Callable[[], Any]) -> None:
     """Print the help if asked for, and refuse arguments that are neither ours nor of ROS."""
     parser = argparse.ArgumentParser(
         program,

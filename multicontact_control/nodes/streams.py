@@ -39,11 +39,11 @@ class StreamPublisher:
             publisher.publish,
             publisher.get_subscription_count,
         )
-        data, self._places = mark_numbers(pattern)
+        data, self._places = locate_numbers(pattern)
         self._bytes = bytearray(data)
         self._numbers = _words(self._bytes)
 
-    def write(self, stamp: int, *numbers: Vector) -> bytes:
+    def encode_message(self, stamp: int, *numbers: Vector) -> bytes:
         """Return the message with a stamp [ns], and numbers in their order; MessageError."""
         values = np.concatenate(numbers)
         if values.size != len(self._places) or not math.isfinite(values.sum()):
@@ -55,10 +55,10 @@ class StreamPublisher:
         STAMP.pack_into(self._bytes, HEADER, sec, nanosec)
         return bytes(self._bytes)
 
-    def send(self, stamp: int, *numbers: Vector) -> None:
+    def publish_if_subscribed(self, stamp: int, *numbers: Vector) -> None:
         """Publish a message with a stamp [ns] and numbers, if it is subscribed to."""
         if self._readers():
-            self.publish(self.write(stamp, *numbers))
+            self.publish(self.encode_message(stamp, *numbers))
 
 
 class MessageReader:
@@ -84,16 +84,16 @@ class MessageReader:
                 and (math.isfinite(sum(words[self._used].tolist())))
             ):
                 return sec * NANOSECONDS + nanosec, *(words[x] for x in self._vectors)
-        return self._learn(data)
+        return self._learn_layout(data)
 
-    def _learn(self, data: bytes) -> tuple[Any, ...]:
+    def _learn_layout(self, data: bytes) -> tuple[Any, ...]:
         """Read a message by way of its class, and keep where its numbers are."""
         self._length = -1
         try:
             message = deserialize_message(data, self._class)
         except Exception as error:  # of whatever kind the middleware raises
             raise MessageError('data', f'a {self._class.__name__}', error) from None
-        reading, places = self._read(message), mark_numbers(message)[1]
+        reading, places = self._read(message), locate_numbers(message)[1]
         marks = [vector for vector in self._read(message)[1:] if vector is not None]
         if len(marks) == len(reading) - 1 and data[:2] == LITTLE_ENDIAN:
             self._vectors = [
@@ -108,7 +108,7 @@ class MessageReader:
         return reading
 
 
-def mark_numbers(message: Any) -> tuple[bytes, Any]:
+def locate_numbers(message: Any) -> tuple[bytes, Any]:
     """
     Set the numbers of a message to `MARK`, 2 `MARK`, 3 `MARK`...
 

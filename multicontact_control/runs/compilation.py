@@ -19,7 +19,7 @@ import sys
 from typing import Any
 
 from llvmlite import binding as llvm
-from multicontact_control.compiled import cache_folder, HERE
+from multicontact_control.compiled import find_cache_folder, HERE
 import numpy as np
 from rich.console import Console
 
@@ -41,7 +41,7 @@ def ensure_compiled() -> int:
     kernels in the cache if this call has made them, else 0. Without a folder for the cache nothing
     is compiled now, and a warning is printed.
     """
-    folder = cache_folder()
+    folder = find_cache_folder()
     if folder is not None and _marker(folder).is_file():
         return 0
     console = Console(stderr=True, highlight=False, soft_wrap=True)

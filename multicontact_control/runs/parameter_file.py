@@ -7,7 +7,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from multicontact_control.files import write_text
+from multicontact_control.files import replace_text_file
 import yaml
 
 
@@ -32,7 +32,9 @@ def write_parameters(path: Path, nodes: Mapping[str, Any], head: str = '') -> No
     content = {}
     for name, values in nodes.items():
         content[name] = {'ros__parameters': _ros_values(values)}
-    write_text(path, head + yaml.dump(content, Dumper=_RosDumper, sort_keys=False))
+    replace_text_file(
+        path, head + yaml.dump(content, Dumper=_RosDumper, sort_keys=False)
+    )
 
 
 def _ros_values(value: Any) -> Any:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 import zipfile
 
-from multicontact_control.arrays import Mask, Matrix, stretches, Vector
+from multicontact_control.arrays import find_true_stretches, Mask, Matrix, Vector
 from multicontact_control.config import ControllerConfig
 from multicontact_control.config.contact import ACROSS, ALONG, SUFFIXES
 from multicontact_control.errors import RunError
@@ -215,7 +215,7 @@ def find_gaps(data: RunData) -> list[Missing]:
     longest = LONGEST_GAP * data.rate
     return [
         Missing(begin / data.rate, end / data.rate)
-        for begin, end in stretches(~data.recorded())
+        for begin, end in find_true_stretches(~data.recorded())
         if end - begin > longest
     ]
 
@@ -436,7 +436,7 @@ def _force_from_contact_on(
     told[begins] = forces
     telling_rows = np.where(np.isnan(told), 0, np.arange(ticks + 1))
     asked = told[np.maximum.accumulate(telling_rows)][:-1]
-    for begin, end in stretches(asked > 0.0):
+    for begin, end in find_true_stretches(asked > 0.0):
         reached = np.flatnonzero(desired[begin:end] >= REACHED * asked[begin:end])
         if reached.size:
             asked[begin : begin + reached[0]] = 0.0

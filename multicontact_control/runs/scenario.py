@@ -22,9 +22,9 @@ from multicontact_control.config import (
 from multicontact_control.config.base import EVERY_NODE, read_node_parameters
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.errors import check_all, ConfigError
-from multicontact_control.files import write_text
-from multicontact_control.paths import config_dir, named_file
+from multicontact_control.errors import ConfigError, run_all_checks
+from multicontact_control.files import replace_text_file
+from multicontact_control.paths import find_config_folder, find_named_file
 from multicontact_control.runs.parameter_file import write_parameters
 import numpy as np
 from sim_bridge.config import PlantConfig
@@ -149,7 +149,9 @@ class Setup:
 
 
 def _write_config(path: Path, config: Config) -> None:
-    write_text(path, yaml.safe_dump(config.model_dump(mode='json'), sort_keys=False))
+    replace_text_file(
+        path, yaml.safe_dump(config.model_dump(mode='json'), sort_keys=False)
+    )
 
 
 def scenario_with(
@@ -218,7 +220,7 @@ def preset_values(name: str) -> dict[str, dict[str, Any]]:
     """Return what a preset of config/presets, or a file, lays over controller and estimator."""
     by_node: dict[str, dict[str, Any]] = {}
     if name:
-        file = named_file('preset', 'presets', name)
+        file = find_named_file('preset', 'presets', name)
         by_node = read_node_parameters(file, PRESET_NODES)
     return {
         'controller': by_node.get(CONTROLLER, {}),
@@ -268,7 +270,7 @@ def resolve(
     """
     if not isinstance(seed, int) or seed < 0:
         raise ConfigError('seed', 'a whole number >= 0', seed)
-    path = named_file('scenario', 'scenarios', scenario)
+    path = find_named_file('scenario', 'scenarios', scenario)
     source = plant_source(plant, robot)
     config = scenario_with(read_yaml(path), scenario_overrides or {}, duration, path)
     laid_over = preset_values(preset)
@@ -315,7 +317,7 @@ def resolve(
         )
         return validate(PlantConfig, values, name)
 
-    checked = check_all(controller_config, estimator_config, plant_config)
+    checked = run_all_checks(controller_config, estimator_config, plant_config)
     controller_checked, estimator_checked, plant_checked = checked
     setup = Setup(
         config,
@@ -336,7 +338,7 @@ def resolve(
 def _estimator_config(*layers: Mapping[str, Any] | None) -> NoiseEstimatorConfig:
     """Return the noise estimator with layers of values over its own file; ConfigError."""
     name = 'noise_estimator.yaml'
-    values = merge_layers(read_parameters(config_dir() / name), *layers)
+    values = merge_layers(read_parameters(find_config_folder() / name), *layers)
     return validate(NoiseEstimatorConfig, values, name)
 
 
@@ -495,7 +497,7 @@ def resolve_external(
     path = Path(COMMANDS)
     values: dict[str, Any] = {'name': COMMANDS, 'duration': UNTIL_STOPPED}
     if scenario is not None:
-        path = named_file('scenario', 'scenarios', scenario)
+        path = find_named_file('scenario', 'scenarios', scenario)
         values = read_yaml(path)
     elif scenario_overrides:
         raise ConfigError(

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from multicontact_control.config import Config, parameter, read_yaml, validate
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import named_file
+from multicontact_control.paths import find_named_file
 from multicontact_control.runs.overrides import read_settings
 from multicontact_control.runs.scenario import plant_source
 import numpy as np
@@ -248,7 +248,7 @@ class StudyConfig(PartConfig):
 
 def read_study(name: str) -> StudyConfig:
     """Read a study by name or path, with whole parts; ConfigError if it is not acceptable."""
-    path = named_file('study', 'studies', name)
+    path = find_named_file('study', 'studies', name)
     study = validate(StudyConfig, read_yaml(path), str(path))
     return study.model_copy(update={'parts': study.whole_parts()})
 

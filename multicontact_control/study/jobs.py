@@ -20,7 +20,11 @@ import time
 from typing import Any, ClassVar, Protocol
 
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.files import finite, read_json, write_json
+from multicontact_control.files import (
+    read_json_file,
+    replace_json_file,
+    replace_nonfinite_numbers,
+)
 from multicontact_control.judging.display import count_bar
 from multicontact_control.runs.compilation import ensure_compiled
 from multicontact_control.runs.scenario import resolve, Setup
@@ -128,7 +132,9 @@ def read_cells(folder: Path, keys: Iterable[str]) -> dict[str, dict[str, Any]]:
     """Return what was measured in those jobs that are finished in a folder, by key."""
     paths = {key: folder / CELLS / f'{key}.json' for key in keys}
     return {
-        key: read_json(path)['metrics'] for key, path in paths.items() if path.exists()
+        key: read_json_file(path)['metrics']
+        for key, path in paths.items()
+        if path.exists()
     }
 
 
@@ -167,7 +173,7 @@ def run_jobs(
     ):
         bar = progress.add_task(title, total=len(jobs), completed=len(done))
         for key, metrics, wall_time in outcomes:
-            write_json(
+            replace_json_file(
                 folder / CELLS / f'{key}.json',
                 {
                     'key': key,
@@ -236,7 +242,7 @@ def _run(key: str, job: Job) -> Outcome:
         if job.key() != key:
             raise RunError('a worker has other code, libraries or configuration files')
         start = time.perf_counter()
-        return key, finite(job.run()), time.perf_counter() - start
+        return key, replace_nonfinite_numbers(job.run()), time.perf_counter() - start
 
 
 def dask_client(address: str) -> AbstractContextManager[Any]:

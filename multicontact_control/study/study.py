@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control import __version__
-from multicontact_control.errors import counted
-from multicontact_control.files import write_json
+from multicontact_control.errors import format_count
+from multicontact_control.files import replace_json_file
 from multicontact_control.judging import page
 from multicontact_control.runs.overrides import find_unit
 from multicontact_control.study import table
@@ -120,7 +120,7 @@ class Study:
     def write(self, results: Results, folder: Path) -> None:
         """Write study, table and page into the folder."""
         frame, config, warnings = results.frame, self.config, self.warnings(results)
-        write_json(folder / STUDY_FILE, config.model_dump(mode='json'))
+        replace_json_file(folder / STUDY_FILE, config.model_dump(mode='json'))
         frame.to_csv(folder / CSV_FILE, index=False)
         frame.to_parquet(folder / TABLE_FILE, index=False)
         figure = self.figure(results)
@@ -147,7 +147,9 @@ class Study:
                         for section, lines in table.listing_of(frame, config).items()
                     ),
                     f'<p class=note>{escape(config.notes)} Every run is in {CSV_FILE}.</p>',
-                    page.folded(counted(len(warnings), 'remarks'), _listed(warnings))
+                    page.folded(
+                        format_count(len(warnings), 'remarks'), _listed(warnings)
+                    )
                     if warnings
                     else '',
                     *(
@@ -186,7 +188,7 @@ def run_study(
         if not dry_run:
             prepare_folder(folder, overwrite=overwrite)
         console.print(
-            f'study {name}: {counted(len(keys), "jobs")}, '
+            f'study {name}: {format_count(len(keys), "jobs")}, '
             f'{len(read_cells(folder, keys))} of them finished before'
         )
         if dry_run:

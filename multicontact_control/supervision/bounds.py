@@ -14,15 +14,15 @@ from __future__ import annotations
 from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
-    add_scaled,
+    add_scaled_vector,
     cholesky,
     diagonalise,
     dot,
-    gram,
-    length,
-    multiply,
+    gram_matrix,
+    multiply_vector,
     solve_cholesky,
     solve_lower_columns,
+    vector_length,
 )
 from multicontact_control.arrays import Bytes, Matrix, Vector
 from multicontact_control.compiled import compiled
@@ -175,7 +175,7 @@ def add_reach_bounds(
     `BOUND_SPACE`; for the rest see `add_joint_bounds`.
     """
     n = joints.shape[0]
-    gram(space.Y[:n], space.mobility)
+    gram_matrix(space.Y[:n], space.mobility)
     diagonalise(space.mobility, space.directions)
     for k in range(6):
         size = np.sqrt(max(space.mobility[k, k], ROUNDING))
@@ -223,8 +223,8 @@ def cost_of_changes(
             cost[i, j] = JOINT_COST * mass_matrix[i, j]
     if not by_task:
         return
-    speed = length(twist_des[:3])
-    turn = MOVING_LEVER * length(twist_des[3:])
+    speed = vector_length(twist_des[:3])
+    turn = MOVING_LEVER * vector_length(twist_des[3:])
     turning = turn / max(speed + turn, ROUNDING)
     turn_cost = (
         MOTION_COST * (MOVING_LEVER + (TURNING_LEVER - MOVING_LEVER) * turning) ** 2
@@ -237,7 +237,7 @@ def cost_of_changes(
             contact, weight = contacts[index - 6], FORCE_COST
             if not contact.answer.active:
                 continue
-            multiply(jacobian.T, contact.N, row)
+            multiply_vector(jacobian.T, contact.N, row)
         for i in range(n):
             for j in range(i, n):
                 cost[i, j] += weight * row[i] * row[j]
@@ -268,7 +268,7 @@ def least_change(n: int, m: int, space: BoundSpace) -> bool:
         return False
     Z[:] = rows.T
     solve_lower_columns(root, Z)
-    gram(Z, G)
+    gram_matrix(Z, G)
     counts[:] = 0
     for _ in range(MOST_EXCHANGES):
         for i in range(m):
@@ -284,7 +284,7 @@ def least_change(n: int, m: int, space: BoundSpace) -> bool:
         if not cholesky(basis, factor, 0.0):
             return False
         solve_cholesky(factor, multipliers)
-        multiply(G, multipliers, slack)
+        multiply_vector(G, multipliers, slack)
         wrong = -1
         for i in range(m):
             tolerance = ROUNDING * (1.0 + abs(excess[i]))
@@ -324,7 +324,9 @@ def predict_acceleration(
         operational_wrench(control, wrench)
     else:
         for i in range(contacts.shape[0]):
-            add_scaled(wrench, contacts[i].answer.alpha_fed_forward, contacts[i].N)
+            add_scaled_vector(
+                wrench, contacts[i].answer.alpha_fed_forward, contacts[i].N
+            )
     for j in range(n):
         joint = joints[j]
         friction = (

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import Annotated, Protocol
 
-from multicontact_control.algebra import add_scaled, length
+from multicontact_control.algebra import add_scaled_vector, vector_length
 from multicontact_control.arrays import Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
@@ -148,7 +148,9 @@ def check_plausibility(
         if contact.config.leader != i:
             continue
         pressed += abs(contact.alpha_meas)
-        add_scaled(sideways, -(contact.alpha_meas + contact.untared), contact.normal)
+        add_scaled_vector(
+            sideways, -(contact.alpha_meas + contact.untared), contact.normal
+        )
         allowance = known = 0.0
         if states[i].state == LOST:
             allowance = bounds.inertia
@@ -162,7 +164,7 @@ def check_plausibility(
             flags |= PULL
         if contact.alpha_meas > bounds.force_ceiling and states[i].state == FREE:
             flags |= STRAY
-    if length(sideways) > SIDEWAYS_LIMIT + bounds.friction_bound * pressed:
+    if vector_length(sideways) > SIDEWAYS_LIMIT + bounds.friction_bound * pressed:
         flags |= SIDEWAYS
     place = control.frame.position
     for k in range(3):

@@ -6,16 +6,16 @@ import math
 from typing import Annotated, Protocol
 
 from multicontact_control.algebra import (
-    across,
-    add,
-    add_scaled,
-    between,
-    combined,
-    divided,
+    add_scaled_vector,
+    add_vector,
+    component_across,
+    divide_vector,
     dot,
-    length,
-    rotate_by,
+    linear_combination,
     Triple,
+    turn_rotation_by_vector,
+    vector_between,
+    vector_length,
 )
 from multicontact_control.arrays import Mask, Matrix, Vector
 from multicontact_control.compiled import compiled
@@ -408,8 +408,8 @@ def limit_task(
         return False
     limit.bounded = limit.time - limit.bounded_at < BOUNDED_TIME
     behind = _follow_task(limit, frame, task)
-    away = between(task.position, frame.position)
-    rate = between(task.twist[:3], frame.twist[:3])
+    away = vector_between(task.position, frame.position)
+    rate = vector_between(task.twist[:3], frame.twist[:3])
     shift = (0.0, 0.0, 0.0)
     limit.reads_before = False
     for i in range(columns.shape[0]):
@@ -440,12 +440,12 @@ def limit_task(
         limit.changed = limit.changed or state.state != before
         if state.untared != 0.0 or state.resting != 0.0:
             limit.reads_before = True
-        shift = combined(1.0, shift, state.displacement, column.normal)
+        shift = linear_combination(1.0, shift, state.displacement, column.normal)
         if not column.answer.active:
             column.answer.alpha_des = 0.0
-            add_scaled(task.twist[:3], state.speed, column.normal)
-            add_scaled(task.acceleration[:3], state.acceleration, column.normal)
-    add(task.position, shift)
+            add_scaled_vector(task.twist[:3], state.speed, column.normal)
+            add_scaled_vector(task.acceleration[:3], state.acceleration, column.normal)
+    add_vector(task.position, shift)
     return _bound_task(limit, frame, task, columns) or behind
 
 
@@ -459,7 +459,7 @@ def _follow_task(limit: TaskLimits, frame: Frame, task: TaskRecord) -> bool:
     slows down with the arm, does not run away, and does not pull the arm along the bound.
     """
     config, way, turn = limit.config, limit.way, limit.turned_way
-    way[:] = between(limit.position, task.position)
+    way[:] = vector_between(limit.position, task.position)
     turn[:] = rotation_vector(task.rotation, limit.rotation)
     if not limit.behind:
         steps = _is_step(
@@ -484,7 +484,7 @@ def _follow_task(limit: TaskLimits, frame: Frame, task: TaskRecord) -> bool:
         config.reach,
         config.ramp,
     )
-    add(limit.position, way)
+    add_vector(limit.position, way)
     task.position[:] = limit.position
     there_turned = _catch_up(
         turn,
@@ -498,7 +498,7 @@ def _follow_task(limit: TaskLimits, frame: Frame, task: TaskRecord) -> bool:
         config.turn,
         config.turn_ramp,
     )
-    rotate_by(turn, limit.rotation)
+    turn_rotation_by_vector(turn, limit.rotation)
     task.rotation[:] = limit.rotation
     behind = not (there and there_turned)
     limit.behind = limit.bounded or behind
@@ -508,7 +508,7 @@ def _follow_task(limit: TaskLimits, frame: Frame, task: TaskRecord) -> bool:
 @compiled
 def _is_step(way: Vector, speed_des: Vector, speed: Vector, fastest: float) -> bool:
     """Return whether a task is a step away from the reference, or suddenly faster."""
-    missing = between(speed, speed_des)
+    missing = vector_between(speed, speed_des)
     jumps = dot(way, way) > (STEP_TIME * fastest) ** 2
     faster = dot(speed_des, speed_des) > dot(speed, speed)
     return jumps or (faster and dot(missing, missing) > (STEP_SHARE * fastest) ** 2)
@@ -535,11 +535,15 @@ def _catch_up(
     motion of the arm is bounded, v_r is at most v + (l - e) k_p / k_v, at a distance e ahead of an
     arm of speed v: the motion law then pulls the arm by k_p l at most.
     """
-    h, lead, distance = limit.config.contacts.period, limit.config.lead, length(way)
+    h, lead, distance = (
+        limit.config.contacts.period,
+        limit.config.lead,
+        vector_length(way),
+    )
     fastest = reach / lead
     wanted, slower = (speed_des[0], speed_des[1], speed_des[2]), False
     if distance > 0.0:
-        direction = divided(way, distance)
+        direction = divide_vector(way, distance)
         closing = min(RETURN_RATE * distance, RETURN_SHARE * fastest)
         along = max(0.0, dot(wanted, direction) + closing)
         allowed = (
@@ -548,14 +552,18 @@ def _catch_up(
         slower = limit.bounded and along > allowed
         if slower:
             along = max(allowed, 0.0)
-        wanted = combined(1.0, wanted, along - dot(wanted, direction), direction)
-        share = min(1.0, fastest / max(length(wanted), THERE))
+        wanted = linear_combination(
+            1.0, wanted, along - dot(wanted, direction), direction
+        )
+        share = min(1.0, fastest / max(vector_length(wanted), THERE))
         wanted = (share * wanted[0], share * wanted[1], share * wanted[2])
         if slower:
             ramp *= BRAKING_SHARE
-    change = between(speed, wanted)
-    add_scaled(speed, min(1.0, h * ramp / max(length(change), THERE)), change)
-    missing = between(speed, speed_des)
+    change = vector_between(speed, wanted)
+    add_scaled_vector(
+        speed, min(1.0, h * ramp / max(vector_length(change), THERE)), change
+    )
+    missing = vector_between(speed, speed_des)
     if (
         distance < THERE
         and not slower
@@ -656,7 +664,7 @@ def _follow_slide(
     """
     config = column.config
     slope = np.sqrt(1.0 - config.smallest_cosine**2) / config.smallest_cosine
-    fall_speed = slope * length(across(frame.twist[:3], config.normal))
+    fall_speed = slope * vector_length(component_across(frame.twist[:3], config.normal))
     error = abs(state.level - state.asked)
     if (
         state.state == contacts.HOLDING
@@ -686,7 +694,7 @@ def _bound_task(
         inside = min(max(position[k], config.lower[k]), config.upper[k])
         if inside != position[k]:
             position[k], twist[k], acceleration[k], limited = inside, 0.0, 0.0, True
-    gap = between(frame.position, position)
+    gap = vector_between(frame.position, position)
     way = (config.lead * twist[0], config.lead * twist[1], config.lead * twist[2])
     axes, count = limit.axes, 0
     for i in range(columns.shape[0]):
@@ -695,17 +703,17 @@ def _bound_task(
         normal = columns[i].normal
         axis = (normal[0], normal[1], normal[2])
         for j in range(count):  # made orthogonal to those before (Gram-Schmidt)
-            axis = across(axis, axes[j])
-        left = length(axis)
+            axis = component_across(axis, axes[j])
+        left = vector_length(axis)
         if left > PARALLEL:
-            axis = divided(axis, left)
+            axis = divide_vector(axis, left)
             axes[count] = axis
             count += 1
-            gap, way = across(gap, axis), across(way, axis)
+            gap, way = component_across(gap, axis), component_across(way, axis)
     limit.ahead[:] = gap
     share = _share_within(limit.ahead, way, config.reach, twist[:3], acceleration[:3])
     if share < 1.0:
-        add_scaled(position, share - 1.0, gap)
+        add_scaled_vector(position, share - 1.0, gap)
     turn, turned_way = limit.turned_way, twist[3:]
     limit.turned_ahead[:] = rotation_vector(task.rotation, frame.rotation)
     way = (
@@ -720,7 +728,7 @@ def _bound_task(
         for k in range(3):
             turn[k] = turn_share * limit.turned_ahead[k]
         task.rotation[:] = frame.rotation
-        rotate_by(turn, task.rotation)
+        turn_rotation_by_vector(turn, task.rotation)
     return limited or share <= 1.0 or turn_share <= 1.0
 
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 import math
 from typing import Annotated, Protocol
 
-from multicontact_control.algebra import quintic
+from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig
@@ -132,7 +132,7 @@ def blend(gate: Gate, joints: Records[Joint], law: int, torque: Vector) -> None:
         gate.elapsed, gate.duration = 0.0, np.ceil(duration / gate.config.period)
     elif gate.blending:
         gate.elapsed += 1.0
-        missing = 1.0 - quintic(gate.elapsed, gate.duration)[0]
+        missing = 1.0 - quintic_blend(gate.elapsed, gate.duration)[0]
         for j in range(n):
             torque[j] += missing * joints[j].gate.blended_difference
         gate.blending = gate.elapsed < gate.duration

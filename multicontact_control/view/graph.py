@@ -172,8 +172,11 @@ class GraphSource:
 
     def _meet(self) -> tuple[dict[str, float], float]:
         """Check that the controller is the expected one; return its gains and force ceiling."""
-        config, message = self._config, self._link.fresh(topics.MEASURED_FORCES)[0]
-        *gains, ceiling, joints = self._link.parameters(
+        config, message = (
+            self._config,
+            self._link.receive_fresh(topics.MEASURED_FORCES)[0],
+        )
+        *gains, ceiling, joints = self._link.get_parameters(
             topics.CONTROLLER, *source.GAIN_NAMES, CEILING, JOINTS
         )
         _require_joints(config.robot.joint_names, tuple(joints))
@@ -189,12 +192,12 @@ class GraphSource:
     ) -> tuple[tuple[source.Surface, ...], dict[str, source.SurfaceState]]:
         """Return what a simulator has to be touched, and can change; nothing without one."""
         give_up = time.monotonic() + SIMULATOR_WAIT
-        while (message := self._link.newest(topics.SURFACE_MARKERS)) is None:
+        while (message := self._link.get_newest(topics.SURFACE_MARKERS)) is None:
             if time.monotonic() > give_up:
                 return (), {}
             time.sleep(0.01)
         drawn = tuple(_surface_of(marker) for marker in message.markers)
-        listed = self._link.call(
+        listed = self._link.call_service(
             topics.SIM,
             ListParameters,
             'list_parameters',
@@ -202,7 +205,7 @@ class GraphSource:
         ).result.names
         states = {}
         for name in (x.split('.')[1] for x in listed if x.endswith('.stiffness')):
-            stiffness, friction, contact = self._link.parameters(
+            stiffness, friction, contact = self._link.get_parameters(
                 topics.SIM,
                 *(f'surfaces.{name}.{x}' for x in ('stiffness', 'friction', 'contact')),
             )
@@ -217,7 +220,7 @@ class GraphSource:
         now, before = time.monotonic(), self._stamp
         for stream in self._streams.values():
             stream.look()
-        message = self._link.newest(topics.MEASURED_FORCES)
+        message = self._link.get_newest(topics.MEASURED_FORCES)
         if message is not None:
             self._stamp = messages.stamp_to_ns(message.header.stamp)
         if self._stamp != before:
@@ -229,12 +232,12 @@ class GraphSource:
             if now >= self._next_point:
                 self._next_point = now + BLOCK_TIME
                 self._add_points()
-        self._link.look()
+        self._link.take_statuses()
         if now < self._next_snapshot:
             return []
         self._next_snapshot = now + 1.0 / source.RATE
         pose, desired = (
-            self._link.newest(x) for x in (topics.POSE, topics.POSE_DESIRED)
+            self._link.get_newest(x) for x in (topics.POSE, topics.POSE_DESIRED)
         )
         return (
             []
@@ -262,7 +265,7 @@ class GraphSource:
         self._drawn_until = self._time
 
     def _joint_positions(self) -> Any:
-        message = self._link.newest(topics.JOINT_STATES)
+        message = self._link.get_newest(topics.JOINT_STATES)
         known = {} if message is None else dict(zip(message.name, message.position))
         return np.array(
             [known.get(name, np.nan) for name in self._config.robot.joint_names]
@@ -321,7 +324,7 @@ class GraphSource:
         then, stamp = self._stamps[0]
         pace = 1e-9 * (self._stamp - stamp) / (now - then) if now > then else 1.0
         self._timing = self._timing._replace(pace=pace)
-        for report in self._link.queue(topics.DIAGNOSTICS):
+        for report in self._link.take_queued(topics.DIAGNOSTICS):
             for part in report.status:
                 if part.name.rpartition('/')[2] == LOOP:
                     values = {
@@ -336,7 +339,7 @@ class GraphSource:
 
     def _look_at_normals(self) -> None:
         """Take the normals, which a controller may find on-line, from the arrows of the forces."""
-        message = self._link.newest(topics.CONTACT_MARKERS)
+        message = self._link.get_newest(topics.CONTACT_MARKERS)
         for marker in () if message is None else message.markers:
             name = marker.ns.removeprefix(f'{MARKER_NAMESPACE}/')
             if name in self._normals and marker.action == Marker.ADD:
@@ -347,7 +350,7 @@ class GraphSource:
 
     def _look_at_pushes(self) -> None:
         """Take the pushes that are asked for, from here or elsewhere, for as long as they last."""
-        for message in self._link.queue(topics.PUSH):
+        for message in self._link.take_queued(topics.PUSH):
             force, where = message.vector, message.header.frame_id
             push = source.Push(
                 (force.x, force.y, force.z), self._pushed.get(where, self._pushed[''])
@@ -367,7 +370,7 @@ class GraphSource:
         self._look_at_timing(now)
         self._look_at_normals()
         self._look_at_pushes()
-        markers = self._link.newest(topics.SURFACE_MARKERS)
+        markers = self._link.get_newest(topics.SURFACE_MARKERS)
         measured, estimated, wanted, true = (
             self._streams[topic].newest for topic in DRAWN[:4]
         )
@@ -448,10 +451,10 @@ class GraphSource:
             self._start_motion()
         if name in commands:
             return commands[name](**values)
-        return self._link.ask(name, Trigger, Trigger.Request()) or name
+        return self._link.request_service(name, Trigger, Trigger.Request()) or name
 
     def _set_forces(self, **forces: float) -> str:
-        self._link.command(
+        self._link.command_until_answered(
             topics.FORCE_COMMAND,
             messages.joint_state_message(0, list(forces), effort=list(forces.values())),
         )
@@ -465,7 +468,7 @@ class GraphSource:
         step = min(self._delay, CATCH_UP * period, LONGEST_STEP)
         self._delay -= step
         if (pose := self._motion.advance(step)) is not None:
-            self._link.send(
+            self._link.publish_command(
                 topics.MOTION_COMMAND,
                 messages.motion_message(*pose),
                 self._motion_identifier,
@@ -477,17 +480,17 @@ class GraphSource:
             raise CommandError('~/hold', hint='the arm is held; release the hold first')
         if not self._motion.what:
             self._motion_identifier, self._delay = new_identifier(), 0.0
-            desired = self._link.fresh(topics.POSE_DESIRED)[0]
+            desired = self._link.receive_fresh(topics.POSE_DESIRED)[0]
             self._motion.start(*messages.pose_arrays(desired.pose))
 
     def _hold(self, on: bool) -> str:
         if on and self._motion.what:
-            self._link.send(
+            self._link.publish_command(
                 topics.MOTION_COMMAND,
                 messages.motion_message(*self._motion.halt()),
                 self._motion_identifier,
             )
-        return self._link.ask('hold', SetBool, SetBool.Request(data=on))
+        return self._link.request_service('hold', SetBool, SetBool.Request(data=on))
 
     def _set_gains(self, **gains: float) -> str:
         self._link.set_parameters(topics.CONTROLLER, gains)

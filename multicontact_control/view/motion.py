@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 import math
 
+from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import LimitsConfig
 from multicontact_control.control.tasks import (
     MotionReading,
-    quintic,
     sine_motion,
     SineConfig,
 )
@@ -59,7 +59,7 @@ class Sine:
         """Go on for a period [s]; return displacement, velocity and acceleration, shape (3, 3)."""
         self._time += period
         s, ds, dds = sine_motion(self._config, self._time)
-        b, db, ddb = quintic(
+        b, db, ddb = quintic_blend(
             self._end - self._time, BLEND_TIME
         )  # in time until the end
         return np.outer(

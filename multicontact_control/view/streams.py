@@ -7,15 +7,15 @@ from typing import Any
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.nodes import qos
-from multicontact_control.nodes.graph import ignore, take
-from multicontact_control.nodes.messages import read_named
+from multicontact_control.nodes.graph import ignore_message, take_message
+from multicontact_control.nodes.messages import read_named_vectors
 from multicontact_control.nodes.streams import MessageReader
 from multicontact_control.nodes.topics import Topic
 import numpy as np
 from rclpy.node import Node
 
 # A page may be late by a command that it gives. It may not make a sender wait.
-KEPT = qos.profile(5000, reliable=False)
+KEPT = qos.make_profile(5000, reliable=False)
 MOST = 500  # messages that are taken at once, of a graph that is faster than the page
 
 
@@ -50,21 +50,21 @@ class Stream:
         self._known: list[int] = []  # places of the names that messages have
         self._read = MessageReader(topic.message, self._read_object)
         self._subscription = node.create_subscription(
-            topic.message, topic.name, ignore, KEPT, raw=True
+            topic.message, topic.name, ignore_message, KEPT, raw=True
         )
         self.newest: Vector = np.full(len(names), np.nan)
         self._block: list[Vector] = []
 
     def _read_object(self, message: Any) -> tuple[Any, ...]:
         self._known = [k for k, name in enumerate(self._names) if name in message.name]
-        return read_named(
+        return read_named_vectors(
             message, [self._names[k] for k in self._known], (), partial=('effort',)
         )
 
     def look(self) -> None:
         """Take what has come since the last look."""
         for _ in range(MOST):
-            taken = take(self._subscription)
+            taken = take_message(self._subscription)
             if taken is None:
                 break
             _, efforts = self._read(bytes(taken[0]))

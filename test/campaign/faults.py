@@ -16,7 +16,7 @@ from campaign.graph import Graph
 from campaign.graph_faults import GRAPH_FAULTS
 from multicontact_control.errors import RunError
 from multicontact_control.faults.judge import FaultRow
-from multicontact_control.files import finite, write_json
+from multicontact_control.files import replace_json_file, replace_nonfinite_numbers
 from multicontact_control.runs.graph.domain import reserve_domain
 from multicontact_control.runs.scenario import resolve
 import numpy as np
@@ -101,7 +101,8 @@ def main(arguments=None):
             )
     except (RunError, KeyboardInterrupt) as error:
         problems.append(f'ended early: {error or "interrupted"}')
-    write_json(options.out / 'faults.json', finite([asdict(row) for row in rows]))
+    rows_as_json = replace_nonfinite_numbers([asdict(row) for row in rows])
+    replace_json_file(options.out / 'faults.json', rows_as_json)
     if rows:
         print(
             pd.DataFrame(rows)

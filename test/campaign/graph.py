@@ -20,7 +20,11 @@ from campaign.relay import INPUTS, PREFIX
 from multicontact_control.errors import RunError
 from multicontact_control.faults import judge
 from multicontact_control.nodes import link, messages, qos, topics
-from multicontact_control.nodes.graph import create_publisher, ignore, take
+from multicontact_control.nodes.graph import (
+    create_publisher,
+    ignore_message,
+    take_message,
+)
 from multicontact_control.nodes.topics import CONTROLLER, RECORDER
 from multicontact_control.runs.graph import spec
 from multicontact_control.runs.graph.processes import NodeProcesses
@@ -59,12 +63,12 @@ PATIENT = {
 }
 
 
-class Graph(link.GuestNode):
+class Graph(link.ServiceClientNode):
     """One graph, which ends with its context, and the operator who presses and slides."""
 
     def __init__(self, setup, folder, domain_id):
         super().__init__('fault_campaign', domain_id)
-        self._driver = link.GuestNode(
+        self._driver = link.ServiceClientNode(
             'lifecycle_driver', domain_id, keep_waiting=lambda what: self.poll()
         )
         self.setup = setup
@@ -90,7 +94,7 @@ class Graph(link.GuestNode):
         self.wanted = dict.fromkeys(setup.controller.contact_names, WANTED_FORCE)
         self._subscriptions = {
             topic: self.node.create_subscription(
-                topic.message, topic.name, ignore, qos.STREAM
+                topic.message, topic.name, ignore_message, qos.STREAM
             )
             for topic in (*CHECKED, topics.POSE_DESIRED)
         }
@@ -132,7 +136,7 @@ class Graph(link.GuestNode):
         """Take in what has come, and command the motion of now."""
         self.polled = time.time()
         for topic, subscription in self._subscriptions.items():
-            while (taken := take(subscription)) is not None:
+            while (taken := take_message(subscription)) is not None:
                 message, sent = taken[0], taken[1]['source_timestamp'] * 1e-9
                 if topic is topics.POSE_DESIRED:
                     self.pose = message
@@ -221,7 +225,7 @@ class Graph(link.GuestNode):
             os.kill(pid, signal.SIGCONT)
         else:
             for step in action.steps:
-                self._driver.change(fault.input, step)
+                self._driver.change_state(fault.input, step)
             self.spin(duration)
 
     def _distort(self, text):
@@ -234,7 +238,7 @@ class Graph(link.GuestNode):
         """Lead the graph back to where every contact has its force; RunError if that fails."""
         self._distort('')
         for name in spec.MANAGED:
-            self._driver.bring_up(name)
+            self._driver.configure_and_activate(name)
         start, self.pose = time.time(), None
         self.wait(lambda: self.since(topics.EFFORT_COMMAND, start), 'commands')
         self.wait(lambda: self.since(topics.NOISE_VARIANCE, start), 'noise variances')

@@ -16,7 +16,8 @@ from pathlib import Path
 import sys
 
 from joblib import delayed, Parallel
-from multicontact_control.control.tasks import MotionReading, quintic
+from multicontact_control.algebra import quintic_blend
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError
 from multicontact_control.faults import in_process
 from multicontact_control.faults.judge import (
@@ -151,7 +152,7 @@ class Soak:
         before, way = self._target, np.append(goal - self._target, np.zeros(3))
         duration = max(1.0, 1.875 * float(np.linalg.norm(way)) / FASTEST)
         for k in range(1, round(duration * self._rate) + 1):
-            s, ds, dds = quintic(k * self._period, duration)
+            s, ds, dds = quintic_blend(k * self._period, duration)
             self.loop.control.set_motion(
                 MotionReading(before + s * way[:3], self._turn, ds * way, dds * way)
             )

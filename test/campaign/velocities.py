@@ -14,8 +14,9 @@ from itertools import product
 import sys
 
 from joblib import delayed, Parallel
+from multicontact_control.algebra import quintic_blend
 from multicontact_control.config import merge
-from multicontact_control.control.tasks import MotionReading, quintic
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, RunError
 from multicontact_control.faults.in_process import Occurrence
@@ -40,7 +41,9 @@ Cell = namedtuple('Cell', 'arm commanded push_test fault place', defaults=('', 0
 
 def command(loop, home):
     """Press on the first contact, and slide along x."""
-    moved = quintic((loop.tick - BEGIN) * loop.setup.controller.period, SLIDE_TIME)
+    moved = quintic_blend(
+        (loop.tick - BEGIN) * loop.setup.controller.period, SLIDE_TIME
+    )
     way, twist, acceleration = WAY * np.outer(moved, np.eye(6)[0])
     with suppress(CommandError):
         if not any(loop.control.commanded_forces.values()):

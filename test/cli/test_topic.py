@@ -9,7 +9,7 @@ from geometry_msgs.msg import PoseStamped
 from multicontact_control.cli.topic import describe_rate, document
 from multicontact_control.errors import ConfigError
 from multicontact_control.nodes import messages, qos
-from multicontact_control.nodes.link import GuestNode
+from multicontact_control.nodes.link import ServiceClientNode
 from multicontact_control.runs.graph.domain import reserve_domain
 import pytest
 from ros_graph import end_of, PATIENCE, start_command
@@ -59,7 +59,7 @@ def test_document_is_what_ros2_prints():
 @pytest.fixture(scope='module')
 def start():
     """Return what starts the command beside a node that publishes numbered forces."""
-    with reserve_domain() as domain_id, GuestNode('guest', domain_id) as guest:
+    with reserve_domain() as domain_id, ServiceClientNode('guest', domain_id) as guest:
         forces = guest.node.create_publisher(JointState, '/left/forces', qos.STREAM)
         latched = guest.node.create_publisher(String, '/description', qos.LATCHED)
         hidden = guest.node.create_publisher(String, '/_hidden/topic', qos.LATCHED)

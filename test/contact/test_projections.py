@@ -8,7 +8,7 @@ import equations
 from equations import free_motions, operational_stiffness
 from hypothesis import given
 from hypothesis import strategies as st
-from multicontact_control.algebra import multiply, solve_cholesky
+from multicontact_control.algebra import multiply_vector, solve_cholesky
 from multicontact_control.contact.geometry import normal_space, placed_way
 from multicontact_control.contact.projections import (
     compose_acceleration,
@@ -86,7 +86,7 @@ def coordinate_inputs(N, inputs):
 def contact_rates(N, twist, allocation):
     rows, _, factor = factorised(N)
     rates = np.empty(len(rows))
-    multiply(rows, twist, rates)
+    multiply_vector(rows, twist, rates)
     if allocation == 'paper':
         solve_cholesky(factor, rates)
     return rates

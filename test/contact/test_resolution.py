@@ -8,7 +8,7 @@ from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
 from multicontact_control.loop import ControlLoop
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.supervision.command_limits import CommandLimits
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def pair(apart, degrees=0.0, **changes):
 
 
 def controller(config):
-    return Controller(config, RobotModel(config.robot, config_dir()))
+    return Controller(config, RobotModel(config.robot, find_config_folder()))
 
 
 @pytest.mark.parametrize('friction_std', [0.0, 0.5])
@@ -87,7 +87,7 @@ def test_contacts_that_the_noise_hides_are_refused_with_the_figure(apart, degree
 
 def test_contacts_far_enough_apart_are_accepted_and_their_noise_is_told():
     config = pair(0.03)
-    loop = ControlLoop(config, None, CommandLimits(), config_dir())
+    loop = ControlLoop(config, None, CommandLimits(), find_config_folder())
     assert loop.remark.endswith('the noise of the sensor: table 0.17 N, board 0.163 N')
     # What cannot be read any more is refused live as well.
     contacts = {

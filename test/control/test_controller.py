@@ -17,7 +17,7 @@ from multicontact_control.control.tasks import CommandedTask, MotionReading, Tas
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ContactGeometryError, SingularTaskError
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.records import JOINT, LAW
 from multicontact_control.sensor.tool import weight_reading
 import numpy as np
@@ -135,7 +135,9 @@ def assert_law_is_numpy(config, base_dir=None, home=HOME, tolerance=1e-12):
     count, random = len(config.contact_names), np.random.default_rng(0)
     compiled = Law(config, RandomTask(count), base_dir)
     plain = ReferenceController(
-        config, RobotModel(config.robot, base_dir or config_dir()), RandomTask(count)
+        config,
+        RobotModel(config.robot, base_dir or find_config_folder()),
+        RandomTask(count),
     )
     for k in range(50):
         sample = Measurement(

@@ -5,7 +5,7 @@ from multicontact_control.contact.wrench import tool_record
 from multicontact_control.control.arm import ArmState
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.flags import TOUCHED
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.records import CONTACT, CONTROL
 import numpy as np
 import pinocchio as pin
@@ -41,7 +41,7 @@ def classic_observer(model, q, v, torque):
 def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
     """A swinging arm, its tool pushed all the time, its wrist from 0.5 s on."""
     config = controller_config()
-    robot = RobotModel(config.robot, config_dir())
+    robot = RobotModel(config.robot, find_config_folder())
     controls = np.zeros(1, dtype=CONTROL)
     controls['tool'] = tool_record(config.tool, np.array(config.robot.gravity_world))
     controls['law']['friction_speed'], controls['momentum']['config']['bandwidth'] = (

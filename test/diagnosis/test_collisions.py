@@ -3,7 +3,7 @@
 from contextlib import closing
 
 from multicontact_control.diagnosis.friction import undeclared_friction
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 import numpy as np
@@ -22,7 +22,7 @@ FRICTION = 1.2  # N m, of a UR5's first wrist joint
 
 def rubbing(folder, **controller):
     """Return a UR5 whose first wrist joint has friction that only the plant knows of."""
-    robot = yaml.safe_load((config_dir() / 'robots' / 'ur5.yaml').read_text())
+    robot = yaml.safe_load((find_config_folder() / 'robots' / 'ur5.yaml').read_text())
     robot |= {
         'coulomb': [0.0, 0.0, 0.0, FRICTION, 0.0, 0.0],
         'plants': {'rigid': {'plant': {'joint_friction_scale': 1.0}}},

@@ -17,7 +17,7 @@ from multicontact_control.dynamics.rotations import Pose, rotation_vector
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.force_law import FORCE_LAW
 from multicontact_control.loop import ControlLoop
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.records import CONTACT, CONTROL, LAW
 from multicontact_control.supervision.command_limits import CommandLimits
 import numpy as np
@@ -34,7 +34,7 @@ REFERENCE = json.loads(
 @pytest.fixture
 def puma(tmp_path):
     """Return the arm of the reference values: without tool, armature to the last digit."""
-    urdf = ElementTree.parse(config_dir() / 'puma560.urdf').getroot()
+    urdf = ElementTree.parse(find_config_folder() / 'puma560.urdf').getroot()
     for link in urdf.findall('link'):
         if link.get('name') in ('ft_face', 'tool'):
             link.remove(link.find('inertial'))
@@ -84,7 +84,7 @@ def test_model_carries_another_load_than_its_urdf_has():
         controller_config(),
         ToolConfig(mass=1.7, com_sensor=(0.05, -0.03, 0.11)),
     )
-    models = [load_model(config_dir() / config.robot.urdf) for _ in range(3)]
+    models = [load_model(find_config_folder() / config.robot.urdf) for _ in range(3)]
     for model, tool in zip(models, (load, config.tool)):
         frame = model.frames[model.getFrameId(config.robot.sensor_frame)]
         model.appendBodyToJoint(
@@ -92,7 +92,7 @@ def test_model_carries_another_load_than_its_urdf_has():
             pin.Inertia(tool.mass, np.array(tool.com_sensor), np.zeros((3, 3))),
             frame.placement,
         )
-    robot = RobotModel(config.robot, config_dir())
+    robot = RobotModel(config.robot, find_config_folder())
     robot.carry(load, config.tool)
     for q, v, a in np.random.default_rng(1).uniform(-1.5, 1.5, (5, 3, 6)):
         state = robot.update(q, v)
@@ -146,7 +146,7 @@ def test_rotation_error_is_scipys_rotation_vector(seed, size):
 def test_model_refuses_names_that_do_not_match(change, message):
     config = controller_config().robot.model_copy(update=change)
     with pytest.raises(ConfigError, match=message):
-        RobotModel(config, config_dir())
+        RobotModel(config, find_config_folder())
 
 
 def test_model_of_a_vendors_urdf_locks_fingers_and_takes_endless_joints(tmp_path):
@@ -285,7 +285,7 @@ def torque_for(model, q, v, acceleration, **nullspace):
 def test_operational_force_gives_the_commanded_acceleration():
     """F = Lambda a + mu + p makes the operational point accelerate by a (P04 eqs 24-25)."""
     puma, rng = (
-        RobotModel(controller_config().robot, config_dir()),
+        RobotModel(controller_config().robot, find_config_folder()),
         np.random.default_rng(1),
     )
     for _ in range(10):

@@ -40,7 +40,7 @@ from multicontact_control.force.laws import LAWS, LinearLaw, steady_law
 from multicontact_control.force.margins import spectral_radius
 from multicontact_control.force.observer import steady_gain
 from multicontact_control.force.plant import delayed_plant
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.records import CONTACT, CONTROL, MAX_STATES
 from multicontact_control.runs.scenario import resolve
 import numpy as np
@@ -300,8 +300,10 @@ def test_registry_has_every_law_in_every_place():
     names = set(get_args(LawName))
     assert set(LAWS) == set(get_args(Law)) == names
     assert set(FASTER) == names
-    assert set(read_yaml(config_dir() / 'tuning.yaml')) == names
-    presets = {path.stem for path in (config_dir() / 'presets/laws').glob('*.yaml')}
+    assert set(read_yaml(find_config_folder() / 'tuning.yaml')) == names
+    presets = {
+        path.stem for path in (find_config_folder() / 'presets/laws').glob('*.yaml')
+    }
     assert presets == names - {'aob'}  # `paper`, `best`, `adaptive`
 
 

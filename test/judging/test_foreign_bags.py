@@ -23,7 +23,7 @@ from mcap.reader import make_reader
 from mcap.writer import IndexType, Writer
 from multicontact_control.cli.application import app
 from multicontact_control.errors import ConfigError, RunError
-from multicontact_control.files import write_json
+from multicontact_control.files import replace_json_file
 from multicontact_control.judging.display import print_summary
 from multicontact_control.judging.figures import (
     draw_figures,
@@ -254,7 +254,7 @@ def test_run_whose_recording_is_damaged_later_is_judged_by_what_is_left(tmp_path
     replace(run.setup, noise_estimator=resolve('quick').noise_estimator).write(
         tmp_path / 'config'
     )
-    write_json(
+    replace_json_file(
         tmp_path / 'summary.json',
         {**run.summary, 'mode': 'external', 'supervised': False},
     )

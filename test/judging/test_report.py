@@ -7,7 +7,7 @@ import shutil
 from browser import Tab
 from multicontact_control.cli.application import app
 from multicontact_control.errors import ConfigError
-from multicontact_control.files import write_json
+from multicontact_control.files import replace_json_file
 from multicontact_control.judging import report
 from multicontact_control.judging.page import (
     envelope,
@@ -37,7 +37,7 @@ def folder(tmp_path_factory):
     data = paper_run(setup)
     setup.write(folder / 'config')
     data.save(folder)
-    write_json(
+    replace_json_file(
         folder / 'summary.json',
         summarise(data, setup, mode='in_process', timing={'kernels_compiled': 0}),
     )

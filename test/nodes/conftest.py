@@ -2,9 +2,9 @@
 
 from multicontact_control.nodes import diagnostics, lifecycle
 from multicontact_control.nodes.controller_node import ControllerNode
-from multicontact_control.nodes.link import GuestNode
+from multicontact_control.nodes.link import ServiceClientNode
 from multicontact_control.nodes.runtime import Spinner
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.graph.domain import reserve_domain
 import pytest
 from ros_graph import Middleware
@@ -15,7 +15,7 @@ def domain_id():
     """Reserve a domain that nothing else on this machine uses."""
     with (
         reserve_domain() as number,
-        GuestNode('keeper', number),
+        ServiceClientNode('keeper', number),
     ):  # one participant for all tests
         yield number
 
@@ -34,7 +34,7 @@ def module_middleware(domain_id):
 
 @pytest.fixture(scope='module')
 def driver(domain_id):
-    with GuestNode('driver', domain_id) as handle:
+    with ServiceClientNode('driver', domain_id) as handle:
         yield handle
 
 
@@ -58,7 +58,7 @@ class Host(Middleware):
             cli_args=[
                 '--ros-args',
                 '--params-file',
-                str(config_dir() / 'controller.yaml'),
+                str(find_config_folder() / 'controller.yaml'),
                 *options,
             ],
         )
@@ -90,7 +90,7 @@ def host_domain():
     """Reserve a domain for hosted nodes: what is left of them answers no other test."""
     with (
         reserve_domain() as number,
-        GuestNode('keeper', number),
+        ServiceClientNode('keeper', number),
         pytest.MonkeyPatch.context() as patch,
     ):
         patch.setattr(lifecycle, 'SPIN_TIMEOUT', 0.001)

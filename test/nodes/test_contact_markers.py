@@ -3,7 +3,7 @@
 from arms import controller_config
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import MessageError
-from multicontact_control.nodes.controller_topics import contact_arrows
+from multicontact_control.nodes.controller_topics import build_contact_arrows
 from multicontact_control.supervision.report import no_answer
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def arrows_of(forces, active):
     contacts['normal'] = NORMALS
     controls['frame']['position'], controls['frame']['rotation'] = POSE
     output = nothing._replace(memory=controls.tobytes() + contacts.tobytes())
-    return contact_arrows(CONFIG, STAMP, output).markers
+    return build_contact_arrows(CONFIG, STAMP, output).markers
 
 
 def test_arrows_are_as_long_as_the_measured_forces_and_end_at_the_tips():

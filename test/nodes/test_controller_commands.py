@@ -3,7 +3,7 @@
 from fake_arm import FakeArm, PARAMETERS
 from geometry_msgs.msg import Transform
 from multicontact_control.errors import RunError
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 import numpy as np
 import pytest
 from ros_graph import wait_for
@@ -25,7 +25,7 @@ def arm(module_middleware):
         *PARAMETERS,
         'transition.torque_rate:=100.0',
         'transition.blend_time:=0.02',
-        files=(config_dir() / 'controller.yaml',),
+        files=(find_config_folder() / 'controller.yaml',),
         flags=('--autostart',),
     )
     arm = FakeArm(module_middleware)
@@ -80,9 +80,11 @@ def test_gains_change_live_and_hold_begins_without_a_bump(arm, driver):
     ):
         before = arm.step()
         driver.set_parameters(NAME, {name: value})
-        assert driver.parameters(NAME, name) == [value]
+        assert driver.get_parameters(NAME, name) == [value]
         np.testing.assert_array_equal(arm.step(), before)
-    assert driver.call(NAME, SetBool, 'hold', SetBool.Request(data=True)).success
+    assert driver.call_service(
+        NAME, SetBool, 'hold', SetBool.Request(data=True)
+    ).success
     np.testing.assert_array_equal(arm.step(), before)
     send_forces(arm, table=8.0)
     # A report is made in steps: what is in it may be some samples apart.
@@ -99,7 +101,9 @@ def test_gains_change_live_and_hold_begins_without_a_bump(arm, driver):
     assert (level, values['age_s contact_forces/noise_variance']) == (1, 'none')
     arm.step()
     assert arm.forces('desired') == NO_FORCE | {'table': 3.0}
-    assert driver.call(NAME, SetBool, 'hold', SetBool.Request(data=False)).success
+    assert driver.call_service(
+        NAME, SetBool, 'hold', SetBool.Request(data=False)
+    ).success
     command(arm, table=0.0)
 
 
@@ -116,10 +120,10 @@ def test_refused_values_change_nothing(arm, driver):
         ('lqg', 'force.lqg.noise_variance', 1e300),
     ):
         driver.set_parameters(NAME, {'force.law': law})
-        old = driver.parameters(NAME, name)
+        old = driver.get_parameters(NAME, name)
         with pytest.raises(RunError, match=name.rpartition('.')[0]):
             driver.set_parameters(NAME, {name: value})
-        assert driver.parameters(NAME, name) == old
+        assert driver.get_parameters(NAME, name) == old
         arm.step()
     driver.set_parameters(NAME, {'force.law': 'aob'})
     np.testing.assert_allclose(arm.settle(), before, atol=1e-6)
@@ -149,10 +153,10 @@ def test_tare_makes_the_compensated_wrench_zero_and_is_refused_under_force_contr
     arm.wrench = arm.wrench + bias
     arm.settle(120)
     assert max(abs(x) for x in arm.forces('measured').values()) > 1.0
-    answer = driver.call(NAME, Trigger, 'tare', Trigger.Request())
+    answer = driver.call_service(NAME, Trigger, 'tare', Trigger.Request())
     assert answer.success, answer.message
     np.testing.assert_allclose(
-        *driver.parameters(NAME, 'tool.bias_sensor'), bias, atol=1e-9
+        *driver.get_parameters(NAME, 'tool.bias_sensor'), bias, atol=1e-9
     )
     arm.settle(120)
     np.testing.assert_allclose(list(arm.forces('measured').values()), 0.0, atol=1e-9)
@@ -161,6 +165,6 @@ def test_tare_makes_the_compensated_wrench_zero_and_is_refused_under_force_contr
     arm.settle(120)
     command(arm, table=5.0)
     for service in ('tare', 'retry'):  # and there is nothing that waits for a retry
-        answer = driver.call(NAME, Trigger, service, Trigger.Request())
+        answer = driver.call_service(NAME, Trigger, service, Trigger.Request())
         assert not answer.success and answer.message
     command(arm, table=0.0)

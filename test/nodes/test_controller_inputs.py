@@ -5,8 +5,8 @@ import time
 from arms import HOME
 from fake_arm import EFFORT, FakeArm, PARAMETERS, PERIOD, UNFELT, wrench_message
 from multicontact_control.nodes import messages
-from multicontact_control.nodes.diagnostics import Inputs
-from multicontact_control.nodes.link import GuestNode
+from multicontact_control.nodes.diagnostics import InputMonitor
+from multicontact_control.nodes.link import ServiceClientNode
 from multicontact_control.nodes.topics import JOINT_STATES, NOISE_VARIANCE, WRENCH
 from multicontact_control.runs.graph.processes import LINE_LENGTH
 import numpy as np
@@ -162,7 +162,7 @@ def test_second_node_that_publishes_joints_or_commands_is_named(host, host_domai
     }
     level, _, counts = arm.diagnostics(lambda x: 'publishers' in x)['publishers']
     assert (level, [counts[topic] for topic in topics]) == (0, ['1'] * 3)
-    with GuestNode('intruder', host_domain) as guest:
+    with ServiceClientNode('intruder', host_domain) as guest:
         for topic, message in topics.items():
             guest.node.create_publisher(message, topic, 1)
         level, text, _ = arm.diagnostics(
@@ -196,7 +196,7 @@ def test_second_publisher_of_the_same_node_is_counted_and_not_named_twice(host):
 def test_input_that_came_before_is_missed_only_from_a_robot_that_goes_on(
     middleware, capfd, topic, options, missed
 ):
-    inputs = Inputs(middleware.node, 500.0, topic, **options)
+    inputs = InputMonitor(middleware.node, 500.0, topic, **options)
     publisher = middleware.node.create_publisher(topic.message, topic.name, 1)
     wait_for(lambda: middleware.node.count_publishers(topic.name), 'it is known')
     inputs.last[topic] = 1
@@ -210,7 +210,7 @@ def test_input_that_came_before_is_missed_only_from_a_robot_that_goes_on(
 def test_input_is_told_once_each_time_that_it_falls_silent_and_comes_again(
     middleware, capfd
 ):
-    inputs = Inputs(middleware.node, 500.0, JOINT_STATES, WRENCH)
+    inputs = InputMonitor(middleware.node, 500.0, JOINT_STATES, WRENCH)
 
     def logged(joints, wrench):
         inputs.last = {JOINT_STATES: joints, WRENCH: wrench}

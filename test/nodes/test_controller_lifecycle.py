@@ -17,7 +17,7 @@ from multicontact_control.nodes.link import (
     DEACTIVATE,
     TransitionError,
 )
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.ros
 
 MODULE = 'multicontact_control.nodes.controller_node'
 NAME = 'controller_node'
-FILE = config_dir() / 'controller.yaml'
+FILE = find_config_folder() / 'controller.yaml'
 RATE, BLEND = 100.0, 0.02  # transition.torque_rate [N m/s], transition.blend_time [s]
 PARAMETERS = (
     *STILL,
@@ -97,10 +97,10 @@ def test_process_obeys_possible_transitions_and_leaves_the_arm_safely(
     )
     for transition in (ACTIVATE, DEACTIVATE):  # not possible yet
         with pytest.raises(TransitionError):
-            driver.change(NAME, transition)
-    assert driver.state(NAME) == 'unconfigured'
+            driver.change_state(NAME, transition)
+    assert driver.get_state(NAME) == 'unconfigured'
     for transition in (CONFIGURE, ACTIVATE):
-        driver.change(NAME, transition)
+        driver.change_state(NAME, transition)
     # A port in shared memory would outlive a process that is killed, and the next one's be deaf.
     assert '_port' not in Path(f'/proc/{process.pid}/maps').read_text(encoding='utf-8')
     arm = FakeArm(middleware)
@@ -126,7 +126,7 @@ def test_configure_refuses_what_is_wrong_until_it_is_repaired(host, tmp_path):
         re.sub(
             '<inertial>.*?</inertial>',
             '',
-            (config_dir() / 'puma560.urdf').read_text(),
+            (find_config_folder() / 'puma560.urdf').read_text(),
             flags=re.DOTALL,
         )
     )
@@ -138,7 +138,7 @@ def test_configure_refuses_what_is_wrong_until_it_is_repaired(host, tmp_path):
     for name, value in (
         ('rate', 500.0),
         ('robot.urdf', str(weightless)),
-        ('robot.urdf', str(config_dir() / 'puma560.urdf')),
+        ('robot.urdf', str(find_config_folder() / 'puma560.urdf')),
         ('effort_output_topic', '~/efforts'),
     ):
         assert node.trigger_configure() == FAILURE

@@ -206,7 +206,9 @@ def test_bridge_waits_for_recovery_after_reflex_user_stop_and_lost_connection(
     bench, driver
 ):
     def recover():
-        return driver.call('franka_bridge', Trigger, 'recover', Trigger.Request())
+        return driver.call_service(
+            'franka_bridge', Trigger, 'recover', Trigger.Request()
+        )
 
     for effort, failure, mode in (
         (1.5, RuntimeError('aborted by reflex'), 'Reflex'),

@@ -15,7 +15,7 @@ from hypothesis import example, given, HealthCheck, settings
 from hypothesis import strategies as st
 from multicontact_control.errors import MessageError
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.graph import ignore, take
+from multicontact_control.nodes.graph import ignore_message, take_message
 from multicontact_control.nodes.lifecycle import SUCCESS
 from multicontact_control.nodes.messages import JOINT_FIELDS
 from multicontact_control.nodes.streams import MessageReader, StreamPublisher
@@ -104,7 +104,7 @@ def by_hand(message, names, field):
 def read(message, names, fields, optional=()):
     """Return the vectors of a message as lists, or None if it is refused."""
     try:
-        stamp, *vectors = messages.read_named(message, names, fields, optional)
+        stamp, *vectors = messages.read_named_vectors(message, names, fields, optional)
     except MessageError:
         return None
     assert stamp == messages.stamp_to_ns(message.header.stamp)
@@ -161,7 +161,7 @@ def test_read_wrench_reads_every_bit_or_refuses(message, frame):
 def test_reader_in_place_reads_what_message_objects_have(sent, names):
     """What one message has taught it must not spoil the next."""
     fields = {'names': names, 'fields': JOINT_FIELDS[:1], 'optional': JOINT_FIELDS[1:]}
-    reader = MessageReader(JointState, partial(messages.read_named, **fields))
+    reader = MessageReader(JointState, partial(messages.read_named_vectors, **fields))
     for message in (*sent, *sent, six(), six(2.0), *sent):
         data, vectors = serialize_message(message), None
         with suppress(MessageError):
@@ -179,7 +179,7 @@ def test_efforts_of_some_joints_are_read_beside_those_that_are_no_numbers():
         'optional': JOINT_FIELDS[1:2],
         'partial': JOINT_FIELDS[2:],
     }
-    reader = MessageReader(JointState, partial(messages.read_named, **fields))
+    reader = MessageReader(JointState, partial(messages.read_named_vectors, **fields))
     message = six()
     for number in (1.0, math.nan, 2.0):
         message.effort[2] = number
@@ -266,10 +266,10 @@ def test_stream_refuses_what_is_not_finite_and_a_stamp_beyond_those_of_ros(
         StreamPublisher(middleware.node, topics.JOINT_STATES, six()),
         np.ones(6),
     )
-    before = stream.write(START, ones, ones, ones)
+    before = stream.encode_message(START, ones, ones, ones)
     with pytest.raises(MessageError):
-        stream.write(stamp, ones, np.full(6, number), ones)
-    assert stream.write(START, ones, ones, ones) == before
+        stream.encode_message(stamp, ones, np.full(6, number), ones)
+    assert stream.encode_message(START, ones, ones, ones) == before
 
 
 @pytest.mark.parametrize(
@@ -431,7 +431,9 @@ class Live:
             for topic in TAKEN
         }
         self._outputs = [
-            host.node.create_subscription(topic.message, topic.name, ignore, 1000)
+            host.node.create_subscription(
+                topic.message, topic.name, ignore_message, 1000
+            )
             for topic in PUBLISHED
         ]
         for subscription in self._outputs:
@@ -440,7 +442,9 @@ class Live:
 
     def values(self, part):
         """Return the values of a part of the diagnostics."""
-        return next(x.values for x in self.node.statuses() if x and x.part == part)
+        return next(
+            x.values for x in self.node.collect_statuses() if x and x.part == part
+        )
 
     def restart(self):
         assert self.node.trigger_deactivate() == self.node.trigger_activate() == SUCCESS
@@ -456,7 +460,7 @@ class Live:
 
     def take(self):
         for subscription in self._outputs:
-            while (taken := take(subscription)) is not None:
+            while (taken := take_message(subscription)) is not None:
                 self.received += 1
                 assert all(map(math.isfinite, numbers_in(taken[0]))), taken[0]
 
@@ -478,7 +482,7 @@ def test_messages_are_answered_or_refused(live, events, good):
         live.callbacks[topic](message)
     for _ in range(good):
         live.good()
-    live.node.look(live.host.spinner)
+    live.node.do_due_work(live.host.spinner)
     live.take()
 
 

@@ -8,14 +8,14 @@ from pathlib import Path
 from arms import controller_config, seven_joint_urdf
 from multicontact_control.config import Config, ControllerConfig, parameter, Vector
 from multicontact_control.errors import ConfigError
-from multicontact_control.nodes.link import GuestNode
+from multicontact_control.nodes.link import ServiceClientNode
 from multicontact_control.nodes.parameters import (
-    folder_of,
+    find_parameter_folder,
     load_parameters,
     ParameterSet,
 )
 from multicontact_control.nodes.private import parameter_overrides
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.parameter_file import write_parameters
 from multicontact_control.runs.scenario import (
     dotted,
@@ -28,7 +28,7 @@ from rclpy.parameter import Parameter
 from sim_bridge.new_robot import new_robot
 import yaml
 
-CONTROLLER_FILE = config_dir() / 'controller.yaml'
+CONTROLLER_FILE = find_config_folder() / 'controller.yaml'
 
 
 class Gains(Config):
@@ -46,7 +46,10 @@ class Whole(Config):
 @pytest.fixture
 def make_node(domain_id, tmp_path, monkeypatch):
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros'))
-    with GuestNode('context', domain_id) as guest, contextlib.ExitStack() as nodes:
+    with (
+        ServiceClientNode('context', domain_id) as guest,
+        contextlib.ExitStack() as nodes,
+    ):
 
         def make(*arguments, file=None):
             files = ['--params-file', str(file)] if file else []
@@ -162,8 +165,8 @@ def test_parameter_set_applies_changes_that_pass_the_check_as_a_whole(make_node)
             raise ArithmeticError('no solution')
         applied.extend(configs)
 
-    parameters.use = use
-    parameters.refuse = lambda name, error: refused.append((name, str(error)))
+    parameters.apply_design = use
+    parameters.report_refusal = lambda name, error: refused.append((name, str(error)))
     for value, reason in (
         (5.0, 'gains.soft: expected less than stiff, got 5.0'),
         (0.0, 'no solution'),
@@ -211,9 +214,11 @@ def test_path_is_relative_to_the_last_file_that_sets_it(tmp_path, given, folder)
         file.write_text(yaml.safe_dump(contents[name]))
         arguments += ['--params-file', str(file)]
     expected = tmp_path / folder if folder else Path()
-    assert folder_of('robot.urdf', 'controller_node', arguments) == expected
+    assert find_parameter_folder('robot.urdf', 'controller_node', arguments) == expected
     for text in ('robot.urdf:=here.urdf', 'controller_node:robot.urdf:=here.urdf'):
         assert (
-            folder_of('robot.urdf', 'controller_node', [*arguments, '-p', text])
+            find_parameter_folder(
+                'robot.urdf', 'controller_node', [*arguments, '-p', text]
+            )
             == Path()
         )

@@ -4,8 +4,8 @@ from collections import Counter
 import json
 
 from multicontact_control.nodes import messages, qos, topics
-from multicontact_control.nodes.graph import ignore
-from multicontact_control.paths import config_dir
+from multicontact_control.nodes.graph import ignore_message
+from multicontact_control.paths import find_config_folder
 import pytest
 from ros_graph import end_of, wait_for
 from sensor_msgs.msg import JointState
@@ -27,14 +27,17 @@ def test_controller_holds_the_last_variance_of_an_estimator_that_died_and_can_be
 ):
     commands, diagnostics = (
         middleware.node.create_subscription(
-            topic.message, topic.name, ignore, qos.INPUT
+            topic.message, topic.name, ignore_message, qos.INPUT
         )
         for topic in (topics.EFFORT_COMMAND, topics.DIAGNOSTICS)
     )
 
     def start(module, *parameters, flags=('--autostart',)):
         return middleware.start(
-            module, *parameters, files=(config_dir() / FILES[module],), flags=flags
+            module,
+            *parameters,
+            files=(find_config_folder() / FILES[module],),
+            flags=flags,
         )
 
     def report(part, condition):
@@ -95,14 +98,17 @@ def test_simulator_times_a_command_from_the_first_sending_of_its_sample(
     middleware, tmp_path
 ):
     samples = middleware.node.create_subscription(
-        topics.JOINT_STATES.message, topics.JOINT_STATES.name, ignore, qos.INPUT
+        topics.JOINT_STATES.message, topics.JOINT_STATES.name, ignore_message, qos.INPUT
     )
     commands = middleware.node.create_publisher(
         JointState, topics.EFFORT_COMMAND.name, topics.EFFORT_COMMAND.profile
     )
     path = tmp_path / 'sim.json'
     sim = middleware.start(
-        SIM, 'ticks:=2', f'timing_file:={path}', files=(config_dir() / FILES[SIM],)
+        SIM,
+        'ticks:=2',
+        f'timing_file:={path}',
+        files=(find_config_folder() / FILES[SIM],),
     )
     sent = Counter()
     while sim.poll() is None:

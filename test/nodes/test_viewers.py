@@ -4,7 +4,7 @@ import json
 import re
 
 from multicontact_control.nodes.topics import TOPICS, WORLD_FRAME
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 import yaml
 
 KNOWN = {f'/{topic.name.lstrip("/")}': topic for topic in TOPICS}
@@ -21,7 +21,7 @@ DRAWN = set(DISPLAYS.values()) - {
 
 
 def test_rviz_shows_topics_as_they_are_published():
-    manager = yaml.safe_load((config_dir() / 'multicontact.rviz').read_text())[
+    manager = yaml.safe_load((find_config_folder() / 'multicontact.rviz').read_text())[
         'Visualization Manager'
     ]
     assert manager['Global Options']['Fixed Frame'] == WORLD_FRAME
@@ -39,7 +39,7 @@ def test_rviz_shows_topics_as_they_are_published():
 
 def test_foxglove_shows_fields_that_there_are():
     layout = json.loads(
-        (config_dir() / 'foxglove_layout.json').read_text(encoding='utf-8')
+        (find_config_folder() / 'foxglove_layout.json').read_text(encoding='utf-8')
     )
     for panel, config in layout['configById'].items():
         if panel.startswith('3D'):

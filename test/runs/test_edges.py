@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from multicontact_control.control.tasks import MotionReading, quintic
+from multicontact_control.algebra import quintic_blend
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 import numpy as np
@@ -29,16 +30,16 @@ class Course(NamedTuple):
 
     @property
     def duration(self):
-        return 1.875 * self.distance / self.speed  # of the quintic, one way
+        return 1.875 * self.distance / self.speed  # of the quintic_blend, one way
 
     def at(self, time, start):
         """Return the motion command at a time [s] after a start pose."""
-        out, _, _ = quintic(time, self.duration)
-        share, rate, change = quintic(time - self.duration - REST, self.duration)
+        out, _, _ = quintic_blend(time, self.duration)
+        share, rate, change = quintic_blend(time - self.duration - REST, self.duration)
         if time < self.duration + REST:
             share, rate, change = (
                 1.0 - x if n == 0 else -x
-                for n, x in enumerate(quintic(time, self.duration))
+                for n, x in enumerate(quintic_blend(time, self.duration))
             )
         way = self.distance * (1.0 - share)
         direction = np.array(self.direction)

@@ -6,7 +6,7 @@ import click
 from foreign_bag import controller_file, JOINTS
 from multicontact_control.cli.options import RunOptions
 from multicontact_control.errors import ConfigError
-from multicontact_control.files import write_json
+from multicontact_control.files import replace_json_file
 from multicontact_control.judging.results import contact_types, load_setup
 from multicontact_control.runs.parameter_file import write_parameters
 from multicontact_control.runs.scenario import dotted, resolve, resolve_external
@@ -150,7 +150,7 @@ def test_setup_that_was_written_is_read_back(file, tmp_path, simulated):
     )
     files = setup.write(tmp_path / 'run/config')
     assert ('sim_node' in files) == simulated
-    write_json(
+    replace_json_file(
         tmp_path / 'run/summary.json',
         {
             'schema': 1,

@@ -3,7 +3,7 @@
 from multicontact_control.config import read_parameters, read_yaml
 from multicontact_control.errors import ConfigError
 from multicontact_control.judging.judged_run import simulation_parameters
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.overrides import (
     node_configs,
     resolve_with,
@@ -14,14 +14,14 @@ import pytest
 import yaml
 
 NAMES = [
-    path.relative_to(config_dir() / 'presets').with_suffix('').as_posix()
-    for path in sorted((config_dir() / 'presets').rglob('*.yaml'))
+    path.relative_to(find_config_folder() / 'presets').with_suffix('').as_posix()
+    for path in sorted((find_config_folder() / 'presets').rglob('*.yaml'))
 ]
 
 
 @pytest.mark.parametrize(
     'path',
-    sorted((config_dir() / 'scenarios').glob('*.yaml')),
+    sorted((find_config_folder() / 'scenarios').glob('*.yaml')),
     ids=lambda path: path.stem,
 )
 def test_every_scenario_resolves_and_is_named_as_its_file(path):
@@ -65,7 +65,7 @@ def test_every_scenario_resolves_and_is_named_as_its_file(path):
 )
 def test_resolve_names_what_is_wrong_in_a_scenario(tmp_path, changes, message):
     path = tmp_path / 'mine.yaml'
-    values = {**read_yaml(config_dir() / 'scenarios' / 'quick.yaml'), **changes}
+    values = {**read_yaml(find_config_folder() / 'scenarios' / 'quick.yaml'), **changes}
     path.write_text(yaml.safe_dump(values), encoding='utf-8')
     with pytest.raises(ConfigError, match=message) as caught:
         setup = resolve(str(path))

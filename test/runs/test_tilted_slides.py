@@ -1,6 +1,7 @@
 """Slides on surfaces whose tilt nothing has told the controller, pressed all the while."""
 
-from multicontact_control.control.tasks import MotionReading, quintic
+from multicontact_control.algebra import quintic_blend
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 import numpy as np
@@ -36,7 +37,7 @@ def slide(robot, plant, degrees, axis, way, seed):
     start = loop.control.output.pose_des
     place, quaternion = start.position_world.copy(), start.quaternion_xyzw.copy()
     for tick in range(round((DURATION + 0.5) / period)):
-        s, ds, dds = quintic(tick * period, DURATION)
+        s, ds, dds = quintic_blend(tick * period, DURATION)
         twist, acceleration = np.zeros((2, 6))
         twist[:3], acceleration[:3] = ds * np.array(way), dds * np.array(way)
         loop.control.set_motion(

@@ -10,7 +10,7 @@ from multicontact_control.cli.robot import new_robot as command
 from multicontact_control.config import ControllerConfig, read_yaml, validate
 from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.scenario import read_controller_files
 import numpy as np
 import pinocchio as pin
@@ -30,7 +30,7 @@ TABLE = read_yaml(Path(__file__).parents[1] / 'data' / 'puma560.yaml')
 def vendor(name):
     """Return the vendor's own model of a robot."""
     file = find_robot(name).file
-    path = urdf_path(file.urdf, config_dir())
+    path = urdf_path(file.urdf, find_config_folder())
     joints = [
         joint.get('name')
         for joint in ElementTree.parse(path).getroot().findall('joint')
@@ -117,7 +117,7 @@ def test_arm_looks_as_the_vendors_does(name, rng):
     arm, model, path = (
         find_robot(name).arm,
         vendor(name),
-        urdf_path(find_robot(name).file.urdf, config_dir()),
+        urdf_path(find_robot(name).file.urdf, find_config_folder()),
     )
     q = rng.uniform(-1.0, 1.0, len(arm.links))
     folders = [str(folder) for folder in path.parents[:5]]
@@ -198,7 +198,7 @@ def test_controller_and_plant_have_the_same_arm_at_home_before_its_surfaces(name
     ],
 )
 def test_robot_file_names_the_bad_field(tmp_path, changes, field):
-    values = {**read_yaml(config_dir() / 'robots' / 'panda.yaml'), **changes}
+    values = {**read_yaml(find_config_folder() / 'robots' / 'panda.yaml'), **changes}
     path = tmp_path / 'mine.yaml'
     path.write_text(yaml.safe_dump(values), encoding='utf-8')
     with pytest.raises(ConfigError) as caught:

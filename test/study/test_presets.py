@@ -8,7 +8,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.faults.vocabulary import FAULTS
 from multicontact_control.force.laws import LAWS
 from multicontact_control.force.noise import lead_filter
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.closed_loop import run_in_process
 from multicontact_control.runs.scenario import resolve
 from multicontact_control.study.cells import run_cells
@@ -90,7 +90,7 @@ def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_fi
 
 
 def test_every_law_has_ranges_whose_ends_are_acceptable():
-    declared = read_yaml(config_dir() / 'tuning.yaml')
+    declared = read_yaml(find_config_folder() / 'tuning.yaml')
     assert set(declared) == set(LAWS)
     for law, ranges in declared.items():
         ends = {name: [values[0], values[-1]] for name, values in ranges.items()}

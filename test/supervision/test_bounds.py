@@ -5,12 +5,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from multicontact_control.dynamics.operational_space import mobility_gradient
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.supervision import bounds
 import numpy as np
 import pytest
 
-ROBOT = RobotModel(controller_config().robot, config_dir())
+ROBOT = RobotModel(controller_config().robot, find_config_folder())
 
 
 def factors(state):

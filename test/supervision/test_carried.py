@@ -9,7 +9,7 @@ from multicontact_control.config import ToolConfig
 from multicontact_control.dynamics.robot import load_model, RobotModel
 from multicontact_control.errors import ConfigError
 from multicontact_control.loop import ControlLoop
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 from multicontact_control.supervision.command_limits import CommandLimits
@@ -20,7 +20,7 @@ import pytest
 from sim_bridge.actuator_delay import ActuatorDelay
 
 REST = np.zeros(6)
-ROBOT = RobotModel(controller_config().robot, config_dir())
+ROBOT = RobotModel(controller_config().robot, find_config_folder())
 FEET = {
     'a': [0.05, 0.05, 0.24],
     'b': [-0.05, 0.05, 0.24],
@@ -57,7 +57,10 @@ def pressing_down(points):
 def test_contacts_that_depend_in_any_orientation_are_refused(points):
     with pytest.raises(ConfigError, match=f'got {", ".join(points)}, which depend'):
         ControlLoop(
-            still_config(**pressing_down(points)), None, CommandLimits(), config_dir()
+            still_config(**pressing_down(points)),
+            None,
+            CommandLimits(),
+            find_config_folder(),
         )
 
 
@@ -127,7 +130,7 @@ TOOL = ('ft_face', 'tool')  # links beyond the sensor
 
 def gravity_of_the_arm(with_tool):
     """Return g(q) of what the arm's own controller knows of it, from its URDF."""
-    urdf = ElementTree.fromstring((config_dir() / 'puma560.urdf').read_text())
+    urdf = ElementTree.fromstring((find_config_folder() / 'puma560.urdf').read_text())
     for link in urdf.findall('link'):
         inertial = link.find('inertial')
         if not with_tool and link.get('name') in TOOL and inertial is not None:

@@ -14,7 +14,7 @@ from multicontact_control.flags import (
     PULL,
     SIDEWAYS,
 )
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.records import CONTACT, CONTROL
 from multicontact_control.supervision.checks import (
     check_plausibility,
@@ -27,7 +27,7 @@ import numpy as np
 import pytest
 
 CONFIG = controller_config()
-ROBOT = RobotModel(CONFIG.robot, config_dir())
+ROBOT = RobotModel(CONFIG.robot, find_config_folder())
 LIMIT = np.array(CONFIG.torque_limit)
 REST = np.zeros(6)
 START = np.array([1.0, 10.0, 0.0, 0.5, -0.5, 0.1])

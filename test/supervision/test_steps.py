@@ -1,6 +1,7 @@
 """Steps of a commanded motion are walked within the limits, without a hold."""
 
-from multicontact_control.control.tasks import MotionReading, quintic
+from multicontact_control.algebra import quintic_blend
+from multicontact_control.control.tasks import MotionReading
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 import numpy as np
@@ -35,7 +36,9 @@ def test_arm_goes_where_it_is_told_within_its_limits_and_without_a_hold(
     step, zero = np.array(way), np.zeros(3)
     for tick in range(1500):
         s, ds, dds = (
-            quintic(tick * config.period, duration) if duration else (1.0, 0.0, 0.0)
+            quintic_blend(tick * config.period, duration)
+            if duration
+            else (1.0, 0.0, 0.0)
         )
         if tick * config.period <= duration:
             loop.control.set_motion(

@@ -6,7 +6,7 @@ from multicontact_control.client import MultiContactClient
 from multicontact_control.errors import MulticontactError, RunError
 from multicontact_control.nodes import topics
 from multicontact_control.nodes.graph import create_publisher
-from multicontact_control.nodes.link import GuestNode
+from multicontact_control.nodes.link import ServiceClientNode
 from multicontact_control.nodes.messages import joint_state_message
 from multicontact_control.runs.graph.domain import reserve_domain
 from multicontact_control.runs.scenario import resolve
@@ -136,8 +136,8 @@ def test_another_client_is_shown_and_ends_a_motion(shown, domain):
         for _ in range(2):  # as a command whose answer is late is resent
             wait_for(
                 lambda: (
-                    other.send(topics.FORCE_COMMAND, refused, '7')
-                    or any(status.command == '7' for status in other.look())
+                    other.publish_command(topics.FORCE_COMMAND, refused, '7')
+                    or any(status.command == '7' for status in other.take_statuses())
                 ),
                 'the refusal',
             )
@@ -201,7 +201,7 @@ def test_push_test_is_cancelled_and_each_refusal_told_once(shown):
 
 
 def test_stream_has_the_extremes_of_every_message_since_they_were_asked_for():
-    with reserve_domain() as domain_id, GuestNode('sender', domain_id) as guest:
+    with reserve_domain() as domain_id, ServiceClientNode('sender', domain_id) as guest:
         publisher = create_publisher(guest.node, topics.MEASURED_FORCES)
         stream = Stream(guest.node, topics.MEASURED_FORCES, ('table', 'board'))
         assert np.isnan(stream.extremes()).all()

@@ -7,7 +7,7 @@ from unittest.mock import Mock
 
 from canonical_runs import run_of
 from multicontact_control.errors import CommandError
-from multicontact_control.files import write_json
+from multicontact_control.files import replace_json_file
 from multicontact_control.judging.results import CONFIG_FOLDER, SUMMARY_FILE
 from multicontact_control.nodes import messages, topics
 from multicontact_control.runs.recording import RunData
@@ -31,7 +31,7 @@ def recorded_run(tmp_path_factory):
     setup.write(folder / CONFIG_FOLDER)
     result.data.save(folder)
     events = [{'time_s': time, 'what': what} for time, what in result.events]
-    write_json(
+    replace_json_file(
         folder / SUMMARY_FILE,
         {'schema': 1, 'plant': 'rigid', 'seed': 0, 'events': events},
     )

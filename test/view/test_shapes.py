@@ -2,7 +2,7 @@
 
 from xml.etree import ElementTree
 
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 import numpy as np
 import pytest
 
@@ -20,7 +20,7 @@ TWO_JOINTS = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/>
 
 
 @pytest.mark.parametrize(
-    'urdf', sorted(config_dir().glob('*.urdf')), ids=lambda path: path.name
+    'urdf', sorted(find_config_folder().glob('*.urdf')), ids=lambda path: path.name
 )
 def test_shapes_are_there_for_every_massive_link_we_ship(urdf):
     root = ElementTree.parse(urdf).getroot()

@@ -14,7 +14,7 @@ from textwrap import shorten
 from typing import Any
 
 from multicontact_control.errors import RunError
-from multicontact_control.nodes.runtime import FULL
+from multicontact_control.nodes.runtime import DISK_FULL_ERRORS
 from multicontact_control.nodes.topics import RECORDER, SIM
 from multicontact_control.runs.graph.node_process import MODULES, start_node
 from multicontact_control.runs.graph.spec import (
@@ -76,7 +76,7 @@ class NodeProcesses:
             as_asked = stopped and code in STOPPED
             if code is None or at_its_end or as_asked:
                 continue
-            if code in FULL:
+            if code in DISK_FULL_ERRORS:
                 raise RunError(
                     f'{name}: {os.strerror(code)}; {self.spec.bag} has what was '
                     'recorded until then'

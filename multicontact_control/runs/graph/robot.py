@@ -8,8 +8,8 @@ import time
 from typing import Any
 
 from multicontact_control.nodes import qos, topics
-from multicontact_control.nodes.graph import ignore, take
-from multicontact_control.nodes.link import GuestNode
+from multicontact_control.nodes.graph import ignore_message, take_message
+from multicontact_control.nodes.link import ServiceClientNode
 
 OWN_NODES = (topics.CONTROLLER, topics.ESTIMATOR, topics.RECORDER)
 UNNAMED = '_NODE_NAME_UNKNOWN_'  # of a topic's end, until its node is known, too
@@ -37,7 +37,10 @@ class _InputStream:
         self._topic = topic
         self._expected_names = expected_names
         self._subscription = node.create_subscription(
-            topic.message, topic.name, ignore, qos.profile(QUEUE_DEPTH, reliable=False)
+            topic.message,
+            topic.name,
+            ignore_message,
+            qos.make_profile(QUEUE_DEPTH, reliable=False),
         )
         self._received = False
         self._received_at = time.monotonic()  # when the newest whole message came
@@ -53,7 +56,7 @@ class _InputStream:
     def take_messages(self) -> None:
         """Take what has come."""
         while True:
-            taken = take(self._subscription)
+            taken = take_message(self._subscription)
             if taken is None:
                 break
             message = taken[0]
@@ -100,7 +103,7 @@ class _InputStream:
         return f'{self.source} has not published {name} for {age:.1f} s'
 
 
-class RobotWatch(GuestNode):
+class RobotWatch(ServiceClientNode):
     """
     A node that listens to the topics of an expected robot.
 

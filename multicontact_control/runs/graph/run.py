@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 from multicontact_control.errors import RunError
 from multicontact_control.nodes import link, messages, qos, topics
-from multicontact_control.nodes.graph import ignore, SAFE_TIME, take
+from multicontact_control.nodes.graph import ignore_message, SAFE_TIME, take_message
 from multicontact_control.runs.graph.domain import domain_in_use, reserve_domain
 from multicontact_control.runs.graph.processes import NodeProcesses
 from multicontact_control.runs.graph.robot import RobotWatch
@@ -70,7 +70,7 @@ class GraphResult:
     ended: str = ''  # what ended it early on the side of the user's own robot
 
 
-class ProgressListener(link.GuestNode):
+class ProgressListener(link.ServiceClientNode):
     """
     Reads the newest measured forces when asked.
 
@@ -82,7 +82,7 @@ class ProgressListener(link.GuestNode):
         self._forces = self.node.create_subscription(
             topics.MEASURED_FORCES.message,
             topics.MEASURED_FORCES.name,
-            ignore,
+            ignore_message,
             qos.GLANCE,
         )
         self._first_stamp = 0.0  # of the first message [s], and when it was read
@@ -91,7 +91,7 @@ class ProgressListener(link.GuestNode):
 
     def newest(self) -> GraphProgress | None:
         """Return what came last since the last call, None if nothing has."""
-        taken = take(self._forces)
+        taken = take_message(self._forces)
         if taken is None:
             return None
         message = taken[0]
@@ -157,7 +157,7 @@ class RunningGraph:
 
     def _change_states(self, transition: str) -> None:
         """Lead controller and estimator through a transition; RunError if one refuses."""
-        with link.GuestNode(
+        with link.ServiceClientNode(
             'lifecycle_driver',
             self.domain_id,
             self.spec.namespace,
@@ -165,7 +165,7 @@ class RunningGraph:
         ) as driver:
             for name in MANAGED:
                 try:
-                    driver.change(name, transition)
+                    driver.change_state(name, transition)
                 except link.TransitionError:
                     event = f'cannot {transition}'
                     raise RunError(self.processes.describe_end(name, event)) from None
@@ -187,13 +187,13 @@ class RunningGraph:
             self.robot.close()
 
     def _deactivate_controller(self) -> None:
-        with link.GuestNode(
+        with link.ServiceClientNode(
             'run_end',
             self.domain_id,
             self.spec.namespace,
             patience=DEACTIVATION_TIMEOUT,
         ) as driver:
-            driver.change(CONTROLLER, link.DEACTIVATE)
+            driver.change_state(CONTROLLER, link.DEACTIVATE)
             time.sleep(SAFE_TIME)
 
 
@@ -224,7 +224,7 @@ def _require_free_names(spec: GraphSpec, domain_id: int) -> None:
     """Check that no node of another graph has a name of this one's; RunError."""
     if not domain_in_use(domain_id):  # by a driver or a page, too
         return
-    with link.GuestNode('run_start', domain_id, spec.namespace) as guest:
+    with link.ServiceClientNode('run_start', domain_id, spec.namespace) as guest:
         time.sleep(DISCOVERY_TIME)
         known = guest.node.get_node_names_and_namespaces()
     for name in sorted(spec.nodes):

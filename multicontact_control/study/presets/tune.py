@@ -10,7 +10,7 @@ from typing import Any
 from multicontact_control.commissioning.law_report import write_preset
 from multicontact_control.config import merge, read_yaml
 from multicontact_control.errors import ConfigError
-from multicontact_control.paths import config_dir
+from multicontact_control.paths import find_config_folder
 from multicontact_control.runs.overrides import nest_overrides
 from multicontact_control.runs.scenario import preset_values
 from multicontact_control.study.cells import Cell, seeded
@@ -40,7 +40,7 @@ class TuneStudy(Study):
     """Every combination of a law's declared gains, on one seed."""
 
     def __init__(self, config: StudyConfig) -> None:
-        ranges = read_yaml(config_dir() / 'tuning.yaml')
+        ranges = read_yaml(find_config_folder() / 'tuning.yaml')
         if config.law not in ranges:
             raise ConfigError(
                 'law', f'one of {", ".join(ranges)} (tuning.yaml)', f"'{config.law}'"

@@ -4,8 +4,8 @@ from contextlib import closing
 
 from fake_arm import wrench_message
 from multicontact_control.nodes import messages, topics
-from multicontact_control.nodes.graph import create_publisher, ignore
-from multicontact_control.nodes.link import GuestNode
+from multicontact_control.nodes.graph import create_publisher
+from multicontact_control.nodes.link import ServiceClientNode
 from multicontact_control.runs.graph.robot import ExpectedRobot, RobotWatch
 import pytest
 from ros_graph import wait_for
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.ros
 JOINTS = ('a', 'b')
 
 
-class Publisher(GuestNode):
+class Publisher(ServiceClientNode):
     """A robot's node, which publishes what it is told to."""
 
     def __init__(self, domain_id):
@@ -28,7 +28,7 @@ class Publisher(GuestNode):
 
     def listen(self):
         topic = topics.EFFORT_COMMAND
-        self.node.create_subscription(topic.message, topic.name, ignore, 10)
+        self.node.create_subscription(topic.message, topic.name, ignore_message, 10)
 
     def publish(self, *, names=JOINTS):
         self._k += 1

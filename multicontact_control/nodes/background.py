@@ -12,7 +12,7 @@ Pausing = Generator[
 ]  # yields where a sample may come between, and returns T
 
 
-class Helper:
+class BackgroundThread:
     """Does one thing after the other, in a thread that waits for them from the first on."""
 
     def __init__(self) -> None:
@@ -21,7 +21,7 @@ class Helper:
             lambda: None
         )  # it starts here, and no sample waits for that
 
-    def do(self, work: Callable[..., T], *arguments: Any) -> Pausing[Future[T]]:
+    def compute(self, work: Callable[..., T], *arguments: Any) -> Pausing[Future[T]]:
         """Yield until the thread has done some work; return its outcome."""
         outcome = self._thread.submit(work, *arguments)
         while not outcome.done():
