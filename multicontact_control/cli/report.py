@@ -52,7 +52,7 @@ def report(
     from multicontact_control.judging.verdict import verdict_text
     from rich.console import Console
 
-    if all(map(is_whole_run, runs)):
+    if all(is_whole_run(path) for path in runs):
         options.refuse_options(
             context,
             ('controller', 'namespace'),
@@ -62,19 +62,14 @@ def report(
     paths = write_report(loaded, out or report_folder(runs[0]), claims=claims)
     for run in loaded:
         quality = run.summary.get('quality')  # which an older version did not write
-        for line in (
-            verdict_text(run.summary),
-            quality,
-            *run.summary.get('remarks', ()),
-        ):
+        remarks = run.summary.get('remarks', ())
+        for line in (verdict_text(run.summary), quality, *remarks):
             if line:
                 typer.echo(f'{run.folder}: {line}')
-        said = claims_of(run.data, run.setup, run.summary, asked=claims)
-        if said:
-            print_claims(
-                Console(highlight=False, soft_wrap=True),
-                [claim._asdict() for claim in said],
-            )
+        judged = claims_of(run.data, run.setup, run.summary, asked=claims)
+        if judged:
+            console = Console(highlight=False, soft_wrap=True)
+            print_claims(console, [claim._asdict() for claim in judged])
     typer.echo(f'report in {paths[0]}, {len(paths) - 1} figures')
 
 

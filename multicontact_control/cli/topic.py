@@ -65,7 +65,8 @@ def echo(
     with _subscribed(topic, timeout, domain_id, stop) as (kind, subscription):
         document(kind(), field)  # refuses a wrong field before the first message
         while not stop:
-            if taken := graph.take_message(subscription):
+            taken = graph.take_message(subscription)
+            if taken is not None:
                 print(document(taken[0], field), flush=True)
                 if once:
                     return
@@ -80,7 +81,6 @@ def rate(
     domain_id: DomainId = None,
 ) -> None:
     """Print how often messages of a topic arrive, a line each second, until Ctrl-C."""
-    from multicontact_control.nodes import graph
     from multicontact_control.nodes.runtime import collect_stop_signals
 
     stop = collect_stop_signals()
@@ -88,8 +88,7 @@ def rate(
         arrivals: list[int] = []  # ns; the last of a line begins the next
         due = time.monotonic() + LINE_PERIOD
         while not stop:
-            while taken := graph.take_message(subscription):
-                arrivals.append(taken[1]['received_timestamp'])
+            arrivals += _arrival_times(subscription)
             if time.monotonic() < due:
                 time.sleep(POLL_PERIOD)
                 continue
@@ -98,6 +97,18 @@ def rate(
                 return
             arrivals = arrivals[-1:]
             due += LINE_PERIOD
+
+
+def _arrival_times(subscription: Any) -> Iterator[int]:
+    """Yield when each message that waits arrived [ns]."""
+    from multicontact_control.nodes.graph import take_message
+
+    while True:
+        taken = take_message(subscription)
+        if taken is None:
+            return
+        _, known = taken
+        yield known['received_timestamp']
 
 
 def describe_rate(arrivals: Sequence[int]) -> str:
@@ -126,7 +137,10 @@ def _subscribed(
     name = graph.full_topic_name('topic', f'/{topic.strip("/")}')
     end = time.monotonic() + timeout
     with ServiceClientNode(NODE, domain_id) as guest:
-        while not (publishers := guest.node.get_publishers_info_by_topic(name)):
+        while True:
+            publishers = guest.node.get_publishers_info_by_topic(name)
+            if publishers:
+                break
             if stop or time.monotonic() > end:
                 raise RunError(
                     f'{name}: expected a publisher within {timeout:g} s, got none '
@@ -141,32 +155,26 @@ def _subscribed(
                 f'{package}/msg/{kind}: this message type is not installed'
             ) from None
         offered = publishers[0].qos_profile
-        yield (
-            message,
-            guest.node.create_subscription(
-                message,
-                name,
-                graph.ignore_message,
-                QoSProfile(
-                    depth=DEPTH,
-                    reliability=offered.reliability,
-                    durability=offered.durability,
-                ),
-            ),
+        profile = QoSProfile(
+            depth=DEPTH,
+            reliability=offered.reliability,
+            durability=offered.durability,
         )
+        subscription = guest.node.create_subscription(
+            message, name, graph.ignore_message, profile
+        )
+        yield message, subscription
 
 
 def document(message: Any, field: str = '') -> str:
     """Return a message, or a field of it by its dotted path, as YAML; ConfigError without one."""
     value = _plain(message)
-    for name in filter(None, field.split('.')):
-        known = list(value) if isinstance(value, dict) else []
-        if name not in known:
-            raise ConfigError(
-                '--field',
-                f'one of {", ".join(known) or "no further fields"}',
-                f"'{name}'",
-            )
+    path = field.split('.') if field else []
+    for name in path:
+        if not isinstance(value, dict):
+            raise ConfigError('--field', 'one of no further fields', f"'{name}'")
+        if name not in value:
+            raise ConfigError('--field', f'one of {", ".join(value)}', f"'{name}'")
         value = value[name]
     text = yaml.safe_dump(value, allow_unicode=True, width=sys.maxsize, sort_keys=False)
     return text.removesuffix('...\n') + '---'
@@ -183,4 +191,6 @@ def _plain(value: Any) -> Any:
         return value.tolist()
     if isinstance(value, list):
         return [_plain(item) for item in value]
-    return value.decode('latin-1') if isinstance(value, bytes) else value
+    if isinstance(value, bytes):
+        return value.decode('latin-1')
+    return value

@@ -26,7 +26,12 @@ from multicontact_control.judging.verdict import (
 from multicontact_control.runs.closed_loop import run_in_process
 from multicontact_control.runs.compilation import ensure_compiled
 from multicontact_control.runs.recording import BagContent, read_bag, RunData
-from multicontact_control.runs.scenario import dotted, External, Setup, SHORTEST
+from multicontact_control.runs.scenario import (
+    ExternalRun,
+    flatten_parameters,
+    Setup,
+    SHORTEST,
+)
 from rich.console import Console
 from rich.markup import escape
 
@@ -96,7 +101,7 @@ def run_on_graph(
     folder: Path,
     *,
     endless: bool = False,
-    external: External | None = None,
+    external: ExternalRun | None = None,
     supervised: bool = True,
     **options: Any,
 ) -> Ending:
@@ -121,7 +126,7 @@ def run_on_graph(
         endless = external.duration is None
         of_node = merge(external.node, setup.nodes.get('controller', {}))
         setup = replace(setup, nodes={**setup.nodes, 'controller': of_node})
-        parameters[CONTROLLER] = dotted(of_node)
+        parameters[CONTROLLER] = flatten_parameters(of_node)
         node = validate(ControllerNodeConfig, of_node, 'controller_node')
         options |= {
             'domain_id': options.get('domain_id') or 0,

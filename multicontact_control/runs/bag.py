@@ -118,14 +118,14 @@ class BagColumns:
         """
         content = READERS[self._type](message)
         numbers = array('d', content.values())
-        stamp = array('q', [self._stamp_of(message, published)])
+        stamp = array('q', [self._read_stamp(message, published)])
         rows, values = self._groups.setdefault(tuple(content), (array('q'), array('d')))
         rows.append(len(self))
         values.extend(numbers)
         self._stamps.extend(stamp)
         self._published.append(published)
 
-    def _stamp_of(self, message: Any, published: int) -> int:
+    def _read_stamp(self, message: Any, published: int) -> int:
         """Return the stamp of a message [ns]: a status has none, markers have one each."""
         if self._type == STATUS:
             return published
@@ -173,7 +173,7 @@ class BagColumns:
         return result
 
 
-class Loss(NamedTuple):
+class RecordingLoss(NamedTuple):
     """What a recording lacks of the messages that its metadata count."""
 
     words: tuple[str, ...] = ()  # a remark for a person; none if nothing is lost
@@ -189,7 +189,7 @@ class BagMessages:
     others: Sequence[str]  # full names of all other topics, sorted
     cut_off: bool  # whether a file ends in the middle of a record
     unreadable: Sequence[str]  # what could not be read of these topics, in words
-    loss: Loss
+    loss: RecordingLoss
 
     def __str__(self) -> str:
         """Return what else is there, for a line that says what is missing."""
@@ -200,21 +200,21 @@ class BagMessages:
         return '; '.join([there, *self.unreadable])
 
 
-class Metadata(NamedTuple):
+class RecordingMetadata(NamedTuple):
     """What the metadata of a recording say that it holds."""
 
     files: Sequence[str]  # names, in the order of time
     message_count: int
 
 
-def read_metadata(folder: Path) -> Metadata | None:
+def read_metadata(folder: Path) -> RecordingMetadata | None:
     """Return what the metadata of a recording list, None without any; ConfigError if damaged."""
     path = folder / METADATA
     if not path.is_file():
         return None
     try:
         content = read_yaml(path)['rosbag2_bagfile_information']
-        return Metadata(
+        return RecordingMetadata(
             tuple(content['relative_file_paths']), int(content['message_count'])
         )
     except (KeyError, TypeError, ValueError):
@@ -333,7 +333,7 @@ def _only_namespace(path: Path, by_graph: Mapping[str, Mapping[str, object]]) ->
     return known[0] if known else ''
 
 
-def _compare_with_metadata(path: Path, count: int, last_cut_off: bool) -> Loss:
+def _compare_with_metadata(path: Path, count: int, last_cut_off: bool) -> RecordingLoss:
     """
     Return what a recording lacks of which `count` messages could be read.
 
@@ -343,24 +343,24 @@ def _compare_with_metadata(path: Path, count: int, last_cut_off: bool) -> Loss:
     try:
         listed = read_metadata(path)
     except ConfigError as error:
-        return Loss((str(error),), at_end=last_cut_off)
+        return RecordingLoss((str(error),), at_end=last_cut_off)
     if listed is None:
-        return Loss(at_end=last_cut_off)
+        return RecordingLoss(at_end=last_cut_off)
     if count >= listed.message_count:
-        return Loss()
+        return RecordingLoss()
     there = {file.name.removesuffix('.zstd') for file in mcap_files(path)}
     absent = [name for name in listed.files if name.removesuffix('.zstd') not in there]
     words = f'{METADATA} counts {listed.message_count} messages, {count} are there'
     if absent:
         words += f'; without {", ".join(absent)}'
-    return Loss(
+    return RecordingLoss(
         (words,),
         at_begin=listed.files[0] in absent,
         at_end=last_cut_off or listed.files[-1] in absent,
     )
 
 
-class _Record(NamedTuple):
+class _RecordedMessage(NamedTuple):
     """One message as it lies in a file."""
 
     schema: Any  # of mcap; None for a message without a type
@@ -393,7 +393,7 @@ class _Record(NamedTuple):
         return decode(data)
 
 
-def _read_records(path: Path) -> Iterator[_Record | None]:
+def _read_records(path: Path) -> Iterator[_RecordedMessage | None]:
     """Yield every message; None where a file is cut off."""
     files = mcap_files(path)
     if not files:
@@ -419,6 +419,6 @@ def _read_records(path: Path) -> Iterator[_Record | None]:
             factory = DecoderFactory()
             try:
                 for record in reader.iter_messages(log_time_order=False):
-                    yield _Record(*record, factory)
+                    yield _RecordedMessage(*record, factory)
             except Exception:  # many kinds, of damaged lengths, names and checksums
                 yield None

@@ -42,7 +42,7 @@ def ensure_compiled() -> int:
     is compiled now, and a warning is printed.
     """
     folder = find_cache_folder()
-    if folder is not None and _marker(folder).is_file():
+    if folder is not None and _completion_file(folder).is_file():
         return 0
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     if folder is None:
@@ -55,7 +55,7 @@ def ensure_compiled() -> int:
             f'{folder}'
         )
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if _marker(folder).is_file():
+        if _completion_file(folder).is_file():
             return 0
         errors = _compile_on_two_cores()
         if errors:
@@ -64,7 +64,7 @@ def ensure_compiled() -> int:
                 style='yellow',
             )
         _call_remaining_kernels()
-        _marker(folder).touch()
+        _completion_file(folder).touch()
     package = folder.name.rpartition('-')[0]
     folders = sorted(folder.parent.glob(f'{package}-*'), key=os.path.getmtime)
     for outdated in folders[:-KEPT]:
@@ -87,7 +87,7 @@ def _compile_on_two_cores() -> str:
     return errors if beside.returncode else ''
 
 
-def _marker(folder: Path) -> Path:
+def _completion_file(folder: Path) -> Path:
     """Return the file that says that all is compiled, for these libraries and this processor."""
     parts = [
         version('numba'),

@@ -13,7 +13,7 @@ from typing import Any, cast, TypeVar
 
 from multicontact_control.config import Config, merge, validate
 from multicontact_control.errors import ConfigError, RosError
-from multicontact_control.runs.scenario import External, Setup
+from multicontact_control.runs.scenario import ExternalRun, Setup
 from pydantic import BaseModel
 import yaml
 
@@ -164,11 +164,11 @@ def nest_overrides(
     nested: dict[str, Any] = {}
     for name, value in values.items():
         for place in find_places(name, setup, field + name):
-            nested = merge(nested, _nest(value, place))
+            nested = merge(nested, _nest_value(value, place))
     return nested
 
 
-def _nest(value: Any, place: Sequence[str]) -> dict[str, Any]:
+def _nest_value(value: Any, place: Sequence[str]) -> dict[str, Any]:
     """Return a mapping in which a value is at a place, and nothing else is."""
     for key in reversed(place):
         value = {key: value}
@@ -208,7 +208,7 @@ def split_off_nodes(
             continue
         if parameter in SET_BY_RUN:
             raise ConfigError(f'--set {name}', hint=SET_BY_RUN[parameter])
-        of_nodes = merge(of_nodes, _nest(of_setup.pop(name), place))
+        of_nodes = merge(of_nodes, _nest_value(of_setup.pop(name), place))
     for section, nested in of_nodes.items():
         validate(configs[section], nested, f'--set {section}')
     return of_setup, of_nodes
@@ -263,7 +263,7 @@ def resolve_with(
         overridden[ARGUMENTS[section]] = nested
     # The names above are those of the first setup; the values may lead to another one.
     result: Any = resolver(**overridden)
-    if isinstance(result, External):
+    if isinstance(result, ExternalRun):
         result = result._replace(setup=replace(result.setup, nodes=of_nodes))
     else:
         result = replace(result, nodes=of_nodes)

@@ -118,7 +118,7 @@ class RunData:
     def recorded(self) -> Mask:
         """Return the samples of which anything was recorded, shape (m,)."""
         known = np.zeros(self.ticks, dtype=bool)
-        for name, values in self._series().items():
+        for name, values in self._list_series().items():
             # Times are computed, and a command holds until the next one.
             if name not in ('time', 'command'):
                 known |= np.isfinite(values).any(axis=1)
@@ -131,11 +131,11 @@ class RunData:
 
     def part(self, begin: int, end: int) -> RunData:
         """Return the samples from one up to another; time begins with the first of them."""
-        cut = {name: values[begin:end] for name, values in self._series().items()}
+        cut = {name: values[begin:end] for name, values in self._list_series().items()}
         cut['time'] = self.time[: end - begin]
         return replace(self, **cut)  # type: ignore[arg-type]
 
-    def _series(self) -> dict[str, Matrix]:
+    def _list_series(self) -> dict[str, Matrix]:
         return {
             name: values
             for name, values in vars(self).items()
@@ -306,7 +306,7 @@ class _SampleClock(NamedTuple):
         return int(self.rows[-1]) + 1
 
 
-def _sample_clock(
+def _read_sample_clock(
     path: Path, messages: bag.BagMessages, controller: ControllerConfig
 ) -> _SampleClock:
     """Return the clock that the samples' stamps are; RunError if they are none."""
@@ -341,23 +341,25 @@ def align_messages(
     A message belongs to the sample whose stamp it has; what has no such stamp is left out.
     Arguments and errors are those of `read_bag`.
     """
-    clock = _sample_clock(path, messages, controller)
+    clock = _read_sample_clock(path, messages, controller)
     data = empty_run_data(clock.ticks, controller)
     for topic, columns in messages.by_topic.items():
         _fill_series(data, topic, columns, clock)
-    data = replace(data, command=_commands(data, messages.by_topic.get(OBEYED), clock))
+    data = replace(
+        data, command=_commanded_forces(data, messages.by_topic.get(OBEYED), clock)
+    )
     begin = 0
     end = clock.ticks
     if answered:
-        begin, end = _answered_part(data)
+        begin, end = _find_answered_part(data)
     part = data.part(begin, end)
     lacking = SERIES.keys() - messages.by_topic.keys() - {*OPTIONAL}
     return BagContent(
         part,
         lacking=tuple(topic for topic in SERIES if topic in lacking),
-        remarks=_remarks(messages, data),
+        remarks=_collect_remarks(messages, data),
         start=int(clock.stamps[0]) + round(begin / data.rate * 1e9),
-        missing=_missing(messages, part),
+        missing=_missing_stretches(messages, part),
     )
 
 
@@ -379,7 +381,7 @@ def _fill_series(
         getattr(data, series)[rows] = values[known]
 
 
-def _missing(messages: bag.BagMessages, data: RunData) -> tuple[Missing, ...]:
+def _missing_stretches(messages: bag.BagMessages, data: RunData) -> tuple[Missing, ...]:
     """Return the stretches without samples, also before the first and after the last one."""
     missing = find_gaps(data)
     if messages.loss.at_begin:
@@ -389,7 +391,7 @@ def _missing(messages: bag.BagMessages, data: RunData) -> tuple[Missing, ...]:
     return tuple(missing)
 
 
-def _answered_part(data: RunData) -> tuple[int, int]:
+def _find_answered_part(data: RunData) -> tuple[int, int]:
     """Return the first sample that was answered, and the one behind the last, if any was."""
     for series in (data.alpha_meas, data.torque):
         known = np.flatnonzero(np.isfinite(series).any(axis=1))
@@ -398,7 +400,7 @@ def _answered_part(data: RunData) -> tuple[int, int]:
     return 0, data.ticks
 
 
-def _commands(
+def _commanded_forces(
     data: RunData, status: bag.BagColumns | None, clock: _SampleClock
 ) -> Matrix:
     """Return what `~/status` says is obeyed from contact on, else what the controller aims at."""
@@ -443,7 +445,7 @@ def _force_from_contact_on(
     return asked
 
 
-def _remarks(messages: bag.BagMessages, data: RunData) -> tuple[str, ...]:
+def _collect_remarks(messages: bag.BagMessages, data: RunData) -> tuple[str, ...]:
     """Return what could not be read, and which names did not fit, in words."""
     remarks = [*messages.unreadable, *messages.loss.words]
     for topic, values, expected in (

@@ -85,8 +85,8 @@ class Setup:
     nodes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def node_parameters(self, section: str) -> dict[str, Any]:
-        """Return what only the node of a section knows, by dotted names."""
-        return dotted(self.nodes.get(section, {}))
+        """Return what only the node of a section knows, by flatten_parameters names."""
+        return flatten_parameters(self.nodes.get(section, {}))
 
     @property
     def simulated(self) -> bool:
@@ -466,7 +466,7 @@ def _split_values(
     return named, others
 
 
-class External(NamedTuple):
+class ExternalRun(NamedTuple):
     """Everything a run needs on the user's own robot."""
 
     setup: Setup
@@ -483,7 +483,7 @@ def resolve_external(
     noise_estimator: dict[str, Any] | None = None,
     controller: dict[str, Any] | None = None,
     scenario_overrides: dict[str, Any] | None = None,
-) -> External:
+) -> ExternalRun:
     """
     Read and check everything for a run on the user's own robot; ConfigError.
 
@@ -542,15 +542,15 @@ def resolve_external(
     _, node = _split_values(read.node, {*OF_EVERY_NODE, *REFUSED_OF_EXTERNAL})
     if scenario is not None:
         duration = config.duration
-    return External(setup, node, duration)
+    return ExternalRun(setup, node, duration)
 
 
-def dotted(values: Mapping[str, Any], start: str = '') -> dict[str, Any]:
-    """Return nested parameters by their dotted names, which begin with `start`."""
+def flatten_parameters(values: Mapping[str, Any], start: str = '') -> dict[str, Any]:
+    """Return nested parameters by their flatten_parameters names, which begin with `start`."""
     leaves: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, Mapping):
-            leaves |= dotted(value, f'{start}{name}.')
+            leaves |= flatten_parameters(value, f'{start}{name}.')
         else:
             leaves[start + name] = value
     return leaves

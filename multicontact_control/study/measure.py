@@ -10,7 +10,7 @@ from multicontact_control.errors import RunError
 from multicontact_control.judging.claims import evidence_of
 from multicontact_control.judging.metrics import LASTING, RunMetrics
 from multicontact_control.judging.results import summarise
-from multicontact_control.runs.scenario import dotted, Setup
+from multicontact_control.runs.scenario import flatten_parameters, Setup
 import numpy as np
 
 LAST = 0.5  # s, the end of a run that tells whether it has settled
@@ -158,7 +158,7 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
         **{name: metrics.get(name) for name in ('activity_nm', 'neighbour_n')},
         **{
             name: value
-            for name, value in dotted(
+            for name, value in flatten_parameters(
                 {name: summary[name] for name in IN_FULL if name in summary}
             ).items()
             if not isinstance(value, list)

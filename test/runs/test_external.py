@@ -9,7 +9,11 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.files import replace_json_file
 from multicontact_control.judging.results import contact_types, load_setup
 from multicontact_control.runs.parameter_file import write_parameters
-from multicontact_control.runs.scenario import dotted, resolve, resolve_external
+from multicontact_control.runs.scenario import (
+    flatten_parameters,
+    resolve,
+    resolve_external,
+)
 import pytest
 import typer
 import yaml
@@ -80,7 +84,7 @@ def test_later_files_preset_scenario_law_and_settings_are_laid_over(file, tmp_pa
     assert setup.controller.force.damping_rate == 33.0
     assert setup.noise_estimator.estimator == 'fixed'
     assert (duration, setup.commanded_by_topic) == (6.0, False)
-    assert dotted(node) == {'patience': 9.0, 'command.force_ceiling': 25.0}
+    assert flatten_parameters(node) == {'patience': 9.0, 'command.force_ceiling': 25.0}
     assert setup.node_parameters('controller') == {'pair_tolerance': 0.2}
 
 

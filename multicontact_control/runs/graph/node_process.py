@@ -74,7 +74,7 @@ def start_node(
     """
     prepare_nodes()
     process = CONTEXT.Process(
-        target=_run_node,
+        target=_become_node,
         args=(module, list(arguments), dict(environment), str(log), title),
         daemon=True,
     )
@@ -82,7 +82,7 @@ def start_node(
     return process
 
 
-def _run_node(
+def _become_node(
     module: str,
     arguments: list[str],
     environment: dict[str, str],

@@ -50,7 +50,7 @@ class NodeProcesses:
 
     def start(self, name: str, parameters: Mapping[str, Any] | None = None) -> None:
         """Start a node, or start it anew, with parameters over those of the graph."""
-        log = self._log(name)
+        log = self._log_file(name)
         log.touch()  # it may be read before the node has opened it
         self.running[name] = start_node(
             MODULES[name],
@@ -92,7 +92,7 @@ class NodeProcesses:
         if not lines:
             lines = ['(nothing)']
         tail = '\n'.join(f'  {line}' for line in lines[-LOG_LINES:])
-        return f'{name} {event}; the end of {self._log(name)}:\n{tail}'
+        return f'{name} {event}; the end of {self._log_file(name)}:\n{tail}'
 
     def last_line(self, name: str) -> str:
         """Return the last line of a node's log, without time and name."""
@@ -114,9 +114,9 @@ class NodeProcesses:
         return line
 
     def _read_log(self, name: str) -> str:
-        return self._log(name).read_text(encoding='utf-8', errors='replace')
+        return self._log_file(name).read_text(encoding='utf-8', errors='replace')
 
-    def _log(self, name: str) -> Path:
+    def _log_file(self, name: str) -> Path:
         return self.spec.logs / f'{name}.log'
 
     def stop(self, *, abort: bool = False) -> None:

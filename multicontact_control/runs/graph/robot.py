@@ -60,19 +60,19 @@ class _InputStream:
             if taken is None:
                 break
             message = taken[0]
-            if self._lacking(message):
+            if self._missing_joints(message):
                 self._incomplete = message
             else:
                 self._received = True
                 self._received_at = time.monotonic()
                 self._incomplete = None
         if self._received and not self._source:
-            self._source = self._publishers()
+            self._source = self._publisher_names()
 
-    def _lacking(self, message: Any) -> list[str]:
+    def _missing_joints(self, message: Any) -> list[str]:
         return [name for name in self._expected_names if name not in message.name]
 
-    def _publishers(self) -> str:
+    def _publisher_names(self) -> str:
         """Return the names of the nodes that publish the topic, as far as they are known yet."""
         ends = self._node.get_publishers_info_by_topic(self.name)
         return ', '.join(sorted({end.node_name for end in ends} - {UNNAMED}))
@@ -82,10 +82,10 @@ class _InputStream:
         if self._received:
             return ''
         if self._incomplete is not None:
-            joints = ', '.join(self._lacking(self._incomplete))
+            joints = ', '.join(self._missing_joints(self._incomplete))
             names = ', '.join(self._incomplete.name) or 'no names'
             return f'the joints {joints} in {self.name}, which has {names}'
-        publishers = self._publishers()
+        publishers = self._publisher_names()
         if publishers:
             return f'{self.name} from {publishers}, which publishes nothing yet'
         return (
@@ -121,16 +121,16 @@ class RobotWatch(ServiceClientNode):
         if wrench is not None:
             self._streams.append(_InputStream(self.node, wrench, ()))
 
-    def missing(self) -> str:
+    def describe_missing(self) -> str:
         """Return what is missing of the robot and from whom, in one line; empty if nothing is."""
         lines = []
         for stream in self._streams:
             stream.take_messages()
             lines.append(stream.describe_missing())
-        lines.append(self._missing_reader())
+        lines.append(self._describe_missing_reader())
         return '; '.join(line for line in lines if line)
 
-    def _missing_reader(self) -> str:
+    def _describe_missing_reader(self) -> str:
         """Return that no node of the robot reads the efforts, empty if one does."""
         names = [topics.EFFORT_COMMAND.name]
         if self._robot.effort_output_topic:
@@ -144,7 +144,7 @@ class RobotWatch(ServiceClientNode):
             return ''
         return f'a subscriber of {" or ".join(names)} (the robot is to apply these efforts)'
 
-    def silent(self) -> str:
+    def describe_silence(self) -> str:
         """Return which topic has not come for the robot's `timeout`, and from whom, or empty."""
         for stream in self._streams:
             stream.take_messages()

@@ -72,7 +72,7 @@ class GraphResult:
 
 class ProgressListener(link.ServiceClientNode):
     """
-    Reads the newest measured forces when asked.
+    Reads the read_newest measured forces when asked.
 
     It takes no time in between: no executor spins it.
     """
@@ -89,7 +89,7 @@ class ProgressListener(link.ServiceClientNode):
         self._first_read = 0.0
         self.heard = False  # whether any message has come yet
 
-    def newest(self) -> GraphProgress | None:
+    def read_newest(self) -> GraphProgress | None:
         """Return what came last since the last call, None if nothing has."""
         taken = take_message(self._forces)
         if taken is None:
@@ -139,19 +139,19 @@ class RunningGraph:
             self.processes.start(name)
         self._change_states(link.CONFIGURE)
         if self.robot is not None:
-            self._wait_for(self.robot)
+            self._wait_for_robot(self.robot)
         self._activated = True  # on the way, at least
         self._change_states(link.ACTIVATE)
 
-    def _wait_for(self, robot: RobotWatch) -> None:
+    def _wait_for_robot(self, robot: RobotWatch) -> None:
         while True:
-            missing = robot.missing()
+            missing = robot.describe_missing()
             if not missing:
                 return
-            self._wait(missing)
+            self._wait_for_node(missing)
             time.sleep(WATCH_PERIOD)
 
-    def _wait(self, what: str) -> None:
+    def _wait_for_node(self, what: str) -> None:
         self.processes.check_running()
         self._keep_waiting(f'{what}, in ROS domain {self.domain_id}')
 
@@ -161,7 +161,7 @@ class RunningGraph:
             'lifecycle_driver',
             self.domain_id,
             self.spec.namespace,
-            keep_waiting=self._wait,
+            keep_waiting=self._wait_for_node,
         ) as driver:
             for name in MANAGED:
                 try:
@@ -181,7 +181,7 @@ class RunningGraph:
             with contextlib.suppress(RunError):
                 self._deactivate_controller()
         self.processes.stop(abort=abort)
-        self.progress.newest()
+        self.progress.read_newest()
         self.progress.close()
         if self.robot is not None:
             self.robot.close()
@@ -288,10 +288,10 @@ class _RunMonitor:
         if now < self._progress_due:
             return
         self._progress_due = now + PROGRESS_PERIOD
-        progress = graph.progress.newest()
+        progress = graph.progress.read_newest()
         if progress is not None:
             if self.simulated is None:
-                self._tell(_first_steps(graph))
+                self._tell(_suggest_first_steps(graph))
             self.simulated = progress.time
             self._on_progress(progress)
         elif self.simulated is None and not self._signals:
@@ -331,7 +331,7 @@ def run_graph(
             with running_graph(spec, monitor.keep_waiting) as graph:
                 if graph.robot is not None:
                     tell(f'found {graph.robot.sources}')
-                ended = _watch(graph, signals, monitor)
+                ended = _watch_graph(graph, signals, monitor)
                 if signals:
                     tell(STOPPING)
         except InterruptedRunError:
@@ -347,7 +347,9 @@ def run_graph(
     )
 
 
-def _watch(graph: RunningGraph, signals: Sequence[int], monitor: _RunMonitor) -> str:
+def _watch_graph(
+    graph: RunningGraph, signals: Sequence[int], monitor: _RunMonitor
+) -> str:
     """Look at a graph until it ends; return what ended it on the side of the user's robot."""
     duration = math.inf
     if graph.spec.robot is not None and graph.spec.robot.duration is not None:
@@ -356,7 +358,7 @@ def _watch(graph: RunningGraph, signals: Sequence[int], monitor: _RunMonitor) ->
         graph.processes.check_running()
         monitor.pass_warnings(graph)
         if graph.robot is not None:
-            silent = graph.robot.silent()
+            silent = graph.robot.describe_silence()
             if silent:
                 return silent
         monitor.pass_progress(graph)
@@ -367,7 +369,7 @@ def _watch(graph: RunningGraph, signals: Sequence[int], monitor: _RunMonitor) ->
     return ''
 
 
-def _first_steps(graph: RunningGraph) -> str:
+def _suggest_first_steps(graph: RunningGraph) -> str:
     """Return two commands to try on a graph that answers samples."""
     where = f'--domain-id {graph.domain_id}'
     topic = f'/{topics.MEASURED_FORCES.name}'
@@ -387,7 +389,7 @@ def collected_signals() -> Iterator[list[int]]:
     """Collect signals that ask for an end in a list instead of dying of them."""
     received: list[int] = []
 
-    def note(number: int, _frame: FrameType | None) -> None:
+    def note_signal(number: int, _frame: FrameType | None) -> None:
         received.append(number)
         if number == signal.SIGHUP:
             _silence_terminal()
@@ -396,7 +398,7 @@ def collected_signals() -> Iterator[list[int]]:
     for number in ENDING:
         ignored = signal.getsignal(number) == signal.SIG_IGN  # SIGHUP, by nohup
         if number != signal.SIGHUP or not ignored:
-            previous[number] = signal.signal(number, note)
+            previous[number] = signal.signal(number, note_signal)
     try:
         yield received
     finally:
