@@ -134,7 +134,7 @@ class BagColumns:
         return stamp.sec * NANOSECONDS + stamp.nanosec
 
     def __len__(self) -> int:
-        """Return the number of messages."""
+        """Return the number of messages m that were added."""
         return len(self._stamps)
 
     @property
@@ -159,7 +159,8 @@ class BagColumns:
         """
         Return the numbers of a field, shape (m, k); NaN where a message has none of a name.
 
-        `names` are the order of the columns, by default that of the first message.
+        `names` are the order of the columns, by default that of the first message. Messages may
+        have their names in different orders, and only some of them.
         """
         if not names:
             first_labels = next(iter(self._groups))
@@ -174,7 +175,11 @@ class BagColumns:
 
 
 class RecordingLoss(NamedTuple):
-    """What a recording lacks of the messages that its metadata count."""
+    """
+    What a recording lacks of the messages that its metadata count.
+
+    A file may be absent, or cut off: then the run may have begun or ended elsewhere.
+    """
 
     words: tuple[str, ...] = ()  # a remark for a person; none if nothing is lost
     at_begin: bool = False  # whether it began before its first message that is there
@@ -192,7 +197,11 @@ class BagMessages:
     loss: RecordingLoss
 
     def __str__(self) -> str:
-        """Return what else is there, for a line that says what is missing."""
+        """
+        Return what else is there, for a line that says what is missing.
+
+        Topics that were not asked for, a file that is cut off, and what could not be read.
+        """
         names = ', '.join(self.others) or 'nothing'
         there = shorten(names, LONGEST_LIST, placeholder=' ...')
         if self.cut_off:
@@ -201,7 +210,7 @@ class BagMessages:
 
 
 class RecordingMetadata(NamedTuple):
-    """What the metadata of a recording say that it holds."""
+    """What ``metadata.yaml`` of rosbag2 says that a recording holds."""
 
     files: Sequence[str]  # names, in the order of time
     message_count: int

@@ -132,24 +132,33 @@ class ClosedLoop:
         return output
 
     def act(self) -> None:
-        """Let the command act on the plant when its time has come, and take the next sample."""
+        """
+        Let the command act on the plant when its time has come, and take the next sample.
+
+        The command of tick k reaches the plant with k + `plant.actuator_delay_ticks`.
+        """
         self._delay.command(self.tick, self.command)
         self.sample = self.plant.step(self._delay.torque_for(self.tick))
         self.tick += 1
 
     def advance(self, corrupt: Corruption | None = None) -> ControlOutput:
-        """Take one tick: `answer`, then `act`."""
+        """Take one tick: `answer`, then `act`; return the answer, and raise what it raises."""
         output = self.answer(corrupt)
         self.act()
         return output
 
     def close(self) -> None:
-        """Give the simulator's memory back."""
+        """Give the simulator's memory back; the loop cannot be stepped any more."""
         self.plant.close()
 
 
 def estimate_variance(estimator: NoiseEstimator, output: ControlOutput) -> Vector:
-    """Return what an estimator makes of an answer: the R of the next tick, shape (r,) [N^2]."""
+    """
+    Return what an estimator makes of an answer: the R of the next tick, shape (r,) [N^2].
+
+    Estimators of innovations get what the observers did not expect (P04 eq. 42), all others the
+    measured forces alone.
+    """
     innovation = None
     if estimator.uses_innovation:
         answer = output.answer
@@ -161,7 +170,11 @@ def estimate_variance(estimator: NoiseEstimator, output: ControlOutput) -> Vecto
 
 @dataclass(frozen=True)
 class LoopResult:
-    """What a run in process leaves: its series, up to where it ended, and why it ended there."""
+    """
+    What a run in process leaves: its series, up to where it ended, and why it ended there.
+
+    A run ends early where the arm has no torque for its posture, or an infinite one.
+    """
 
     data: RunData
     ended_early: str  # why; empty for a run of its whole length

@@ -40,7 +40,12 @@ SET_BY_RUN = {  # parameters of nodes, and what sets them in a run
 
 
 def read_settings(settings: Sequence[str]) -> dict[str, Any]:
-    """Read ``KEY=VALUE`` texts, values as in a YAML file; ConfigError for what is none."""
+    """
+    Read ``KEY=VALUE`` texts, values as in a YAML file; ConfigError for what is none.
+
+    Returns the values by their dotted names, in the order of the texts; the last of several with
+    one name counts.
+    """
     values = {}
     for text in settings:
         key, sign, value = text.partition('=')
@@ -128,7 +133,12 @@ def _value_at(setup: Setup, place: Sequence[str]) -> Any:
 
 
 def read_value(name: str, setup: Setup) -> Any:
-    """Return a parameter, a list or mapping as JSON; None for a ``*`` whose values differ."""
+    """
+    Return a parameter of a setup by its dotted name, as a cell of a table has it.
+
+    A list or mapping is JSON; the value is None for a ``*`` whose values differ. Raises
+    ConfigError for a name that the setup does not have.
+    """
     first, *others = [
         _value_at(setup, place) for place in find_places(name, setup, name)
     ]
@@ -144,7 +154,7 @@ def read_value(name: str, setup: Setup) -> Any:
 
 
 def find_unit(name: str, setup: Setup) -> str:
-    """Return the unit that a parameter was declared with, empty if there is none."""
+    """Return the SI unit that a parameter was declared with, empty if there is none."""
     *place, last = find_places(name, setup, name)[0]
     model = _value_at(setup, place)
     if not isinstance(model, BaseModel):
@@ -177,7 +187,11 @@ def _nest_value(value: Any, place: Sequence[str]) -> dict[str, Any]:
 
 
 def node_configs() -> dict[str, type[Config]]:
-    """Return what only the node of each section knows; RosError where ROS cannot be loaded."""
+    """
+    Return the parameters that only the node of each section knows, as configurations.
+
+    Raises RosError where ROS cannot be loaded: nodes are declared where they run.
+    """
     from multicontact_control.nodes.controller_node import ControllerNodeConfig
     from multicontact_control.nodes.graph import StartupConfig
     from sim_bridge.sim_node import SimNodeConfig

@@ -75,7 +75,12 @@ REACHED = 0.99  # share of a commanded force at which the contact counts as made
 
 @dataclass(frozen=True)
 class RunData:
-    """Every series of a run; row k belongs to sample k, NaN where a message is missing."""
+    """
+    Every series of a run; row k belongs to sample k, NaN where a message is missing.
+
+    There are m rows, one for each control period, n joints and r forces and couples of contacts.
+    Rows without a sample, as where a recording has a gap, are NaN throughout.
+    """
 
     rate: float  # samples per second [Hz]
     contact_names: tuple[str, ...]  # order of the r columns of contacts
@@ -112,7 +117,7 @@ class RunData:
 
     @property
     def ticks(self) -> int:
-        """Return the number of samples."""
+        """Return the number of samples m, those that are missing in between included."""
         return int(self.time.shape[0])
 
     def recorded(self) -> Mask:
@@ -125,7 +130,11 @@ class RunData:
         return known
 
     def trajectory_sha256(self) -> str:
-        """Return the hash of the commanded torques as little-endian float64, tick by tick."""
+        """
+        Return the hash of the commanded torques as little-endian float64, tick by tick.
+
+        Two runs have the same hash if all their torques are the same bit for bit.
+        """
         torques = np.ascontiguousarray(self.torque, dtype='<f8')
         return hashlib.sha256(torques.tobytes()).hexdigest()
 
@@ -143,7 +152,7 @@ class RunData:
         }
 
     def save(self, folder: Path) -> None:
-        """Write the series to ``samples.npz`` in a folder."""
+        """Write the series to ``samples.npz`` in a folder that exists; `load` reads them."""
         np.savez_compressed(folder / SERIES_FILE, **vars(self))
 
     @classmethod
@@ -188,13 +197,13 @@ def empty_run_data(ticks: int, controller: ControllerConfig) -> RunData:
 
 
 class Missing(NamedTuple):
-    """A stretch of a run of which no sample was recorded."""
+    """A stretch of a run of which no sample was recorded, on the clock of `RunData.time`."""
 
     begin: float  # since the first sample that is there [s]; minus infinity: from an unknown one
     end: float  # s; infinite: to an unknown end
 
     def __str__(self) -> str:
-        """Return from when to when."""
+        """Return in words from when to when it lasts."""
         if math.isinf(self.begin):
             return 'before the first one that is there'
         if math.isinf(self.end):
@@ -211,7 +220,11 @@ def describe_missing(missing: Sequence[Missing], what: str = 'samples') -> str:
 
 
 def find_gaps(data: RunData) -> list[Missing]:
-    """Return the stretches between samples in which more than 0.1 s were not recorded."""
+    """
+    Return the stretches between samples in which more than 0.1 s were not recorded.
+
+    Shorter ones are late or lost messages, which every recording has.
+    """
     longest = LONGEST_GAP * data.rate
     return [
         Missing(begin / data.rate, end / data.rate)
@@ -222,7 +235,7 @@ def find_gaps(data: RunData) -> list[Missing]:
 
 @dataclass(frozen=True)
 class BagContent:
-    """A bag read back."""
+    """A bag read back: the series of the run, and what of the run is not in the bag."""
 
     data: RunData  # by sample stamp
     lacking: tuple[str, ...]  # topics of the controller that are not in the bag
@@ -232,7 +245,7 @@ class BagContent:
 
     @property
     def unanswered(self) -> int:
-        """Return the number of samples without a commanded torque."""
+        """Return the number of recorded samples that no commanded torque answers."""
         silent = np.isnan(self.data.torque).all(axis=1)
         return int((silent & self.data.recorded()).sum())
 
@@ -270,7 +283,11 @@ def read_bag(
 
 
 def read_graph(path: Path, namespace: str | None = None) -> bag.BagMessages:
-    """Read the messages of a graph of this package; RunError if there are none."""
+    """
+    Read the messages of a graph of this package, of all topics that have a series.
+
+    `namespace` is that of the graph; None for the only one. Raises RunError if there are none.
+    """
     messages = bag.read_messages(path, TYPES, namespace)
     if not SERIES.keys() & messages.by_topic.keys():
         raise RunError(
@@ -302,7 +319,7 @@ class _SampleClock(NamedTuple):
 
     @property
     def ticks(self) -> int:
-        """Number of rows from the first sample to the last one."""
+        """Number of rows from the first sample to the last one, both included."""
         return int(self.rows[-1]) + 1
 
 

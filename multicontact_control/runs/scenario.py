@@ -54,7 +54,13 @@ STAMP_TOLERANCE = 1e-9  # s
 
 
 class ScenarioConfig(Config):
-    """One experiment: what is commanded when, and what differs from the defaults."""
+    """
+    One experiment: what is commanded when, and what differs from the defaults.
+
+    It is a file of ``config/scenarios``, or one of the user's. The reference has the motion of the
+    operational point and the steps of the contact forces; the sections lay values over those of
+    controller, noise estimator and plant, for this experiment only.
+    """
 
     name: str = parameter(..., 'Name, as used in file names.', min_length=1)
     description: str = parameter('', 'What it shows.')
@@ -71,7 +77,12 @@ class ScenarioConfig(Config):
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything a run needs, resolved and checked."""
+    """
+    Everything a run needs, resolved and checked: files, presets and settings are laid over.
+
+    The three configurations fit each other: rate, names of the contacts, bounds of R. The URDF
+    exists.
+    """
 
     scenario: ScenarioConfig
     controller: ControllerConfig
@@ -85,12 +96,12 @@ class Setup:
     nodes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def node_parameters(self, section: str) -> dict[str, Any]:
-        """Return what only the node of a section knows, by flatten_parameters names."""
+        """Return what only the node of a section knows, by dotted names."""
         return flatten_parameters(self.nodes.get(section, {}))
 
     @property
     def simulated(self) -> bool:
-        """Whether the plant is one of this package."""
+        """Whether the plant is one of this package, and not the user's own robot."""
         return self.plant is not NO_PLANT
 
     @property
@@ -99,14 +110,18 @@ class Setup:
         return round(self.scenario.duration * self.controller.rate)
 
     def commanded_over_topics(self) -> Setup:
-        """Return the same arm and surfaces, for commands instead of the scenario's."""
+        """
+        Return the same arm and surfaces, for forces and motions commanded over topics.
+
+        The reference of the scenario stays in the setup, but is not played.
+        """
         scenario = self.scenario.model_copy(
             update={'name': COMMANDS, 'description': ''}
         )
         return replace(self, scenario=scenario, commanded_by_topic=True)
 
     def reference(self) -> ScenarioTask:
-        """Return the scenario's reference, at its start."""
+        """Return a new task that plays the scenario's reference, at its start; ConfigError."""
         return ScenarioTask.of(self.scenario.reference, self.controller)
 
     def commanded(self, time: Vector) -> Matrix:
@@ -120,7 +135,8 @@ class Setup:
         """
         Write the exact configuration into a folder, and return the file of each node.
 
-        What only nodes know, as far as it was set, is in a file of its own.
+        The folder alone then repeats the run: it has the URDF and the scenario, too. What only
+        nodes know, as far as it was set, is in a file of its own, ``nodes.yaml``.
         """
         folder.mkdir(parents=True, exist_ok=True)
         urdf = Path(self.controller.robot.urdf)
@@ -180,7 +196,7 @@ def scenario_with(
 
 
 class PlantSource(NamedTuple):
-    """A robot, and the way to simulate it."""
+    """A robot, and the way to simulate it: one of the plants in its file, or a file."""
 
     robot: Robot
     name: str  # the plant alone for the default robot, ROBOT/PLANT for others
@@ -217,7 +233,11 @@ def plant_source(name: str = '', robot: str = '') -> PlantSource:
 
 
 def preset_values(name: str) -> dict[str, dict[str, Any]]:
-    """Return what a preset of config/presets, or a file, lays over controller and estimator."""
+    """
+    Return what a preset of config/presets, or a file, lays over controller and estimator.
+
+    It has a mapping for each of the two, which is empty if the preset does not change it.
+    """
     by_node: dict[str, dict[str, Any]] = {}
     if name:
         file = find_named_file('preset', 'presets', name)
@@ -343,7 +363,11 @@ def _estimator_config(*layers: Mapping[str, Any] | None) -> NoiseEstimatorConfig
 
 
 def merge_layers(*layers: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return nested values, each layer laid over those before; None is an empty layer."""
+    """
+    Return nested values, each layer laid over those before; None is an empty layer.
+
+    Mappings are merged key by key; any other value, a list too, replaces the one below.
+    """
     merged: dict[str, Any] = {}
     for layer in layers:
         if layer is not None:
@@ -352,7 +376,12 @@ def merge_layers(*layers: Mapping[str, Any] | None) -> dict[str, Any]:
 
 
 def check_together(setup: Setup, path: Path) -> None:
-    """Check that estimator, plant and scenario, of a file, fit the controller; ConfigError."""
+    """
+    Check that estimator, plant and scenario fit the controller; ConfigError.
+
+    Names of contacts, rate and bounds of R are to be the same, and the forces of the scenario, of
+    the file at `path`, are to be those that its contacts can hold.
+    """
     names = setup.controller.column_names
     contacts = [('noise_estimator.contact_names', setup.noise_estimator.contact_names)]
     if setup.simulated:
@@ -402,7 +431,11 @@ def _check_force_steps(setup: Setup, path: Path) -> None:
 
 
 class ControllerSections(NamedTuple):
-    """What a user's parameter files say of controller and noise estimator."""
+    """
+    What a user's parameter files say of controller and noise estimator, not yet checked.
+
+    Several files are laid over each other already.
+    """
 
     controller: dict[str, Any]
     node: dict[str, Any]  # of the controller's node, and not of the controller in it
@@ -467,7 +500,7 @@ def _split_values(
 
 
 class ExternalRun(NamedTuple):
-    """Everything a run needs on the user's own robot."""
+    """Everything a run needs on the user's own robot, which is behind the topics."""
 
     setup: Setup
     node: dict[str, Any]  # parameters of the controller's node
@@ -546,7 +579,11 @@ def resolve_external(
 
 
 def flatten_parameters(values: Mapping[str, Any], start: str = '') -> dict[str, Any]:
-    """Return nested parameters by their flatten_parameters names, which begin with `start`."""
+    """
+    Return nested parameters by their dotted names, which begin with `start`.
+
+    {'force': {'law': 'pi'}} becomes {'force.law': 'pi'}. Lists stay values.
+    """
     leaves: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, Mapping):

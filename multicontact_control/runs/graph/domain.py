@@ -48,7 +48,11 @@ def reserve_domain(domain_id: int | None = None) -> Iterator[int]:
 
 
 def domain_in_use(domain_id: int) -> bool:
-    """Return whether a participant listens on a port that DDS gives the first ones of a domain."""
+    """
+    Return whether a participant of a domain is on this machine.
+
+    It then listens on one of the UDP ports that DDS gives the first participants of the domain.
+    """
     first = PORT_BASE + PORTS_PER_DOMAIN * domain_id + FIRST_PARTICIPANT_OFFSET
     behind_last = first + PORTS_PER_PARTICIPANT * PARTICIPANTS
     ports = range(first, behind_last, PORTS_PER_PARTICIPANT)
@@ -59,7 +63,11 @@ def domain_in_use(domain_id: int) -> bool:
 
 
 def check_namespace(namespace: str) -> str:
-    """Return a namespace without the slashes around it; ConfigError if ROS does not accept it."""
+    """
+    Return a namespace without the slashes around it; ConfigError if ROS does not accept it.
+
+    An empty one stays empty: the topics of the graph are then at the root.
+    """
     bare = namespace.strip('/')
     if bare and not re.fullmatch(r'[A-Za-z_]\w*(/[A-Za-z_]\w*)*', bare, re.ASCII):
         raise ConfigError(

@@ -49,7 +49,11 @@ class NodeProcesses:
         spec.logs.mkdir(parents=True, exist_ok=True)
 
     def start(self, name: str, parameters: Mapping[str, Any] | None = None) -> None:
-        """Start a node, or start it anew, with parameters over those of the graph."""
+        """
+        Start a node, or start it anew, with parameters over those of the graph.
+
+        It returns at once; the node appends what it prints to its log.
+        """
         log = self._log_file(name)
         log.touch()  # it may be read before the node has opened it
         self.running[name] = start_node(
@@ -87,7 +91,7 @@ class NodeProcesses:
             raise RunError(self.describe_end(name, event))
 
     def describe_end(self, name: str, event: str) -> str:
-        """Return what happened to a node, with the end of its log."""
+        """Return what happened to a node, an `event` in words, with the end of its log."""
         lines = self._read_log(name).splitlines()
         if not lines:
             lines = ['(nothing)']
@@ -100,7 +104,11 @@ class NodeProcesses:
         return text.rpartition('\n')[2].rpartition(f'[{name}]: ')[2]
 
     def new_warnings(self) -> str:
-        """Return the last warning or error logged since the last call, and how many there are."""
+        """
+        Return the last warning or error that a node has logged since the last call.
+
+        The line also says how many more there are, and where; it is empty if there is none.
+        """
         warnings: list[tuple[str, ...]] = []
         for name in self.running:
             text = self._read_log(name)
@@ -146,7 +154,11 @@ class NodeProcesses:
         process.join()
 
     def read_timing(self) -> dict[str, dict[str, Any]]:
-        """Return what each node wrote about its run; nothing for one that could not."""
+        """
+        Return what each node wrote about its run at its end: counts, times, events.
+
+        The mapping of a node that was killed is empty.
+        """
         timing: dict[str, dict[str, Any]] = {}
         for name in self.spec.nodes:
             file = self.spec.logs / f'{name}.json'

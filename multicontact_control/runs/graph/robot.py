@@ -18,7 +18,7 @@ QUEUE_DEPTH = 100  # messages
 
 @dataclass(frozen=True)
 class ExpectedRobot:
-    """What is expected behind the topics, and for how long."""
+    """What is expected behind the topics of the user's own robot, and for how long."""
 
     joint_names: Sequence[str]  # that it has, among others
     wrench_input: str = 'raw'  # that the controller reads: raw, filtered or momentum
@@ -122,7 +122,11 @@ class RobotWatch(ServiceClientNode):
             self._streams.append(_InputStream(self.node, wrench, ()))
 
     def describe_missing(self) -> str:
-        """Return what is missing of the robot and from whom, in one line; empty if nothing is."""
+        """
+        Return what is missing of the robot and from whom, in one line; empty if nothing is.
+
+        It needs publishers of its joints and of the wrench, and a subscriber of the efforts.
+        """
         lines = []
         for stream in self._streams:
             stream.take_messages()
@@ -145,7 +149,11 @@ class RobotWatch(ServiceClientNode):
         return f'a subscriber of {" or ".join(names)} (the robot is to apply these efforts)'
 
     def describe_silence(self) -> str:
-        """Return which topic has not come for the robot's `timeout`, and from whom, or empty."""
+        """
+        Return which topic has not come for the robot's `timeout`, and from whom.
+
+        It is empty as long as all of them come.
+        """
         for stream in self._streams:
             stream.take_messages()
             silence = stream.describe_silence(self._robot.timeout)
@@ -155,7 +163,7 @@ class RobotWatch(ServiceClientNode):
 
     @property
     def sources(self) -> str:
-        """Say which nodes publish the robot's topics."""
+        """Say which nodes publish the robot's topics, as far as they are known."""
         return ', '.join(
             f'{stream.name} from {stream.source}' for stream in self._streams
         )

@@ -47,11 +47,11 @@ Tell = Callable[[str], None]
 
 
 class InterruptedRunError(Exception):
-    """A signal came while a graph was started."""
+    """A signal came while a graph was started: there is no run, and no error."""
 
 
 class GraphProgress(NamedTuple):
-    """Where a run is, since the first sample that was seen."""
+    """Where a run is, since the first sample that was seen, for a progress bar."""
 
     time: float  # [s]
     forces: Mapping[str, float]  # measured, per contact [N]
@@ -60,7 +60,7 @@ class GraphProgress(NamedTuple):
 
 @dataclass(frozen=True)
 class GraphResult:
-    """How a run ended that no node failed in."""
+    """How a run ended that no node failed in, and where its recording is."""
 
     bag: Path  # folder of the recording, closed
     controlled: bool  # whether any sample was answered
@@ -90,7 +90,7 @@ class ProgressListener(link.ServiceClientNode):
         self.heard = False  # whether any message has come yet
 
     def read_newest(self) -> GraphProgress | None:
-        """Return what came last since the last call, None if nothing has."""
+        """Return what came last since the last call, None if nothing has come since."""
         taken = take_message(self._forces)
         if taken is None:
             return None
@@ -134,7 +134,11 @@ class RunningGraph:
         self._activated = False
 
     def start(self) -> None:
-        """Start the nodes, wait for the robot, and activate the controller."""
+        """
+        Start the nodes, wait for the robot, and activate estimator and controller.
+
+        Raises RunError, with the end of its log, if a node ends or refuses a transition.
+        """
         for name in self.spec.nodes:
             self.processes.start(name)
         self._change_states(link.CONFIGURE)
@@ -386,7 +390,12 @@ def _suggest_first_steps(graph: RunningGraph) -> str:
 
 @contextlib.contextmanager
 def collected_signals() -> Iterator[list[int]]:
-    """Collect signals that ask for an end in a list instead of dying of them."""
+    """
+    Collect SIGINT, SIGTERM and SIGHUP in a list instead of dying of them.
+
+    The list is yielded, and grows while the context lasts. A SIGHUP also means that the terminal
+    has gone; under nohup it is ignored.
+    """
     received: list[int] = []
 
     def note_signal(number: int, _frame: FrameType | None) -> None:

@@ -39,7 +39,7 @@ class GraphSpec:
 
     @property
     def nodes(self) -> tuple[str, ...]:
-        """Names of all nodes, in the order in which they are started."""
+        """Names of all nodes of the graph, in the order in which they are started."""
         absent = set()
         if not self.recorded:
             absent.add(RECORDER)
@@ -49,7 +49,7 @@ class GraphSpec:
 
     @property
     def bag(self) -> Path:
-        """Folder of the recording."""
+        """Folder of the recording, which the recorder makes."""
         return self.out / 'bag'
 
     @property
@@ -63,7 +63,11 @@ def node_arguments(
     spec: GraphSpec,
     overrides: Mapping[str, Any] | None = None,
 ) -> list[str]:
-    """Return the command line of a node; `overrides` are parameters over those of the graph."""
+    """
+    Return the command line of a node: namespace, parameter file, remappings and parameters.
+
+    `overrides` are parameters laid over those of the graph, as for a node that is started anew.
+    """
     parameters = node_parameters(name, spec)
     if overrides is not None:
         parameters |= overrides
@@ -81,7 +85,12 @@ def node_arguments(
 
 
 def node_parameters(name: str, spec: GraphSpec) -> dict[str, Any]:
-    """Return the parameters that belong to the run, not to a file."""
+    """
+    Return the parameters of a node that belong to the run, and to no file.
+
+    Where it writes its counts, whom it waits for, how time passes, what it plays or records;
+    `extra_parameters` of the graph come last.
+    """
     values: dict[str, Any] = {
         'timing_file': str((spec.logs / f'{name}.json').resolve()),
         'startup_peers': list(spec.nodes),
