@@ -210,7 +210,9 @@ def run_franky_sim(address: str, output: Path | None) -> None:
 
     robot = find_robot('fr3')
     arm = robot.arm
-    flange = arm.operational.se3.rotation  # the vendor's, in which the load is given
+    flange = (
+        arm.operational.transform.rotation
+    )  # the vendor's, in which the load is given
     face = np.array([0.0, 0.0, robot.file.tool.face_offset])
     with MujocoSimulator() as simulator:
         simulated = simulator.add_robot(

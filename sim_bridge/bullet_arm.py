@@ -7,7 +7,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from multicontact_control.arrays import Vector
-from sim_bridge.arm import Arm, SENSOR_FRAME, TOOL_LINK, urdf_text
+from multicontact_control.config import Vector3
+from sim_bridge.arm import Arm, compose_urdf, SENSOR_FRAME, TOOL_LINK
 from sim_bridge.engine_arm import EngineArm
 
 # PyBullet prints when it was built, as soon as it is imported.
@@ -18,98 +19,94 @@ try:
 finally:
     os.dup2(_output, 2)
 
-MAX_JOINT_SPEED = 1e4
+MAX_JOINT_SPEED = 1e4  # rad/s, in the place of the engine's own 100 rad/s
 
 
 class BulletArm(EngineArm):
-    """The arm in PyBullet, whose `client` and `body` it is; gravity [m/s^2] and step [s]."""
+    """
+    The arm in a PyBullet world of its own; see `EngineArm`.
 
-    def __init__(
-        self,
-        arm: Arm,
-        gravity_world: tuple[float, float, float],
-        step: float,
-    ) -> None:
+    Parameters
+    ----------
+    arm
+        Links, sensor and tool.
+    gravity_world
+        Gravity, world axes [m/s^2].
+    step
+        Integration step [s].
+
+    Attributes
+    ----------
+    client, body
+        PyBullet's numbers of the world and of the arm in it.
+
+    """
+
+    def __init__(self, arm: Arm, gravity_world: Vector3, step: float) -> None:
         super().__init__(len(arm.links))
         self._arm = arm
         self._gravity = gravity_world
         self._step = step
-        self._numbers = range(len(arm.links))
-        self._q, self._qd = memoryview(self.q), memoryview(self.qd)  # type: ignore[arg-type]
+        self._joint_numbers = range(len(arm.links))
         self.client: int = bullet.connect(bullet.DIRECT)
 
     def reset(self, q: Vector) -> None:
         """Make the world anew, with the arm at rest; see `EngineArm`."""
         super().reset(q)
         bullet.resetSimulation(physicsClientId=self.client)
-        self._load()
-        for joint, angle in zip(self._links, q.tolist(), strict=True):
+        self._load_world()
+        for joint, angle in zip(self._joints, q.tolist(), strict=True):
             bullet.resetJointState(
                 self.body, joint, angle, 0.0, physicsClientId=self.client
             )
 
-    def push(self, pushes: list[list[float]]) -> None:
+    def apply_pushes(self, pushes: list[list[float]]) -> None:
         """Apply forces at points for one step; see `EngineArm`."""
-        push, client, body, links = (
-            bullet.applyExternalForce,
-            self.client,
-            self.body,
-            self._bodies,
-        )
         for fx, fy, fz, x, y, z, number in pushes:
-            push(
-                body,
-                links[int(number)],
+            bullet.applyExternalForce(
+                self.body,
+                self._pushed_links[int(number)],
                 (fx, fy, fz),
                 (x, y, z),
                 bullet.WORLD_FRAME,
-                client,
+                self.client,
             )
 
     def step(self, torque: Vector) -> tuple[float, ...]:
         """Advance by one step and return what the arm exerts on the tool; see `EngineArm`."""
-        client, body, unused, q, qd = (
-            self.client,
-            self.body,
-            self._unused,
-            self._q,
-            self._qd,
-        )
+        unused = self._unused
         bullet.setJointMotorControlArray(  # keywords would take as long again
-            body,
-            self._links,
+            self.body,
+            self._joints,
             bullet.TORQUE_CONTROL,
             unused,
             unused,
             torque.tolist(),
             unused,
             unused,
-            client,
+            self.client,
         )
-        bullet.stepSimulation(client)
-        states = bullet.getJointStates(body, self._read_joints, client)
-        for i in self._numbers:
-            q[i], qd[i], _, _ = states[i]
+        bullet.stepSimulation(self.client)
+        states = bullet.getJointStates(self.body, self._read_joints, self.client)
+        for joint in self._joint_numbers:
+            self.q[joint], self.qd[joint], _, _ = states[joint]
         # At the child's centre of mass, which in the sensor's face is its origin.
         wrench: tuple[float, ...] = states[-1][2]
         return wrench
 
     def set_tool_mass(self, mass: float) -> None:
         """Change the mass of the tool; see `EngineArm`."""
-        for values in (
-            {'mass': mass},
-            {'localInertiaDiagonal': self._arm.tool.inertia},
-        ):
-            bullet.changeDynamics(
-                self.body, self._bodies[-1], physicsClientId=self.client, **values
-            )
+        tool = self._pushed_links[-1]
+        bullet.changeDynamics(self.body, tool, mass=mass, physicsClientId=self.client)
+        # The engine works out an inertia of its own with every mass.
+        self._set_inertia(tool, self._arm.tool.inertia)
 
     def close(self) -> None:
-        """Give the world back."""
+        """Disconnect from the world, which frees it."""
         if bullet.isConnected(physicsClientId=self.client):
             bullet.disconnect(physicsClientId=self.client)
 
-    def _load(self) -> None:
+    def _load_world(self) -> None:
         client = self.client
         bullet.setGravity(*self._gravity, physicsClientId=client)
         bullet.setTimeStep(self._step, physicsClientId=client)
@@ -122,42 +119,38 @@ class BulletArm(EngineArm):
         )
         with TemporaryDirectory() as folder:
             path = Path(folder) / 'arm.urdf'
-            path.write_text(urdf_text(self._arm, for_bullet=True), encoding='utf-8')
+            path.write_text(compose_urdf(self._arm, for_bullet=True), encoding='utf-8')
             self.body: int = bullet.loadURDF(
                 str(path),
                 useFixedBase=True,
                 flags=bullet.URDF_USE_INERTIA_FROM_FILE,
                 physicsClientId=client,
             )
-        indices = {}
+        numbers = {}
         for joint in range(bullet.getNumJoints(self.body, physicsClientId=client)):
-            info = bullet.getJointInfo(self.body, joint, physicsClientId=client)
-            indices[info[1].decode()] = joint
-        self._links = [indices[name] for name in self._arm.joint_names]
-        sensor = indices[f'{SENSOR_FRAME}_joint']
-        self._bodies = [*self._links, indices[f'{TOOL_LINK}_joint']]
-        self._read_joints = [*self._links, sensor]
-        self._unused = [0.0] * len(self._links)
-        self._remove_surprises(sensor)
+            information = bullet.getJointInfo(self.body, joint, physicsClientId=client)
+            numbers[information[1].decode()] = joint
+        sensor = numbers[f'{SENSOR_FRAME}_joint']
+        tool = numbers[f'{TOOL_LINK}_joint']
+        self._joints = [numbers[name] for name in self._arm.joint_names]
+        self._pushed_links = [*self._joints, tool]
+        self._read_joints = [*self._joints, sensor]
+        self._unused = [0.0] * len(self._joints)
+        self._undo_defaults(sensor, tool)
 
-    def _remove_surprises(self, sensor: int) -> None:
-        """Set what the importer changes or adds unasked."""
+    def _undo_defaults(self, sensor: int, tool: int) -> None:
+        """Undo the damping, motors and inertias that the importer adds or changes unasked."""
         client = self.client
         bullet.changeDynamics(
             self.body, -1, linearDamping=0.0, angularDamping=0.0, physicsClientId=client
         )
-        joints = [*self._links, sensor, self._bodies[-1]]
-        for joint, body in zip(joints, self._arm.bodies, strict=True):
+        links = [*self._joints, sensor, tool]
+        for link, body in zip(links, self._arm.bodies, strict=True):
             # A call of its own: beside a damping, the value would go to the base unnoticed.
+            self._set_inertia(link, body.inertia)
             bullet.changeDynamics(
                 self.body,
-                joint,
-                localInertiaDiagonal=body.inertia,
-                physicsClientId=client,
-            )
-            bullet.changeDynamics(
-                self.body,
-                joint,
+                link,
                 jointDamping=0.0,
                 maxJointVelocity=MAX_JOINT_SPEED,
                 physicsClientId=client,
@@ -165,11 +158,16 @@ class BulletArm(EngineArm):
         # Every joint is born with a motor that holds its speed at zero.
         bullet.setJointMotorControlArray(
             self.body,
-            self._links,
+            self._joints,
             bullet.VELOCITY_CONTROL,
-            forces=[0.0] * len(self._links),
+            forces=self._unused,
             physicsClientId=client,
         )
         bullet.enableJointForceTorqueSensor(
             self.body, sensor, True, physicsClientId=client
+        )
+
+    def _set_inertia(self, link: int, moments: Vector3) -> None:
+        bullet.changeDynamics(
+            self.body, link, localInertiaDiagonal=moments, physicsClientId=self.client
         )

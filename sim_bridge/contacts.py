@@ -22,10 +22,10 @@ from sim_bridge.kinematics import (
     add_joint_torque,
     forward_kinematics,
     Link,
-    place_point,
+    locate_point,
     point_velocity,
 )
-from sim_bridge.surface import build_surfaces, move, press, Surface
+from sim_bridge.surface import build_surfaces, move_surface, press_surface, Surface
 
 
 class Hand(Record, Protocol):
@@ -130,7 +130,7 @@ class Contacts:
             )
         return self.surfaces[surface]
 
-    def shift(self, contact: int, distance: float) -> None:
+    def shift_surface(self, contact: int, distance: float) -> None:
         """Move a surface along its normal by `distance` [m], away from the robot if positive."""
         surface = self._changing(contact)
         surface['place'] += distance * surface['normal']
@@ -145,7 +145,7 @@ class Contacts:
         surface = self._changing(contact)
         depth = surface['alpha'] / surface['stiffness']
         surface['stiffness'] *= factor
-        self.shift(contact, depth * (1.0 - 1.0 / factor))
+        self.shift_surface(contact, depth * (1.0 - 1.0 / factor))
 
     def scale_friction(self, contact: int, factor: float) -> None:
         """Multiply a surface's coefficient of friction."""
@@ -157,7 +157,7 @@ class Contacts:
 
 
 @compiled
-def take_push(
+def write_push(
     push: Vector, force: Vector, sign: float, point: Vector, body: int
 ) -> None:
     """Fill a row of pushes: sign * force [N], its point [m], and the body it acts on."""
@@ -225,22 +225,22 @@ def act_on_arm(
     for i in range(hands.shape[0]):
         hand = hands[i]
         if hand.force[0] != 0.0 or hand.force[1] != 0.0 or hand.force[2] != 0.0:
-            place_point(hand.local, links[last], hand.point)
-            take_push(pushes[count], hand.force, 1.0, hand.point, last + i)
+            locate_point(hand.local, links[last], hand.point)
+            write_push(pushes[count], hand.force, 1.0, hand.point, last + i)
             count += 1
     add_joint_torque(hands[0].point, hands[0].force, 1.0, links, last, load)
     for i in range(surfaces.shape[0]):
         surface = surfaces[i]
         if surface.velocity != 0.0:
-            move(surface, step)
-        place_point(surface.tip, links[surface.joint], surface.point)
+            move_surface(surface, step)
+        locate_point(surface.tip, links[surface.joint], surface.point)
         point_velocity(surface.point, qd, links, surface.joint, velocity)
-        press(surface, velocity, profiles[i])
+        press_surface(surface, velocity, profiles[i])
         if surface.alpha > 0.0:
             add_joint_torque(
                 surface.point, surface.force, -1.0, links, surface.joint, load
             )
-            take_push(pushes[count], surface.force, -1.0, surface.point, surface.body)
+            write_push(pushes[count], surface.force, -1.0, surface.point, surface.body)
             count += 1
     add_joint_torque(hands[1].point, hands[1].force, 1.0, links, last, load)
     for joint in range(last + 1):

@@ -101,7 +101,7 @@ def advance_drives(
         )
         link_torque[joint] = twist
         free = drive.qd + step / drive.inertia * (torque[joint] - twist)
-        drive.qd = implicit_speed(free, step, drive.inertia, drive.friction)
+        drive.qd = solve_joint_speed(free, step, drive.inertia, drive.friction)
         drive.q += step * drive.qd
 
 
@@ -144,7 +144,7 @@ class RigidDrives:
         if not self._frictionless:
             inertia = mass_matrix(self._model, self._data, q)
             speed = qd.copy()
-            implicit_joint_speed(
+            solve_joint_speeds(
                 qd + self._step * acceleration,
                 self._step,
                 inertia,
@@ -181,7 +181,7 @@ class PositionHold:
 
 
 @compiled
-def friction_at(speed: float, joint: Friction) -> tuple[float, float]:
+def friction_torque(speed: float, joint: Friction) -> tuple[float, float]:
     """Return f(v) = b v + F tanh(v / v_0) of a joint [N m] and df/dv [N m s/rad] at a speed."""
     coulomb = joint.coulomb_positive if speed >= 0.0 else joint.coulomb_negative
     tangent = np.tanh(speed / joint.speed)
@@ -192,7 +192,7 @@ def friction_at(speed: float, joint: Friction) -> tuple[float, float]:
 
 
 @compiled
-def implicit_speed(
+def solve_joint_speed(
     free_speed: float, step: float, inertia: float, joint: Friction
 ) -> float:
     """
@@ -206,9 +206,9 @@ def implicit_speed(
     speed = free_speed
     # Small speeds stick: start where tanh is straight if the whole of the friction stops it.
     if abs(free_speed) < ratio * max(joint.coulomb_positive, joint.coulomb_negative):
-        speed = free_speed / (1.0 + ratio * friction_at(0.0, joint)[1])
+        speed = free_speed / (1.0 + ratio * friction_torque(0.0, joint)[1])
     for _ in range(NEWTON_STEPS):
-        friction, slope = friction_at(speed, joint)
+        friction, slope = friction_torque(speed, joint)
         residual = speed - free_speed + ratio * friction
         if residual > 0.0:
             high = speed
@@ -224,7 +224,7 @@ def implicit_speed(
 
 
 @compiled
-def implicit_joint_speed(
+def solve_joint_speeds(
     free_speed: Vector,
     step: float,
     mass_matrix: Matrix,
@@ -251,7 +251,7 @@ def implicit_joint_speed(
                     )
             inertia = mass_matrix[joint, joint]
             before = speed[joint]
-            speed[joint] = implicit_speed(
+            speed[joint] = solve_joint_speed(
                 free_speed[joint] + moved / inertia, step, inertia, friction[joint]
             )
             largest = max(largest, abs(speed[joint] - before))

@@ -10,16 +10,20 @@ import numpy as np
 
 class EngineArm(ABC):
     """
-    An arm of n joints alone in a world of its own; `reset` puts it there.
+    An arm of n joints, alone in a world of its own, that an engine of rigid bodies moves.
+
+    The plant works out all that acts on the arm (surfaces, hands, drives) and hands it over as
+    forces and torques, so that every engine simulates the same contacts. `reset` comes first.
 
     Attributes
     ----------
     motion
-        Joint angles and speeds now, shape (2, n) [rad, rad/s].
+        Joint angles and speeds now, shape (2, n) [rad, rad/s]; `step` writes into it.
     q, qd
         Its rows.
     native_forces
-        Normal forces of the engine's own contacts in the last step, shape (no,) [N]; None without.
+        Normal forces of the engine's own contacts in the last step, shape (no,) [N]; None for an
+        engine without.
 
     """
 
@@ -31,30 +35,44 @@ class EngineArm(ABC):
 
     @abstractmethod
     def reset(self, q: Vector) -> None:
-        """Start afresh from rest at joint angles `q`; nothing of the past is left."""
-        self.q[:], self.qd[:] = q, 0.0
+        """Start afresh at rest at joint angles, shape (n,) [rad], without any trace of before."""
+        self.q[:] = q
+        self.qd[:] = 0.0
 
     @abstractmethod
-    def push(self, pushes: list[list[float]]) -> None:
+    def apply_pushes(self, pushes: list[list[float]]) -> None:
         """
-        Apply forces at points for one step.
+        Apply forces at points of the arm for one step.
 
-        Of each x y z of force and of point, world axes [N], [m], and the number of a joint, for
-        the link behind it, or n for the tool.
+        Parameters
+        ----------
+        pushes
+            Of each push seven numbers: x y z of the force [N], x y z of the point [m], both in
+            world axes, and the number of a joint, for the link behind it, or n for the tool.
+
         """
 
     @abstractmethod
     def step(self, torque: Vector) -> tuple[float, ...]:
         """
-        Advance `q` and `qd` by one step of symplectic Euler under torques, shape (n,) [N m].
+        Advance angles and speeds by one step of symplectic Euler.
 
-        Return what the arm exerts on the tool at the start of the step, in the sensor's frame, six
-        numbers [N, N m].
+        Parameters
+        ----------
+        torque
+            On the links, shape (n,) [N m].
+
+        Returns
+        -------
+        tuple
+            Wrench of the arm on the tool at the start of the step, in the sensor's frame: three
+            forces [N] and three torques [N m].
+
         """
 
     @abstractmethod
     def set_tool_mass(self, mass: float) -> None:
         """Let the tool weigh this much [kg]; its centre and the inertia about it stay."""
 
-    def close(self) -> None:  # noqa: B027 - not every engine has anything to give back
-        """Give the world back."""
+    def close(self) -> None:  # noqa: B027 - not every engine has anything to free
+        """Free what the engine holds outside Python's memory."""

@@ -28,7 +28,7 @@ class Link(Record, Protocol):
 LINK = record_dtype(Link)
 
 
-def chain_of(model: pin.Model) -> Records[Link]:
+def link_records(model: pin.Model) -> Records[Link]:
     """Return the links of an arm as records of `LINK`, shape (n,)."""
     links = np.zeros(model.nv, dtype=LINK)
     placements = list(model.jointPlacements)[1:]
@@ -77,7 +77,7 @@ def forward_kinematics(q: Vector, links: Records[Link]) -> None:
 
 
 @compiled
-def place_point(local: Vector, link: Link, point: Vector) -> None:
+def locate_point(local: Vector, link: Link, point: Vector) -> None:
     """Fill `point` with a point of a link given in its frame, world axes, shape (3,) [m]."""
     for row in range(3):
         point[row] = link.origin[row]

@@ -9,7 +9,15 @@ from multicontact_control.arrays import Vector
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
-from sim_bridge.arm import Arm, Body, numbers, Placement, SENSOR_FRAME, TOOL_LINK
+from sim_bridge.arm import (
+    Arm,
+    Body,
+    format_numbers,
+    make_isotropic,
+    Placement,
+    SENSOR_FRAME,
+    TOOL_LINK,
+)
 from sim_bridge.config import PlantConfig, SurfaceConfig
 from sim_bridge.engine_arm import EngineArm
 from sim_bridge.posture import frame_pose
@@ -19,47 +27,56 @@ from sim_bridge.posture import frame_pose
 IMPEDANCE = 0.01
 PLANE_SIZE = '1 1 0.1'
 TIP_RADIUS = 0.005  # m, of the balls at the tips
-FRICTION_RATIO = (
-    100.0  # how much harder friction holds than the surface: else it creeps
-)
+SMALLEST_FRICTION = 1e-6  # coefficient; the engine takes no 0
+# How much harder friction holds than the surface presses: with less, a contact creeps.
+FRICTION_RATIO = 100.0
 
 
 class MujocoArm(EngineArm):
     """
-    One arm alone in a MuJoCo world, or before planes of the engine's own; see `EngineArm`.
+    The arm in a MuJoCo world of its own, for a plant; see `EngineArm`.
 
-    Raises ConfigError if a native contact is met by another link than a tip.
+    With native contacts the world also has the planes of the plant's surfaces, and the engine
+    works out how hard the tips press on them.
+
+    Parameters
+    ----------
+    arm
+        Links, sensor and tool.
+    config
+        Gravity, integration step, and surfaces of native contacts.
+
+    Raises
+    ------
+    ConfigError
+        If a native contact is met by another link than a tip of the tool.
+
     """
 
     def __init__(self, arm: Arm, config: PlantConfig) -> None:
         super().__init__(len(arm.links))
         native = config.contact == 'native'
-        self._planes = _planes(arm, config) if native else []
-        self._model = mujoco.MjModel.from_xml_string(
-            mjcf_text(arm, config, self._planes)
-        )
-        names = [
-            *(f'link{i + 1}' for i in range(len(arm.links))),
-            SENSOR_FRAME,
-            TOOL_LINK,
-        ]
+        self._planes: list[SurfaceConfig] = []
+        if native:
+            self._planes = _native_planes(arm, config)
+        model = mujoco.MjModel.from_xml_string(compose_mjcf(arm, config, self._planes))
+        self._model = model
+        links = [f'link{number}' for number in range(1, len(arm.links) + 1)]
+        names = [*links, SENSOR_FRAME, TOOL_LINK]
         for name, body in zip(names, arm.bodies, strict=True):
             # The compiler refuses those that break the triangle inequality.
-            self._model.body(name).inertia[:] = body.inertia
-        mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
-        self._data = mujoco.MjData(self._model)
-        self._bodies = [
-            self._model.body(name).id for name in names if name != SENSOR_FRAME
-        ]
+            model.body(name).inertia[:] = body.inertia
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        self._data = mujoco.MjData(model)
+        self._pushed_bodies = [model.body(name).id for name in (*links, TOOL_LINK)]
         if native:
-            # Rotors that are not behind springs, which the engine then carries itself.
-            self._model.dof_armature[:] = np.array(arm.armature) * (
-                config.drives == 'rigid'
-            )
-            mujoco.mj_setConst(self._model, self._data)
-            self._set_springs()
+            if config.drives == 'rigid':
+                # The engine carries the rotors that are not behind springs.
+                model.dof_armature[:] = arm.armature
+            mujoco.mj_setConst(model, self._data)
+            self._set_contact_springs()
             self.native_forces = np.zeros(len(self._planes))
-        self._touch = np.zeros(6)
+        self._contact_force = np.zeros(6)
 
     def reset(self, q: Vector) -> None:
         """Place the arm at rest; see `EngineArm`."""
@@ -67,48 +84,46 @@ class MujocoArm(EngineArm):
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:] = q
 
-    def push(self, pushes: list[list[float]]) -> None:
+    def apply_pushes(self, pushes: list[list[float]]) -> None:
         """Apply forces at points for one step; see `EngineArm`."""
         data = self._data
-        mujoco.mj_kinematics(
-            self._model, data
-        )  # where the links are now, not a step ago
+        # Places the links where they are now, instead of a step ago.
+        mujoco.mj_kinematics(self._model, data)
         for *values, number in pushes:
-            link, force, point = (
-                self._bodies[int(number)],
-                np.array(values[:3]),
-                values[3:],
-            )
-            data.xfrc_applied[link, :3] += force
-            data.xfrc_applied[link, 3:] += np.cross(point - data.xipos[link], force)
+            body = self._pushed_bodies[int(number)]
+            force = np.array(values[:3])
+            point = values[3:]
+            data.xfrc_applied[body, :3] += force
+            data.xfrc_applied[body, 3:] += np.cross(point - data.xipos[body], force)
 
     def step(self, torque: Vector) -> tuple[float, ...]:
         """Advance by one step and return what the arm exerts on the tool; see `EngineArm`."""
-        model, data = self._model, self._data
+        data = self._data
         data.qfrc_applied[:] = torque
-        mujoco.mj_step(model, data)
+        mujoco.mj_step(self._model, data)
         data.xfrc_applied[:] = 0.0
-        self.q[:], self.qd[:] = data.qpos, data.qvel
+        self.q[:] = data.qpos
+        self.qd[:] = data.qvel
         if self.native_forces is not None:
-            self._read_contacts(self.native_forces)
+            self._sum_contact_forces(self.native_forces)
         wrench: tuple[float, ...] = tuple(data.sensordata.tolist())
         return wrench
 
     def set_tool_mass(self, mass: float) -> None:
         """Change the mass of the tool; see `EngineArm`."""
-        self._model.body_mass[self._bodies[-1]] = mass
+        self._model.body_mass[self._pushed_bodies[-1]] = mass
         mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
 
-    def _read_contacts(self, forces: Vector) -> None:
-        """Add up the normal forces on each plane."""
+    def _sum_contact_forces(self, forces: Vector) -> None:
+        """Fill `forces` with the normal force on each plane, shape (no,) [N]."""
         forces[:] = 0.0
-        for i in range(self._data.ncon):
-            contact = self._data.contact[i]
-            mujoco.mj_contactForce(self._model, self._data, i, self._touch)
+        for number in range(self._data.ncon):
+            contact = self._data.contact[number]
+            mujoco.mj_contactForce(self._model, self._data, number, self._contact_force)
             plane = self._model.geom(int(contact.geom[0])).name
-            forces[int(plane.removeprefix('plane'))] += self._touch[0]
+            forces[int(plane.removeprefix('plane'))] += self._contact_force[0]
 
-    def _set_springs(self) -> None:
+    def _set_contact_springs(self) -> None:
         """
         Make the engine's contacts as stiff and damped as the surfaces are configured.
 
@@ -116,80 +131,82 @@ class MujocoArm(EngineArm):
         contact for and d its impedance; solref is (-k d, -b d).
         """
         # Planes do not move: of the two bodies of a contact, only the tool has an inverse mass.
-        scale = self._model.body_invweight0[self._bodies[-1], 0] * (1.0 - IMPEDANCE)
-        for i, plane in enumerate(self._planes):
-            self._model.pair_solref[i] = (
-                -plane.stiffness * scale,
-                -plane.damping * scale,
-            )
+        inverse_mass = self._model.body_invweight0[self._pushed_bodies[-1], 0]
+        scale = inverse_mass * (1.0 - IMPEDANCE)
+        for number, plane in enumerate(self._planes):
+            stiffness = -plane.stiffness * scale
+            self._model.pair_solref[number] = (stiffness, -plane.damping * scale)
 
 
-def _planes(arm: Arm, config: PlantConfig) -> list[SurfaceConfig]:
-    planes = []
+def _native_planes(arm: Arm, config: PlantConfig) -> list[SurfaceConfig]:
+    """Return the surfaces that a plant meets; ConfigError unless tips of the tool meet them."""
     for name in config.met:
-        surface = config.surfaces[name]
-        if surface.tip_link not in arm.tips:
+        link = config.surfaces[name].tip_link
+        if link not in arm.tips:
             raise ConfigError(
                 f'surfaces.{name}.tip_link',
                 f'one of the tips {", ".join(sorted(arm.tips))} with native contacts',
-                f"'{surface.tip_link}'",
+                f"'{link}'",
             )
-        planes.append(surface)
-    return planes
+    return [config.surfaces[name] for name in config.met]
 
 
-def mjcf_text(arm: Arm, config: PlantConfig, planes: Sequence[SurfaceConfig]) -> str:
-    """Return the MJCF of an arm; with isotropic inertias, the true ones have to be set."""
-    parts, end = [], []
-    bodies = arm.bodies
-    for number, (link, body) in enumerate(zip(arm.links, bodies), start=1):
-        parts += [
-            _body(f'link{number}', link.placement, body),
+def compose_mjcf(arm: Arm, config: PlantConfig, planes: Sequence[SurfaceConfig]) -> str:
+    """
+    Return the text of MuJoCo's model (MJCF) of an arm, alone or before planes.
+
+    Inertias are isotropic, since the compiler refuses some published ones: `MujocoArm` sets the
+    true ones afterwards. Each tip carries a ball that touches its own plane only, with the point
+    that is the tip itself in the home posture.
+    """
+    *link_bodies, face, tool = arm.bodies
+    chain = []
+    for number, (link, body) in enumerate(zip(arm.links, link_bodies), start=1):
+        chain += [
+            _body_opening(f'link{number}', link.placement, body),
             f'<joint name="{link.joint}" type="hinge" axis="0 0 1" limited="false"/>',
         ]
-        end.append('</body>')
-    parts += [
-        _body(SENSOR_FRAME, arm.sensor, bodies[-2]),
+    chain += [
+        _body_opening(SENSOR_FRAME, arm.sensor, face),
         f'<site name="{SENSOR_FRAME}"/>',
-        _body(TOOL_LINK, Placement(), bodies[-1]),
+        _body_opening(TOOL_LINK, Placement(), tool),
     ]
+    flag = '<flag contact="disable" constraint="disable"/>'
+    plane_geoms = []
     pairs = []
     if planes:
-        # Each ball touches its plane with the tip itself at home.
-        turn = frame_pose(arm.model(), np.array(config.home), SENSOR_FRAME).rotation
-        for i, plane in enumerate(planes):
-            centre = np.array(arm.tips[plane.tip_link]) - TIP_RADIUS * (
-                turn.T @ np.array(plane.normal_world)
-            )
-            parts.append(
-                f'<geom name="tip{i}" type="sphere" size="{TIP_RADIUS!r}" '
-                f'pos="{numbers(centre)}" contype="0" conaffinity="0" mass="0"/>'
-            )
-            mu = max(plane.friction, 1e-6)
-            pairs.append(
-                f'<pair geom1="plane{i}" geom2="tip{i}" condim="3" '
-                f'friction="{mu!r} {mu!r} 0 0 0" solref="-1 -1" '
-                f'solimp="{IMPEDANCE!r} {IMPEDANCE!r} 0.001 0.5 1"/>'
-            )
-    end += ['</body>', '</body>']
-    flag = '' if planes else '<flag contact="disable" constraint="disable"/>'
-    geoms = [
-        f'<geom name="plane{i}" type="plane" size="{PLANE_SIZE}" '
-        f'pos="{numbers(plane.point_world)}" zaxis="{numbers(-x for x in plane.normal_world)}" '
-        'contype="0" conaffinity="0"/>'
-        for i, plane in enumerate(planes)
-    ]
+        flag = ''
+        to_world = frame_pose(arm.model(), np.array(config.home), SENSOR_FRAME).rotation
+    for number, plane in enumerate(planes):
+        inward = np.array(plane.normal_world)
+        centre = arm.tips[plane.tip_link] - TIP_RADIUS * (to_world.T @ inward)
+        mu = max(plane.friction, SMALLEST_FRICTION)
+        plane_geoms.append(
+            f'<geom name="plane{number}" type="plane" size="{PLANE_SIZE}" '
+            f'pos="{format_numbers(plane.point_world)}" zaxis="{format_numbers(-inward)}" '
+            'contype="0" conaffinity="0"/>'
+        )
+        chain.append(
+            f'<geom name="tip{number}" type="sphere" size="{TIP_RADIUS!r}" '
+            f'pos="{format_numbers(centre)}" contype="0" conaffinity="0" mass="0"/>'
+        )
+        pairs.append(
+            f'<pair geom1="plane{number}" geom2="tip{number}" condim="3" '
+            f'friction="{mu!r} {mu!r} 0 0 0" solref="-1 -1" '
+            f'solimp="{IMPEDANCE!r} {IMPEDANCE!r} 0.001 0.5 1"/>'
+        )
+    bodies_opened = len(arm.bodies)
     return ''.join(
         [
             f'<mujoco model="{arm.name}"><compiler angle="radian" autolimits="false"/>',
-            f'<option timestep="{config.substep!r}" gravity="{numbers(config.gravity_world)}" '
-            f'integrator="Euler" '
+            f'<option timestep="{config.substep!r}" '
+            f'gravity="{format_numbers(config.gravity_world)}" integrator="Euler" '
             f'cone="elliptic" impratio="{FRICTION_RATIO!r}" solver="Newton" iterations="100" '
             f'tolerance="1e-12">{flag}</option>',
             '<worldbody>',
-            *geoms,
-            *parts,
-            *end,
+            *plane_geoms,
+            *chain,
+            '</body>' * bodies_opened,
             '</worldbody>',
             '<contact>',
             *pairs,
@@ -200,16 +217,15 @@ def mjcf_text(arm: Arm, config: PlantConfig, planes: Sequence[SurfaceConfig]) ->
     )
 
 
-def _body(name: str, placement: Placement, body: Body) -> str:
-    """Return the beginning of a body."""
-    inertia = numbers((max(body.inertia),) * 3)
+def _body_opening(name: str, placement: Placement, body: Body) -> str:
+    """Return the element that opens a body, with its inertia, and that leaves it open."""
+    inertia = format_numbers(make_isotropic(body).inertia)
     return (
-        f'<body name="{name}" {_frame(placement)}>'
-        f'<inertial {_frame(body.com)} mass="{body.mass!r}" diaginertia="{inertia}"/>'
+        f'<body name="{name}" {_frame_attributes(placement)}>'
+        f'<inertial {_frame_attributes(body.com)} mass="{body.mass!r}" diaginertia="{inertia}"/>'
     )
 
 
-def _frame(placement: Placement) -> str:
-    quaternion = pin.Quaternion(placement.se3.rotation)
-    values = (quaternion.w, quaternion.x, quaternion.y, quaternion.z)
-    return f'pos="{numbers(placement.position)}" quat="{numbers(values)}"'
+def _frame_attributes(placement: Placement) -> str:
+    x, y, z, w = pin.Quaternion(placement.transform.rotation).coeffs()
+    return f'pos="{format_numbers(placement.position)}" quat="{format_numbers((w, x, y, z))}"'

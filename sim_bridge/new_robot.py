@@ -24,16 +24,16 @@ import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm
 from sim_bridge.posture import (
-    condition,
-    limits_of,
-    middle_of,
-    reach,
-    turn_along,
-    turn_onto,
+    find_posture_along,
+    find_posture_at,
+    jacobian_condition,
+    joint_limits,
+    middle_of_ranges,
+    rotation_between,
 )
 from sim_bridge.robot_file import RobotFile
 from sim_bridge.robots import Robot
-from sim_bridge.urdf_arm import read_arm, read_urdf, way_to
+from sim_bridge.urdf_arm import joints_up_to, read_robot_arm, read_urdf
 from sim_bridge.workspace import reachable_box
 import yaml
 
@@ -127,7 +127,7 @@ def new_robot(
             'locked_positions': list(locked.values()),
         }
     try:
-        arm = read_arm(urdf, RobotFile(**values))
+        arm = read_robot_arm(urdf, RobotFile(**values))
     except ConfigError as error:
         if error.field != 'tool':
             raise
@@ -136,7 +136,7 @@ def new_robot(
         )
         del values['tip_links']
         values['tool'] = GUESSED_TOOL
-        arm = read_arm(urdf, RobotFile(**values))
+        arm = read_robot_arm(urdf, RobotFile(**values))
     load_model(text, locked, suspicious)
     limits = {
         name: np.array(
@@ -276,7 +276,7 @@ def _joints(
             )
     chain = [
         name
-        for joint in way_to(root, sensor).values()
+        for joint in joints_up_to(root, sensor).values()
         if (name := joint.get('name', '')) in moving and name not in lock
     ]
     turning = [name for name in chain if moving[name].get('type') in TURNING]
@@ -298,7 +298,7 @@ def _joints(
                 if kind == 'prismatic'
                 else 'make it fixed in the URDF',
             )
-    if tip != sensor and sensor not in way_to(root, tip):
+    if tip != sensor and sensor not in joints_up_to(root, tip):
         raise ConfigError('--tip', f"'{sensor}' or a link beyond it", f"'{tip}'")
     locked = dict(lock)
     coupled = followers(root)
@@ -357,7 +357,7 @@ def _home(arm: Arm, tip: Vector, limit: Vector) -> Vector | None:
     length = sum(float(np.linalg.norm(link.placement.position)) for link in arm.links)
     best, home = math.inf, None
     for postures in (
-        *_at_places(model, turn_onto(along, -z), length),
+        *_at_places(model, rotation_between(along, -z), length),
         _turned_where_they_are(model, along, -z),
     ):
         for q in postures:
@@ -375,7 +375,7 @@ def _at_places(
     length: float,
 ) -> Iterator[Iterator[Vector]]:
     """Yield for each place above the floor, round an upright base, the postures that reach it."""
-    middle = middle_of(model, np.zeros(model.nv))
+    middle = middle_of_ranges(model, np.zeros(model.nv))
     random, span = np.random.default_rng(0), _spans(model)
     starts = [
         middle,
@@ -388,7 +388,9 @@ def _at_places(
     for out, high in PLACES:
         point = np.array([out * length, 0.0, high * length])
         poses = [pin.SE3(turn @ down, turn @ point) for turn in turns]
-        tries = (reach(model, pose, start) for pose in poses for start in starts)
+        tries = (
+            find_posture_at(model, pose, start) for pose in poses for start in starts
+        )
         yield (q for q in tries if q is not None)
 
 
@@ -399,14 +401,14 @@ def _turned_where_they_are(
 ) -> Iterator[Vector]:
     """Yield postures wherever they are: of an arm on a wall, a ceiling or a slope, too."""
     for start in _random_postures(model):
-        q = turn_along(model, axis, direction_world, start)
+        q = find_posture_along(model, axis, direction_world, start)
         if q is not None:
             yield q
 
 
 def _random_postures(model: pin.Model) -> Iterator[Vector]:
     """Yield joint angles over the joints' ranges, shape (n,) [rad]."""
-    middle, span = middle_of(model, np.zeros(model.nv)), _spans(model)
+    middle, span = middle_of_ranges(model, np.zeros(model.nv)), _spans(model)
     random = np.random.default_rng(0)
     for _ in range(RANDOM_STARTS):
         yield middle + random.uniform(-0.5, 0.5, model.nv) * span
@@ -414,7 +416,7 @@ def _random_postures(model: pin.Model) -> Iterator[Vector]:
 
 def _spans(model: pin.Model) -> Vector:
     """Return the sizes of the joints' ranges, shape (n,), half a turn without one [rad]."""
-    lower, upper = limits_of(model)
+    lower, upper = joint_limits(model)
     spans: Vector = np.where(np.isfinite(upper - lower), upper - lower, np.pi)
     return spans
 
@@ -422,7 +424,7 @@ def _spans(model: pin.Model) -> Vector:
 def _badness(model: pin.Model, q: Vector, limit: Vector) -> float:
     """Return how near a posture is to singular or to the torque limits [N m]; good below 1."""
     load = float((_load(model, q) / limit).max())
-    return max(condition(model, q) / GOOD_CONDITION, load / GOOD_LOAD)
+    return max(jacobian_condition(model, q) / GOOD_CONDITION, load / GOOD_LOAD)
 
 
 def _load(model: pin.Model, q: Vector) -> Vector:
@@ -459,6 +461,6 @@ def _remarks(robot: Robot) -> tuple[str, ...]:
         f'{len(arm.links)} joints, {sum(body.mass for body in arm.bodies):.3g} kg, of which '
         f'{arm.carried_mass:.3g} kg hang on the sensor',
         f'at home gravity takes {100.0 * share.max():.0f} % of the torque limit at most, and the '
-        f'condition of the Jacobian is {condition(model, home):.3g} (good below '
+        f'condition of the Jacobian is {jacobian_condition(model, home):.3g} (good below '
         f'{GOOD_CONDITION:g})',
     )

@@ -17,7 +17,7 @@ from sim_bridge.config import PlantConfig
 from sim_bridge.contacts import act_on_arm, Contacts, HAND, Hand, Pushes
 from sim_bridge.drives import DRIVE, Drive, flexible_drives, joint_friction, RigidDrives
 from sim_bridge.engine_arm import EngineArm
-from sim_bridge.kinematics import chain_of
+from sim_bridge.kinematics import link_records
 from sim_bridge.robots import find_robot
 from sim_bridge.wrench_sensor import WrenchSensor
 
@@ -81,7 +81,7 @@ class Plant:
         self.model.armature = np.array(self.description.armature)
         self._bare = pin.Inertia(self.model.inertias[self.model.nv])
         self._limit = np.array(config.torque_limit or self.description.torque_limit)
-        self.arm = make_engine(config, self.description)
+        self.arm = make_engine_arm(config, self.description)
         self._hands: Records[Hand] = np.zeros(2, dtype=HAND)
         frame = self.model.frames[self.model.getFrameId(OPERATIONAL_FRAME)]
         self._hands['local'][0] = frame.placement.translation
@@ -137,7 +137,7 @@ class Plant:
             self.arm.motion,
             self._torques,
             self._limit,
-            chain_of(self.model),
+            link_records(self.model),
             self._drives,
             contacts.surfaces,
             contacts.profiles,
@@ -224,7 +224,7 @@ class Plant:
             if rigid is not None:
                 rigid.advance(self._motor, self._sum, arm.q, arm.qd, link_side)
             if count:
-                arm.push(self._pushes.tolist()[:count])
+                arm.apply_pushes(self._pushes.tolist()[:count])
             wrenches += arm.step(link_side)
             if arm.native_forces is not None:
                 self.contacts.pressed[:] = arm.native_forces
@@ -249,7 +249,7 @@ class Plant:
         )
 
 
-def make_engine(config: PlantConfig, arm: Arm) -> EngineArm:
+def make_engine_arm(config: PlantConfig, arm: Arm) -> EngineArm:
     """Return the engine of a plant, loaded here alone; ConfigError if it is not installed."""
     if config.engine == 'pybullet':
         from sim_bridge.bullet_arm import BulletArm

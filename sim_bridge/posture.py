@@ -16,15 +16,15 @@ FAR = 10.0  # rad, from which on a limit is none
 PARALLEL = 1e-9  # sine of the angle between directions that are taken for one
 
 
-def reach(model: pin.Model, pose: pin.SE3, start: Vector) -> Vector | None:
+def find_posture_at(model: pin.Model, pose: pin.SE3, start: Vector) -> Vector | None:
     """
     Return joint angles that put the operational frame at a pose, None if none are found.
 
     Damped least squares from joint angles `start` on, shape (n,) [rad], within the joints' limits.
     What the task leaves free goes to the middle of the joints' range.
     """
-    lower, upper = limits_of(model)
-    middle = middle_of(model, start)
+    lower, upper = joint_limits(model)
+    middle = middle_of_ranges(model, start)
     q = np.array(start, dtype=float)
     for step in range(STEPS):
         now = frame_pose(model, q)
@@ -48,7 +48,7 @@ def reach(model: pin.Model, pose: pin.SE3, start: Vector) -> Vector | None:
     return None
 
 
-def turn_along(
+def find_posture_along(
     model: pin.Model,
     axis: Vector,
     direction_world: Vector,
@@ -60,7 +60,7 @@ def turn_along(
     Both are unit vectors; from joint angles `start` on, shape (n,) [rad], within the joints'
     limits. Where the frame is in the end is left free.
     """
-    lower, upper = limits_of(model)
+    lower, upper = joint_limits(model)
     q = np.array(start, dtype=float)
     for _ in range(STEPS):
         now = frame_pose(model, q).rotation @ axis
@@ -78,7 +78,7 @@ def turn_along(
     return None
 
 
-def limits_of(model: pin.Model) -> tuple[Vector, Vector]:
+def joint_limits(model: pin.Model) -> tuple[Vector, Vector]:
     """Return the joints' limits, shape (n,), infinite where there is none [rad]."""
     lower, upper = (
         np.array(model.lowerPositionLimit),
@@ -87,9 +87,9 @@ def limits_of(model: pin.Model) -> tuple[Vector, Vector]:
     return np.where(lower < -FAR, -np.inf, lower), np.where(upper > FAR, np.inf, upper)
 
 
-def middle_of(model: pin.Model, otherwise: Vector) -> Vector:
+def middle_of_ranges(model: pin.Model, otherwise: Vector) -> Vector:
     """Return the middle of the joints' ranges, and angles `otherwise` without one [rad]."""
-    lower, upper = limits_of(model)
+    lower, upper = joint_limits(model)
     ends = np.isfinite(lower) & np.isfinite(upper)
     return np.where(
         ends, 0.5 * (np.where(ends, lower, 0.0) + np.where(ends, upper, 0.0)), otherwise
@@ -117,12 +117,12 @@ def frame_jacobian(
     return jacobian
 
 
-def condition(model: pin.Model, q: Vector) -> float:
+def jacobian_condition(model: pin.Model, q: Vector) -> float:
     """Return the condition number of the operational point's Jacobian [m, rad]."""
     return float(np.linalg.cond(frame_jacobian(model, q)))
 
 
-def turn_onto(start: Vector, end: Vector) -> Matrix:
+def rotation_between(start: Vector, end: Vector) -> Matrix:
     """Return a rotation that turns one unit vector onto another, one of which is along z."""
     across = np.cross(start, end)
     sine, cosine = float(np.linalg.norm(across)), float(start @ end)

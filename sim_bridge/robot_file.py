@@ -10,7 +10,7 @@ from multicontact_control.errors import ConfigError, format_count
 from sim_bridge.arm import Body, Placement
 
 
-class ToolData(Config):
+class RobotToolConfig(Config):
     """The tool beyond the wrist sensor, in the sensor's frame."""
 
     face_offset: float = parameter(
@@ -28,7 +28,7 @@ class ToolData(Config):
         return Body(self.mass, Placement(self.com), self.inertia)
 
 
-class SideConfig(Config):
+class RobotContactConfig(Config):
     """A contact, and the simulated surface it meets from the home posture."""
 
     tip: str = parameter(..., 'Tip of the tool that touches.')
@@ -44,7 +44,7 @@ class SideConfig(Config):
     )
 
 
-class WideConfig(Config):
+class WideContactConfig(Config):
     """
     An edge or a face of the tool, for scenarios that press with it.
 
@@ -102,7 +102,7 @@ class RobotFile(Config):
         'Axes of operational point and sensor in that link.',
         unit='rad',
     )
-    tool: ToolData | None = parameter(
+    tool: RobotToolConfig | None = parameter(
         None,
         'Our tool, instead of all that the URDF has beyond mount_link; none for that.',
     )
@@ -138,8 +138,8 @@ class RobotFile(Config):
         unit='m',
     )
     workspace_upper: Vector = parameter((), 'Upper corner of that box.', unit='m')
-    contacts: dict[str, SideConfig] = parameter({}, 'Contacts, in their order.')
-    wide_contacts: dict[str, WideConfig] = parameter(
+    contacts: dict[str, RobotContactConfig] = parameter({}, 'Contacts, in their order.')
+    wide_contacts: dict[str, WideContactConfig] = parameter(
         {},
         'Edges and faces of the tool, which scenarios may name among their contacts.',
     )

@@ -25,9 +25,9 @@ from multicontact_control.paths import find_config_folder, find_named_file
 import numpy as np
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME
 from sim_bridge.config import SurfaceConfig
-from sim_bridge.posture import frame_jacobian, frame_pose, limits_of
-from sim_bridge.robot_file import RobotFile, WideConfig
-from sim_bridge.urdf_arm import read_arm
+from sim_bridge.posture import frame_jacobian, frame_pose, joint_limits
+from sim_bridge.robot_file import RobotFile, WideContactConfig
+from sim_bridge.urdf_arm import read_robot_arm
 
 FOLDER = 'robots'
 DEFAULT = 'puma'
@@ -65,7 +65,7 @@ class Robot:
     def arm(self) -> Arm:
         """Return the arm with its tool."""
         file = self.file
-        arm = read_arm(urdf_path(file.urdf, self.folder), file)
+        arm = read_robot_arm(urdf_path(file.urdf, self.folder), file)
         none = (0.0,) * len(arm.links)
         given = zip(
             arm.links,
@@ -169,7 +169,9 @@ class Robot:
         """Return an edge or face as the controller has it, from where its tips are."""
         wide = self._wide(name, controller['contacts'])
         like = controller['contacts'][wide.like]
-        to_operational = self.arm.operational.se3.inverse() * self.arm.sensor.se3
+        to_operational = (
+            self.arm.operational.transform.inverse() * self.arm.sensor.transform
+        )
         tips = np.array(
             [to_operational.act(np.array(self.arm.tips[tip])) for tip in wide.tips]
         )
@@ -191,7 +193,7 @@ class Robot:
             'friction_std': WIDE_FRICTION,
         }
 
-    def _wide(self, name: str, contacts: Mapping[str, Any]) -> WideConfig:
+    def _wide(self, name: str, contacts: Mapping[str, Any]) -> WideContactConfig:
         wide = self.file.wide_contacts[name]
         for field, names, known in (
             ('tips', wide.tips, self.arm.tips),
@@ -264,7 +266,7 @@ class Robot:
         rate, limits = float(base.get('rate', 500.0)), base.get('limits', {})
         model = arm.model()
         home = frame_pose(model, np.array(file.home)).translation
-        operational, sensor = arm.operational.se3, arm.sensor.se3
+        operational, sensor = arm.operational.transform, arm.sensor.transform
         points = {
             name: operational.actInv(
                 sensor.act(np.array(arm.tips[contact.tip]))
@@ -273,7 +275,7 @@ class Robot:
         }
         lower, upper = (
             np.clip(limit, -RANGE_OF_CONTINUOUS, RANGE_OF_CONTINUOUS).tolist()
-            for limit in limits_of(model)
+            for limit in joint_limits(model)
         )
         derived = {
             'robot': {

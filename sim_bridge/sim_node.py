@@ -94,7 +94,7 @@ class SimNodeConfig(StartupConfig):
     )
 
 
-def stamp_of(tick: int, rate: float) -> int:
+def stamp_of_tick(tick: int, rate: float) -> int:
     """Return tick / rate in whole nanoseconds, without an error that grows."""
     return int(tick * NANOSECONDS / Fraction(rate))
 
@@ -209,7 +209,9 @@ class SimNode(Node):
                 'command_timeouts': self._timeouts,
                 'wall_s': self._wall * 1e-9,
                 'latency_us': self._watch.latencies.percentiles(),
-                'latency_histogram': histogram(self._watch.latencies.microseconds()),
+                'latency_histogram': latency_histogram(
+                    self._watch.latencies.microseconds()
+                ),
                 'plant_us': self._step_times.percentiles(),
                 'refused': dict(self._refusals.counts),
             }
@@ -217,7 +219,7 @@ class SimNode(Node):
 
     def _start_up(self, spinner: Spinner) -> None:
         """Publish sample 0 until it is answered; nothing moves before that."""
-        period = stamp_of(1, self._config.rate)
+        period = stamp_of_tick(1, self._config.rate)
         # Lockstep knows no wall clock; one period on, so that no stamp is the zero of "none".
         self._origin = (
             period if self._config.lockstep else time.time_ns() // period * period
@@ -384,7 +386,7 @@ class SimNode(Node):
         )
 
     def _stamp(self, tick: int) -> int:
-        return self._origin + stamp_of(tick, self._config.rate)
+        return self._origin + stamp_of_tick(tick, self._config.rate)
 
     def _on_command(self, data: bytes) -> None:
         received = self._inputs.last[topics.EFFORT_COMMAND] = time.monotonic_ns()
@@ -471,7 +473,7 @@ class SimNode(Node):
         ]
 
 
-def histogram(microseconds: Vector) -> dict[str, list[float] | list[int]]:
+def latency_histogram(microseconds: Vector) -> dict[str, list[float] | list[int]]:
     """Return counts between edges [us]; the first and the last take all beyond."""
     kept = np.clip(microseconds, EDGES[0], EDGES[-1])
     return {

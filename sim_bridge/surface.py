@@ -123,7 +123,7 @@ def track_direction(normal_world: Vector) -> Vector:
 
 
 @compiled
-def move(surface: Surface, step: float) -> None:
+def move_surface(surface: Surface, step: float) -> None:
     """Let a surface move for a step [s]."""
     surface.time += step
     time = surface.time - surface.motion_start
@@ -136,7 +136,7 @@ def move(surface: Surface, step: float) -> None:
 
 
 @compiled
-def mean_depth(surface: Surface) -> float:
+def measure_depth(surface: Surface) -> float:
     """
     Return how deep the tip is in the mean surface [m], and fill in which way that faces.
 
@@ -168,7 +168,7 @@ def mean_depth(surface: Surface) -> float:
 
 
 @compiled
-def press(surface: Surface, velocity: Vector, profile: Matrix) -> None:
+def press_surface(surface: Surface, velocity: Vector, profile: Matrix) -> None:
     """
     Work out what a moving tip does to a surface.
 
@@ -181,7 +181,7 @@ def press(surface: Surface, velocity: Vector, profile: Matrix) -> None:
     along = 0.0
     for i in range(3):
         along += (surface.point[i] - surface.place[i]) * track[i]
-    depth = mean_depth(surface)
+    depth = measure_depth(surface)
     rate = 0.0
     along_rate = 0.0
     for i in range(3):

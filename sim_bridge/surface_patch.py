@@ -37,7 +37,7 @@ class Patch(NamedTuple):
     faces: np.ndarray[tuple[int, ...], np.dtype[np.int64]]
 
 
-def surface_patch(
+def shape_surface_patch(
     normal_world: Vector, radius: float = 0.0, *, ball: bool = False
 ) -> Patch:
     """
@@ -65,9 +65,9 @@ def surface_patch(
     )
 
 
-def patch_of(surface: SurfaceConfig) -> Patch:
+def shape_configured_patch(surface: SurfaceConfig) -> Patch:
     """Return what a surface of the plant looks like."""
-    return surface_patch(
+    return shape_surface_patch(
         np.array(surface.normal_world), surface.radius, ball=surface.shape == 'sphere'
     )
 
@@ -105,7 +105,7 @@ class SurfaceMarkers:
         self._moving = any(surface.velocity for surface in surfaces)
         self._message = MarkerArray()
         for number, (name, surface) in enumerate(zip(config.drawn, surfaces)):
-            patch = patch_of(surface)
+            patch = shape_configured_patch(surface)
             red, green, blue = COLOURS[number % len(COLOURS)]
             marker = Marker(
                 ns=f'{NAMESPACE}/{name}',

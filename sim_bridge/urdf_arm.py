@@ -2,7 +2,7 @@
 An arm from a URDF.
 
 Either of its vendor, cut off where our sensor and tool go and its joints turned to z, or a whole
-one as `urdf_text` writes it, with the links ft_face, tool, wrist_point and tips.
+one as `compose_urdf` writes it, with the links ft_face, tool, wrist_point and tips.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import (
     Arm,
+    as_triple,
     BASE_LINK,
     Body,
+    format_numbers,
     Link,
-    numbers,
     OPERATIONAL_FRAME,
     Placement,
     SENSOR_FRAME,
     TOOL_LINK,
-    triple,
 )
-from sim_bridge.posture import turn_onto
+from sim_bridge.posture import rotation_between
 from sim_bridge.robot_file import RobotFile
 
 FACE_MASS = 1e-3  # kg, of a sensor whose tool is in the URDF
@@ -42,7 +42,7 @@ SLIDING = (
 )
 
 
-def read_arm(path: Path, file: RobotFile) -> Arm:
+def read_robot_arm(path: Path, file: RobotFile) -> Arm:
     """Read an arm from a URDF, without the limits and friction of its file; ConfigError."""
     text = read_urdf(path)
     if not file.mount_link:
@@ -81,7 +81,9 @@ def read_arm(path: Path, file: RobotFile) -> Arm:
         turn = _turn(model, number)
         placement = before.inverse() * model.jointPlacements[number] * turn
         body = _body(turn.actInv(model.inertias[number]), joints[number - 1])
-        links.append(Link(joints[number - 1], Placement.of(placement), body, *limit))
+        links.append(
+            Link(joints[number - 1], Placement.from_transform(placement), body, *limit)
+        )
         before = turn
         frames.append((f'link{number}', turn))
     sensor = (
@@ -94,13 +96,13 @@ def read_arm(path: Path, file: RobotFile) -> Arm:
         arm = Arm(
             name,
             tuple(links),
-            Placement.of(sensor),
-            Placement.of(sensor),
+            Placement.from_transform(sensor),
+            Placement.from_transform(sensor),
             FACE_MASS,
             links[-1].body,
             {},
         )
-        whole, sensor = load_model(text, file.locked), before * arm.sensor.se3
+        whole, sensor = load_model(text, file.locked), before * arm.sensor.transform
         arm = _with_tool_of_urdf(arm, whole, model, sensor, file)
         frames.append((TOOL_LINK, sensor))
     else:
@@ -108,8 +110,8 @@ def read_arm(path: Path, file: RobotFile) -> Arm:
         arm = Arm(
             name,
             tuple(links),
-            Placement.of(sensor),
-            Placement.of(face),
+            Placement.from_transform(sensor),
+            Placement.from_transform(face),
             tool.face_mass,
             tool.body,
             tool.tips,
@@ -136,7 +138,9 @@ def read_urdf(path: Path) -> str:
     return ElementTree.tostring(root, encoding='unicode')
 
 
-def way_to(root: ElementTree.Element, link: str) -> dict[str, ElementTree.Element]:
+def joints_up_to(
+    root: ElementTree.Element, link: str
+) -> dict[str, ElementTree.Element]:
     """Return the joints of a URDF from the base to a link, each under the link it carries."""
     carried = {ends_of(joint)[1]: joint for joint in root.findall('joint')}
     way = {}
@@ -154,7 +158,9 @@ def _without_tool(text: str, mount: str) -> str:
         raise ConfigError(
             'mount_link', f'a link of the URDF among {", ".join(known)}', f"'{mount}'"
         )
-    beyond = {link for link in known if link != mount and mount in way_to(root, link)}
+    beyond = {
+        link for link in known if link != mount and mount in joints_up_to(root, link)
+    }
     for element in list(root):
         name = element.get('name') if element.tag == 'link' else ends_of(element)[1]
         # What is neither link nor joint names joints that may be gone.
@@ -190,7 +196,7 @@ def _turn(model: pin.Model, joint: int) -> pin.SE3:
             'joints that turn, or sliding ones in locked_joints',
             f"'{model.names[joint]}'",
         )
-    return pin.SE3(turn_onto(np.array([0.0, 0.0, 1.0]), column[3:]), np.zeros(3))
+    return pin.SE3(rotation_between(np.array([0.0, 0.0, 1.0]), column[3:]), np.zeros(3))
 
 
 def _body(inertia: pin.Inertia, joint: str) -> Body:
@@ -198,8 +204,10 @@ def _body(inertia: pin.Inertia, joint: str) -> Body:
         raise ConfigError(
             'urdf', 'a mass for what every joint moves', f"none beyond '{joint}'"
         )
-    body = Body.of(inertia)
-    return replace(body, inertia=triple(max(x, SMALLEST_INERTIA) for x in body.inertia))
+    body = Body.from_inertia(inertia)
+    return replace(
+        body, inertia=as_triple(max(x, SMALLEST_INERTIA) for x in body.inertia)
+    )
 
 
 def _visuals(
@@ -230,14 +238,18 @@ def _visuals(
             if origin is None:
                 origin = ElementTree.SubElement(visual, 'origin')
             given = Placement(
-                *(triple(origin.get(x, '0 0 0').split()) for x in ('xyz', 'rpy'))
+                *(as_triple(origin.get(x, '0 0 0').split()) for x in ('xyz', 'rpy'))
             )
-            place = Placement.of(own.actInv(frame.placement * given.se3))
-            origin.attrib.update(xyz=numbers(place.position), rpy=numbers(place.rpy))
+            place = Placement.from_transform(
+                own.actInv(frame.placement * given.transform)
+            )
+            origin.attrib.update(
+                xyz=format_numbers(place.position), rpy=format_numbers(place.rpy)
+            )
             for material in visual.findall('material'):
                 material[:] = colours.get(material.get('name'), material[:])
             for mesh in visual.iter('mesh'):
-                if file := mesh_file(mesh.get('filename', ''), path):
+                if file := find_mesh_file(mesh.get('filename', ''), path):
                     mesh.set('filename', file.as_uri())
             visuals[name] = visuals.get(name, '') + ElementTree.tostring(
                 visual, 'unicode'
@@ -245,7 +257,7 @@ def _visuals(
     return visuals
 
 
-def mesh_file(name: str, urdf: Path) -> Path | None:
+def find_mesh_file(name: str, urdf: Path) -> Path | None:
     """Return the file of a mesh in a URDF, by its path or URI; None if it is not there."""
     inside = unquote(name.partition('://')[2]) or name
     shares = [
@@ -287,7 +299,7 @@ def _with_tool_of_urdf(
                 'links of the URDF that the last joint carries',
                 f"'{link}'",
             )
-        tips[name] = triple(sensor.actInv(_frame(full, link).placement.translation))
+        tips[name] = as_triple(sensor.actInv(_frame(full, link).placement.translation))
     tool = sensor.actInv(full.inertias[last] - bare.inertias[last])
     return replace(arm, tool=_body(tool, file.mount_link), tips=tips)
 
@@ -361,7 +373,7 @@ def _numbers(element: ElementTree.Element, path: str, name: str) -> tuple[float,
 
 def _placement(element: ElementTree.Element, path: str = 'origin') -> Placement:
     return Placement(
-        *(triple(_numbers(element, path, name)) for name in ('xyz', 'rpy'))
+        *(as_triple(_numbers(element, path, name)) for name in ('xyz', 'rpy'))
     )
 
 
@@ -377,4 +389,4 @@ def _own_body(link: ElementTree.Element) -> Body:
             f'ixy ixz iyz = {moments[3:]}',
         )
     (mass,) = _numbers(link, 'inertial/mass', 'value')
-    return Body(mass, _placement(link, 'inertial/origin'), triple(moments[:3]))
+    return Body(mass, _placement(link, 'inertial/origin'), as_triple(moments[:3]))

@@ -9,7 +9,7 @@ from multicontact_control.supervision.bounds import SINGULAR
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import OPERATIONAL_FRAME
-from sim_bridge.posture import frame_jacobian, frame_pose, limits_of
+from sim_bridge.posture import frame_jacobian, frame_pose, joint_limits
 
 STEP = 0.05  # m, by which a side of the box moves out
 SPACING = 0.15  # m between the points that are tried on a side, at most
@@ -108,7 +108,7 @@ def _follow(model: pin.Model, pose: pin.SE3, start: Vector) -> Vector | None:
 
 def _is_free(model: pin.Model, q: Vector) -> bool:
     """Return whether a posture is off the joints' stops and not nearly singular."""
-    lower, upper = limits_of(model)
+    lower, upper = joint_limits(model)
     if (q < lower + STOP_MARGIN).any() or (q > upper - STOP_MARGIN).any():
         return False
     M = pin.crba(model, model.createData(), q)

@@ -69,7 +69,7 @@ class WrenchSensor:
                 (config.force_noise_std, config.torque_noise_std), 3
             )
         if config.quantise:
-            self._axes['quantum'] = quantum(config)
+            self._axes['quantum'] = converter_step(config)
         self._stages = np.zeros((0, 5))
         if config.low_pass:
             self._stages = low_pass_stages(config.low_pass_cutoff, 1.0 / period)
@@ -99,7 +99,7 @@ class WrenchSensor:
         self._started = True
 
 
-def quantum(config: SensorConfig) -> Vector:
+def converter_step(config: SensorConfig) -> Vector:
     """Return one step of each axis: the range, both signs, over 2^bits, shape (6,)."""
     return np.asarray(2.0 * np.array(config.full_scale) / 2**config.bits)
 
@@ -127,11 +127,11 @@ def low_pass_stages(cutoff: float, rate: float) -> Matrix:
         if corner < nyquist:
             corners.append(corner)
         corner /= CASCADE_RATIO
-    stages = [butterworth(corner, rate) for corner in [*corners, cutoff]]
+    stages = [butterworth_low_pass(corner, rate) for corner in [*corners, cutoff]]
     return np.array([(*b, *a[1:]) for b, a in stages])
 
 
-def butterworth(cutoff: float, rate: float) -> tuple[Vector, Vector]:
+def butterworth_low_pass(cutoff: float, rate: float) -> tuple[Vector, Vector]:
     """
     Return numerator and denominator of a low-pass of second order, highest power of z first.
 

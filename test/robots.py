@@ -45,7 +45,7 @@ OTHERS = robot_parameters([name for name in robot_names() if name != 'puma'])
 
 def carried(arm):
     """Return the inertia that hangs on the sensor, in its frame."""
-    com = arm.tool.com.se3
+    com = arm.tool.com.transform
     tool = pin.Inertia(
         arm.tool.mass,
         com.translation,

@@ -10,6 +10,7 @@ from pathlib import Path
 import signal
 from typing import Annotated, Any, Literal, TYPE_CHECKING
 
+from multicontact_control.choices import EstimatorName, LawName
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import find_config_folder
 import typer
@@ -26,16 +27,6 @@ SHORTCUTS = {  # options that set one value of a file
     'engine': 'plant.engine',
 }
 
-Law = Literal['aob', 'pi', 'dob', 'lqg', 'admittance', 'impedance', 'feedforward']
-Estimator = Literal[
-    'lead_window',
-    'hf_window',
-    'window',
-    'fixed',
-    'innovation',
-    'sage_husa',
-    'variational_bayes',
-]
 Robot = Annotated[
     str,
     typer.Option(help='Robot: one of those below, or a YAML file; puma if not given.'),
@@ -155,14 +146,14 @@ class RunOptions(SetupOptions):
         typer.Option(help="Length of the run [s]; the scenario's own if not given."),
     ] = None
     noise_estimator: Annotated[
-        Estimator | None,
+        EstimatorName | None,
         typer.Option(
             help='How R, the variance of the force noise, is estimated, in the paper by '
             'lead_window; that of the preset if not given.'
         ),
     ] = None
     law: Annotated[
-        Law | None,
+        LawName | None,
         typer.Option(
             help='Force law of all contacts, aob in the paper; that of the preset if not '
             'given.'

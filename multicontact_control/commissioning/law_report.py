@@ -11,7 +11,15 @@ from typing import Any
 from multicontact_control.arrays import Matrix
 from multicontact_control.config import ForceConfig, validate
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.laws import LAWS, LinearLaw, LoopModel, steady_law
+from multicontact_control.force.laws.aob import steady_law
+from multicontact_control.force.laws.design import find_law, LoopModel
+from multicontact_control.force.laws.linear import (
+    ALPHA_DES,
+    ALPHA_MEAS,
+    LinearLaw,
+    SPEED,
+    U,
+)
 from multicontact_control.force.margins import last_stable, spectral_radius
 from multicontact_control.force.observer import steady_gain
 from multicontact_control.runs.parameter_file import write_parameters
@@ -24,20 +32,10 @@ NODES = {
 }
 LOWEST, POINTS = 0.1, 4000  # rad/s, of the frequency response
 LONGEST_RISE = 5.0  # s
-READ = [0, 2]  # of a law's inputs: alpha, and the speed
+READ = [ALPHA_MEAS, SPEED]  # of a law's inputs
 RATIOS = tuple(np.geomspace(1.0, 1000.0, 121).tolist())
 SPEEDS = np.geomspace(8.0, 1.0 / 64.0, 73).tolist()  # of the usual gains
 GAIN_MARGIN = 2.0  # left on the stiffest surface
-# What makes a law s times as fast as it usually is: gains that s^exponent multiplies.
-FASTER: dict[str, dict[str, Any]] = {
-    'aob': {'time_constant': -1},
-    'pi': {'pi': {'bandwidth': 1}},
-    'dob': {'dob': {'bandwidth': 1, 'observer_bandwidth': 1}},
-    'lqg': {'lqg': {'input_weight': -2}},
-    'admittance': {'admittance': {'bandwidth': 1}},
-    'impedance': {'impedance': {'natural_frequency': 1}},
-    'feedforward': {},
-}
 
 
 @dataclass(frozen=True)
@@ -68,8 +66,8 @@ def contact_loop(law: LinearLaw, model: LoopModel, ratio: float = 1.0) -> Matrix
     return np.block(
         [
             [
-                plant.Phi + np.outer(plant.Gamma, law.D[0, READ] @ rows),
-                np.outer(plant.Gamma, law.C[0]),
+                plant.Phi + np.outer(plant.Gamma, law.D[U, READ] @ rows),
+                np.outer(plant.Gamma, law.C[U]),
             ],
             [law.B[:, READ] @ rows, law.A],
         ]
@@ -79,7 +77,7 @@ def contact_loop(law: LinearLaw, model: LoopModel, ratio: float = 1.0) -> Matrix
 def rise_time(law: LinearLaw, model: LoopModel) -> float:
     """Return when the force first passes 63 % of a step of the command [s]; infinite if never."""
     loop, plant = contact_loop(law, model), model.plant
-    entering = np.concatenate([plant.Gamma * law.D[0, 1], law.B[:, 1]])
+    entering = np.concatenate([plant.Gamma * law.D[U, ALPHA_DES], law.B[:, ALPHA_DES]])
     state = np.zeros(len(loop))
     for tick in range(round(LONGEST_RISE / model.period)):
         if state[0] > 0.63:
@@ -100,7 +98,7 @@ def margins_of(law: LinearLaw, model: LoopModel) -> Margins:
         model.period,
     )
     feedback = control.ss(
-        law.A, law.B[:, READ], law.C[:1], law.D[:1, READ], model.period
+        law.A, law.B[:, READ], law.C[[U]], law.D[[U]][:, READ], model.period
     )
     frequencies = np.geomspace(LOWEST, math.pi / model.period, POINTS)
     response = control.frequency_response(-1.0 * feedback * plant, frequencies)
@@ -159,9 +157,10 @@ def design_for_range(
     """
     Return the fastest gains with a gain margin of 2 and a period's delay left on every surface.
 
-    `name` is one of `LAWS`; `input_delay` and `period` are T_d and h [s]; the true stiffness is
-    from `softest` to `stiffest` [N/m], and modelled as their geometric mean; `noise_variance` is
-    R [N^2], `damping_rate` K_2 [1/s]. Raises ConfigError if no gains have these margins.
+    `name` is that of a registered law; `input_delay` and `period` are T_d and h [s]; the true
+    stiffness is from `softest` to `stiffest` [N/m], and modelled as their geometric mean;
+    `noise_variance` is R [N^2], `damping_rate` K_2 [1/s]. Raises ConfigError if no gains have
+    these margins.
     """
     given = {'law': name, 'damping_rate': damping_rate}
     usual = validate(ForceConfig, given)
@@ -177,11 +176,13 @@ def design_for_range(
         LoopModel(stiffness, damping_rate, input_delay, period)
         for stiffness in (math.sqrt(softest * stiffest), softest, stiffest)
     )
+    entry = find_law(name)
     for speed in SPEEDS:
-        values = _faster(FASTER[name], usual, speed)
-        if name == 'lqg':
-            values['lqg']['noise_variance'] = noise_variance
-        law = LAWS[name].design(model, validate(ForceConfig, {**values, **given}))
+        values = _faster(entry.speed_exponents, usual, speed)
+        if entry.noise_gain:
+            section, gain = entry.noise_gain
+            values[section][gain] = noise_variance
+        law = entry.design(model, validate(ForceConfig, {**values, **given}))
         if not isinstance(law, LinearLaw):
             law = steady_law(law, steady_gain(law, noise_variance))
         low, high = stable_ratios(law, stiff)

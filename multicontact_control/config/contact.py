@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
+from multicontact_control.choices import OptionalLawName
 from multicontact_control.config.base import Config, parameter, UnitVector3, Vector3
-from multicontact_control.config.force import LawName
 
 ContactType = Literal['point', 'edge', 'plane']
 
@@ -110,7 +110,7 @@ class ContactConfig(Config):
         ge=0.0,
         le=0.5,
     )
-    law: Literal[LawName, ''] = parameter(
+    law: OptionalLawName = parameter(
         '', 'Force law of this contact, empty for force.law.'
     )
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from operator import attrgetter
 from typing import Literal
 
+from multicontact_control.choices import LawName
 from multicontact_control.config.base import (
     Config,
     NonNegativeVector,
@@ -20,7 +21,7 @@ from multicontact_control.config.contact import (
     KINDS,
     SUFFIXES,
 )
-from multicontact_control.config.force import ForceConfig, LawName, VarianceBoundsConfig
+from multicontact_control.config.force import ForceConfig, VarianceBoundsConfig
 from multicontact_control.config.robot import (
     RobotConfig,
     SensorFrontEndConfig,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
+from multicontact_control.choices import EstimatorName, LawName
 from multicontact_control.config.base import Config, parameter
 from multicontact_control.errors import ConfigError
 
-LawName = Literal['aob', 'pi', 'dob', 'lqg', 'admittance', 'impedance', 'feedforward']
 FedForward = Literal['estimate', 'desired', 'mixed', 'measured']
 
 
@@ -212,15 +212,7 @@ class VarianceBoundsConfig(Config):
 class NoiseEstimatorConfig(Config):
     """The on-line estimate of R_k (P04 sec. 4.2)."""
 
-    estimator: Literal[
-        'lead_window',
-        'hf_window',
-        'window',
-        'fixed',
-        'innovation',
-        'sage_husa',
-        'variational_bayes',
-    ] = parameter(
+    estimator: EstimatorName = parameter(
         'lead_window',
         'Estimate of R_k: variance in a window, of the force behind a lead filter '
         '(eqs 42-44; hf: of unit gain at high frequency) or as it is; fixed; or of innovations.',

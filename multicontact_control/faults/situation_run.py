@@ -50,7 +50,7 @@ class SituationRun:
         self._setpoint = self._setpoints[0]
         self._bias = self._sensor_bias(setup)
         for surface in range(len(setup.plant.touched)):
-            self.loop.plant.contacts.shift(
+            self.loop.plant.contacts.shift_surface(
                 surface, situation.farther if situation.force else NOWHERE
             )
         self.seen: dict[str, list[Any]] = {

@@ -296,7 +296,7 @@ def _plants() -> Iterator[Fault]:
     def wall(number: int) -> PlantEdit:
         return PlantEdit(
             lambda plant, choice: plant.contacts.put_before_tip(number, 2e-3),
-            lambda plant, choice: plant.contacts.shift(number, FAR),
+            lambda plant, choice: plant.contacts.shift_surface(number, FAR),
         )
 
     def torque_limit(factor: float) -> PlantEdit:
@@ -309,10 +309,10 @@ def _plants() -> Iterator[Fault]:
         ('stiffness_x20', 'scale_stiffness', 20.0, 1.0 / 20.0),
         ('stiffness_x5', 'scale_stiffness', 5.0, 1.0 / 5.0),
         ('stiffness_x0.2', 'scale_stiffness', 0.2, 5.0),
-        ('surface_removed', 'shift', 1.0, -1.0),
-        ('surface_gone', 'shift', 1.0, None),
-        ('surface_jump_2mm_up', 'shift', -2e-3, None),
-        ('surface_jump_2mm_down', 'shift', 2e-3, None),
+        ('surface_removed', 'shift_surface', 1.0, -1.0),
+        ('surface_gone', 'shift_surface', 1.0, None),
+        ('surface_jump_2mm_up', 'shift_surface', -2e-3, None),
+        ('surface_jump_2mm_down', 'shift_surface', 2e-3, None),
         ('friction_x5', 'scale_friction', 5.0, 0.2),
     ):
         yield Fault(

@@ -15,14 +15,9 @@ from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig, FedForward, ForceConfig
 from multicontact_control.config.contact import FORCE
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.laws import (
-    LAWS,
-    Linear,
-    LinearLaw,
-    LinearRow,
-    LoopModel,
-    steady_law,
-)
+from multicontact_control.force.laws.aob import steady_law
+from multicontact_control.force.laws.design import find_law, LoopModel
+from multicontact_control.force.laws.linear import Linear, LinearLaw, LinearRow
 from multicontact_control.force.margins import (
     closed_loop,
     last_stable,
@@ -59,6 +54,7 @@ from multicontact_control.records import (
     record_dtype,
     Records,
 )
+from multicontact_control.registry import FORCE_LAWS
 import numpy as np
 
 ESTIMATE, DESIRED, MIXED, MEASURED = range(4)  # as in `FedForward`
@@ -106,7 +102,7 @@ def loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
 
 def gains_of(name: str, force: ForceConfig) -> Gains:
     """Return what the design of a law reads, by name: the same gains are designed for once."""
-    return tuple((field, getattr(force, field)) for field in LAWS[name].reads)
+    return tuple((field, getattr(force, field)) for field in find_law(name).reads)
 
 
 def design_law(
@@ -131,7 +127,7 @@ def _design_of(name: str, gains: Gains, model: LoopModel) -> ObserverDesign | Li
     # A design has what it says that it reads, and nothing that the key is without.
     force: Any = SimpleNamespace(**dict(gains))
     with _designing(name):
-        design = LAWS[name].design(model, force)
+        design = find_law(name).design(model, force)
         for field in fields(design):
             value = getattr(design, field.name)
             if isinstance(value, np.ndarray) and not np.isfinite(value).all():
@@ -157,7 +153,7 @@ def make_force_laws(config: ControllerConfig) -> Records[ForceLaw]:
     Each is for the configured stiffness; adaptive laws start from the largest of their range.
     """
     laws: Records[ForceLaw] = np.zeros(len(config.columns), dtype=FORCE_LAW)
-    names, force = list(LAWS), config.force
+    names, force = list(FORCE_LAWS), config.force
     adaptive = force.stiffness == 'adaptive'
     limits = []
     if adaptive:

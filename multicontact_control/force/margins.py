@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import math
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.force.laws import LinearLaw
+from multicontact_control.force.laws.linear import LinearLaw
 from multicontact_control.force.plant import delayed_hold
 import numpy as np
 

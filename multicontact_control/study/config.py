@@ -8,15 +8,25 @@ from typing import Any, Literal
 from multicontact_control.config import Config, parameter, read_yaml, validate
 from multicontact_control.errors import ConfigError
 from multicontact_control.paths import find_named_file
+from multicontact_control.registry import FORCE_LAWS, NOISE_ESTIMATORS
 from multicontact_control.runs.overrides import read_settings
 from multicontact_control.runs.scenario import plant_source
 import numpy as np
-from pydantic import field_validator, model_validator, NonNegativeInt
+from pydantic import (
+    field_validator,
+    model_validator,
+    NonNegativeInt,
+    ValidationInfo,
+)
 from sim_bridge.robots import find_robot
 
 Kind = Literal['sweep', 'compare', 'map', 'tune', 'faults', 'situations']
 Aggregate = Literal['median', 'min', 'max', 'share', 'set', 'good_values']
 Choices = Mapping[str, Sequence[Any]]  # values by factor
+REGISTRIES: Mapping[str, Mapping[str, str]] = {
+    'controller.force.law': FORCE_LAWS,
+    'noise_estimator.estimator': NOISE_ESTIMATORS,
+}  # of the names that a parameter chooses from
 
 
 class FactorConfig(Config):
@@ -36,6 +46,9 @@ class FactorConfig(Config):
         '', "Dotted name, `robot`, `scenario` or `preset`; the factor's name if empty."
     )
     multiples_of: str = parameter('', 'Parameter that the values are multiples of.')
+    choices_of: Literal['', 'controller.force.law', 'noise_estimator.estimator'] = (
+        parameter('', 'Parameter each registered value of which is a level, too.')
+    )
     levels: dict[str, dict[str, Any]] = parameter(
         {}, 'Parameters and their values, by the label of the level.'
     )
@@ -51,6 +64,16 @@ class FactorConfig(Config):
                 'levels': {str(label): level or {} for label, level in given.items()}
             }
         return given
+
+    @field_validator('levels')
+    @classmethod
+    def _add_choices(
+        cls, levels: dict[str, dict[str, Any]], info: ValidationInfo
+    ) -> dict[str, dict[str, Any]]:
+        """Put a level for every registered value of `choices_of` before those of the file."""
+        name = info.data.get('choices_of', '')
+        registered = {choice: {name: choice} for choice in REGISTRIES.get(name, ())}
+        return registered | levels
 
     @model_validator(mode='after')
     def _check_values(self) -> FactorConfig:

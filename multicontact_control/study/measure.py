@@ -73,7 +73,7 @@ def _disturbance(setup: Setup, gone: tuple[float, float] | None) -> Any:
 
     def disturb(loop: Any) -> None:
         if loop.tick in moves:
-            loop.plant.contacts.shift(last, moves[loop.tick])
+            loop.plant.contacts.shift_surface(last, moves[loop.tick])
 
     return disturb
 

@@ -12,7 +12,7 @@ from multicontact_control.view.source import Push, Scene, Snapshot, Surface
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sim_bridge.arm import TOOL_LINK
-from sim_bridge.surface_patch import COLOURS, surface_patch
+from sim_bridge.surface_patch import COLOURS, shape_surface_patch
 
 METRES_PER_NEWTON = 0.012
 SMALLEST_ARROW = 0.015  # m
@@ -121,7 +121,7 @@ class SceneView:
     def _draw_surface(self, surface: Surface) -> None:
         if surface.point_world is None:
             return
-        patch = surface.patch or surface_patch(np.array(surface.normal_world))
+        patch = surface.patch or shape_surface_patch(np.array(surface.normal_world))
         self._patches[surface.name] = self._api.add_mesh_simple(
             f'/surfaces/{surface.name}',
             patch.vertices,

@@ -11,7 +11,7 @@ from multicontact_control.dynamics.urdf import ends_of, parse_urdf
 from multicontact_control.errors import ConfigError
 import numpy as np
 from scipy.spatial.transform import Rotation
-from sim_bridge.urdf_arm import mesh_file
+from sim_bridge.urdf_arm import find_mesh_file
 import trimesh
 
 NEUTRAL = [0.72, 0.74, 0.77]
@@ -88,7 +88,7 @@ def _bodies(
     """Return the bodies of a shape; a mesh with several has its own colours."""
     sizes = {key: _numbers(text) for key, text in shape.items() if key != 'filename'}
     if shape.tag == 'mesh':
-        file = mesh_file(shape.get('filename', ''), urdf)
+        file = find_mesh_file(shape.get('filename', ''), urdf)
         if file is None or file.suffix[1:].lower() not in trimesh.available_formats():
             return []
         bodies = [

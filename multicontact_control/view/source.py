@@ -12,7 +12,7 @@ from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.judging.verdict import Event
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.supervision.reactions import NONE
-from sim_bridge.surface_patch import Patch, patch_of
+from sim_bridge.surface_patch import Patch, shape_configured_patch
 
 RATE = 25.0  # Hz, of snapshots
 BLOCKS = 2  # of samples in each of them, that are drawn by their extremes
@@ -223,7 +223,10 @@ def surfaces_of(setup: Setup) -> tuple[Surface, ...]:
     known = setup.plant.surfaces
     return tuple(
         Surface(
-            name, known[one].normal_world, known[one].point_world, patch_of(known[one])
+            name,
+            known[one].normal_world,
+            known[one].point_world,
+            shape_configured_patch(known[one]),
         )
         for name, one in setup.plant.drawn.items()
     )

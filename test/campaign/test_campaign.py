@@ -22,7 +22,7 @@ class Shaken(Soak):
     def advance(self, faults=()):
         super().advance(faults)
         time = self.loop.tick * 0.002
-        self.loop.plant.contacts.shift(
+        self.loop.plant.contacts.shift_surface(
             0, 3e-4 * (np.sin(200.0 * time) - np.sin(200.0 * (time - 0.002)))
         )
 

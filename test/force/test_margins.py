@@ -1,7 +1,7 @@
 """The linear loop's stability against Riccati, the paper notes and the loop run in time."""
 
 from force_loop import H, observer_of
-from multicontact_control.force.laws import steady_law
+from multicontact_control.force.laws.aob import steady_law
 from multicontact_control.force.margins import (
     closed_loop,
     last_stable,

@@ -12,7 +12,7 @@ import pytest
 from robots import needs_mujoco, ROBOTS
 from scipy.spatial.transform import Rotation
 from sim_bridge.new_robot import new_robot
-from sim_bridge.posture import frame_pose, limits_of, reach
+from sim_bridge.posture import find_posture_at, frame_pose, joint_limits
 from sim_bridge.robots import find_robot
 
 URDF = Path(__file__).parents[1] / 'data' / 'six_joints.urdf'
@@ -199,9 +199,9 @@ def test_box_of_a_new_robot_is_reached_everywhere(foreign):
     pose, rng = frame_pose(model, home), np.random.default_rng(1)
     assert (lower < pose.translation).all() and (pose.translation < upper).all()
     assert (upper - lower > 0.15).all()
-    stops = limits_of(model)
+    stops = joint_limits(model)
     for point in rng.uniform(lower, upper, (20, 3)):
         pose.translation = point
-        q = reach(model, pose, home)
+        q = find_posture_at(model, pose, home)
         assert q is not None
         assert (stops[0] <= q).all() and (q <= stops[1]).all()

@@ -4,8 +4,8 @@ from contextlib import closing
 
 from multicontact_control.config import ControllerConfig, merge, validate
 from multicontact_control.control.tasks import MotionReading
-from multicontact_control.force.laws import LAWS
 from multicontact_control.judging.oscillation import oscillations
+from multicontact_control.registry import FORCE_LAWS
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import preset_values, resolve
 import numpy as np
@@ -115,7 +115,7 @@ def test_every_law_takes_over_while_it_presses():
         run.advance(TOUCHED)
         config = run.loop.setup.controller
         rate = np.array(config.limits.torque_rate) * config.period
-        for law in (*LAWS, 'aob'):
+        for law in (*FORCE_LAWS, 'aob'):
             changes = {'force': {'law': law}}
             if law != 'aob':
                 changes = merge(changes, preset_values(f'laws/{law}')['controller'])

@@ -69,7 +69,7 @@ def test_a_moving_surface_is_pressed_as_one_that_rests():
 
     def receding(loop, k):
         if k * H > 3.0:
-            loop.plant.contacts.shift(1, (0.02 if k * H <= 4.0 else -0.02) * H)
+            loop.plant.contacts.shift_surface(1, (0.02 if k * H <= 4.0 else -0.02) * H)
 
     settings = {
         'table': {'friction_coefficient': FRICTION},

@@ -5,11 +5,11 @@ from sim_bridge.drives import (
     advance_drives,
     flexible_drives,
     FRICTION,
-    friction_at,
-    implicit_joint_speed,
-    implicit_speed,
+    friction_torque,
     joint_friction,
     RigidDrives,
+    solve_joint_speed,
+    solve_joint_speeds,
 )
 from sim_bridge.kinematics import mass_matrix
 
@@ -55,7 +55,9 @@ def test_rigid_drives_make_bare_links_move_as_with_rotors_and_friction(
         q, qd, torque, load = rng.uniform(-1, 1, (4, 6))
         drives.advance(torque, torque + load, q, qd, applied)
         speed = qd + STEP * pin.aba(bare, bare.createData(), q, qd, applied + load)
-        friction = [friction_at(v, row)[0] for v, row in zip(speed, table, strict=True)]
+        friction = [
+            friction_torque(v, row)[0] for v, row in zip(speed, table, strict=True)
+        ]
         expected = qd + STEP * pin.aba(
             model, model.createData(), q, qd, torque + load - np.array(friction)
         )
@@ -69,12 +71,14 @@ def test_implicit_speeds_solve_their_equations(puma, model, rng):
         inertia = mass_matrix(model, model.createData(), rng.uniform(-1, 1, 6))
         free = rng.standard_normal(6) * 10 ** rng.uniform(-6, 0.5, 6)
         speed = np.zeros(6)
-        implicit_joint_speed(free, STEP, inertia, table, speed)
-        friction = [friction_at(v, row)[0] for v, row in zip(speed, table, strict=True)]
+        solve_joint_speeds(free, STEP, inertia, table, speed)
+        friction = [
+            friction_torque(v, row)[0] for v, row in zip(speed, table, strict=True)
+        ]
         residual = inertia @ (speed - free) + STEP * np.array(friction)
         np.testing.assert_allclose(residual, 0.0, atol=1e-10)
     for free in rng.choice([-1, 1], 500) * 10 ** rng.uniform(-9, 1, 500):
-        speed = implicit_speed(free, SUBSTEP, INERTIA, ROW)
-        residual = speed - free + SUBSTEP / INERTIA * friction_at(speed, ROW)[0]
+        speed = solve_joint_speed(free, SUBSTEP, INERTIA, ROW)
+        residual = speed - free + SUBSTEP / INERTIA * friction_torque(speed, ROW)[0]
         assert residual == pytest.approx(0.0, abs=1e-9 * max(1e-3, abs(free)))
         assert min(0.0, free) <= speed <= max(0.0, free)

@@ -7,7 +7,7 @@ import pytest
 from robots import carried, ENGINES, needs_mujoco, ROBOTS
 from sim_bridge.arm import SENSOR_FRAME
 from sim_bridge.config import PlantConfig
-from sim_bridge.plant import make_engine, Plant
+from sim_bridge.plant import make_engine_arm, Plant
 from sim_bridge.posture import frame_jacobian, frame_pose
 from sim_bridge.robots import find_robot
 
@@ -28,7 +28,7 @@ def test_steps_are_those_of_pinocchio_and_so_is_the_wrench(name, engine, rng):
     arm = find_robot(name).arm
     model, data = arm.model(), arm.model().createData()
     n, tip, elbow = model.nv, list(arm.tips)[-1], (model.nv + 1) // 2
-    body = make_engine(plant_config(name, engine=engine), arm)
+    body = make_engine_arm(plant_config(name, engine=engine), arm)
     places = {tip: n, 'wrist_point': n - 1, f'link{elbow}': elbow - 1}
     face = model.frames[model.getFrameId(SENSOR_FRAME)].placement
     for largest_push in (0.0, 1.0):
@@ -45,7 +45,7 @@ def test_steps_are_those_of_pinocchio_and_so_is_the_wrench(name, engine, rng):
                 frame_jacobian(model, q, name)[:3].T @ forces[name] for name in places
             )
             if largest_push:
-                body.push(
+                body.apply_pushes(
                     [[*forces[name], *points[name], places[name]] for name in places]
                 )
             wrench = np.array(body.step(torque))

@@ -6,7 +6,7 @@ import pytest
 from sim_bridge.actuator_delay import ActuatorDelay
 from sim_bridge.drives import PositionHold
 from sim_bridge.posture import frame_jacobian
-from sim_bridge.surface import move
+from sim_bridge.surface import move_surface
 
 FREE = {'contact_names': (), 'joint_friction_scale': 0.0}
 
@@ -100,7 +100,7 @@ def test_surface_moves_as_configured(make_plant, period):
     )
     surface, before = plant.contacts.surfaces[0], plant.contacts.places_world[0].copy()
     for _ in range(400):
-        move(surface, 1e-3)
+        move_surface(surface, 1e-3)
     way = (
         0.02 * 0.3
         if not period

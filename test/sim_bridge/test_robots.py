@@ -19,7 +19,7 @@ import pytest
 from robots import carried, OTHERS, ROBOTS
 from sim_bridge.config import PlantConfig
 from sim_bridge.new_robot import new_robot
-from sim_bridge.posture import condition, frame_pose
+from sim_bridge.posture import frame_pose, jacobian_condition
 from sim_bridge.robots import find_robot, urdf_path
 from sim_bridge.urdf_arm import arm_of_urdf
 import yaml
@@ -83,8 +83,8 @@ def test_urdf_that_is_written_gives_the_same_arm_back(tmp_path, name):
         )
         for link in arm.links
     )
-    again = replace(arm_of_urdf(arm.urdf), text='', visuals=arm.visuals)
-    assert again == replace(arm, links=bare, text='')
+    again = replace(arm_of_urdf(arm.urdf), source_urdf='', visuals=arm.visuals)
+    assert again == replace(arm, links=bare, source_urdf='')
 
 
 @pytest.mark.parametrize('name', OTHERS)
@@ -169,7 +169,7 @@ def test_controller_and_plant_have_the_same_arm_at_home_before_its_surfaces(name
     np.testing.assert_allclose(
         pose.rotation_world, np.diag([-1.0, 1.0, -1.0]), atol=1e-8
     )  # tool down
-    assert condition(robot.arm.model(), home) < 20.0
+    assert jacobian_condition(robot.arm.model(), home) < 20.0
     for contact in controller.contact_names:
         surface, known = plant.surfaces[contact], controller.contacts[contact]
         tip = place + pose.rotation_world @ known.point_operational
@@ -439,7 +439,7 @@ def test_new_robot_finds_a_home_on_floor_slope_wall_and_ceiling(tmp_path, rpy):
     model, home = robot.arm.model(), np.array(robot.file.home)
     tip, sensor = (frame_pose(model, home, *name).translation for name in (['tip'], []))
     np.testing.assert_allclose(tip - sensor, [0.0, 0.0, -0.15], atol=1e-6)
-    assert condition(model, home) < 30.0
+    assert jacobian_condition(model, home) < 30.0
 
 
 def test_new_robot_does_not_stand_in_a_singular_home(tmp_path):
@@ -452,18 +452,18 @@ def test_new_robot_does_not_stand_in_a_singular_home(tmp_path):
     )
     assert not any('missing: home' in line for line in said)
     robot = find_robot(str(tmp_path / 'arm.yaml'))
-    assert condition(robot.arm.model(), np.array(robot.file.home)) < 20.0
+    assert jacobian_condition(robot.arm.model(), np.array(robot.file.home)) < 20.0
 
 
 def test_home_without_the_tool_straight_down_is_not_singular(tmp_path, monkeypatch):
-    for finder in ('reach', 'turn_along'):
+    for finder in ('find_posture_at', 'find_posture_along'):
         monkeypatch.setattr(f'sim_bridge.new_robot.{finder}', lambda *_: None)
     said = six_joints(tmp_path)
     assert any(
         line.startswith('missing: home: no posture with the tool') for line in said
     )
     robot = find_robot(str(tmp_path / 'arm.yaml'))
-    assert condition(robot.arm.model(), np.array(robot.file.home)) < 20.0
+    assert jacobian_condition(robot.arm.model(), np.array(robot.file.home)) < 20.0
 
 
 def test_new_robot_guesses_torque_limits_that_hold_a_heavy_arm(tmp_path):

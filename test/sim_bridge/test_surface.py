@@ -7,7 +7,7 @@ from sim_bridge.config import SurfaceConfig
 from sim_bridge.surface import (
     build_surfaces,
     POINTS_PER_LENGTH,
-    press,
+    press_surface,
     roughness_profile,
 )
 from sim_bridge.surface_patch import SurfaceMarkers
@@ -31,7 +31,7 @@ def touch(surfaces, depth, velocity=(0.0, 0.0, 0.0), along=0.0):
     (record,), (profile,) = surfaces
     record['point'] = record['place'] + depth * NORMAL + along * record['track']
     record['force'] = np.nan
-    press(record, np.array(velocity, dtype=float), profile)
+    press_surface(record, np.array(velocity, dtype=float), profile)
     return record['alpha'], record['force'].copy()
 
 
@@ -107,7 +107,7 @@ def test_curved_surface_is_pressed_towards_its_centre_or_axis(shape, radius, rng
             + rng.uniform(-0.1, 0.1) * axis
             + rng.uniform(-0.01, 0.05) * NORMAL
         )
-        press(record, np.zeros(3), profile)
+        press_surface(record, np.zeros(3), profile)
         way = centre - record['point']
         if shape == 'cylinder':
             way -= (way @ axis) * axis

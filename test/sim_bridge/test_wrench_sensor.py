@@ -3,7 +3,12 @@ import numpy as np
 import pytest
 from scipy.signal import butter
 from sim_bridge.config import SensorConfig
-from sim_bridge.wrench_sensor import butterworth, low_pass_stages, quantum, WrenchSensor
+from sim_bridge.wrench_sensor import (
+    butterworth_low_pass,
+    converter_step,
+    low_pass_stages,
+    WrenchSensor,
+)
 
 PERIOD = 2.5e-4
 IDEAL = {'noise': False, 'saturate': False, 'quantise': False, 'low_pass': False}
@@ -25,7 +30,7 @@ def readings(instrument, wrenches):
 
 
 def test_reading_is_mounted_biased_saturated_and_quantised(rng):
-    steps = quantum(SensorConfig())
+    steps = converter_step(SensorConfig())
     np.testing.assert_allclose(steps[[0, 2, 3]], [200 / 16384, 400 / 16384, 10 / 16384])
     wrenches = rng.uniform(-1, 1, (200, 6))
     raw, _ = readings(sensor(quantise=True), wrenches)
@@ -55,7 +60,7 @@ def test_coefficients_of_a_low_pass_are_scipys(rng):
         for cutoff in (31.25, *rng.uniform(1.0, 0.49 * rate, 20)):
             if cutoff < 0.5 * rate:
                 np.testing.assert_array_equal(
-                    butterworth(cutoff, rate), butter(2, cutoff, fs=rate)
+                    butterworth_low_pass(cutoff, rate), butter(2, cutoff, fs=rate)
                 )
     with pytest.raises(ConfigError, match='^sensor.low_pass_cutoff'):
         low_pass_stages(500.0, 1000.0)

@@ -3,12 +3,12 @@
 import math
 
 from multicontact_control.cli.options import described
-from multicontact_control.config import NoiseEstimatorConfig, read_yaml
+from multicontact_control.config import read_yaml
 from multicontact_control.errors import ConfigError
 from multicontact_control.faults.vocabulary import FAULTS
-from multicontact_control.force.laws import LAWS
-from multicontact_control.force.noise import lead_filter
+from multicontact_control.force.noise.window import lead_filter
 from multicontact_control.paths import find_config_folder
+from multicontact_control.registry import FORCE_LAWS, NOISE_ESTIMATORS
 from multicontact_control.runs.closed_loop import run_in_process
 from multicontact_control.runs.scenario import resolve
 from multicontact_control.study.cells import run_cells
@@ -71,8 +71,7 @@ def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_fi
         for cell in cells
     }
     labels = {label for part, label in setups if part == 'active state'}
-    kinds = NoiseEstimatorConfig.model_fields['estimator'].annotation.__args__
-    assert labels == {*kinds, 'window rescaled', 'innovation matched'}
+    assert labels == {*NOISE_ESTIMATORS, 'window rescaled', 'innovation matched'}
     usual = setups['active state', 'lead_window']
     config = usual.noise_estimator
     f = lead_filter(config.zero_frequency, config.pole_frequency, config.rate)
@@ -91,7 +90,7 @@ def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_fi
 
 def test_every_law_has_ranges_whose_ends_are_acceptable():
     declared = read_yaml(find_config_folder() / 'tuning.yaml')
-    assert set(declared) == set(LAWS)
+    assert set(declared) == set(FORCE_LAWS)
     for law, ranges in declared.items():
         ends = {name: [values[0], values[-1]] for name, values in ranges.items()}
         cells = run_cells(select(study('tune', law).config, ends))

@@ -239,7 +239,7 @@ def test_contact_that_was_given_up_comes_back(way):
         )
     ) as loop:
         loop.advance()
-        loop.plant.contacts.shift(1, 0.1)
+        loop.plant.contacts.shift_surface(1, 0.1)
         loop.control.set_forces({'table': 10.0, 'board': 10.0})
         # A stream of commands seeks nothing anew, one after a while does.
         advance(
@@ -249,7 +249,7 @@ def test_contact_that_was_given_up_comes_back(way):
                 {'table': 10.0 + 0.1 * np.sin(time)}
             ),
         )
-        loop.plant.contacts.shift(1, -0.1)
+        loop.plant.contacts.shift_surface(1, -0.1)
         loop.control.set_forces({'board': 10.0})  # as before: nothing new
         loop.advance()
         assert loop.status.contact_states == ('holding', 'given up')
@@ -308,9 +308,9 @@ def test_joint_at_its_limit_does_not_wind_the_observers_up(plant):
 def test_surface_that_vanishes_for_a_moment_leaves_the_other_force(plant):
     """In means over 12 ms."""
     with pressing(plant) as loop:
-        loop.plant.contacts.shift(1, 0.05)
+        loop.plant.contacts.shift_surface(1, 0.05)
         gone, _ = advance(loop, 0.3)
-        loop.plant.contacts.shift(1, -0.05)
+        loop.plant.contacts.shift_surface(1, -0.05)
         back, statuses = advance(loop, 1.5)
     error = np.concatenate([gone, back])[:, 0] - 15.0
     assert np.abs(np.convolve(error, np.full(6, 1.0 / 6.0), 'valid')).max() < (
@@ -377,7 +377,7 @@ def test_collision_of_15_newtons_is_seen_within_20_ms_and_held_against(
         assert statuses[seen].reaction == 'hold'
         assert forces.max() < 20.0
         assert loop.control.events.collisions.total() >= 1
-        loop.plant.contacts.shift(ELBOW_WALL, FAR)
+        loop.plant.contacts.shift_surface(ELBOW_WALL, FAR)
         _, statuses = elbow_forces(loop, 1500, corrupt)
     assert (statuses[-1].reaction, statuses[-1].causes) == ('none', ())
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from robots import robot_parameters
 from ros_graph import obedient_graph, PATIENCE, wait_for
-from sim_bridge.surface_patch import patch_of
+from sim_bridge.surface_patch import shape_configured_patch
 
 pytestmark = pytest.mark.ros
 
@@ -49,7 +49,7 @@ def test_graph_source_joins_presses_moves_and_tunes(shown):
     assert tuple(snapshot.gains.values()) == (30.0, 0.02, 100.0)
     simulated = resolve('quick', plant='rigid').plant.surfaces
     for name, _, point, patch in shown.scene.surfaces:
-        expected = patch_of(simulated[name])
+        expected = shape_configured_patch(simulated[name])
         assert point == snapshot.places_world[name] == simulated[name].point_world
         np.testing.assert_allclose(
             patch.vertices[patch.faces], expected.vertices[expected.faces], atol=1e-12

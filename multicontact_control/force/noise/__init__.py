@@ -1,40 +1,19 @@
-"""Estimating the variance R_k of the force noise on-line (P04 sec. 4.2), in seven ways."""
+"""Estimating the variance R_k of the force noise on-line (P04 sec. 4.2), in several ways."""
 
-from collections.abc import Mapping
+from pkgutil import resolve_name
 
 from multicontact_control.config import NoiseEstimatorConfig
-from multicontact_control.force.noise.base import Fixed, Innovation, NoiseEstimator
-from multicontact_control.force.noise.innovation import (
-    InnovationWindow,
-    SageHusa,
-    VariationalBayes,
-)
-from multicontact_control.force.noise.window import (
-    HfWindow,
-    lead_filter,
-    LeadWindow,
-    Window,
-)
+from multicontact_control.force.noise.base import Innovation, NoiseEstimator
+from multicontact_control.registry import NOISE_ESTIMATORS
 
-__all__ = [
-    'ESTIMATORS',
-    'Innovation',
-    'NoiseEstimator',
-    'lead_filter',
-    'make_noise_estimator',
-]
-
-ESTIMATORS: Mapping[str, type[NoiseEstimator]] = {
-    'lead_window': LeadWindow,
-    'hf_window': HfWindow,
-    'window': Window,
-    'fixed': Fixed,
-    'innovation': InnovationWindow,
-    'sage_husa': SageHusa,
-    'variational_bayes': VariationalBayes,
-}
+__all__ = ['Innovation', 'NoiseEstimator', 'make_noise_estimator']
 
 
 def make_noise_estimator(config: NoiseEstimatorConfig) -> NoiseEstimator:
-    """Return the estimator a configuration names, in its initial state."""
-    return ESTIMATORS[config.estimator](config)
+    """
+    Return the estimator that a configuration names, before its first sample.
+
+    Its file is one line in `registry.NOISE_ESTIMATORS`, and is imported when first needed.
+    """
+    estimator: type[NoiseEstimator] = resolve_name(NOISE_ESTIMATORS[config.estimator])
+    return estimator(config)

@@ -130,13 +130,3 @@ class NoiseEstimator(ABC):
 def usable(values: Vector) -> bool:
     """Return whether all magnitudes are below MAX_MAGNITUDE, which that of NaN is not."""
     return bool((np.abs(values) < MAX_MAGNITUDE).all())
-
-
-class Fixed(NoiseEstimator):
-    """The configured `fixed_variance`, which `variance_scale` does not scale."""
-
-    def _forget(self) -> None:
-        pass
-
-    def _take(self, innovation: Innovation | None) -> bool:
-        return usable(self._alpha)

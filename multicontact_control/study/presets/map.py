@@ -17,7 +17,8 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
 from multicontact_control.force import margins
 from multicontact_control.force.force_law import design_law, loop_model
-from multicontact_control.force.laws import LoopModel, steady_law
+from multicontact_control.force.laws.aob import steady_law
+from multicontact_control.force.laws.design import LoopModel
 from multicontact_control.force.observer import ObserverDesign, steady_gain
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.study.study import Results, Study

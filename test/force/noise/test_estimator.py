@@ -5,13 +5,15 @@ from dataclasses import astuple
 from force_loop import estimator_of, observer_of, run_force_loop
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from multicontact_control.force.noise import ESTIMATORS, Innovation, lead_filter
+from multicontact_control.force.noise import Innovation
 from multicontact_control.force.noise.innovation import corrected_square
+from multicontact_control.force.noise.window import lead_filter
+from multicontact_control.registry import NOISE_ESTIMATORS
 import numpy as np
 import pytest
 from scipy.signal import dimpulse, freqz, lfilter, lfilter_zi
 
-NAMES = sorted(ESTIMATORS)
+NAMES = sorted(NOISE_ESTIMATORS)
 FLOOR, CEILING = 0.1, 50.0
 
 
