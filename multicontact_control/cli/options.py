@@ -16,7 +16,7 @@ from multicontact_control.paths import find_config_folder
 import typer
 
 if TYPE_CHECKING:
-    from multicontact_control.runs.scenario import ExternalRun, Setup
+    from multicontact_control.runs.scenario import Setup
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -171,7 +171,7 @@ class RunOptions(SetupOptions):
         typer.Option('--bare', help='The control law alone, without its supervisor.'),
     ] = False
 
-    def external(self, files: Sequence[Path], context: typer.Context) -> ExternalRun:
+    def external(self, files: Sequence[Path], context: typer.Context) -> Setup:
         """
         Return the configuration of the robot behind the topics, checked.
 

@@ -99,11 +99,9 @@ def run(
     options.end_at_signals('interrupted')
     # The nodes' modules are loaded by another process, while this one loads its own.
     prepare_nodes()
-    robot = None
     if graph.external:
         options.refuse_options(context, OF_THE_PLANT, 'with --external')
-        robot = chosen.external(graph.controller or (), context)
-        setup = robot.setup
+        setup = chosen.external(graph.controller or (), context)
     else:
         options.refuse_options(context, ['controller'], 'without --external')
         setup = _simulated_setup(chosen, commanded=graph.commanded)
@@ -114,8 +112,6 @@ def run(
         summary, interrupted = run_on_graph(
             setup,
             folder,
-            endless=graph.commanded and chosen.duration is None,
-            external=robot,
             supervised=not chosen.bare,
             free_running=graph.free_running,
             speed=graph.speed,
@@ -139,7 +135,10 @@ def _simulated_setup(chosen: options.RunOptions, *, commanded: bool) -> Setup:
                 hint='leave it out with --commanded, which plays '
                 'no scenario; --duration sets the length',
             )
-    return chosen.setup(nodes=True).commanded_over_topics()
+    setup = chosen.setup(nodes=True)
+    if chosen.duration is None:
+        return setup.commanded_over_topics()
+    return setup.commanded_over_topics(chosen.duration)
 
 
 def _results_folder(

@@ -10,7 +10,7 @@ import signal
 from typing import Any, TYPE_CHECKING
 
 from multicontact_control.compiled import count_compilations
-from multicontact_control.config import merge, validate
+from multicontact_control.config import validate
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.files import replace_json_file, replace_nonfinite_numbers
 from multicontact_control.judging import results
@@ -27,7 +27,6 @@ from multicontact_control.runs.closed_loop import run_in_process
 from multicontact_control.runs.compilation import ensure_compiled
 from multicontact_control.runs.recording import BagContent, read_bag, RunData
 from multicontact_control.runs.scenario import (
-    ExternalRun,
     flatten_parameters,
     Setup,
     SHORTEST,
@@ -100,15 +99,13 @@ def run_on_graph(
     setup: Setup,
     folder: Path,
     *,
-    endless: bool = False,
-    external: ExternalRun | None = None,
     supervised: bool = True,
     **options: Any,
 ) -> Ending:
     """
     Run a scenario, or commands, on the ROS 2 graph, and leave recording and results in a folder.
 
-    An `endless` run is ended by a signal. With `external`, whose setup this is, the user's own
+    A setup that is `endless` is ended by a signal; where it is not `simulated`, the user's own
     robot is behind the topics. `options` are fields of `GraphSpec`. Returns the summary, None if
     no sample was answered or a Ctrl-C skipped the report, and the signal that ended the run early,
     if one did. Raises ConfigError if the scenario cannot begin by itself or a parameter of the
@@ -119,13 +116,11 @@ def run_on_graph(
     from multicontact_control.runs.graph.spec import CONTROLLER, GraphSpec
 
     config = folder / results.CONFIG_FOLDER
-    if external is None or not setup.commanded_by_topic:
+    if setup.simulated or not setup.commanded_by_topic:
         refuse_push_test(setup)
     parameters = simulation_parameters(setup)
-    if external is not None:
-        endless = external.duration is None
-        of_node = merge(external.node, setup.nodes.get('controller', {}))
-        setup = replace(setup, nodes={**setup.nodes, 'controller': of_node})
+    if not setup.simulated:
+        of_node = setup.nodes.get('controller', {})
         parameters[CONTROLLER] = flatten_parameters(of_node)
         node = validate(ControllerNodeConfig, of_node, 'controller_node')
         options |= {
@@ -134,14 +129,14 @@ def run_on_graph(
                 setup.controller.robot.joint_names,
                 setup.controller.wrench_input,
                 node.effort_output_topic,
-                duration=external.duration,
+                duration=None if setup.endless else setup.scenario.duration,
             ),
         }
     parameters[CONTROLLER]['supervised'] = supervised
     ensure_compiled()
     spec = GraphSpec(
         out=folder,
-        ticks=0 if endless else setup.ticks,
+        ticks=0 if setup.endless else setup.ticks,
         rate=setup.controller.rate,
         seed=setup.seed,
         parameter_files=setup.write(config),

@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 import json
-from typing import Any, cast, TypeVar
+from typing import Any
 
 from multicontact_control.config import Config, merge, validate
 from multicontact_control.errors import ConfigError, RosError
-from multicontact_control.runs.scenario import ExternalRun, Setup
+from multicontact_control.runs.scenario import Setup
 from pydantic import BaseModel
 import yaml
-
-T = TypeVar('T')
 
 ARGUMENTS = {  # of `resolve`, by section
     'controller': 'controller',
@@ -238,12 +236,12 @@ def _is_of_node(name: str, setup: Setup) -> bool:
 
 
 def resolve_with(
-    resolver: Callable[..., T],
+    resolver: Callable[..., Setup],
     arguments: Mapping[str, Any],
     settings: Sequence[str],
     *,
     nodes: bool = False,
-) -> T:
+) -> Setup:
     """
     Return what a function of `scenario` resolves, with ``KEY=VALUE`` settings over its files.
 
@@ -264,10 +262,9 @@ def resolve_with(
         With each value that is not acceptable, and each name that is not known.
 
     """
-    resolved = resolver(**arguments)
+    setup = resolver(**arguments)
     if not settings:
-        return resolved
-    setup: Any = getattr(resolved, 'setup', resolved)
+        return setup
     values = read_settings(settings)
     of_nodes: dict[str, dict[str, Any]] = {}
     if nodes:
@@ -276,9 +273,5 @@ def resolve_with(
     for section, nested in nest_overrides(values, setup, '--set ').items():
         overridden[ARGUMENTS[section]] = nested
     # The names above are those of the first setup; the values may lead to another one.
-    result: Any = resolver(**overridden)
-    if isinstance(result, ExternalRun):
-        result = result._replace(setup=replace(result.setup, nodes=of_nodes))
-    else:
-        result = replace(result, nodes=of_nodes)
-    return cast(T, result)
+    result = resolver(**overridden)
+    return replace(result, nodes=merge(result.nodes, of_nodes))

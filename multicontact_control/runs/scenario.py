@@ -109,14 +109,20 @@ class Setup:
         """Return the number of samples of the run."""
         return round(self.scenario.duration * self.controller.rate)
 
-    def commanded_over_topics(self) -> Setup:
+    @property
+    def endless(self) -> bool:
+        """Whether the run lasts until a signal ends it."""
+        return self.scenario.duration == UNTIL_STOPPED
+
+    def commanded_over_topics(self, duration: float = UNTIL_STOPPED) -> Setup:
         """
         Return the same arm and surfaces, for forces and motions commanded over topics.
 
-        The reference of the scenario stays in the setup, but is not played.
+        The run then has another `duration` [s]. The reference of the scenario stays in the setup,
+        but is not played.
         """
         scenario = self.scenario.model_copy(
-            update={'name': COMMANDS, 'description': ''}
+            update={'name': COMMANDS, 'description': '', 'duration': duration}
         )
         return replace(self, scenario=scenario, commanded_by_topic=True)
 
@@ -499,14 +505,6 @@ def _split_values(
     return named, others
 
 
-class ExternalRun(NamedTuple):
-    """Everything a run needs on the user's own robot, which is behind the topics."""
-
-    setup: Setup
-    node: dict[str, Any]  # parameters of the controller's node
-    duration: float | None  # s; None until it is stopped
-
-
 def resolve_external(
     files: Sequence[Path],
     *,
@@ -516,7 +514,7 @@ def resolve_external(
     noise_estimator: dict[str, Any] | None = None,
     controller: dict[str, Any] | None = None,
     scenario_overrides: dict[str, Any] | None = None,
-) -> ExternalRun:
+) -> Setup:
     """
     Read and check everything for a run on the user's own robot; ConfigError.
 
@@ -552,18 +550,6 @@ def resolve_external(
         config.noise_estimator,
         noise_estimator,
     )
-    setup = Setup(
-        scenario=config,
-        controller=controller_config,
-        noise_estimator=estimator_config,
-        plant=NO_PLANT,
-        plant_name=EXTERNAL,
-        seed=0,
-        urdf_dir=read.urdf_dir,
-        commanded_by_topic=scenario is None,
-    )
-    check_together(setup, path)
-    RobotModel(controller_config.robot, read.urdf_dir)  # now, and not in a node's log
     for name, instead in REFUSED_OF_EXTERNAL.items():
         if read.node.get(name):
             raise ConfigError(
@@ -573,9 +559,20 @@ def resolve_external(
                 hint=f'{instead} in an external run',
             )
     _, node = _split_values(read.node, {*OF_EVERY_NODE, *REFUSED_OF_EXTERNAL})
-    if scenario is not None:
-        duration = config.duration
-    return ExternalRun(setup, node, duration)
+    setup = Setup(
+        scenario=config,
+        controller=controller_config,
+        noise_estimator=estimator_config,
+        plant=NO_PLANT,
+        plant_name=EXTERNAL,
+        seed=0,
+        urdf_dir=read.urdf_dir,
+        commanded_by_topic=scenario is None,
+        nodes={'controller': node} if node else {},
+    )
+    check_together(setup, path)
+    RobotModel(controller_config.robot, read.urdf_dir)  # now, and not in a node's log
+    return setup
 
 
 def flatten_parameters(values: Mapping[str, Any], start: str = '') -> dict[str, Any]:
