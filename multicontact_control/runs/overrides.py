@@ -7,6 +7,7 @@ The first part is the configuration; ``*`` stands for every contact.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 import json
 from typing import Any
@@ -73,8 +74,9 @@ def find_places(name: str, setup: Setup, field: str) -> list[tuple[str, ...]]:
         raise ConfigError(
             field, f'a dotted name that begins with {", ".join(ARGUMENTS)}', f"'{name}'"
         )
-    if _is_of_node(name, setup):
-        _refuse_of_node(section, inner[0], field)
+    with suppress(RosError):
+        if _is_of_node(name, setup):
+            raise ConfigError(field, hint=_explain_node_parameter(inner[0]))
     places: list[tuple[str, ...]] = [(section,)]
     for part in inner:
         longer = []
@@ -85,19 +87,11 @@ def find_places(name: str, setup: Setup, field: str) -> list[tuple[str, ...]]:
     return places
 
 
-def _refuse_of_node(section: str, parameter: str, field: str) -> None:
-    """Refuse a parameter that only the node of a section knows; ConfigError of a `field`."""
-    try:
-        configs = node_configs()
-    except RosError:
-        return
-    if section not in configs or parameter not in configs[section].model_fields:
-        return
+def _explain_node_parameter(parameter: str) -> str:
+    """Return why a parameter that only a node knows is refused, and what sets it."""
     if parameter in SET_BY_RUN:
-        hint = f'a parameter of a node, which `run` sets: {SET_BY_RUN[parameter]}'
-    else:
-        hint = 'a parameter of a node: only `run` takes it, and `view` that starts one'
-    raise ConfigError(field, hint=hint)
+        return f'a parameter of a node, which `run` sets: {SET_BY_RUN[parameter]}'
+    return 'a parameter of a node: only `run` takes it, and `view` that starts one'
 
 
 def _matching_keys(
@@ -210,29 +204,31 @@ def split_off_nodes(
 
     ConfigError if the node does not take one, or the run sets it.
     """
-    foreign = [name for name in values if _is_of_node(name, setup)]
-    configs = node_configs() if foreign else {}
-    of_setup = dict(values)
+    of_setup: dict[str, Any] = {}
     of_nodes: dict[str, dict[str, Any]] = {}
-    for name in foreign:
-        section, parameter, *_ = place = name.split('.')
-        if section not in configs or parameter not in configs[section].model_fields:
+    for name, value in values.items():
+        if not _is_of_node(name, setup):
+            of_setup[name] = value
             continue
-        if parameter in SET_BY_RUN:
-            raise ConfigError(f'--set {name}', hint=SET_BY_RUN[parameter])
-        of_nodes = merge(of_nodes, _nest_value(of_setup.pop(name), place))
+        place = name.split('.')
+        if place[1] in SET_BY_RUN:
+            raise ConfigError(f'--set {name}', hint=SET_BY_RUN[place[1]])
+        of_nodes = merge(of_nodes, _nest_value(value, place))
     for section, nested in of_nodes.items():
-        validate(configs[section], nested, f'--set {section}')
+        validate(node_configs()[section], nested, f'--set {section}')
     return of_setup, of_nodes
 
 
 def _is_of_node(name: str, setup: Setup) -> bool:
-    """Return whether a dotted name is in a section of a setup that does not know it."""
+    """Return whether only the node of a section knows a dotted name; RosError without ROS."""
     section, *inner = name.split('.')
     if section not in ARGUMENTS or not inner or inner[0] == EVERY:
         return False
     config = getattr(setup, section)
-    return isinstance(config, BaseModel) and inner[0] not in type(config).model_fields
+    if not isinstance(config, BaseModel) or inner[0] in type(config).model_fields:
+        return False
+    of_node = node_configs().get(section)
+    return of_node is not None and inner[0] in of_node.model_fields
 
 
 def resolve_with(
