@@ -1,31 +1,52 @@
 """
 What a tick finds, one bit each; a kernel returns the sum of what it finds.
 
-See `tick` for the order in which they are found.
+The bits stand in the order in which `tick` finds them. Compiled code reads them as plain integers.
 """
 
-# Of the arm that is seen. NO_NUMBERS: its model gives none, and nothing else has changed;
-# AMBIGUOUS: the contacts depend on each other, and what they bear is not known; TOUCHED: a
-# residual is beyond its threshold; PASSED: none has been for a while, after one was.
-NO_NUMBERS, OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS, TOUCHED, PASSED = (
-    1 << bit for bit in range(6)
-)
-# Of the task: the reference is not what is wanted.
-REFERENCE = 1 << 6
-# Of the law, which has no answer: a singular posture, or columns of N that depend on each other.
-SINGULAR, DEPENDENT = 1 << 7, 1 << 8
-# Of its answer: no finite numbers; a surface that pulls, a force across the normals, or on a free
-# contact; the operational point beyond its box; and that the answer is refused for any of them.
-NOT_FINITE, PULL, SIDEWAYS, STRAY, OUTSIDE, REFUSED = (1 << bit for bit in range(9, 15))
-# Of the limits that change a torque: it was not finite; a stop or speed of a joint; the torque
-# itself; its rate; a singular posture.
-REPLACED, JOINT_STOP, TORQUE, TORQUE_RATE, REACH = (1 << bit for bit in range(15, 20))
+# The arm (`control.arm`): its model gives numbers that are not finite, and no record has changed;
+# a speed is beyond its alarm; the columns of N depend on each other, so that the contacts' forces
+# are unknown; a residual is beyond its threshold; all are small again after one was beyond it.
+MODEL_NOT_FINITE = 1 << 0
+OPERATIONAL_SPEED = 1 << 1
+JOINT_SPEED = 1 << 2
+FORCES_AMBIGUOUS = 1 << 3
+RESIDUAL_EXCEEDED = 1 << 4
+RESIDUAL_CLEARED = 1 << 5
 
-# After which the law is not asked before it is decided whether it answers at all.
-ALARMS = NO_NUMBERS | OPERATIONAL_SPEED | JOINT_SPEED | AMBIGUOUS | TOUCHED
-NO_ANSWER = SINGULAR | DEPENDENT | REFUSED
-LIMITS = REPLACED | JOINT_STOP | TORQUE | TORQUE_RATE | REACH
-BOUNDING_LIMITS = JOINT_STOP | REACH  # of the motion of the arm
-LASTING_LIMITS = (
-    BOUNDING_LIMITS | TORQUE
-)  # that may last: the force laws are told of them
+# The task (`supervision.contact_task`): the reference differs from what is wanted.
+REFERENCE_LIMITED = 1 << 6
+
+# The law (`control.law`) has no answer: a singular posture, or dependent columns of N.
+POSTURE_SINGULAR = 1 << 7
+COLUMNS_DEPENDENT = 1 << 8
+
+# The answer (`supervision.checks`): numbers that are not finite, a surface that pulls, a force
+# across the normals, a force on a free contact, the operational point beyond its box; and whether
+# the answer is refused for any of them.
+ANSWER_NOT_FINITE = 1 << 9
+SURFACE_PULLS = 1 << 10
+FORCE_SIDEWAYS = 1 << 11
+FORCE_STRAY = 1 << 12
+OUTSIDE_WORKSPACE = 1 << 13
+ANSWER_REFUSED = 1 << 14
+
+# The gate (`supervision.gate`) has changed the torque: it was not finite, led beyond a stop or
+# speed of a joint, was beyond its own limit or changed too fast, or led to a singular posture.
+TORQUE_REPLACED = 1 << 15
+JOINT_BOUNDED = 1 << 16
+TORQUE_LIMITED = 1 << 17
+TORQUE_RATE_LIMITED = 1 << 18
+SINGULARITY_BOUNDED = 1 << 19
+
+# The law is asked only once it has been decided whether it answers at all.
+ALARMS = (
+    MODEL_NOT_FINITE
+    | OPERATIONAL_SPEED
+    | JOINT_SPEED
+    | FORCES_AMBIGUOUS
+    | RESIDUAL_EXCEEDED
+)
+BOUNDING_LIMITS = JOINT_BOUNDED | SINGULARITY_BOUNDED  # of the motion of the arm
+LASTING_LIMITS = BOUNDING_LIMITS | TORQUE_LIMITED  # of which the force laws are told
+LIMITS = LASTING_LIMITS | TORQUE_REPLACED | TORQUE_RATE_LIMITED

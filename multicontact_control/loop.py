@@ -13,19 +13,19 @@ from pathlib import Path
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.contact.geometry import offset_shares, placed_way
+from multicontact_control.contact.geometry import offset_shares, project_on_contacts
 from multicontact_control.control.controller import ControlOutput, Design
 from multicontact_control.control.tasks import CommandedTask, MotionReading, TaskSource
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sensor.push_test import CANCELLED, PushGate, PushTestConfig
-from multicontact_control.sensor.tool import MAX_JOINT_SPEED, tare_bias
+from multicontact_control.sensor.tool import compute_tare_bias, MAX_JOINT_SPEED
 from multicontact_control.supervision.command_limits import check_motion, CommandLimits
 from multicontact_control.supervision.input_checks import RECENT_WRENCHES
 from multicontact_control.supervision.inputs import TickInputs
 from multicontact_control.supervision.report import EventLog, SupervisorStatus
-from multicontact_control.supervision.supervisor import not_supervised, Supervisor
+from multicontact_control.supervision.supervisor import Supervisor, unsupervised_error
 import numpy as np
 
 # m and rad of a commanded motion that contacts do not leave free, from which on it is told:
@@ -115,7 +115,7 @@ class ControlLoop:
     def restart(self) -> None:
         """Forget the past: the next sample is the first."""
         self.supervisor.reset()
-        self.push_gate.restart()
+        self.push_gate.restart_test()
         self.output: ControlOutput | None = None
         self.status: SupervisorStatus | None = None
         self.events = EventLog()
@@ -134,7 +134,7 @@ class ControlLoop:
         if status is self.status:
             self.events.repeats += 1
         elif status is not None:
-            self.events.note(inputs.time - inputs.ahead, status)
+            self.events.note_status(inputs.time - inputs.ahead, status)
         self.status = status
         if self.push_gate.phase:
             self._push(inputs)
@@ -147,27 +147,27 @@ class ControlLoop:
 
     def _push(self, inputs: TickInputs) -> None:
         """Lead on with a push test by a sample with a new wrench, and obey its verdict."""
-        if self.supervisor.velocities_in_doubt:
-            self.push_gate.fail(VELOCITIES_IN_DOUBT)
+        if self.supervisor.velocities_on_probation:
+            self.push_gate.fail_test(VELOCITIES_IN_DOUBT)
         if self.output is None or not self.push_gate.phase:
             return
         joints, wrench, stage = inputs.joints, inputs.wrench, self.supervisor.inputs
         if (
-            stage.fresh
+            stage.wrench_arrived
             and joints
             and wrench
             and joints.stamp == wrench.stamp
             and (
-                self.push_gate.update(
+                self.push_gate.add_fit_sample(
                     self.supervisor.controller.arm.frames[0],
-                    stage.raw,
+                    stage.raw_wrench,
                     self.config.tool,
                 )
             )
             and (self.push_gate.open)
         ):
-            self.supervisor.gate.go_over()
-            self.supervisor.task.lock(False)
+            self.supervisor.gate.start_blend()
+            self.supervisor.task.set_lock(False)
 
     def _require_rest(self, purpose: str) -> None:
         """Refuse what is only possible with a wrist sensor that nothing presses on."""
@@ -177,30 +177,30 @@ class ControlLoop:
             )
         if self.output is not None and self.output.answer['active'].any():
             raise CommandError('contacts', hint='let go of them first: command 0 N')
-        if self.supervisor.reactions.presses:
+        if self.supervisor.reactions.presses_contact:
             raise CommandError('contacts', hint='wait: a reaction still presses one')
 
     def push_test(self, config: PushTestConfig) -> str:
         """Begin a push test, for which the arm stays where it is; return what to do now."""
         self._require_rest('push test')
-        if self.supervisor.velocities_in_doubt:
+        if self.supervisor.velocities_on_probation:
             raise CommandError('push test', hint=VELOCITIES_IN_DOUBT)
-        self.push_gate.start(
+        self.push_gate.start_test(
             config,
             {
                 name: np.array(x.point_operational)
                 for name, x in self.config.contacts.items()
             },
         )
-        self.supervisor.gate.go_over()
-        self.supervisor.task.lock(True)
+        self.supervisor.gate.start_blend()
+        self.supervisor.task.set_lock(True)
         return self.push_gate.instruction
 
     def cancel_push_test(self) -> str:
-        """Take back a push test, see `PushGate.cancel`; return what is allowed now."""
-        self.push_gate.cancel()
-        self.supervisor.gate.go_over()
-        self.supervisor.task.lock(not self.push_gate.open)
+        """Take back a push test, see `PushGate.cancel_test`; return what is allowed now."""
+        self.push_gate.cancel_test()
+        self.supervisor.gate.start_blend()
+        self.supervisor.task.set_lock(not self.push_gate.open)
         return self.push_gate.instruction or CANCELLED
 
     def reconfigure(self, config: ControllerConfig) -> None:
@@ -215,7 +215,7 @@ class ControlLoop:
     def use(self, design: Design) -> None:
         """Go on with what has been designed, without a jump."""
         self._keep_pushed_tool(design.config)  # a push test may have begun meanwhile
-        self.supervisor.use(design)
+        self.supervisor.adopt_design(design)
 
     def _keep_pushed_tool(self, config: ControllerConfig) -> None:
         """Refuse another tool while a push test runs."""
@@ -245,7 +245,7 @@ class ControlLoop:
         )
         if task.set_forces(forces, shares):
             if not self.time - self._commanded_at <= STREAM_TIME:
-                self.supervisor.try_again()
+                self.supervisor.request_retry()
             self._commanded_at = self.time
 
     def set_motion(self, motion: MotionReading) -> str:
@@ -267,10 +267,10 @@ class ControlLoop:
         placing = self.supervisor.task.placing_columns()
         if self.output is None or not placing:
             return ''
-        way = self.output.pose_des.way_to(
+        way = self.output.pose_des.displacement_to(
             Pose.from_quaternion(motion.position_world, motion.quaternion_xyzw)
         )
-        placed = placed_way(way, np.array(list(placing.values())))
+        placed = project_on_contacts(way, np.array(list(placing.values())))
         distance, angle = np.linalg.norm(placed.reshape(2, 3), axis=1).tolist()
         if distance <= UNTOLD_WAY and angle <= UNTOLD_TURN:
             return ''
@@ -315,23 +315,23 @@ class ControlLoop:
         """Hold the present pose and the desired forces, or go on; return what happens now."""
         self._require_running()
         if not wanted:
-            self.supervisor.try_again()
+            self.supervisor.request_retry()
         if wanted or self.held:
-            self.supervisor.gate.go_over()
-            self.supervisor.task.hold(wanted)
+            self.supervisor.gate.start_blend()
+            self.supervisor.task.set_hold(wanted)
         return 'held' if wanted else 'released'
 
     def retry(self) -> str:
         """Resume control that is latched, and seek contacts given up; return what happens now."""
         if not self.supervisor.guarded:
-            raise not_supervised()
-        if not self.supervisor.try_again():
+            raise unsupervised_error()
+        if not self.supervisor.request_retry():
             raise CommandError('control', hint='nothing to resume')
         return 'trying again'
 
     def tare(self) -> Vector:
         """
-        Return the bias by which the compensated wrench would read zero, as `tare_bias` does.
+        Return the bias by which the compensated wrench would read zero, by `compute_tare_bias`.
 
         CommandError if the arm presses on something or moves, which would be taken for bias, or if
         there is no sensor, or a fault of it.
@@ -340,7 +340,7 @@ class ControlLoop:
         if fault := self.supervisor.inputs.sensor_fault:
             raise CommandError('wrench', 'one without faults', fault)
         oldest = self.time - (RECENT_WRENCHES - 0.5) * self.config.period
-        readings, velocities = self.supervisor.inputs.recent(oldest)
+        readings, velocities = self.supervisor.inputs.recent_wrenches(oldest)
         fastest = np.abs(velocities.sum(axis=0)).max() / max(len(readings), 1)
         if fastest > MAX_JOINT_SPEED:
             raise CommandError(
@@ -349,7 +349,7 @@ class ControlLoop:
                 f'{fastest:.3g} rad/s',
             )
         rotation_world = self.supervisor.controller.arm.frames['sensor_rotation'][0]
-        return tare_bias(
+        return compute_tare_bias(
             readings,
             rotation_world,
             self.config.tool,

@@ -261,7 +261,7 @@ class JointGate(Record, Protocol):
 
     commanded_torque: float  # what was commanded last and what was added [N m]
 
-    # See `supervision.gate.blend` [N m].
+    # See `supervision.gate.blend_torque` [N m].
     blended_difference: float
     faded_difference: float
 
@@ -476,7 +476,7 @@ class Contact(Record, Protocol):
     noise_variance: float  # R_k [N^2]
 
     # Whether the measured force is fed forward, as the surface seems to be gone.
-    guarded: bool
+    use_measured_force: bool
 
     normal: Annotated[Vector, 3]  # estimated unit normal, world axes
     surface_speed_est: float  # what is added to the configured speed, estimated [m/s]

@@ -10,11 +10,11 @@ from multicontact_control.control.arm import ArmSpace, update_arm_state
 from multicontact_control.control.law import control_law, LawSpace
 from multicontact_control.flags import (
     ALARMS,
+    ANSWER_REFUSED,
     BOUNDING_LIMITS,
-    DEPENDENT,
-    REFERENCE,
-    REFUSED,
-    SINGULAR,
+    COLUMNS_DEPENDENT,
+    POSTURE_SINGULAR,
+    REFERENCE_LIMITED,
 )
 from multicontact_control.force.force_law import ForceLaw
 from multicontact_control.records import (
@@ -28,7 +28,7 @@ from multicontact_control.records import (
 from multicontact_control.supervision.checks import judge_answer, Judgement
 from multicontact_control.supervision.contact_task import limit_task, TaskLimits
 from multicontact_control.supervision.contacts import ContactState
-from multicontact_control.supervision.gate import Gate, law_number, pass_gate
+from multicontact_control.supervision.gate import GateState, number_of_law, pass_gate
 
 SEE, ACT = 1, 2  # stages of a tick
 
@@ -53,7 +53,7 @@ def tick(
     states: Records[ContactState],
     limits: Records[TaskLimits],
     judgements: Records[Judgement],
-    gates: Records[Gate],
+    gates: Records[GateState],
     workspaces: Records[Workspace],
     q: Vector,
     velocity: Vector,
@@ -117,18 +117,18 @@ def tick(
         return found
     limit, gate = limits[0], gates[0]
     if limit_task(limit, control, contacts, states):
-        found |= REFERENCE
+        found |= REFERENCE_LIMITED
     found |= control_law(
         control, joints, mass_matrix, jacobian, jacobian_rate, contacts, laws, space.law
     )
-    if found & (SINGULAR | DEPENDENT):
+    if found & (POSTURE_SINGULAR | COLUMNS_DEPENDENT):
         return found
     strict = limit.config.guarded and not limit.locked
     found |= judge_answer(judgements[0], control, joints, contacts, states, strict)
-    if found & REFUSED:
+    if found & ANSWER_REFUSED:
         return found
     gate.seen = True
-    law = law_number(contacts, gate.config.guarded)
+    law = number_of_law(contacts, gate.config.guarded)
     found |= pass_gate(gate, joints, control, contacts, mass_matrix, jacobian, law)
     if found & BOUNDING_LIMITS:
         limit.bounded_at = limit.time

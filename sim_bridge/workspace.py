@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import product
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.supervision.bounds import SINGULAR
+from multicontact_control.supervision.bounds import SINGULAR_ROOT
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import OPERATIONAL_FRAME
@@ -116,5 +116,6 @@ def _is_free(model: pin.Model, q: Vector) -> bool:
     J = frame_jacobian(model, q)
     mobility = J @ np.linalg.solve(M, J.T)
     return bool(
-        np.sqrt(max(np.linalg.eigvalsh(mobility)[0], 0.0)) > REACH_MARGIN * SINGULAR
+        np.sqrt(max(np.linalg.eigvalsh(mobility)[0], 0.0))
+        > REACH_MARGIN * SINGULAR_ROOT
     )

@@ -12,7 +12,7 @@ from multicontact_control.config import (
 )
 from multicontact_control.control.controller import Controller, ControlOutput
 from multicontact_control.dynamics.robot import RobotModel
-from multicontact_control.flags import AMBIGUOUS
+from multicontact_control.flags import FORCES_AMBIGUOUS
 from multicontact_control.paths import find_config_folder
 from multicontact_control.supervision.contact_task import ContactTask, limit_task
 import numpy as np
@@ -70,11 +70,11 @@ class Law:
         law = self.controller
         law.contacts['noise_variance'] = noise_variance
         law.take(measurement.q, measurement.qd, measurement.wrench_sensor)
-        if law.arm.flags & AMBIGUOUS:
+        if law.arm.flags & FORCES_AMBIGUOUS:
             law.refuse()
         if not law.started:
-            self._task.start(law.start())
-        self._task.ask(measurement.time)
+            self._task.start_task(law.start())
+        self._task.update_wanted_task(measurement.time)
         limit_task(
             self._task.limits[0], law.controls[0], law.contacts, self._task.states
         )

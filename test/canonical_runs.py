@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from joblib import Memory
-from multicontact_control.judging.results import summarise
+from multicontact_control.judging.run_summary import summarise_run
 from multicontact_control.runs.closed_loop import LoopResult, run_in_process
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.study.jobs import content_key, setup_content
@@ -33,7 +33,7 @@ def _run(key: str, setup: Setup, supervised: bool) -> LoopResult:
 def summary_of(setup: Setup, *, supervised: bool = True) -> dict:
     """Return the content of its ``summary.json``."""
     result = run_of(setup, supervised=supervised)
-    return summarise(
+    return summarise_run(
         result.data,
         setup,
         mode='in_process',

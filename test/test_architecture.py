@@ -62,7 +62,7 @@ BUDGETS = {
     'config': 6_400,
     'nodes': 27_300,
     'runs': 16_700,
-    'judging': 20_900,
+    'judging': 21_900,
     'commissioning': 6_700,
     'faults': 11_700,
     'study': 16_400,

@@ -9,7 +9,7 @@ from multicontact_control.loop import ControlLoop
 from multicontact_control.paths import find_config_folder
 from multicontact_control.sampling import Action, SampleTiming
 from multicontact_control.sensor.push_test import PushTestConfig
-from multicontact_control.sensor.tool import weight_reading
+from multicontact_control.sensor.tool import predict_weight_reading
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import (
     JointInput,
@@ -43,7 +43,7 @@ class Bench:
             self.config.rate, supervised=supervised, patience=1.5
         )
         self.state = self.loop.supervisor.controller.robot.update(HOME, REST)
-        self.weight = weight_reading(
+        self.weight = predict_weight_reading(
             self.state.sensor_pose.rotation_world,
             self.config.tool,
             np.array(self.config.robot.gravity_world),
@@ -393,7 +393,7 @@ def test_no_tick_compiles_anything():
         bench.step(60)
     bench.loop.hold(True)
     bench.step(5)
-    assert {'float', 'hold', 'inflate'} <= set(bench.loop.events.reactions)
+    assert {'float', 'hold', 'inflate'} <= set(bench.loop.events.reaction_counts)
     assert count_compilations() == before
 
 
@@ -482,7 +482,7 @@ def test_variances_are_bounded_alike_with_and_without_a_supervisor(supervised):
 @pytest.mark.parametrize(
     ('part', 'cause', 'reaction'),
     [
-        ('task.ask', 'law_ZeroDivisionError', 'hold'),
+        ('task.update_wanted_task', 'law_ZeroDivisionError', 'hold'),
         ('inputs.validate', 'internal_ZeroDivisionError', 'float'),
     ],
 )
@@ -496,7 +496,7 @@ def test_exception_is_told_in_words_and_logged_once_with_its_traceback(
     right = getattr(owner, name)
 
     def broken(*given):
-        if work.pop('broken', False) or name == 'ask':
+        if work.pop('broken', False) or name == 'update_wanted_task':
             raise ZeroDivisionError('the mass of nothing')
         return right(*given)
 

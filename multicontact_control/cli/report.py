@@ -41,32 +41,34 @@ def report(
     their table. Of a recording without ground truth the measured forces are shown, and the run is
     not judged. Names and rate are those of the messages, or of --controller.
     """
-    from multicontact_control.judging.claims import claims_of
+    from multicontact_control.judging.claims import judge_claims_of_run
     from multicontact_control.judging.display import print_claims
     from multicontact_control.judging.report import write_report
-    from multicontact_control.judging.results import (
-        is_whole_run,
-        load,
-        report_folder,
+    from multicontact_control.judging.results import load
+    from multicontact_control.judging.run_folders import (
+        find_report_folder,
+        is_finished_run,
     )
-    from multicontact_control.judging.verdict import verdict_text
+    from multicontact_control.judging.verdict import describe_verdict
     from rich.console import Console
 
-    if all(is_whole_run(path) for path in runs):
+    if all(is_finished_run(path) for path in runs):
         options.refuse_options(
             context,
             ('controller', 'namespace'),
             'with runs of this package, which know their own',
         )
     loaded = [load(path, controller or (), namespace) for path in runs]
-    paths = write_report(loaded, out or report_folder(runs[0]), claims=claims)
+    paths = write_report(loaded, out or find_report_folder(runs[0]), claims=claims)
     for run in loaded:
         quality = run.summary.get('quality')  # which an older version did not write
         remarks = run.summary.get('remarks', ())
-        for line in (verdict_text(run.summary), quality, *remarks):
+        for line in (describe_verdict(run.summary), quality, *remarks):
             if line:
                 typer.echo(f'{run.folder}: {line}')
-        judged = claims_of(run.data, run.setup, run.summary, asked=claims)
+        judged = judge_claims_of_run(
+            run.data, run.setup, run.summary, any_scenario=claims
+        )
         if judged:
             console = Console(highlight=False, soft_wrap=True)
             print_claims(console, [claim._asdict() for claim in judged])

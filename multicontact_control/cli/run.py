@@ -144,9 +144,9 @@ def _simulated_setup(chosen: options.RunOptions, *, commanded: bool) -> Setup:
 def _results_folder(
     chosen: options.RunOptions, setup: Setup
 ) -> AbstractContextManager[Path]:
-    from multicontact_control.judging.results import run_folder
+    from multicontact_control.judging.run_folders import open_run_folder
 
-    return run_folder(
+    return open_run_folder(
         chosen.out, setup.scenario.name, overwrite=chosen.overwrite, now=datetime.now()
     )
 
@@ -161,10 +161,10 @@ def simulate(chosen: options.RunOptions) -> None:
     """
     options.end_at_signals('interrupted; nothing of this run is kept')
     setup = chosen.setup()
-    from multicontact_control.judging.judged_run import run_simulate
+    from multicontact_control.judging.judged_run import simulate_run
 
     with _results_folder(chosen, setup) as folder:
-        summary = run_simulate(setup, folder, supervised=not chosen.bare)
+        summary = simulate_run(setup, folder, supervised=not chosen.bare)
     end_by_verdict(summary)
 
 
@@ -215,11 +215,13 @@ def view(
     """
     recording = page.recording
     if recording is not None:
-        from multicontact_control.judging.results import run_of
+        from multicontact_control.judging.run_folders import (
+            find_run_folder,
+            is_run_folder,
+        )
 
         options.refuse_options(context, ('seed', 'engine'), 'with a recording')
-        _, is_run = run_of(recording)
-        if is_run:
+        if is_run_folder(find_run_folder(recording)):
             options.refuse_options(
                 context, OF_THE_ARM, 'with a run, which knows its own'
             )

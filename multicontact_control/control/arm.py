@@ -28,12 +28,12 @@ from multicontact_control.dynamics.operational_space import (
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.flags import (
-    AMBIGUOUS,
+    FORCES_AMBIGUOUS,
     JOINT_SPEED,
-    NO_NUMBERS,
+    MODEL_NOT_FINITE,
     OPERATIONAL_SPEED,
-    PASSED,
-    TOUCHED,
+    RESIDUAL_CLEARED,
+    RESIDUAL_EXCEEDED,
 )
 from multicontact_control.records import (
     Contact,
@@ -319,13 +319,14 @@ def update_arm_state(
     Returns
     -------
     int
-        The sum of NO_NUMBERS, OPERATIONAL_SPEED, JOINT_SPEED, AMBIGUOUS, TOUCHED and PASSED.
+        The sum of MODEL_NOT_FINITE, OPERATIONAL_SPEED, JOINT_SPEED, FORCES_AMBIGUOUS,
+        RESIDUAL_EXCEEDED and RESIDUAL_CLEARED.
 
     """
     frame, flags = control.frame, 0
     for j in range(joints.shape[0]):
         if not np.isfinite(bias_torque[j]):
-            return NO_NUMBERS
+            return MODEL_NOT_FINITE
     for j in range(joints.shape[0]):
         joint = joints[j]
         joint.watch.previous_velocity = joint.velocity
@@ -346,13 +347,13 @@ def update_arm_state(
         flags |= OPERATIONAL_SPEED
     if control.momentum.config.bandwidth > 0.0:
         if observe_momentum(control, joints, mass_matrix, jacobian, space):
-            flags |= TOUCHED
+            flags |= RESIDUAL_EXCEEDED
         if follow_touch(control.momentum, joints):
-            flags |= PASSED
+            flags |= RESIDUAL_CLEARED
         if control.momentum.config.is_input:
             wrench_of_residual(control, joints, mass_matrix, jacobian, space)
     if not measure_contacts(control, contacts, space.contacts):
-        flags |= AMBIGUOUS
+        flags |= FORCES_AMBIGUOUS
     return flags
 
 
@@ -407,7 +408,7 @@ class ArmState:
     @property
     def finite(self) -> bool:
         """Whether the model gave finite numbers; if not, the arm is where it was before."""
-        return not self.flags & NO_NUMBERS
+        return not self.flags & MODEL_NOT_FINITE
 
     def refresh(self) -> bool:
         """Take in what has been written into `motion`; return whether the model is `finite`."""

@@ -23,9 +23,17 @@ from multicontact_control.dynamics.operational_space import (
     InertiaSpace,
     mobility_and_inertia,
 )
-from multicontact_control.dynamics.rotations import rotation_vector
-from multicontact_control.flags import DEPENDENT, SINGULAR, TORQUE
-from multicontact_control.force.force_law import answer_forces, ForceLaw, ForceSpace
+from multicontact_control.dynamics.rotations import rotation_vector_between
+from multicontact_control.flags import (
+    COLUMNS_DEPENDENT,
+    POSTURE_SINGULAR,
+    TORQUE_LIMITED,
+)
+from multicontact_control.force.force_law import (
+    answer_contact_forces,
+    ForceLaw,
+    ForceSpace,
+)
 from multicontact_control.records import (
     Contact,
     Control,
@@ -96,7 +104,7 @@ def motion_law(law: Law, task: Task, frame: Frame, f_t: Vector) -> None:
     k_v = 2 zeta omega_n (P04 sec. 3.1; sec. 5.2: critically damped, 30 rad/s); world axes, shape
     (6,) [m/s^2, rad/s^2].
     """
-    turn = rotation_vector(task.rotation, frame.rotation)
+    turn = rotation_vector_between(task.rotation, frame.rotation)
     for i in range(3):
         f_t[i] = law.k_p * (task.position[i] - frame.position[i])
         f_t[3 + i] = law.k_p * turn[i]
@@ -225,7 +233,7 @@ def control_law(
 
     F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + N alpha_fed_forward, Gamma = J^T F (P04
     eqs 23-27), then null space, friction and limits. As published
-    alpha_fed_forward is the estimate; see `force_to_feed`.
+    alpha_fed_forward is the estimate; see `choose_fed_force`.
 
     Parameters
     ----------
@@ -241,8 +249,8 @@ def control_law(
     Returns
     -------
     int
-        TORQUE if a limit was enforced; SINGULAR or DEPENDENT if there is no answer, and the force
-        laws have not been touched.
+        TORQUE_LIMITED if a limit was enforced; POSTURE_SINGULAR or COLUMNS_DEPENDENT if there is
+        no answer, and the force laws have not been touched.
 
     """
     law, frame, task = control.law, control.frame, control.task
@@ -251,7 +259,7 @@ def control_law(
         mass_matrix, jacobian, law.singular_mobility, inertia
     )
     if damping < 0.0:
-        return SINGULAR
+        return POSTURE_SINGULAR
     rows, weighted_rows = space.rows[:count], space.weighted_rows[:count]
     factor, weighted_factor = (
         space.factor[:count, :count],
@@ -271,9 +279,9 @@ def control_law(
         factorise_contacts(contacts, False, rows, rows, factor)
         and factorise_contacts(contacts, False, rows, weighted_rows, weighted_factor)
     ):
-        return DEPENDENT
+        return COLUMNS_DEPENDENT
     motion_law(law, task, frame, space.f_t)
-    answer_forces(laws, contacts, control, inputs, space.forces)
+    answer_contact_forces(laws, contacts, control, inputs, space.forces)
     if not law.decoupled:
         drive_coordinates(rows, inputs)
     force_law(law, rows, factor, frame.twist, contacts, inputs, alpha_star, space.f_c)
@@ -321,4 +329,4 @@ def control_law(
             space.pull[:n],
             space.along,
         )
-    return TORQUE if finish_torque(law, joints) else 0
+    return TORQUE_LIMITED if finish_torque(law, joints) else 0

@@ -9,18 +9,18 @@ from multicontact_control.config import ControllerConfig
 
 def explain_unwatched(
     config: ControllerConfig,
-    unheard_joints: Mapping[str, Sequence[int]],
+    joints_without_effort: Mapping[str, Sequence[int]],
 ) -> str:
     """
     Return whose measured torques are of no use, and what that leads to; empty if none are due.
 
-    `unheard_joints` are indices of joints by what is wrong with their torques.
+    `joints_without_effort` are indices of joints by what is wrong with their torques.
     """
     if not config.robot.measures_torque:
         return ''
     names = config.robot.joint_names
     texts, count = [], 0
-    for fault, joints in unheard_joints.items():
+    for fault, joints in joints_without_effort.items():
         whose = 'all'
         if len(joints) < len(names):
             whose = ', '.join(names[j] for j in joints)

@@ -81,7 +81,7 @@ class Explanations:
     def _velocities(self) -> str:
         """Return what the newest positions say against the velocities."""
         config = self._controller.config
-        states, doubt = self._inputs.history
+        states, doubt = self._inputs.joint_history
         return explain_velocities(
             states, doubt, config.robot.joint_names, config.period
         )
@@ -156,7 +156,9 @@ class Explanations:
 
     def unwatched(self) -> str:
         """Return whose measured torques are of no use, and what that leads to."""
-        return explain_unwatched(self._controller.config, self._inputs.unheard_joints)
+        return explain_unwatched(
+            self._controller.config, self._inputs.joints_without_effort
+        )
 
     def friction(self) -> str:
         """Return which joints show friction that is not declared."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.supervision.velocities import OFFSET
+from multicontact_control.supervision.velocities import OFFSET_TOLERANCE
 import numpy as np
 
 UNITS = {
@@ -71,7 +71,7 @@ def _explain_numbers(position: Vector, velocity: Vector) -> str:
     """Return what is wrong with the numbers as such, shape (k,); empty if nothing."""
     if not np.isfinite(velocity).all():
         return 'is not a finite number'
-    if np.abs(velocity).max() <= OFFSET:
+    if np.abs(velocity).max() <= OFFSET_TOLERANCE:
         return ''
     if np.abs(velocity - position).max() <= SAME_AS_POSITION * np.abs(position).max():
         return 'is equal to its position: are the fields of the message in order?'

@@ -43,9 +43,9 @@ FAR = 10.0  # m, where they are not in the way
 PARTS = (
     'inputs.validate',
     'controller.robot.compute',
-    'task.ask',
-    'reactions.torque',
-    'gate.apply',
+    'task.update_wanted_task',
+    'reactions.reaction_torque',
+    'gate.apply_torque',
 )
 
 

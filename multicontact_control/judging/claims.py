@@ -1,98 +1,274 @@
-"""The paper's claims (P04 sec. 4.1, 4.2, 5.2): a table of measures and bounds, and one loop."""
+"""The paper's claims (P04 sec. 4.1, 4.2, 5.2): what each measures, and within which bounds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 import math
 from statistics import median
 from typing import Any, NamedTuple
 
-from multicontact_control.judging import metrics
-from multicontact_control.judging.verdict import (
+from multicontact_control.judging.contact_metrics import LASTING_PUSH
+from multicontact_control.judging.evidence import collect_evidence, Evidence
+from multicontact_control.judging.quality import (
     DESIGNED_MOTION_ERROR,
-    HELD,
     LONGEST_RISE,
     SHORTEST_RISE,
 )
 from multicontact_control.runs.recording import RunData
 from multicontact_control.runs.scenario import Setup
-import numpy as np
 
 PAPER_SCENARIO = 'paper'
-AFTER_PUSH = 0.5  # s, in which the estimate of R is watched for a reaction
 MISMATCH = 0.1  # of the modelled stiffness, beyond which it counts as not known exactly
-PAPER_ESTIMATOR, FIXED, UNFILTERED, MAYBECK = (
-    'lead_window',
-    'fixed',
-    'window rescaled',
-    'innovation',
-)
-MATCHED = 'innovation matched'  # with a Q that makes its observer as fast as the paper's at rest
+# Estimators of R with their variant, as the evidence of a study's runs has them.
+PAPER_ESTIMATOR = 'lead_window'
+FIXED_VARIANCE = 'fixed'
+UNFILTERED = 'window rescaled'
+MAYBECK = 'innovation'
+# With a Q that makes its observer as fast as the paper's at rest.
+MATCHED_MAYBECK = 'innovation matched'
 
-Evidence = Mapping[
-    str, Any
-]  # of a run, as from `evidence_of`, or of one of its contacts
-Runs = Sequence[Evidence]  # `estimator` is with its variant, e.g. `window rescaled`
-Numbers = list[tuple[str, float]]  # of contacts or runs by name; infinite for `never`
+Runs = Sequence[Evidence]  # the first one is that to be judged
+# Of a run, by contact, or '' for the whole run: None if not known, infinite for `never`.
+Measurements = Iterable[tuple[str, float | None]]
+Numbers = list[tuple[str, float]]
+
+
+def select_own_run(runs: Runs, estimators: Sequence[str]) -> Runs:
+    """Return the run to be judged, if its R is from one of the estimators, or none is named."""
+    if estimators and runs[0]['estimator'] not in estimators:
+        return []
+    return runs[:1]
+
+
+def select_study_runs(runs: Runs, estimators: Sequence[str]) -> Runs:
+    """
+    Return the runs of a study, with active state and right model, of one estimator.
+
+    It is the first of the estimators that has any run. Without any, the run to be judged is
+    taken, if it is of one of them.
+    """
+    for estimator in estimators:
+        chosen = [
+            run
+            for run in runs[1:]
+            if run['estimator'] == estimator
+            and run['active_state_order'] > 0
+            and not _is_mismatched(run)
+        ]
+        if chosen:
+            return chosen
+    return select_own_run(runs, estimators)
+
+
+def select_mismatched_runs(runs: Runs, estimators: Sequence[str]) -> Runs:
+    """Return the runs, with active state, whose surfaces are not as stiff as modelled."""
+    return [
+        run
+        for run in runs
+        if run['estimator'].startswith(tuple(estimators))
+        and run['active_state_order'] > 0
+        and _is_mismatched(run)
+    ]
+
+
+def _list_pressed_contacts(run: Evidence) -> list[tuple[str, Evidence]]:
+    """Return the contacts: the paper speaks of normal forces, and couples may well be 0."""
+    return [
+        (name, contact)
+        for name, contact in run['contacts'].items()
+        if contact['stiffness_ratio'] is not None
+    ]
+
+
+def _is_mismatched(run: Evidence) -> bool:
+    """Return whether any surface is not as stiff as modelled."""
+    contacts = _list_pressed_contacts(run)
+    return any(
+        abs(contact['stiffness_ratio'] - 1.0) > MISMATCH for _, contact in contacts
+    )
+
+
+def _divide(value: float | None, base: float | None) -> float | None:
+    """Return a ratio, None where a part of it is not known or the base is zero."""
+    if value is None or not base:
+        return None
+    return value / base
+
+
+def _never_if_none(value: float | None) -> float:
+    return math.inf if value is None else value
+
+
+def measure_rise(run: Evidence) -> Measurements:
+    """
+    Yield the rise times of the steps up over the designed one, infinite for `never`.
+
+    A run that the supervisor held tells no `never`, and then nothing of its rise.
+    """
+    rises = []
+    for name, contact in _list_pressed_contacts(run):
+        for rise in contact['rises_s']:
+            rises.append((name, _never_if_none(rise) / run['designed_rise_s']))
+    was_held = run['stable'] is None
+    if was_held and any(math.isinf(rise) for _, rise in rises):
+        return []
+    return rises
+
+
+def measure_motion_error(run: Evidence) -> Measurements:
+    """Yield the rms error of the position in motion [mm]."""
+    error = run['motion']['moving_position_rms_m']
+    if error is not None and run['ran_in_motion']:
+        yield '', 1e3 * error
+
+
+def measure_orientation_error(run: Evidence) -> Measurements:
+    """Yield the largest error of the orientation [rad]."""
+    if run['ran_in_motion']:
+        yield '', run['motion']['orientation_max_rad']
+
+
+def measure_variance_at_rest(run: Evidence) -> Measurements:
+    """Yield the median R of each contact at rest [N^2]."""
+    for name, contact in _list_pressed_contacts(run):
+        yield name, contact['rest']['variance_n2']
+
+
+def measure_variance_in_motion(run: Evidence) -> Measurements:
+    """Yield the median R of each contact in motion [N^2]."""
+    for name, contact in _list_pressed_contacts(run):
+        yield name, contact['moving']['variance_n2']
+
+
+def measure_variance_peak(run: Evidence) -> Measurements:
+    """Yield the largest R of each contact at a push over its median at rest."""
+    for name, contact in _list_pressed_contacts(run):
+        yield name, _divide(contact['variance_peak_n2'], contact['rest']['variance_n2'])
+
+
+def count_unstable(run: Evidence) -> Measurements:
+    """Yield 1 for a run that was not stable, 0 for one that was and ran in motion."""
+    stable = run['stable']
+    if stable is False or (stable and run['ran_in_motion']):
+        yield '', float(not stable)
+
+
+def count_unstable_in_motion(run: Evidence) -> Measurements:
+    """Yield what `count_unstable` does, and 0 for a run that was not stable before its motion."""
+    after_motion = run['unstable_after_motion_s']
+    began_in_motion = after_motion is not None and after_motion >= 0.0
+    for name, unstable in count_unstable(run):
+        yield name, unstable and float(began_in_motion)
+
+
+def measure_error_in_motion(run: Evidence) -> Measurements:
+    """Yield the rms error in motion over the command, infinite where the contact is lost."""
+    for name, contact in _list_pressed_contacts(run):
+        moving = contact['moving']
+        if run['stable'] is False or (run['stable'] and moving['lost']):
+            yield name, math.inf
+        elif run['stable'] and moving['rms_n'] is not None:
+            yield name, float(moving['rms_n'] / moving['command_n'])
+
+
+def measure_error_at_rest(run: Evidence) -> Measurements:
+    """Yield the mean error at rest over the command, infinite if the run is not stable."""
+    for name, contact in _list_pressed_contacts(run):
+        rest = contact['rest']
+        if rest['command_n'] and run['stable'] is not None:
+            error = abs(rest['mean_n']) / rest['command_n']
+            yield name, error if run['stable'] else math.inf
+
+
+def measure_start_of_motion(run: Evidence) -> Measurements:
+    """Yield the largest error as the motion starts over the standard deviation at rest."""
+    if run['ran_in_motion']:
+        for name, contact in _list_pressed_contacts(run):
+            yield name, _divide(contact['start_peak_n'], contact['rest']['std_n'])
+
+
+def measure_recovery(run: Evidence) -> Measurements:
+    """Yield how long lasting pushes at rest take to be controlled out [s]."""
+    for name, contact in _list_pressed_contacts(run):
+        for answer in contact['recoveries']:
+            if not answer['moving'] and answer['duration'] >= LASTING_PUSH:
+                yield name, _never_if_none(answer['recovery'])
 
 
 @dataclass(frozen=True)
 class Statement:
-    """What the paper says, and between which numbers it holds."""
+    """What the paper says, how it is measured, and between which numbers it holds."""
 
     text: str
     paper: str  # where, or the figure it gives
-    select: Callable[
-        [Runs], Runs
-    ]  # runs that tell, of which that to be judged is the first
-    measure: Callable[[Evidence], Numbers]  # of one of them
+    measure: Callable[[Evidence], Measurements]  # of a run that tells
     what: str  # the numbers are
-    form: str = (
-        '{:.2f}'  # of a number, with its unit; without a number what is counted of runs
+    form: str = ''  # of a number, with its unit
+    counted: str = (
+        ''  # in place of a number: what a run of which the number is 1 is called
     )
     low: float = 0.0  # bounds of every number
     high: float = math.inf
-    over: str = ''  # estimator that medians of the worst of each run are relative to
+    select: Callable[[Runs, Sequence[str]], Runs] = select_own_run  # runs that tell
+    estimators: tuple[str, ...] = ()  # those whose runs tell, the first one first
+    # Estimator: median over its runs, that the median is relative to; of the worst of each run.
+    relative_to: str = ''
 
-    def numbers(self, runs: Runs) -> Numbers:
+    def collect_numbers(self, runs: Runs) -> Numbers:
         """Return the numbers of the runs that it is about, none if they do not tell."""
-        if not self.over:
-            return [number for run in self.select(runs) for number in self.measure(run)]
-        chosen, base = (
-            [
-                max(value for _, value in numbers)
-                for run in some
-                if (numbers := self.measure(run))
-            ]
-            for some in (self.select(runs), runs_with(self.over)(runs))
-        )
-        if not chosen or not base or not 0.0 < median(base) < math.inf:
+        chosen = self.select(runs, self.estimators)
+        if not self.relative_to:
+            return [number for run in chosen for number in self._measure_known(run)]
+        base_runs = select_study_runs(runs, (self.relative_to,))
+        worst = self._find_median_of_worst(chosen)
+        base = self._find_median_of_worst(base_runs)
+        if worst is None or base is None or not 0.0 < base < math.inf:
             return []
-        return [('', median(chosen) / median(base))]
+        return [('', worst / base)]
 
-    def show(self, numbers: Numbers) -> str:
+    def _measure_known(self, run: Evidence) -> Numbers:
+        measurements = self.measure(run)
+        return [(name, value) for name, value in measurements if value is not None]
+
+    def _find_median_of_worst(self, runs: Runs) -> float | None:
+        """Return the median over some runs of the largest number of each, None without any."""
+        numbers_of_runs = [self._measure_known(run) for run in runs]
+        worst = [
+            max(value for _, value in numbers) for numbers in numbers_of_runs if numbers
+        ]
+        return median(worst) if worst else None
+
+    def describe_numbers(self, numbers: Numbers) -> str:
         """Return numbers as text: their range for each name, or of how many runs it is true."""
-        if '{' not in self.form:
-            return f'{sum(value for _, value in numbers):.0f} of {len(numbers)} {self.form}'
+        if self.counted:
+            count = sum(value for _, value in numbers)
+            return f'{count:.0f} of {len(numbers)} {self.counted}'
+        by_name: dict[str, list[float]] = {}
+        for name, value in numbers:
+            by_name.setdefault(name, []).append(value)
         ranges = []
-        for name in dict.fromkeys(name for name, _ in numbers):
-            values = sorted(value for each, value in numbers if each == name)
-            ends = (
-                self.form.format(value) if math.isfinite(value) else 'never'
-                for value in (values[0], values[-1])
-            )
+        for name, values in by_name.items():
+            ends = [self._describe_number(end) for end in (min(values), max(values))]
             ranges.append(f'{name} {" to ".join(dict.fromkeys(ends))}'.strip())
         return ', '.join(ranges)
 
-    def bound(self) -> str:
+    def _describe_number(self, value: float) -> str:
+        if math.isinf(value):
+            return 'never'
+        return self.form.format(value)
+
+    def describe_bounds(self) -> str:
         """Return between which numbers it holds, as text."""
-        if '{' not in self.form:
-            return f'{"all" if self.low else "none"} {self.form}'
-        low, high = self.form.format(self.low), self.form.format(self.high)
+        if self.counted:
+            return f'all {self.counted}' if self.low else f'none {self.counted}'
+        low = self.form.format(self.low)
+        high = self.form.format(self.high)
         if math.isinf(self.high):
             return f'at least {low}'
-        return f'at most {high}' if self.low == 0.0 else f'{low} to {high}'
+        if self.low == 0.0:
+            return f'at most {high}'
+        return f'{low} to {high}'
 
 
 class Claim(NamedTuple):
@@ -105,379 +281,168 @@ class Claim(NamedTuple):
     why: str
 
 
-def claims_of(
+def judge_claims_of_run(
     data: RunData,
     setup: Setup,
     summary: Mapping[str, Any],
     *,
-    asked: bool = False,
+    any_scenario: bool = False,
 ) -> list[Claim]:
-    """Judge the paper's claims by a simulated run of its scenario, if `asked` by any scenario."""
-    of_the_paper = setup.scenario.name == PAPER_SCENARIO
-    if setup.commanded_by_topic or not setup.simulated or not (asked or of_the_paper):
+    """
+    Judge the paper's claims by a simulated run of its scenario, or of `any_scenario`.
+
+    `summary` is the content of the run's ``summary.json``. Of other runs there are no claims.
+    """
+    is_scenario = setup.simulated and not setup.commanded_by_topic
+    is_meant = any_scenario or setup.scenario.name == PAPER_SCENARIO
+    if not (is_scenario and is_meant):
         return []
-    return judge_claims(evidence_of(data, setup, summary))
+    return judge_claims(collect_evidence(data, setup, summary))
 
 
 def judge_claims(evidence: Evidence, comparison: Runs = ()) -> list[Claim]:
     """Judge every claim by the evidence of a run; runs of another plant or K_2 are left out."""
-    runs = [
-        evidence,
-        *(
-            run
-            for run in comparison
-            if all(run[name] == evidence[name] for name in ('plant', 'damping_rate'))
-        ),
-    ]
-    claims = []
-    for each in STATEMENTS:
-        numbers = each.numbers(runs)
-        claims.append(
-            Claim(
-                each.text,
-                each.paper,
-                each.show(numbers) if numbers else 'not measured by this run',
-                all(each.low <= value <= each.high for _, value in numbers)
-                if numbers
-                else None,
-                f'{each.what}: {each.bound()}',
-            )
-        )
-    return claims
+    runs = [evidence]
+    for run in comparison:
+        same_plant = run['plant'] == evidence['plant']
+        if same_plant and run['damping_rate'] == evidence['damping_rate']:
+            runs.append(run)
+    return [_judge_statement(statement, runs) for statement in STATEMENTS]
 
 
-def evidence_of(
-    data: RunData, setup: Setup, summary: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return what studies tabulate and claims rest on, of a simulated run, as JSON values."""
-    force, run = setup.controller.force, metrics.RunMetrics(data, setup)
-    unstable_at, start = summary['unstable_at_s'], run.motion_start
-    return {
-        'plant': setup.plant_name,
-        'seed': setup.seed,
-        'estimator': setup.noise_estimator.estimator,
-        'active_state_order': force.active_state_order,
-        'damping_rate': force.damping_rate,
-        'designed_rise_s': metrics.designed_rise(force),
-        # What the supervisor holds tells nothing of what the law alone would do.
-        'stable': None if summary['verdict'] == HELD else summary['stable'],
-        'unstable_after_motion_s': None
-        if unstable_at is None or math.isinf(start)
-        else (unstable_at - start),
-        'ran_in_motion': float(data.time[-1]) > start + metrics.SETTLE_AFTER_START,
-        'contacts': {
-            name: {
-                **_contact_evidence(run, i),
-                'recoveries': run.recoveries(i, unstable_at),
-                'rises_s': [
-                    step['rise_63_s']
-                    for step in summary['contacts'][name]['steps']
-                    if step['size_n'] > 0.0
-                ],
-            }
-            for i, name in enumerate(data.contact_names)
-        },
-        'motion': summary['motion'],
-    }
-
-
-def _contact_evidence(run: metrics.RunMetrics, i: int) -> dict[str, Any]:
-    plant, start = run.setup.plant, run.motion_start
-    error, variance = run.error[:, i], run.data.noise_variance[:, i]
-    ratios = [
-        plant.stiffness_of(column.name) / column.stiffness
-        for column in run.setup.controller.columns
-        if column.leader == i
-    ]
-    pushed = np.zeros(run.data.ticks, dtype=bool)
-    for begin, duration in run.pushes:
-        pushed |= run.between(begin, min(begin + duration + AFTER_PUSH, start))
-    return {
-        **{
-            name: {
-                'command_n': metrics.value_in(window, run.command[:, i], np.median),
-                'rms_n': metrics.rms_in(window, error),
-                'mean_n': metrics.value_in(window, error),
-                'std_n': metrics.value_in(window, error, np.std),
-                'lost': run.lost_share(i, window),
-                'variance_n2': metrics.value_in(window, variance, np.median),
-            }
-            for name, window in zip(('rest', 'moving'), run.quiet)
-        },
-        # None of a couple.
-        'stiffness_ratio': max(
-            ratios, key=lambda ratio: abs(ratio - 1.0), default=None
-        ),
-        'start_peak_n': metrics.value_in(
-            run.between(start, start + metrics.SETTLE_AFTER_START),
-            np.abs(error),
-            np.max,
-        ),
-        'variance_peak_n2': metrics.value_in(pushed, variance, np.max),
-    }
-
-
-def the_run(*estimators: str) -> Callable[[Runs], Runs]:
-    """Select the run itself, with R from one of some estimators, or from any."""
-    return lambda runs: [
-        run for run in runs[:1] if not estimators or run['estimator'] in estimators
-    ]
-
-
-def runs_with(*estimators: str) -> Callable[[Runs], Runs]:
-    """Select the runs of the first estimator that has any, with active state and right model."""
-
-    def select(runs: Runs) -> Runs:
-        candidates = (
-            [
-                run
-                for run in runs[1:]
-                if run['estimator'] == estimator
-                and not _mismatched(run)
-                and run['active_state_order'] > 0
-            ]
-            for estimator in estimators
-        )
-        return next(filter(None, candidates), the_run(*estimators)(runs))
-
-    return select
-
-
-def wrong_stiffness(runs: Runs) -> Runs:
-    """Select the runs of the paper's filter whose surfaces are not as stiff as modelled."""
-    return [
-        run
-        for run in runs
-        if run['estimator'].startswith(PAPER_ESTIMATOR)
-        and _mismatched(run)
-        and run['active_state_order'] > 0
-    ]
-
-
-def _pressed(run: Evidence) -> dict[str, Evidence]:
-    """Return the contacts: the paper speaks of normal forces, and couples may well be 0."""
-    return {
-        name: contact
-        for name, contact in run['contacts'].items()
-        if contact['stiffness_ratio'] is not None
-    }
-
-
-def _mismatched(run: Evidence) -> bool:
-    return any(
-        abs(contact['stiffness_ratio'] - 1.0) > MISMATCH
-        for contact in _pressed(run).values()
-    )
-
-
-def of_contacts(
-    number: Callable[[Evidence, Evidence], float | None],
-) -> Callable[[Evidence], Numbers]:
-    """Return the measure of a number of each contact, from its evidence and that of the run."""
-    return lambda run: [
-        (name, value)
-        for name, contact in _pressed(run).items()
-        if (value := number(contact, run)) is not None
-    ]
-
-
-def _rises(run: Evidence) -> Numbers:
-    """Return rise times over the designed one; a run that did not go on tells no `never`."""
-    rises = [
-        (name, rise)
-        for name, contact in _pressed(run).items()
-        for rise in contact['rises_s']
-    ]
-    return (
-        []
-        if run['stable'] is None and any(rise is None for _, rise in rises)
-        else [
-            (name, math.inf if rise is None else rise / run['designed_rise_s'])
-            for name, rise in rises
-        ]
-    )
-
-
-def _motion(name: str, scale: float) -> Callable[[Evidence], Numbers]:
-    return lambda run: (
-        [('', scale * run['motion'][name])]
-        if (run['motion'][name] is not None and run['ran_in_motion'])
-        else []
-    )
-
-
-def _moving_error(contact: Evidence, run: Evidence) -> float | None:
-    """Return the rms error in motion over the command, infinite where the contact is lost."""
-    moving = contact['moving']
-    if run['stable'] is None or run['stable'] and moving['rms_n'] is None:
-        return None
-    kept = run['stable'] and not moving['lost']
-    return float(moving['rms_n'] / moving['command_n']) if kept else math.inf
-
-
-def _static_error(contact: Evidence, run: Evidence) -> float | None:
-    """Return the mean error at rest over the command, infinite if the run is not stable."""
-    rest = contact['rest']
-    if run['stable'] is None or not rest['command_n']:
-        return None
-    return abs(rest['mean_n']) / rest['command_n'] if run['stable'] else math.inf
-
-
-def _ratio(value: float | None, base: float | None) -> float | None:
-    return value / base if value is not None and base else None
-
-
-def _unstable(*, in_motion: bool) -> Callable[[Evidence], Numbers]:
-    def measure(run: Evidence) -> Numbers:
-        if run['stable'] is None or run['stable'] and not run['ran_in_motion']:
-            return []
-        moved = (run['unstable_after_motion_s'] or -1.0) >= 0.0
-        return [('', float(not run['stable'] and (moved or not in_motion)))]
-
-    return measure
-
-
-def _recoveries(run: Evidence) -> Numbers:
-    """Return how long lasting pushes at rest take to be controlled out [s]."""
-    return [
-        (name, math.inf if answer['recovery'] is None else answer['recovery'])
-        for name, contact in _pressed(run).items()
-        for answer in contact['recoveries']
-        if not answer['moving'] and answer['duration'] >= metrics.LASTING
-    ]
+def _judge_statement(statement: Statement, runs: Runs) -> Claim:
+    numbers = statement.collect_numbers(runs)
+    measured = 'not measured by this run'
+    holds = None
+    if numbers:
+        measured = statement.describe_numbers(numbers)
+        holds = all(statement.low <= value <= statement.high for _, value in numbers)
+    why = f'{statement.what}: {statement.describe_bounds()}'
+    return Claim(statement.text, statement.paper, measured, holds, why)
 
 
 STATEMENTS = (
     Statement(
-        "Maybeck's innovation-based estimate of R is too sensitive to disturbances",
-        'sec. 4.2',
-        runs_with(MATCHED, MAYBECK),
-        of_contacts(
-            lambda contact, run: _ratio(
-                contact['variance_peak_n2'], contact['rest']['variance_n2']
-            )
-        ),
-        "rise of R at a push, over that with the paper's filter",
-        '{:.1f} x',
+        text="Maybeck's innovation-based estimate of R is too sensitive to disturbances",
+        paper='sec. 4.2',
+        select=select_study_runs,
+        estimators=(MATCHED_MAYBECK, MAYBECK),
+        measure=measure_variance_peak,
+        what="rise of R at a push, over that with the paper's filter",
+        form='{:.1f} x',
         low=5.0,
-        over=PAPER_ESTIMATOR,
+        relative_to=PAPER_ESTIMATOR,
     ),
     Statement(
-        'The contact forces follow their commands with the designed time constant',
-        'time constant 0.02 s (Figs 3, 4)',
-        the_run(),
-        _rises,
-        '63 % of a step, over the design',
-        '{:.2f} x',
-        SHORTEST_RISE,
-        LONGEST_RISE,
+        text='The contact forces follow their commands with the designed time constant',
+        paper='time constant 0.02 s (Figs 3, 4)',
+        measure=measure_rise,
+        what='63 % of a step, over the design',
+        form='{:.2f} x',
+        low=SHORTEST_RISE,
+        high=LONGEST_RISE,
     ),
     Statement(
-        'The motion is tracked',
-        'Fig. 5',
-        the_run(),
-        _motion('moving_position_rms_m', 1e3),
-        'rms error of the position in motion',
-        '{:.2f} mm',
+        text='The motion is tracked',
+        paper='Fig. 5',
+        measure=measure_motion_error,
+        what='rms error of the position in motion',
+        form='{:.2f} mm',
         high=1e3 * DESIGNED_MOTION_ERROR,
     ),
     Statement(
-        'The orientation stays fixed',
-        'Fig. 5',
-        the_run(),
-        _motion('orientation_max_rad', 1.0),
-        'largest error',
-        '{:.4f} rad',
+        text='The orientation stays fixed',
+        paper='Fig. 5',
+        measure=measure_orientation_error,
+        what='largest error',
+        form='{:.4f} rad',
         high=0.02,
     ),
     Statement(
-        'The noise variance is about 0.6 N² at rest',
-        '0.6 N² (Fig. 6)',
-        the_run(PAPER_ESTIMATOR),
-        of_contacts(lambda contact, run: contact['rest']['variance_n2']),
-        'median, for which the simulated noise is calibrated',
-        '{:.2f} N²',
-        0.3,
-        1.2,
+        text='The noise variance is about 0.6 N² at rest',
+        paper='0.6 N² (Fig. 6)',
+        estimators=(PAPER_ESTIMATOR,),
+        measure=measure_variance_at_rest,
+        what='median, for which the simulated noise is calibrated',
+        form='{:.2f} N²',
+        low=0.3,
+        high=1.2,
     ),
     Statement(
-        'It rises to about 100 N² when the arm moves',
-        '100 N² (Fig. 6)',
-        the_run(PAPER_ESTIMATOR),
-        of_contacts(lambda contact, run: contact['moving']['variance_n2']),
-        'median, for which the simulated roughness is calibrated',
-        '{:.2f} N²',
-        100.0 / 3.0,
-        300.0,
+        text='It rises to about 100 N² when the arm moves',
+        paper='100 N² (Fig. 6)',
+        estimators=(PAPER_ESTIMATOR,),
+        measure=measure_variance_in_motion,
+        what='median, for which the simulated roughness is calibrated',
+        form='{:.2f} N²',
+        low=100.0 / 3.0,
+        high=300.0,
     ),
     Statement(
-        'On-line estimation of R keeps the control working in motion',
-        'Figs 3-6',
-        the_run(PAPER_ESTIMATOR),
-        _unstable(in_motion=False),
-        'runs',
-        'unstable',
+        text='On-line estimation of R keeps the control working in motion',
+        paper='Figs 3-6',
+        estimators=(PAPER_ESTIMATOR,),
+        measure=count_unstable,
+        what='runs',
+        counted='unstable',
         high=0.0,
     ),
     Statement(
-        'The contact forces are not too affected by the motion',
-        'Figs 3, 4',
-        the_run(),
-        of_contacts(_moving_error),
-        'rms error in motion over the command, no contact lost',
-        '{:.1%}',
+        text='The contact forces are not too affected by the motion',
+        paper='Figs 3, 4',
+        measure=measure_error_in_motion,
+        what='rms error in motion over the command, no contact lost',
+        form='{:.1%}',
         high=0.2,
     ),
     Statement(
-        'Starting the motion disturbs both contact forces significantly',
-        'near 195, 205 and 217 s',
-        the_run(),
-        of_contacts(
-            lambda contact, run: _ratio(
-                contact['start_peak_n'] if run['ran_in_motion'] else None,
-                contact['rest']['std_n'],
-            )
-        ),
-        'largest error in the first 2 s over the standard deviation at rest',
-        '{:.1f} x',
+        text='Starting the motion disturbs both contact forces significantly',
+        paper='near 195, 205 and 217 s',
+        measure=measure_start_of_motion,
+        what='largest error in the first 2 s over the standard deviation at rest',
+        form='{:.1f} x',
         low=5.0,
     ),
     Statement(
-        'A stiffness that is not known exactly is compensated',
-        '6000 N/m for both, "not perfect"',
-        wrong_stiffness,
-        of_contacts(_static_error),
-        'mean error at rest over the command',
-        '{:.1%}',
+        text='A stiffness that is not known exactly is compensated',
+        paper='6000 N/m for both, "not perfect"',
+        select=select_mismatched_runs,
+        estimators=(PAPER_ESTIMATOR,),
+        measure=measure_error_at_rest,
+        what='mean error at rest over the command',
+        form='{:.1%}',
         high=0.02,
     ),
     Statement(
-        'It leaves the force dynamics as designed',
-        '6000 N/m for both, "not perfect"',
-        wrong_stiffness,
-        _rises,
-        '63 % of a step, over the design',
-        '{:.2f} x',
-        SHORTEST_RISE,
-        LONGEST_RISE,
+        text='It leaves the force dynamics as designed',
+        paper='6000 N/m for both, "not perfect"',
+        select=select_mismatched_runs,
+        estimators=(PAPER_ESTIMATOR,),
+        measure=measure_rise,
+        what='63 % of a step, over the design',
+        form='{:.2f} x',
+        low=SHORTEST_RISE,
+        high=LONGEST_RISE,
     ),
     Statement(
-        'Without on-line R the control works only at rest; motion makes it unstable',
-        'sec. 5.2',
-        runs_with(FIXED),
-        _unstable(in_motion=True),
-        'runs',
-        'unstable in motion',
+        text='Without on-line R the control works only at rest; motion makes it unstable',
+        paper='sec. 5.2',
+        select=select_study_runs,
+        estimators=(FIXED_VARIANCE,),
+        measure=count_unstable_in_motion,
+        what='runs',
+        counted='unstable in motion',
         low=1.0,
     ),
     Statement(
-        'Without the high-pass filter the system responds much slower to disturbances',
-        'sec. 5.2',
-        runs_with(UNFILTERED),
-        _recoveries,
-        'recovery from a lasting push, over that with the filter',
-        '{:.1f} x',
+        text='Without the high-pass filter the system responds much slower to disturbances',
+        paper='sec. 5.2',
+        select=select_study_runs,
+        estimators=(UNFILTERED,),
+        measure=measure_recovery,
+        what='recovery from a lasting push, over that with the filter',
+        form='{:.1f} x',
         low=2.0,
-        over=PAPER_ESTIMATOR,
+        relative_to=PAPER_ESTIMATOR,
     ),
 )

@@ -4,76 +4,110 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 from multicontact_control.errors import format_count
-from multicontact_control.judging.metrics import truth_lacking
-from multicontact_control.judging.verdict import (
+from multicontact_control.judging.metrics import describe_unknown_truth
+from multicontact_control.judging.run_modes import (
     EXTERNAL_RUN,
     LOCKSTEP,
-    NOT_STABLE,
     REAL_TIME,
     RECORDED,
+)
+from multicontact_control.judging.verdict import (
+    describe_verdict,
+    NOT_STABLE,
     SILENT,
     STABLE,
-    verdict_text,
 )
 from rich import progress
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-COLOURS = {STABLE: 'green', NOT_STABLE: 'red', SILENT: 'red'}
-# Of a contact: in a window of the run, or of its largest step and under load; label, and digits.
+VERDICT_COLOURS = {STABLE: 'green', NOT_STABLE: 'red', SILENT: 'red'}
+OTHER_COLOUR = 'yellow'  # of all other verdicts
+
+
+class ShownNumber(NamedTuple):
+    """A number of ``summary.json`` that is shown of each contact."""
+
+    key: str
+    label: str
+    digits: int
+    window: str = ''  # of the run that it is of; '': of its largest step, or under load
+
+
 NUMBERS = (
-    ('', 'step_rise_63_s', 'step rise 63 % [s]', 3),
-    ('', 'step_rise_over_design', 'rise over the design', 2),
-    ('', 'step_overshoot_percent', 'overshoot [%]', 0),
-    ('', 'step_settling_s', 'settling time [s]', 3),
-    ('', 'step_steady_error_n', 'steady-state error [N]', 2),
-    *(
-        (window, key, f'{window}: {label}', digits)
-        for window in ('rest', 'moving')
-        for key, label, digits in (
-            ('true_error_rms_n', 'true error rms [N]', 2),
-            ('measured_error_rms_n', 'measured error rms [N]', 2),
-            ('estimate_error_rms_n', 'estimate error rms [N]', 2),
-            ('noise_variance_median_n2', 'noise variance [N²]', 2),
-        )
-    ),
+    ShownNumber('step_rise_63_s', 'step rise 63 % [s]', 3),
+    ShownNumber('step_rise_over_design', 'rise over the design', 2),
+    ShownNumber('step_overshoot_percent', 'overshoot [%]', 0),
+    ShownNumber('step_settling_s', 'settling time [s]', 3),
+    ShownNumber('step_steady_error_n', 'steady-state error [N]', 2),
+    ShownNumber('true_error_rms_n', 'true error rms [N]', 2, 'rest'),
+    ShownNumber('measured_error_rms_n', 'measured error rms [N]', 2, 'rest'),
+    ShownNumber('estimate_error_rms_n', 'estimate error rms [N]', 2, 'rest'),
+    ShownNumber('noise_variance_median_n2', 'noise variance [N²]', 2, 'rest'),
+    ShownNumber('true_error_rms_n', 'true error rms [N]', 2, 'moving'),
+    ShownNumber('measured_error_rms_n', 'measured error rms [N]', 2, 'moving'),
+    ShownNumber('estimate_error_rms_n', 'estimate error rms [N]', 2, 'moving'),
+    ShownNumber('noise_variance_median_n2', 'noise variance [N²]', 2, 'moving'),
     # The controller knows what its sensor says, and that may be 0 N when the force is not.
-    ('', 'true_losses', 'contact lost [times]', 0),
-    ('', 'measured_losses', 'lost as measured [times]', 0),
-    ('', 'controller_losses', 'lost to the controller [times]', 0),
+    ShownNumber('true_losses', 'contact lost [times]', 0),
+    ShownNumber('measured_losses', 'lost as measured [times]', 0),
+    ShownNumber('controller_losses', 'lost to the controller [times]', 0),
 )
+ARM_NUMBERS = {
+    'moving_position_rms_m': 'motion error {:.5f} m rms',
+    'orientation_max_rad': 'orientation error {:.4f} rad at most',
+    'max_fraction_of_limit': 'torque {:.0%} of its limit at most',
+}
 
 # Takes the time into a run [s], the measured forces [N] by contact, and the real-time factor.
 ShowProgress = Callable[..., None]
 
 
-def moving_bar(
-    *columns: progress.ProgressColumn | str,
-    console: Console | None,
-    **options: Any,
+def make_progress_bar(
+    *columns: progress.ProgressColumn | str, console: Console | None, **options: Any
 ) -> progress.Progress:
-    """Return a bar of some columns, shown where text can move: not in a file or a pipe."""
+    """
+    Return a bar of some columns, shown where text can move: not in a file or a pipe.
+
+    `options` are those of `rich.progress.Progress`.
+    """
     console = console or Console()
-    lively = (
-        console.is_terminal and not console.is_dumb_terminal and not console.no_color
-    )
-    return progress.Progress(*columns, console=console, disable=not lively, **options)
+    is_plain = console.is_dumb_terminal or console.no_color
+    shown = console.is_terminal and not is_plain
+    return progress.Progress(*columns, console=console, disable=not shown, **options)
 
 
 @contextmanager
-def progress_bar(
-    title: str,
-    duration: float | None,
-    console: Console,
-    waiting: str = '',
+def show_progress(
+    title: str, duration: float | None, console: Console, waiting: str = ''
 ) -> Iterator[ShowProgress]:
-    """Show a bar with the live forces for the time of a run [s], `waiting` before samples come."""
+    """
+    Show a bar with the live forces for the time of a run.
+
+    Parameters
+    ----------
+    title
+        What runs.
+    duration
+        Of the run [s]; None if it has no end of its own.
+    console
+        Where to show it.
+    waiting
+        What is shown before the first sample.
+
+    Yields
+    ------
+    ShowProgress
+        A function to call with the time into the run [s], the forces [N] by contact, and the
+        real-time factor if that is known.
+
+    """
     end = '' if duration is None else f' / {duration:.1f}'
-    with moving_bar(
+    with make_progress_bar(
         '{task.description}',
         progress.BarColumn(),
         f'{{task.completed:5.1f}}{end} s',
@@ -89,18 +123,19 @@ def progress_bar(
             forces: Mapping[str, float],
             realtime_factor: float = 0.0,
         ) -> None:
-            text = '  '.join(f'{name} {force:5.1f} N' for name, force in forces.items())
+            texts = [f'{name} {force:5.1f} N' for name, force in forces.items()]
             if realtime_factor:
-                text += f'  {realtime_factor:.2f} x real time'
-            bar.update(task, completed=min(time, duration or time), forces=text)
+                texts.append(f'{realtime_factor:.2f} x real time')
+            completed = min(time, duration or time)
+            bar.update(task, completed=completed, forces='  '.join(texts))
 
         yield show
         bar.update(task, forces='')
 
 
-def count_bar(console: Console | None = None) -> progress.Progress:
+def make_count_bar(console: Console | None = None) -> progress.Progress:
     """Return the bar of a study: what is done, for how long, and how long it will take."""
-    return moving_bar(
+    return make_progress_bar(
         '{task.description}',
         progress.BarColumn(),
         progress.MofNCompleteColumn(),
@@ -113,46 +148,47 @@ def count_bar(console: Console | None = None) -> progress.Progress:
     )
 
 
-def headline(summary: Mapping[str, Any]) -> str:
-    """Return what a run was, and what its forces are, in one line."""
-    scenario, estimator = summary['scenario'], summary['noise_estimator']
-    if summary['mode'] in (EXTERNAL_RUN, RECORDED):
-        text = f'{scenario}, {estimator}, {summary["mode"]}'
-    else:
-        text = (
-            f'{scenario}, plant {summary["plant"]}, {estimator}, seed {summary["seed"]}, '
-            f'{summary["mode"]}'
-        )
-    unknown = truth_lacking(summary['without_truth'], summary['contacts'])
-    return text + (f', {unknown}: forces as measured' if unknown else '')
+def describe_run(summary: Mapping[str, Any]) -> str:
+    """Return what a run was, and what its forces are, in one line from its ``summary.json``."""
+    parts = [summary['scenario']]
+    simulated = summary['mode'] not in (EXTERNAL_RUN, RECORDED)
+    if simulated:
+        parts.append(f'plant {summary["plant"]}')
+    parts.append(summary['noise_estimator'])
+    if simulated:
+        parts.append(f'seed {summary["seed"]}')
+    parts.append(summary['mode'])
+    unknown = describe_unknown_truth(summary['without_truth'], summary['contacts'])
+    if unknown:
+        parts.append(f'{unknown}: forces as measured')
+    return ', '.join(parts)
 
 
-def summary_rows(summary: Mapping[str, Any]) -> list[list[str]]:
-    """Return the numbers of the contacts with their labels, as far as they are known."""
-    rows = [
-        [
-            label,
-            *(
-                _number((contact[window] if window else contact).get(key), digits)
-                for contact in summary['contacts'].values()
-            ),
-        ]
-        for window, key, label, digits in NUMBERS
-    ]
-    return [row for row in rows if {*row[1:]} != {'-'}]
+def list_summary_rows(summary: Mapping[str, Any]) -> list[list[str]]:
+    """Return rows of a label and the numbers of the contacts, without rows of unknown ones."""
+    rows = []
+    for number in NUMBERS:
+        label = f'{number.window}: {number.label}' if number.window else number.label
+        texts = []
+        for contact in summary['contacts'].values():
+            numbers = contact[number.window] if number.window else contact
+            texts.append(_describe_number(numbers.get(number.key), number.digits))
+        if set(texts) != {'-'}:
+            rows.append([label, *texts])
+    return rows
 
 
 def print_summary(console: Console, summary: Mapping[str, Any], folder: object) -> None:
     """Print what a run was, its numbers as far as they are known, verdict, and where it is."""
-    console.print(headline(summary), markup=False)
+    console.print(describe_run(summary), markup=False)
     table = Table('')
     for name in summary['contacts']:
         table.add_column(name, justify='right')
-    for row in summary_rows(summary):
+    for row in list_summary_rows(summary):
         table.add_row(*map(escape, row))
     if table.row_count:
         console.print(table)
-    for line in verdict_lines(summary, folder):
+    for line in list_verdict_lines(summary, folder):
         console.print(line)
     if summary['claims']:
         print_claims(console, summary['claims'])
@@ -163,9 +199,9 @@ def print_claims(console: Console, claims: Sequence[Mapping[str, Any]]) -> None:
     judged = [claim for claim in claims if claim['holds'] is not None]
     table = Table('claim of the paper', 'measured', 'expected', '', show_lines=True)
     for claim in judged:
-        verdict = (
-            '[green]holds[/green]' if claim['holds'] else '[yellow]differs[/yellow]'
-        )
+        verdict = '[yellow]differs[/yellow]'
+        if claim['holds']:
+            verdict = '[green]holds[/green]'
         said = f'{claim["claim"]} ({claim["paper"]})'
         table.add_row(*map(escape, (said, claim['measured'], claim['why'])), verdict)
     if judged:
@@ -179,52 +215,66 @@ def print_claims(console: Console, claims: Sequence[Mapping[str, Any]]) -> None:
         )
 
 
-def arm_line(summary: Mapping[str, Any]) -> str:
+def describe_arm(summary: Mapping[str, Any]) -> str:
     """Return motion errors and torque of a run, as far as they are known, in one line."""
     numbers = summary['motion'] | summary['torque']
-    return ', '.join(
-        text.format(numbers[name])
-        for name, text in (
-            ('moving_position_rms_m', 'motion error {:.5f} m rms'),
-            ('orientation_max_rad', 'orientation error {:.4f} rad at most'),
-            ('max_fraction_of_limit', 'torque {:.0%} of its limit at most'),
-        )
-        if numbers[name] is not None
-    )
+    texts = []
+    for name, form in ARM_NUMBERS.items():
+        if numbers[name] is not None:
+            texts.append(form.format(numbers[name]))
+    return ', '.join(texts)
 
 
-def verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
-    """Return the lines below the table: motion, torque, verdict, warnings, where results are."""
-    timing, text = summary['timing'], verdict_text(summary)
-    colour = COLOURS.get(summary['verdict'], 'yellow')
-    lines = [
-        arm_line(summary),
-        f'[{colour}]{escape(text)}[/{colour}] (judged: {escape(summary["judged"])})',
-    ]
+def list_verdict_lines(summary: Mapping[str, Any], folder: object) -> list[str]:
+    """
+    Return the lines below the table, with markup.
+
+    They are motion and torque, the verdict with its quality, timing, warnings, and where the
+    results are: `folder`.
+    """
+    colour = VERDICT_COLOURS.get(summary['verdict'], OTHER_COLOUR)
+    verdict = _mark_up(describe_verdict(summary), colour)
+    lines = [describe_arm(summary), f'{verdict} (judged: {escape(summary["judged"])})']
     if summary['quality']:
         lines.append(escape(summary['quality']))
+    lines += _list_timing_lines(summary)
+    for remark in summary.get('remarks', ()):
+        lines.append(_mark_up(remark, OTHER_COLOUR))
+    path = escape(str(folder))
+    lines.append(f'results in {path}')
+    lines.append(f'replay: multicontact view {path}')
+    return lines
+
+
+def _list_timing_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return how a graph kept up with its rate, and what messages were lost."""
+    timing = summary['timing']
+    lines = []
     if summary['mode'] == REAL_TIME:
-        p99 = (timing['latency_us'] or {}).get('p99')
+        latency = timing['latency_us'] or {}
+        p99 = _describe_number(latency.get('p99'), 0)
         lines.append(
             f'free-running: {timing["deadline_misses"]} of {summary["ticks"]} deadlines '
-            f'missed, latency p99 {_number(p99, 0)} us'
+            f'missed, latency p99 {p99} us'
         )
-    elif timing.get('realtime_factor') and summary['mode'] == LOCKSTEP:
+    elif summary['mode'] == LOCKSTEP and timing.get('realtime_factor'):
         lines.append(f'{timing["realtime_factor"]:.2f} times real time')
-    for name, what, event in (
-        ('unanswered_samples', 'samples', 'not answered'),
-        ('lost_messages', 'messages', 'lost'),
-    ):
-        if timing.get(name):
-            lines.append(
-                f'[yellow]warning: {format_count(timing[name], what)} {event}[/yellow]'
-            )
-    lines += [f'[yellow]{escape(text)}[/yellow]' for text in summary.get('remarks', ())]
-    path = escape(str(folder))
-    return [*lines, f'results in {path}', f'replay: multicontact view {path}']
+    unanswered = timing.get('unanswered_samples')
+    if unanswered:
+        text = f'warning: {format_count(unanswered, "samples")} not answered'
+        lines.append(_mark_up(text, OTHER_COLOUR))
+    lost = timing.get('lost_messages')
+    if lost:
+        text = f'warning: {format_count(lost, "messages")} lost'
+        lines.append(_mark_up(text, OTHER_COLOUR))
+    return lines
 
 
-def _number(value: float | None, digits: int) -> str:
+def _mark_up(text: str, colour: str) -> str:
+    return f'[{colour}]{escape(text)}[/{colour}]'
+
+
+def _describe_number(value: float | None, digits: int) -> str:
     if value is None:
         return '-'
     rounded = round(value, digits) + 0.0  # which leaves no minus before a zero

@@ -13,24 +13,27 @@ from multicontact_control.compiled import count_compilations
 from multicontact_control.config import validate
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.files import replace_json_file, replace_nonfinite_numbers
-from multicontact_control.judging import results
-from multicontact_control.judging.claims import claims_of
-from multicontact_control.judging.display import print_summary, progress_bar
-from multicontact_control.judging.figures import draw_figures
-from multicontact_control.judging.verdict import (
+from multicontact_control.judging.claims import judge_claims_of_run
+from multicontact_control.judging.display import print_summary, show_progress
+from multicontact_control.judging.figure_files import draw_figures
+from multicontact_control.judging.metrics import RunMetrics
+from multicontact_control.judging.run_folders import (
+    CONFIG_FOLDER,
+    FIGURE_FOLDER,
+    SUMMARY_FILE,
+)
+from multicontact_control.judging.run_modes import (
     EXTERNAL_RUN,
+    IN_PROCESS,
     INTERRUPTED,
     LOCKSTEP,
     REAL_TIME,
 )
+from multicontact_control.judging.run_summary import summarise_run
 from multicontact_control.runs.closed_loop import run_in_process
 from multicontact_control.runs.compilation import ensure_compiled
 from multicontact_control.runs.recording import BagContent, read_bag, RunData
-from multicontact_control.runs.scenario import (
-    flatten_parameters,
-    Setup,
-    SHORTEST,
-)
+from multicontact_control.runs.scenario import flatten_parameters, Setup, SHORTEST
 from rich.console import Console
 from rich.markup import escape
 
@@ -38,58 +41,57 @@ if TYPE_CHECKING:
     from multicontact_control.runs.graph.run import GraphResult
     from multicontact_control.runs.graph.spec import GraphSpec
 
-# Periods: a robot moves on while its samples are late, the simulated one has stood still, and a
-# busy machine is no fault of its sensors.
+# Periods without a sample that are still no gap. A robot moves on while its samples are late; the
+# simulated one has stood still, and a busy machine is no fault of its sensors.
 SIMULATION_PATIENCE = 25.0
+SIMULATOR_TIMING = ('deadline_misses', 'latency_us', 'latency_histogram')
 Ending = tuple[dict[str, Any] | None, int | None]  # a summary, and a signal
 CONSOLE = Console(highlight=False, soft_wrap=True)
 
 
-def run_simulate(
+def simulate_run(
     setup: Setup, folder: Path, *, supervised: bool = True
 ) -> dict[str, Any]:
     """
     Run a scenario in this process, leave its results in a folder, and return its summary.
 
     Without supervision there are no contact states, watchdogs and limits around the control law.
+    Raises ConfigError if the scenario asks for a push test, RunError if it ends at once.
     """
     refuse_push_test(setup)
     ensure_compiled()
-    setup.write(folder / results.CONFIG_FOLDER)
-    with progress_bar(
-        f'simulate {setup.scenario.name}', setup.scenario.duration, CONSOLE
-    ) as show:
+    setup.write(folder / CONFIG_FOLDER)
+    names = setup.controller.contact_names
+    duration = setup.scenario.duration
+    title = f'simulate {setup.scenario.name}'
+    with show_progress(title, duration, CONSOLE) as show:
         result = run_in_process(
             setup,
-            lambda time, alpha: show(
-                time, dict(zip(setup.controller.contact_names, alpha))
-            ),
+            lambda time, alpha: show(time, dict(zip(names, alpha))),
             supervised=supervised,
         )
-        show(setup.scenario.duration, {})
+        show(duration, {})
     if not result.data.ticks:
         raise RunError(f'the run ended at once: {result.ended_early}')
     result.data.save(folder)
-    summary = results.summarise(
+    summary = summarise_run(
         result.data,
         setup,
-        mode='in_process',
+        mode=IN_PROCESS,
         timing={'kernels_compiled': count_compilations()},
         ended_early=result.ended_early,
         events=result.events if supervised else None,
     )
-    return _finish(result.data, setup, folder, summary)
+    return _leave_results(result.data, setup, folder, summary)
 
 
 def simulation_parameters(setup: Setup) -> dict[str, dict[str, Any]]:
-    """Return the parameters of the nodes of a simulated graph that belong to no file."""
+    """Return the parameters of the nodes of a simulated graph that belong to no file, by node."""
     from multicontact_control.runs.graph.spec import CONTROLLER, ESTIMATOR, SIM
 
+    controller = setup.node_parameters('controller')
     return {
-        CONTROLLER: {
-            'patience': SIMULATION_PATIENCE,
-            **setup.node_parameters('controller'),
-        },
+        CONTROLLER: {'patience': SIMULATION_PATIENCE, **controller},
         ESTIMATOR: setup.node_parameters('noise_estimator'),
         SIM: setup.node_parameters('plant'),
     }
@@ -105,17 +107,37 @@ def run_on_graph(
     """
     Run a scenario, or commands, on the ROS 2 graph, and leave recording and results in a folder.
 
-    A setup that is `endless` is ended by a signal; where it is not `simulated`, the user's own
-    robot is behind the topics. `options` are fields of `GraphSpec`. Returns the summary, None if
-    no sample was answered or a Ctrl-C skipped the report, and the signal that ended the run early,
-    if one did. Raises ConfigError if the scenario cannot begin by itself or a parameter of the
-    node is not acceptable, RunError if ROS cannot be loaded or a node dies.
+    Parameters
+    ----------
+    setup
+        What to run, and with what; a signal ends the run if it is `endless`. Where it is not
+        `simulated`, the user's own robot is behind the topics.
+    folder
+        Where to leave the results.
+    supervised
+        Whether the supervisor surrounds the control law.
+    options
+        Fields of `GraphSpec`.
+
+    Returns
+    -------
+    summary, signal
+        The summary, None if no sample was answered or a Ctrl-C skipped the report; and the signal
+        that ended the run early, if one did.
+
+    Raises
+    ------
+    ConfigError
+        If the scenario cannot begin by itself or a parameter of the node is not acceptable.
+    RunError
+        If ROS cannot be loaded or a node dies.
+
     """
     from multicontact_control.nodes.controller_node import ControllerNodeConfig
     from multicontact_control.runs.graph.robot import ExpectedRobot
     from multicontact_control.runs.graph.spec import CONTROLLER, GraphSpec
 
-    config = folder / results.CONFIG_FOLDER
+    config = folder / CONFIG_FOLDER
     if setup.simulated or not setup.commanded_by_topic:
         refuse_push_test(setup)
     parameters = simulation_parameters(setup)
@@ -123,15 +145,13 @@ def run_on_graph(
         of_node = setup.nodes.get('controller', {})
         parameters[CONTROLLER] = flatten_parameters(of_node)
         node = validate(ControllerNodeConfig, of_node, 'controller_node')
-        options |= {
-            'domain_id': options.get('domain_id') or 0,
-            'robot': ExpectedRobot(
-                setup.controller.robot.joint_names,
-                setup.controller.wrench_input,
-                node.effort_output_topic,
-                duration=None if setup.endless else setup.scenario.duration,
-            ),
-        }
+        options['domain_id'] = options.get('domain_id') or 0
+        options['robot'] = ExpectedRobot(
+            setup.controller.robot.joint_names,
+            setup.controller.wrench_input,
+            node.effort_output_topic,
+            duration=None if setup.endless else setup.scenario.duration,
+        )
     parameters[CONTROLLER]['supervised'] = supervised
     ensure_compiled()
     spec = GraphSpec(
@@ -144,12 +164,12 @@ def run_on_graph(
         extra_parameters=parameters,
         **options,
     )
-    result = _show_graph(spec, setup)
+    result = _run_graph_with_progress(spec, setup)
     if not result.controlled:
         CONSOLE.print(
             'ended before any sample was answered: there is nothing to report'
         )
-        return None, next(iter(result.signals), None)
+        return None, result.signals[0] if result.signals else None
     try:
         if len(result.signals) > 1:
             raise KeyboardInterrupt
@@ -172,42 +192,47 @@ def _report_graph(result: GraphResult, spec: GraphSpec, setup: Setup) -> Ending:
         answered=spec.robot is not None,
     )
     data = content.data
-    interrupted = result.signals[0] if result.signals and spec.ticks else None
-    if not spec.ticks:  # it lasts as long as it has, in the files, too
-        setup = replace(
-            setup,
-            scenario=setup.scenario.model_copy(
-                update={'duration': max(SHORTEST, data.ticks / data.rate)}
-            ),
-        )
-        setup.write(spec.out / results.CONFIG_FOLDER)
-    mode = (
-        EXTERNAL_RUN if spec.robot else (REAL_TIME if spec.free_running else LOCKSTEP)
-    )
-    summary = results.summarise(
+    interrupted = None
+    if spec.ticks:
+        interrupted = result.signals[0] if result.signals else None
+    else:  # it lasts as long as it has, in the files, too
+        duration = max(SHORTEST, data.ticks / data.rate)
+        scenario = setup.scenario.model_copy(update={'duration': duration})
+        setup = replace(setup, scenario=scenario)
+        setup.write(spec.out / CONFIG_FOLDER)
+    if spec.robot:
+        mode = EXTERNAL_RUN
+    elif spec.free_running:
+        mode = REAL_TIME
+    else:
+        mode = LOCKSTEP
+    ended_early = result.ended
+    if interrupted and not ended_early:
+        ended_early = INTERRUPTED
+    events = None
+    if spec.extra_parameters[CONTROLLER]['supervised']:
+        events = result.timing[CONTROLLER].get('events', [])
+    summary = summarise_run(
         data,
         setup,
         mode=mode,
-        timing=graph_timing(result.timing, content),
-        ended_early=result.ended or (INTERRUPTED if interrupted else ''),
-        events=result.timing[CONTROLLER].get('events', [])
-        if (spec.extra_parameters[CONTROLLER]['supervised'])
-        else None,
+        timing=_collect_timing(result.timing, content),
+        ended_early=ended_early,
+        events=events,
         missing=content.missing,
         remarks=content.remarks,
     )
-    return _finish(data, setup, spec.out, summary), interrupted
+    return _leave_results(data, setup, spec.out, summary), interrupted
 
 
-def _show_graph(spec: GraphSpec, setup: Setup) -> GraphResult:
+def _run_graph_with_progress(spec: GraphSpec, setup: Setup) -> GraphResult:
     """Run the graph and show how far it is."""
     from multicontact_control.runs.graph.run import run_graph
 
     tell = partial(CONSOLE.print, markup=False)
     duration = setup.scenario.duration if spec.ticks else None
-    with progress_bar(
-        f'run {setup.scenario.name}', duration, CONSOLE, 'starting the nodes'
-    ) as show:
+    title = f'run {setup.scenario.name}'
+    with show_progress(title, duration, CONSOLE, 'starting the nodes') as show:
         result = run_graph(spec, lambda progress: show(*progress), tell)
         if duration is not None and not result.signals:
             show(duration, {})
@@ -226,37 +251,35 @@ def refuse_push_test(setup: Setup) -> None:
         )
 
 
-def graph_timing(
-    timing: Mapping[str, Mapping[str, Any]],
-    content: BagContent,
+def _collect_timing(
+    timing: Mapping[str, Mapping[str, Any]], content: BagContent
 ) -> dict[str, Any]:
     """Return the `timing` of ``summary.json`` from what the nodes and the bag say."""
-    sim, data = timing.get('sim_node', {}), content.data
+    compiled = [node.get('kernels_compiled', 0) for node in timing.values()]
     result = {
         'lost_messages': timing.get('recorder_node', {}).get('lost'),
         'unanswered_samples': content.unanswered,
-        'kernels_compiled': sum(
-            node.get('kernels_compiled', 0) for node in timing.values()
-        ),
+        'kernels_compiled': sum(compiled),
         'tick_us': timing.get('controller_node', {}).get('tick_us'),
     }
-    if sim:
-        result |= {
-            name: sim[name]
-            for name in ('deadline_misses', 'latency_us', 'latency_histogram')
-        }
-        result['realtime_factor'] = (
-            data.ticks / data.rate / sim['wall_s'] if (sim['wall_s']) else None
-        )
+    simulator = timing.get('sim_node')
+    if simulator:
+        for name in SIMULATOR_TIMING:
+            result[name] = simulator[name]
+        result['realtime_factor'] = None
+        if simulator['wall_s']:
+            duration = content.data.ticks / content.data.rate
+            result['realtime_factor'] = duration / simulator['wall_s']
     return result
 
 
-def _finish(
+def _leave_results(
     data: RunData, setup: Setup, folder: Path, summary: dict[str, Any]
 ) -> dict[str, Any]:
-    """Judge the claims, write figures and summary, show the table."""
-    summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
-    draw_figures(data, setup, summary, folder / results.FIGURE_FOLDER)
-    replace_json_file(folder / results.SUMMARY_FILE, replace_nonfinite_numbers(summary))
+    """Judge the claims, write figures and summary, show the table; return the summary."""
+    claims = judge_claims_of_run(data, setup, summary)
+    summary['claims'] = [claim._asdict() for claim in claims]
+    draw_figures(RunMetrics(data, setup), summary, folder / FIGURE_FOLDER)
+    replace_json_file(folder / SUMMARY_FILE, replace_nonfinite_numbers(summary))
     print_summary(CONSOLE, summary, folder)
     return summary

@@ -9,21 +9,28 @@ from pathlib import Path
 from typing import Any
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.judging import figures, page
-from multicontact_control.judging.claims import Claim, claims_of
+from multicontact_control.judging import page
+from multicontact_control.judging.claims import judge_claims_of_run
 from multicontact_control.judging.display import (
-    arm_line,
-    COLOURS,
-    headline,
-    summary_rows,
+    describe_arm,
+    describe_run,
+    list_summary_rows,
+    OTHER_COLOUR,
+    VERDICT_COLOURS,
 )
-from multicontact_control.judging.figures import FORMATS
-from multicontact_control.judging.results import (
-    FIGURE_FOLDER,
-    LoadedRun,
-    REPORT_FILE,
+from multicontact_control.judging.figure_files import (
+    draw_figures,
+    draw_side_by_side,
+    FIGURE_FORMATS,
 )
-from multicontact_control.judging.verdict import verdict_text
+from multicontact_control.judging.metrics import RunMetrics
+from multicontact_control.judging.results import LoadedRun
+from multicontact_control.judging.run_figures import (
+    describe_figures,
+    list_shaded_spans,
+)
+from multicontact_control.judging.run_folders import FIGURE_FOLDER, REPORT_FILE
+from multicontact_control.judging.verdict import describe_verdict
 import yaml
 
 
@@ -31,10 +38,27 @@ def write_report(
     runs: Sequence[LoadedRun], out: Path, *, claims: bool = False
 ) -> list[Path]:
     """
-    Write ``report.html`` and ``figures/`` of at least one run into a folder and return the files.
+    Write ``report.html`` and ``figures/`` of runs into a folder.
 
-    The page comes first. The paper's claims are judged by runs of its scenario, with `claims` by
-    all. Raises ConfigError if the folder cannot be made.
+    Parameters
+    ----------
+    runs
+        At least one.
+    out
+        The folder, which is made if it does not exist.
+    claims
+        Whether the paper's claims are judged by all runs, and not only by those of its scenario.
+
+    Returns
+    -------
+    list of Path
+        The files, the page first.
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be made.
+
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -42,122 +66,126 @@ def write_report(
         raise ConfigError(
             'out', 'a folder that can be made', f'{out} ({error.strerror})'
         ) from None
-    paths, parts = [], []
-    folders = [run.folder.resolve() for run in runs]
-    common = os.path.commonpath([folder.parent for folder in folders])
-    names = [folder.relative_to(common).as_posix() for folder in folders]
-    for number, (name, run) in enumerate(zip(names, runs)):
-        paths += figures.draw_figures(
-            run.data,
-            run.setup,
-            run.summary,
-            out / FIGURE_FOLDER / (name if len(runs) > 1 else ''),
-            FORMATS,
-        )
-        if len(runs) > 1:
-            parts.append(f'<h2>{escape(name)}: {escape(headline(run.summary))}</h2>')
-        parts += _run_section(
-            run, number, claims_of(run.data, run.setup, run.summary, asked=claims)
-        )
+    figures = out / FIGURE_FOLDER
+    names = _name_runs(runs)
+    metrics = [RunMetrics(run.data, run.setup) for run in runs]
+    paths = []
+    parts = []
+    title = describe_run(runs[0].summary)
     if len(runs) > 1:
-        drawn = figures.draw_side_by_side(
-            [(name, run.data, run.setup) for name, run in zip(names, runs)],
-            out / FIGURE_FOLDER,
-            FORMATS,
-        )
-        paths += drawn
-        parts[:0] = [
-            _comparison(names, [run.summary for run in runs]),
-            page.image(drawn[0], 'forces of the runs'),
-        ]
+        title = f'{len(runs)} runs: {", ".join(names)}'
+        paths += draw_side_by_side(names, metrics, figures, FIGURE_FORMATS)
+        parts.append(_compare_runs(names, [run.summary for run in runs]))
+        parts.append(page.render_image(paths[0], 'forces of the runs'))
+    for number, run in enumerate(runs):
+        folder = figures
+        if len(runs) > 1:
+            folder = figures / names[number]
+            heading = f'{escape(names[number])}: {escape(describe_run(run.summary))}'
+            parts.append(f'<h2>{heading}</h2>')
+        paths += draw_figures(metrics[number], run.summary, folder, FIGURE_FORMATS)
+        parts += _render_run(run, metrics[number], f'run{number}', claims=claims)
     report = out / REPORT_FILE
-    page.write_page(
-        report,
-        headline(runs[0].summary)
-        if len(runs) == 1
-        else f'{len(runs)} runs: {", ".join(names)}',
-        '\n'.join(parts),
-    )
+    page.write_page(report, title, '\n'.join(parts))
     return [report, *paths]
 
 
-def _run_section(run: LoadedRun, number: int, claims: Sequence[Claim]) -> list[str]:
-    setup, summary = run.setup, run.summary
-    about = '' if setup.commanded_by_topic else setup.scenario.description
-    return [
-        f'<p class=note>{escape(about)}</p>',
-        f'<p class="verdict {COLOURS.get(summary["verdict"], "yellow")}">'
-        f'<b>{escape(verdict_text(summary))}</b></p>'
+def _name_runs(runs: Sequence[LoadedRun]) -> list[str]:
+    """Return the paths of the runs from the folder that they have in common."""
+    folders = [run.folder.resolve() for run in runs]
+    common = os.path.commonpath([folder.parent for folder in folders])
+    return [folder.relative_to(common).as_posix() for folder in folders]
+
+
+def _render_run(
+    run: LoadedRun, metrics: RunMetrics, prefix: str, *, claims: bool
+) -> list[str]:
+    """Return the parts of the page that are about one run; `prefix` is that of its figures."""
+    setup = run.setup
+    summary = run.summary
+    description = '' if setup.commanded_by_topic else setup.scenario.description
+    colour = VERDICT_COLOURS.get(summary['verdict'], OTHER_COLOUR)
+    parts = [
+        f'<p class=note>{escape(description)}</p>',
+        f'<p class="verdict {colour}"><b>{escape(describe_verdict(summary))}</b></p>'
         f'<p class=note>Judged: {escape(summary["judged"])}.</p>',
         f'<p>{escape(summary.get("quality", ""))}</p>',
-        *(f'<p class=note>{escape(text)}</p>' for text in summary.get('remarks', ())),
-        _numbers(summary),
-        figures.interactive_figures(run.data, setup, number),
-        page.HELP,
-        '<h3>Claims of the paper</h3>' + page.claims_table({'measured': claims})
-        if claims
-        else '',
-        page.folded(
-            'Timing',
-            _yaml(
-                {
-                    name: value
-                    for name, value in summary['timing'].items()
-                    if name != 'latency_histogram'
-                }
-            ),
-        ),
-        _configuration(run),
     ]
+    for remark in summary.get('remarks', ()):
+        parts.append(f'<p class=note>{escape(remark)}</p>')
+    parts.append(_render_numbers(summary))
+    parts.append(render_figures(metrics, prefix))
+    parts.append(page.HELP)
+    judged = judge_claims_of_run(run.data, setup, summary, any_scenario=claims)
+    if judged:
+        table = page.render_claims({'measured': judged})
+        parts.append(f'<h3>Claims of the paper</h3>{table}')
+    timing = {**summary['timing']}
+    timing.pop('latency_histogram', None)
+    parts.append(page.render_details('Timing', _render_yaml(timing)))
+    parts.append(_render_configuration(run))
+    return parts
 
 
-def _numbers(summary: Mapping[str, Any]) -> str:
+def render_figures(run: RunMetrics, prefix: str) -> str:
+    """Return the figures of a run, whose names on the page begin with a prefix."""
+    shaded = list_shaded_spans(run)
+    parts = []
+    for figure in describe_figures(run):
+        name = f'{prefix}-{figure.file}'
+        parts.append(page.render_figure(name, figure, run.data.time, shaded))
+    return '\n'.join(parts)
+
+
+def _render_numbers(summary: Mapping[str, Any]) -> str:
     """Return the numbers of the contacts and of the arm, as far as they are known."""
-    rows = [list(map(escape, row)) for row in summary_rows(summary)]
-    table = page.table(('', *map(escape, summary['contacts'])), rows) if rows else ''
-    return f'{table}<p>{arm_line(summary)}</p>'
+    rows = [list(map(escape, row)) for row in list_summary_rows(summary)]
+    table = ''
+    if rows:
+        table = page.render_table(('', *map(escape, summary['contacts'])), rows)
+    return f'{table}<p>{describe_arm(summary)}</p>'
 
 
-def _comparison(names: Sequence[str], summaries: Sequence[Mapping[str, Any]]) -> str:
+def _compare_runs(names: Sequence[str], summaries: Sequence[Mapping[str, Any]]) -> str:
     """Return a table of the runs with a column for each: verdict, contacts and arm."""
-    tables = [_numbers_by_contact(summary) for summary in summaries]
-    labels = dict.fromkeys(label for numbers in tables for label in numbers)
-    contacts = list(dict.fromkeys(contact for contact, _ in labels))
+    columns = [_list_numbers(summary) for summary in summaries]
+    labels: dict[str, dict[str, None]] = {}  # of each contact, of any run, in order
+    for numbers in columns:
+        for contact, label in numbers:
+            labels.setdefault(contact, {})[label] = None
     rows = [['verdict', *(escape(summary['verdict']) for summary in summaries)]]
-    for contact, label in sorted(labels, key=lambda each: contacts.index(each[0])):
-        rows.append(
-            [
-                escape(f'{contact}: {label}'),
-                *(escape(numbers.get((contact, label), '-')) for numbers in tables),
-            ]
-        )
-    rows.append(
-        ['arm', *(arm_line(summary).replace(', ', '<br>') for summary in summaries)]
-    )
-    return page.table(('', *map(escape, names)), rows)
+    for contact, labels_of_contact in labels.items():
+        for label in labels_of_contact:
+            cells = [numbers.get((contact, label), '-') for numbers in columns]
+            rows.append([*map(escape, (f'{contact}: {label}', *cells))])
+    arms = [describe_arm(summary).replace(', ', '<br>') for summary in summaries]
+    rows.append(['arm', *arms])
+    return page.render_table(('', *map(escape, names)), rows)
 
 
-def _numbers_by_contact(summary: Mapping[str, Any]) -> dict[tuple[str, str], str]:
+def _list_numbers(summary: Mapping[str, Any]) -> dict[tuple[str, str], str]:
     """Return the numbers of a run by contact and label."""
-    return {
-        (contact, label): value
-        for label, *values in summary_rows(summary)
-        for contact, value in zip(summary['contacts'], values)
-    }
+    numbers = {}
+    for label, *values in list_summary_rows(summary):
+        for contact, value in zip(summary['contacts'], values):
+            numbers[contact, label] = value
+    return numbers
 
 
-def _configuration(run: LoadedRun) -> str:
-    if not run.setup.controller.contacts:
+def _render_configuration(run: LoadedRun) -> str:
+    setup = run.setup
+    if not setup.controller.contacts:
         return '<p class=note>Not known: <code>--controller</code> takes the parameter file.</p>'
-    names = ('scenario', 'controller', 'noise_estimator', 'plant')
-    return page.folded(
-        'Configuration',
-        ''.join(
-            page.folded(name, _yaml(getattr(run.setup, name).model_dump(mode='json')))
-            for name in (names if run.setup.simulated else names[:2])
-        ),
-    )
+    sections = {'scenario': setup.scenario, 'controller': setup.controller}
+    if setup.simulated:
+        sections['noise_estimator'] = setup.noise_estimator
+        sections['plant'] = setup.plant
+    parts = []
+    for name, section in sections.items():
+        values = _render_yaml(section.model_dump(mode='json'))
+        parts.append(page.render_details(name, values))
+    return page.render_details('Configuration', ''.join(parts))
 
 
-def _yaml(values: Mapping[str, Any]) -> str:
+def _render_yaml(values: Mapping[str, Any]) -> str:
     return f'<pre>{escape(yaml.safe_dump(dict(values), sort_keys=False))}</pre>'

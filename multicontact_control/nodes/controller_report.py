@@ -10,7 +10,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from multicontact_control.config import ControllerConfig
-from multicontact_control.contact.geometry import misread_friction
+from multicontact_control.contact.geometry import find_misread_friction
 from multicontact_control.contact.resolution import resolutions, SPREAD
 from multicontact_control.control.controller import ControlOutput
 from multicontact_control.loop import ControlLoop
@@ -30,7 +30,12 @@ from multicontact_control.nodes.messages import (
     STATE,
 )
 from multicontact_control.sampling import NANOSECONDS, SampleTiming
-from multicontact_control.supervision.contacts import GIVEN_UP, LOST, NAMES, RETRACTING
+from multicontact_control.supervision.contacts import (
+    GIVEN_UP,
+    LOST,
+    RETRACTING,
+    STATE_NAMES,
+)
 from multicontact_control.supervision.reactions import INFLATE, NONE, SEVERITY
 from multicontact_control.supervision.report import SupervisorStatus
 from rclpy.serialization import serialize_message
@@ -40,7 +45,7 @@ STATE_INTERVAL = 20_000_000  # ns, between two messages on a state that changes
 ANSWER_INTERVAL = (
     100_000_000  # ns, between two equal answers: motions come at the control rate
 )
-TROUBLED = tuple(NAMES[code] for code in (LOST, RETRACTING, GIVEN_UP))
+TROUBLED = tuple(STATE_NAMES[code] for code in (LOST, RETRACTING, GIVEN_UP))
 # Samples from which on a rate is known, and the factor from which on it is a wrong one.
 FEWEST, WRONG_RATE = 10, 1.3
 QUIET = SupervisorStatus(NONE)  # before the first sample, and bare
@@ -140,7 +145,7 @@ class ControllerReport:
                 f'{now[:2]}{bool(now[2])}', self._reaction() or 'control goes on'
             )
         for name, state in zip(loop.config.contact_names, status.contact_states):
-            if state == NAMES[GIVEN_UP] and status.contact_states != before[5]:
+            if state == STATE_NAMES[GIVEN_UP] and status.contact_states != before[5]:
                 self._warn(
                     f'given up {name}',
                     f'{name}: given up, until it is commanded or '
@@ -359,9 +364,9 @@ class ControllerReport:
                 **{
                     f'{what} {name}': count
                     for what, counts in (
-                        ('ticks with', log.reactions),
-                        ('rejected', log.rejected),
-                        ('limited', log.limited),
+                        ('ticks with', log.reaction_counts),
+                        ('rejected', log.rejected_counts),
+                        ('limited', log.limit_counts),
                     )
                     for name, count in counts.items()
                     if name != NONE
@@ -453,7 +458,7 @@ def _hard_to_read(config: ControllerConfig, output: ControlOutput) -> list[str]:
     trouble = [
         f'1 N of friction at {where} is read as {gain:.1f} N at {what}: give '
         f'contacts.{where}.friction_std'
-        for where, what, gain in misread_friction(
+        for where, what, gain in find_misread_friction(
             config, output.contacts, output.pose.rotation_world
         )
     ]

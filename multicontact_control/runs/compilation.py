@@ -110,7 +110,7 @@ def compile_beside() -> None:
     from multicontact_control.runs.scenario import resolve
     from multicontact_control.supervision.contact_task import limit_task, TASK_LIMITS
     from multicontact_control.supervision.contacts import CONTACT_STATE
-    from multicontact_control.supervision.gate import GATE, pass_gate
+    from multicontact_control.supervision.gate import GATE_STATE, pass_gate
     from multicontact_control.supervision.input_checks import check_inputs, INPUT_STAGE
     from sim_bridge.plant import Plant
 
@@ -120,7 +120,7 @@ def compile_beside() -> None:
     controls: Any = np.zeros(1, dtype=CONTROL)
     contacts: Any = np.zeros(2, dtype=CONTACT)
     states: Any = np.zeros(2, dtype=CONTACT_STATE)
-    gates: Any = np.zeros(1, dtype=GATE)
+    gates: Any = np.zeros(1, dtype=GATE_STATE)
     limits: Any = np.zeros(1, dtype=TASK_LIMITS)
     stages: Any = np.zeros(1, dtype=INPUT_STAGE)
     stages['settings']['commands'] = 2
@@ -149,7 +149,7 @@ def _call_remaining_kernels() -> None:
     from multicontact_control.force.force_law import continue_laws, make_force_laws
     from multicontact_control.force.noise import make_noise_estimator
     from multicontact_control.force.stiffness import (
-        find_stiffness,
+        estimate_stiffness,
         FIT_SPACE,
         friction_of_others,
     )
@@ -173,7 +173,7 @@ def _call_remaining_kernels() -> None:
         running = laws
     stiffness = make_force_laws(adaptive)[0]['stiffness']
     space = np.zeros(1, dtype=FIT_SPACE)[0]
-    find_stiffness(stiffness, 0.0, 0.0, 0.0, 0.0, space)
+    estimate_stiffness(stiffness, 0.0, 0.0, 0.0, 0.0, space)
     friction_of_others(np.zeros(1, dtype=FRAME)[0], np.zeros(2, dtype=CONTACT), 0)
     for plant, friction, supervised in (
         ('flexible', 0.25, True),

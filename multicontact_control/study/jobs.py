@@ -25,7 +25,7 @@ from multicontact_control.files import (
     replace_json_file,
     replace_nonfinite_numbers,
 )
-from multicontact_control.judging.display import count_bar
+from multicontact_control.judging.display import make_count_bar
 from multicontact_control.runs.compilation import ensure_compiled
 from multicontact_control.runs.scenario import resolve, Setup
 from multicontact_control.study.measure import measure_run
@@ -168,7 +168,7 @@ def run_jobs(
     if todo:
         ensure_compiled()  # here once, not in every worker at once
     with (
-        count_bar(console) as progress,
+        make_count_bar(console) as progress,
         closing(_outcomes(todo, workers, client)) as outcomes,
     ):
         bar = progress.add_task(title, total=len(jobs), completed=len(done))

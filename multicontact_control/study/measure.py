@@ -7,9 +7,10 @@ import math
 from typing import Any
 
 from multicontact_control.errors import RunError
-from multicontact_control.judging.claims import evidence_of
-from multicontact_control.judging.metrics import LASTING, RunMetrics
-from multicontact_control.judging.results import summarise
+from multicontact_control.judging.contact_metrics import LASTING_PUSH
+from multicontact_control.judging.evidence import collect_evidence
+from multicontact_control.judging.metrics import RunMetrics
+from multicontact_control.judging.run_summary import summarise_run
 from multicontact_control.runs.scenario import flatten_parameters, Setup
 import numpy as np
 
@@ -44,7 +45,7 @@ def measure_run(
         if result.data.ticks < SHORTEST:
             raise RunError(result.ended_early)
         data, run = result.data, RunMetrics(result.data, setup)
-        summary = summarise(
+        summary = summarise_run(
             data,
             setup,
             mode='in_process',
@@ -54,7 +55,7 @@ def measure_run(
         )
         return {
             'summary': summary,
-            'evidence': evidence_of(data, setup, summary),
+            'evidence': collect_evidence(data, setup, summary),
             'final_error_share': _final_error_share(run),
             'activity_nm': _activity(run),
             'neighbour_n': _neighbour_error(run, surface_gone),
@@ -103,7 +104,7 @@ def _neighbour_error(run: RunMetrics, gone: tuple[float, float] | None) -> float
     if gone is None:
         return None
     time, count = run.data.time, round(MEAN_TIME * run.data.rate)
-    error = run.error[(time >= gone[0]) & (time < gone[1] + 1.0), 0]
+    error = run.contacts[0].error[(time >= gone[0]) & (time < gone[1] + 1.0)]
     if len(error) < count:  # the run ended before
         return None
     return float(np.abs(np.convolve(error, np.full(count, 1.0 / count), 'valid')).max())
@@ -148,10 +149,10 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
         'push_peak_n': _largest(push['peak'] for push in pushes),
         'push_off_s': _latest(push['recovery'] for push in pushes),
         'short_push_s': _latest(
-            push['recovery'] for push in pushes if push['duration'] < LASTING
+            push['recovery'] for push in pushes if push['duration'] < LASTING_PUSH
         ),
         'lasting_push_s': _latest(
-            push['recovery'] for push in pushes if push['duration'] >= LASTING
+            push['recovery'] for push in pushes if push['duration'] >= LASTING_PUSH
         ),
         'rise_s': _latest(step['rise_63_s'] for step in steps),
         'overshoot_percent': _largest(step['overshoot_percent'] for step in steps),

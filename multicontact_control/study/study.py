@@ -136,10 +136,10 @@ class Study:
                     _listed(self.findings(results)),
                     ''
                     if figure is None
-                    else page.image(folder / FIGURE_FILE, config.name),
+                    else page.render_image(folder / FIGURE_FILE, config.name),
                     *(
                         f'<h2>{escape(section)}</h2>'
-                        + page.table(
+                        + page.render_table(
                             list(map(escape, lines)),
                             [list(map(escape, line)) for line in lines.to_numpy()],
                             numbers_from=lines.attrs['labels'],
@@ -147,7 +147,7 @@ class Study:
                         for section, lines in table.listing_of(frame, config).items()
                     ),
                     f'<p class=note>{escape(config.notes)} Every run is in {CSV_FILE}.</p>',
-                    page.folded(
+                    page.render_details(
                         format_count(len(warnings), 'remarks'), _listed(warnings)
                     )
                     if warnings

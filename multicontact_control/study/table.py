@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from multicontact_control.judging.page import COLOURS
+from multicontact_control.judging.panels import CURVE_COLOURS
 from multicontact_control.runs.overrides import EVERY
 from multicontact_control.study.config import ColumnConfig, StudyConfig
 import numpy as np
@@ -342,7 +342,7 @@ def series_of(
                 ', '.join(words),
                 runs,
                 {
-                    'color': COLOURS[number % len(COLOURS)],
+                    'color': CURVE_COLOURS[number % len(CURVE_COLOURS)],
                     'marker': MARKERS[number % len(MARKERS)],
                     'markersize': 5,
                 },

@@ -28,7 +28,7 @@ from multicontact_control.arrays import Bytes, Matrix, Vector
 from multicontact_control.compiled import compiled
 from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.dynamics.operational_space import mobility_gradient
-from multicontact_control.flags import JOINT_STOP, REACH
+from multicontact_control.flags import JOINT_BOUNDED, SINGULARITY_BOUNDED
 from multicontact_control.records import (
     Contact,
     Control,
@@ -50,7 +50,7 @@ WATCHED_SHARE = (
 )
 # sqrt(kg)^-1: square root of the smallest eigenvalue of Lambda^-1. Motion ends at the first, above
 # which Lambda is not damped (0.004 1/kg), and is looked after below the second.
-SINGULAR, NEAR_SINGULAR = 0.08, 0.24
+SINGULAR_ROOT, NEAR_SINGULAR_ROOT = 0.08, 0.24
 REACH_RATE = 5.0  # 1/s, of the way left to it: the rate that is allowed
 # What a change of the accelerations costs: of contact points along their normals, of the
 # operational point, and of the joints in the metric of M. The orientation counts at a lever: what
@@ -93,7 +93,7 @@ class BoundSpace(Record, Protocol):
     root: Annotated[Matrix, MAX_JOINTS, MAX_JOINTS]
     Z: Annotated[Matrix, MAX_JOINTS, MAX_BOUNDS]
 
-    # `least_change`.
+    # `solve_least_change`.
     G: Annotated[Matrix, MAX_BOUNDS, MAX_BOUNDS]
     basis: Annotated[Matrix, MAX_BOUNDS, MAX_BOUNDS]
 
@@ -106,7 +106,7 @@ BOUND_SPACE = record_dtype(BoundSpace)
 
 
 @compiled
-def allowed_speed(distance: float) -> float:
+def allowed_stop_speed(distance: float) -> float:
     """
     Return how fast a joint may come near its stop, at a distance [rad], negative beyond it.
 
@@ -120,7 +120,7 @@ def allowed_speed(distance: float) -> float:
 
 
 @compiled
-def bound_of_acceleration(allowed: float, closing: float, slope: float) -> float:
+def bound_acceleration(allowed: float, closing: float, slope: float) -> float:
     """
     Return the largest acceleration towards a limit.
 
@@ -145,7 +145,7 @@ def add_joint_bounds(joints: Records[Joint], rows: Matrix, bounds: Vector) -> in
         for side in (1.0, -1.0):
             distance = limit.upper - joint.q if side > 0.0 else joint.q - limit.lower
             closing = side * joint.velocity
-            allowed = min(allowed_speed(distance), fastest)
+            allowed = min(allowed_stop_speed(distance), fastest)
             if not (distance < STOP_ZONE or closing > WATCHED_SHARE * allowed):
                 continue
             slope = 0.0
@@ -153,7 +153,7 @@ def add_joint_bounds(joints: Records[Joint], rows: Matrix, bounds: Vector) -> in
                 slope = min(STOP_RATE, JOINT_BRAKING / max(allowed, ROUNDING))
             rows[count] = 0.0
             rows[count, j] = side
-            bounds[count] = bound_of_acceleration(allowed, closing, slope)
+            bounds[count] = bound_acceleration(allowed, closing, slope)
             count += 1
     return count
 
@@ -170,7 +170,7 @@ def add_reach_bounds(
     """
     Fill in a row for each direction in which the arm is nearly singular, as stretched arms are.
 
-    The distance is that of the square root of an eigenvalue of Lambda^-1 from `SINGULAR`. A
+    The distance is that of the square root of an eigenvalue of Lambda^-1 from `SINGULAR_ROOT`. A
     posture that is beyond it may be left, but not made worse. L and Y in `space` are those of
     `BOUND_SPACE`; for the rest see `add_joint_bounds`.
     """
@@ -179,7 +179,7 @@ def add_reach_bounds(
     diagonalise(space.mobility, space.directions)
     for k in range(6):
         size = np.sqrt(max(space.mobility[k, k], ROUNDING))
-        if size > NEAR_SINGULAR:
+        if size > NEAR_SINGULAR_ROOT:
             continue
         gradient, closing = rows[count], 0.0
         mobility_gradient(
@@ -195,14 +195,14 @@ def add_reach_bounds(
         ):  # so that it closes in where this times the speeds is positive
             gradient[j] *= -0.5 / size
             closing += gradient[j] * joints[j].velocity
-        allowed = REACH_RATE * max(size - SINGULAR, 0.0)
-        bounds[count] = bound_of_acceleration(allowed, closing, REACH_RATE)
+        allowed = REACH_RATE * max(size - SINGULAR_ROOT, 0.0)
+        bounds[count] = bound_acceleration(allowed, closing, REACH_RATE)
         count += 1
     return count
 
 
 @compiled
-def cost_of_changes(
+def fill_change_cost(
     mass_matrix: Matrix,
     jacobian: Matrix,
     contacts: Records[Contact],
@@ -244,7 +244,7 @@ def cost_of_changes(
 
 
 @compiled
-def least_change(n: int, m: int, space: BoundSpace) -> bool:
+def solve_least_change(n: int, m: int, space: BoundSpace) -> bool:
     """
     Fill in the x of least x^T H x / 2 with R x <= -e; return whether it was found.
 
@@ -370,13 +370,13 @@ def bound_motion(
     Returns
     -------
     int
-        The sum of JOINT_STOP (also of its speed limit) and REACH.
+        The sum of JOINT_BOUNDED (also of its speed limit) and SINGULARITY_BOUNDED.
 
     """
     n = joints.shape[0]
     rows, bounds = space.rows[:, :n], space.bounds
     stops = count = add_joint_bounds(joints, rows, bounds)
-    nearly_singular = by_task and control.frame.mobility < NEAR_SINGULAR**2
+    nearly_singular = by_task and control.frame.mobility < NEAR_SINGULAR_ROOT**2
     if count == 0 and not nearly_singular:
         return 0
     L, Y = space.L[:n, :n], space.Y[:n]
@@ -393,7 +393,7 @@ def bound_motion(
         exceeded = exceeded or space.excess[i] > 0.0
     if not exceeded:
         return 0
-    cost_of_changes(
+    fill_change_cost(
         mass_matrix,
         jacobian,
         contacts,
@@ -402,7 +402,7 @@ def bound_motion(
         space.row[:n],
         space.cost[:n, :n],
     )
-    if not least_change(n, count, space):
+    if not solve_least_change(n, count, space):
         return 0
     for i in range(n):
         for j in range(n):
@@ -410,5 +410,5 @@ def bound_motion(
     enforced = 0
     for i in range(count):
         if space.multipliers[i] > 0.0:
-            enforced |= JOINT_STOP if i < stops else REACH
+            enforced |= JOINT_BOUNDED if i < stops else SINGULARITY_BOUNDED
     return enforced

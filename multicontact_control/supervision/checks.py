@@ -18,14 +18,14 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.contact.wrench import operational_wrench
 from multicontact_control.control.controller import Controller
 from multicontact_control.flags import (
+    ANSWER_NOT_FINITE,
+    ANSWER_REFUSED,
+    FORCE_SIDEWAYS,
+    FORCE_STRAY,
     JOINT_SPEED,
-    NOT_FINITE,
     OPERATIONAL_SPEED,
-    OUTSIDE,
-    PULL,
-    REFUSED,
-    SIDEWAYS,
-    STRAY,
+    OUTSIDE_WORKSPACE,
+    SURFACE_PULLS,
 )
 from multicontact_control.records import (
     Contact,
@@ -39,8 +39,12 @@ from multicontact_control.supervision.contacts import ContactState, FREE, LOST
 from multicontact_control.supervision.reactions import NONE, SEVERITY
 import numpy as np
 
-WRONG_WRENCH = {PULL: 'wrench_pull', STRAY: 'wrench_stray', SIDEWAYS: 'wrench_sideways'}
-CONTRADICTING = PULL | STRAY | SIDEWAYS
+WRONG_WRENCH = {
+    SURFACE_PULLS: 'wrench_pull',
+    FORCE_STRAY: 'wrench_stray',
+    FORCE_SIDEWAYS: 'wrench_sideways',
+}
+CONTRADICTING = SURFACE_PULLS | FORCE_STRAY | FORCE_SIDEWAYS
 CONTRADICTIONS = (
     2  # samples in a row that contradict the contacts, for the wrench to be refused
 )
@@ -56,7 +60,9 @@ READ_PULL_LIMIT = (
 )
 LOSS_ACCELERATION = 20.0  # m/s^2, of a tool that is braked after a contact is lost
 SIDEWAYS_LIMIT = 5.0  # N of sideways force that is always accepted
-SPEED_EXCESS = 1.1  # times a speed limit, beyond which gate and reference have failed
+SPEED_ALARM_FACTOR = (
+    1.1  # times a speed limit, beyond which gate and reference have failed
+)
 BOX_EXCESS = 0.01  # m beyond the workspace, where the reference has failed
 # The smallest threshold [N m], and the largest share of the limit that friction adds to it.
 LEAST_THRESHOLD, LEARNT_SHARE = 1.0, 0.1
@@ -94,7 +100,7 @@ class Judgement(Record, Protocol):
 JUDGEMENT = record_dtype(Judgement)
 
 
-def reaction_to(causes: tuple[str, ...], config: ControllerConfig) -> str:
+def choose_severest_reaction(causes: tuple[str, ...], config: ControllerConfig) -> str:
     """Return the severest reaction that causes call for, each by its name or its part's."""
     to = {
         'joints': 'float',
@@ -123,15 +129,15 @@ def check_plausibility(
     """
     Check the answer of the control law that is in the joints.
 
-    `wrench`, shape (6,), is overwritten. Returns the sum of NOT_FINITE, PULL (a surface pulls,
-    beyond what was read before; after the loss of a contact the inertia of the tool that is braked
-    is allowed for), SIDEWAYS (more than friction can explain), STRAY (a contact that is free is
-    beyond the force ceiling) and OUTSIDE (the operational point is out of its box).
+    `wrench`, shape (6,), is overwritten. Returns the sum of ANSWER_NOT_FINITE, SURFACE_PULLS
+    (beyond what was read before; after the loss of a contact the inertia of the tool that is
+    braked is allowed for), FORCE_SIDEWAYS (more than friction can explain), FORCE_STRAY (a contact
+    that is free is beyond the force ceiling) and OUTSIDE_WORKSPACE (of the operational point).
     """
     flags, pressed, sideways = 0, 0.0, wrench[:3]
     for j in range(joints.shape[0]):
         if not np.isfinite(joints[j].answer.torque):
-            flags = NOT_FINITE
+            flags = ANSWER_NOT_FINITE
     operational_wrench(control, wrench)
     for i in range(contacts.shape[0]):
         contact, answer = contacts[i], contacts[i].answer
@@ -144,7 +150,7 @@ def check_plausibility(
             + answer.prior_variance
             + answer.variance_used
         ):
-            flags |= NOT_FINITE
+            flags |= ANSWER_NOT_FINITE
         if contact.config.leader != i:
             continue
         pressed += abs(contact.alpha_meas)
@@ -161,15 +167,15 @@ def check_plausibility(
         if contact.alpha_meas - known < -(PULL_LIMIT + allowance) or (
             contact.alpha_meas + contact.untared < -(READ_PULL_LIMIT + allowance)
         ):
-            flags |= PULL
+            flags |= SURFACE_PULLS
         if contact.alpha_meas > bounds.force_ceiling and states[i].state == FREE:
-            flags |= STRAY
+            flags |= FORCE_STRAY
     if vector_length(sideways) > SIDEWAYS_LIMIT + bounds.friction_bound * pressed:
-        flags |= SIDEWAYS
+        flags |= FORCE_SIDEWAYS
     place = control.frame.position
     for k in range(3):
         if place[k] < bounds.lower[k] or place[k] > bounds.upper[k]:
-            flags |= OUTSIDE
+            flags |= OUTSIDE_WORKSPACE
     return flags
 
 
@@ -185,30 +191,32 @@ def judge_answer(
     """
     Judge the answer of the control law that is in the joints; see `check_plausibility`.
 
-    REFUSED is added to what that returns if the answer is not to be commanded: it is not finite,
-    or, if `strict`, the wrench contradicts the contacts for the second time in a row. What leads
-    out of the box are the contacts that are pressed: they are left.
+    ANSWER_REFUSED is added to what that returns if the answer is not to be commanded: it is not
+    finite, or, if `strict`, the wrench contradicts the contacts for the second time in a row. The
+    contacts that are pressed lead out of the box: they are to retract.
     """
     doubts = check_plausibility(
         judgement.plausibility, control, joints, contacts, states, judgement.wrench
     )
-    if doubts & NOT_FINITE:
-        return doubts | REFUSED
+    if doubts & ANSWER_NOT_FINITE:
+        return doubts | ANSWER_REFUSED
     contradicts = strict and doubts & CONTRADICTING != 0
     judgement.contradictions = judgement.contradictions + 1 if contradicts else 0
     if contradicts and (
         judgement.contradictions >= CONTRADICTIONS or judgement.resumes
     ):
-        return doubts | REFUSED
-    if doubts & OUTSIDE:
+        return doubts | ANSWER_REFUSED
+    if doubts & OUTSIDE_WORKSPACE:
         for i in range(contacts.shape[0]):
-            states[i].left = states[i].left or contacts[i].answer.active
+            states[i].retract_requested = (
+                states[i].retract_requested or contacts[i].answer.active
+            )
     return doubts
 
 
-def cause_to_refuse(found: int) -> str:
+def name_refusal_cause(found: int) -> str:
     """Return the cause by which an answer is refused."""
-    if found & NOT_FINITE:
+    if found & ANSWER_NOT_FINITE:
         return 'law_not_finite'
     return next(cause for flag, cause in WRONG_WRENCH.items() if found & flag)
 
@@ -225,14 +233,14 @@ def plausibility_limits(config: ControllerConfig) -> Records[Plausibility]:
     return bounds
 
 
-def watch_arm(config: ControllerConfig, controller: Controller) -> None:
+def configure_monitors(config: ControllerConfig, controller: Controller) -> None:
     """Set the speeds beyond which an arm is too fast, and the residuals that are a collision."""
     limits, collision, joints = config.limits, config.collision, controller.arm.joints
     momentum, frame = controller.controls['momentum'], controller.controls['frame']
     joint, watch = joints['config'], joints['watch']
-    joint['speed_limit'] = SPEED_EXCESS * np.array(limits.joint_speed or np.inf)
-    frame['config']['speed_limit'] = SPEED_EXCESS * limits.operational_speed
-    frame['config']['turn_limit'] = SPEED_EXCESS * limits.operational_turn
+    joint['speed_limit'] = SPEED_ALARM_FACTOR * np.array(limits.joint_speed or np.inf)
+    frame['config']['speed_limit'] = SPEED_ALARM_FACTOR * limits.operational_speed
+    frame['config']['turn_limit'] = SPEED_ALARM_FACTOR * limits.operational_turn
     watch['residual_statistics'] = joint['declared_friction'] = joint[
         'learnt_friction_limit'
     ] = 0

@@ -17,7 +17,7 @@ from multicontact_control.errors import CommandError, ConfigError
 import numpy as np
 
 AXES = 'position x', 'position y', 'position z'
-ROUNDING = (
+SPEED_ROUNDING = (
     1e-6  # share of a speed beyond its limit, of a motion that is as fast as it may be
 )
 START_EXCESS = (
@@ -135,7 +135,7 @@ def check_twist(
         ),
     ):
         size, largest = float(np.linalg.norm(part)), getattr(limits, field)
-        if not size <= largest * (1.0 + ROUNDING):
+        if not size <= largest * (1.0 + SPEED_ROUNDING):
             raise CommandError(
                 what,
                 f'at most {largest:g} {unit} (limits.{field})',

@@ -24,7 +24,7 @@ from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.config.supervision import ContactStateConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import STILL, Task, TaskSource
-from multicontact_control.dynamics.rotations import Pose, rotation_vector
+from multicontact_control.dynamics.rotations import Pose, rotation_vector_between
 from multicontact_control.records import (
     Contact,
     Control,
@@ -54,7 +54,7 @@ LASTING_STD = 0.5  # of such an error, the standard deviation of the noise at mo
 RETURN_RATE, RETURN_SHARE = 3.5, 0.2
 # How far the reference may be ahead of an arm at rest that cannot follow [m], [rad].
 LEAST_LEAD, LEAST_TURN = 0.002, 0.005
-THERE = 5e-5  # m or rad from the task, where it is caught up with
+CAUGHT_UP = 5e-5  # m or rad from the task, where it is caught up with
 BRAKING_SHARE = (
     4.0  # times the largest acceleration, by which it slows down with the arm
 )
@@ -63,7 +63,7 @@ BOUNDED_TIME = (
 )
 # A task is a step away that is farther than the largest speeds lead in so long [s] (a stream of
 # 100 Hz is none), or faster than before by so much of them.
-STEP_TIME, STEP_SHARE = 0.01, 0.15
+TASK_STEP_TIME, TASK_STEP_SHARE = 0.01, 0.15
 PARALLEL = 1e-6  # length that is left of a normal that the others span already
 
 
@@ -103,7 +103,7 @@ class TaskLimits(Record, Protocol):
     bounded_at: float
 
     bounded: bool  # whether they have just done so
-    behind: bool  # whether the reference has still to catch up with the task
+    catching_up: bool  # whether the reference has still to catch up with the task
 
     # The reference, before contacts move it [m].
     position: Annotated[Vector, 3]
@@ -115,7 +115,7 @@ class TaskLimits(Record, Protocol):
     ahead: Annotated[Vector, 3]
     turned_ahead: Annotated[Vector, 3]
 
-    reads_before: bool  # whether something is read that no touch explains
+    has_free_readings: bool  # whether something is read that no touch explains
 
     # Whether contacts have changed their states since `state_names` were told.
     changed: bool
@@ -135,11 +135,11 @@ class ContactTask:
     """
     A task as far as contacts and limits allow it, in the records of a controller.
 
-    In a tick `ask` writes what the source wants into `wanted` of the records, of which
-    `limit_task` makes the `task` and what is asked of each contact. A hold keeps the arm where it
-    is and pressing as it does, a lock keeps it where it is without contact; the time of the source
-    stands still meanwhile. If not `guarded`, neither contact states nor limits apply: the source
-    makes the contacts.
+    In a tick `update_wanted_task` writes what the source wants into `wanted` of the records, of
+    which `limit_task` makes the `task` and what is asked of each contact. A hold keeps the arm
+    where it is and pressing as it does, a lock keeps it where it is without contact; the time of
+    the source stands still meanwhile. If not `guarded`, neither contact states nor limits apply:
+    the source makes the contacts.
 
     Attributes
     ----------
@@ -180,7 +180,7 @@ class ContactTask:
         self._codes = self.states['state']
         self.limits: Records[TaskLimits] = np.zeros(1, dtype=TASK_LIMITS)
         self._time, self._changed = self.limits['time'], self.limits['changed']
-        self._reads_before = self.limits['reads_before']
+        self._reads_before = self.limits['has_free_readings']
         limits = self.limits['config']
         limits['guarded'] = guarded
         limits['contacts'] = contacts.contact_settings(
@@ -194,16 +194,16 @@ class ContactTask:
         )
         limits['lower'] = config.limits.workspace_lower or -np.inf
         limits['upper'] = config.limits.workspace_upper or np.inf
-        self.retune(config)
-        self._lock(config.sensor.require_push_test)  # at first
+        self.apply_config(config)
+        self._set_locked(config.sensor.require_push_test)  # at first
         first = self.states[0], limits['contacts'][0]  # no tick waits for numba
-        contacts.let_go(first[0], 0.0, 0.0)
-        contacts.go_on(first[0], 0.0, 0.0)
-        contacts.read_anew(*first, 0.0)
-        take_off(self._columns[0], first[0])
+        contacts.release_contact(first[0], 0.0, 0.0)
+        contacts.resume_contact(first[0], 0.0, 0.0)
+        contacts.restart_free_reading(*first, 0.0)
+        subtract_free_reading(self._columns[0], first[0])
         self.reset()
 
-    def retune(self, config: ControllerConfig) -> None:
+    def apply_config(self, config: ControllerConfig) -> None:
         """Let the task be so far ahead of the arm that the motion law asks for its limits."""
         felt = config.wrench_input != 'momentum'  # whose observer knows of the tool
         limits = self.limits['config']
@@ -222,11 +222,11 @@ class ContactTask:
         self.held = False
         self._lost_time = 0.0
         self._time[0] = 0.0
-        self.limits['reads_before'] = False
+        self.limits['has_free_readings'] = False
         self._active[:] = False
-        self._stand(pressing=False)
+        self._stay_in_place(pressing=False)
 
-    def _stand(self, *, pressing: bool) -> None:
+    def _stay_in_place(self, *, pressing: bool) -> None:
         """Stay where the arm is, pressing as it does or without contact; seek no contacts."""
         pressed, forces = self._active.copy(), np.zeros(len(self.states))
         position, rotation = (
@@ -239,7 +239,7 @@ class ContactTask:
             position -= state['displacement'] * normal
         if pressing:
             forces[pressed] = self._task.alpha_des[pressed]
-        self._want(
+        self._write_wanted(
             Task(Pose(position, rotation), STILL, STILL, pressed & pressing, forces)
         )
         self.states[~pressed] = contacts.FREE_CONTACT
@@ -247,19 +247,19 @@ class ContactTask:
             0.0
         )
         self.limits['changed'] = True
-        self.limits['bounded_at'], self.limits['behind'] = -math.inf, False
+        self.limits['bounded_at'], self.limits['catching_up'] = -math.inf, False
         self.limits['position'], self.limits['rotation'] = position, rotation
         self.limits['twist'] = 0.0
         self._kept: Mask | None = (
             None  # contacts, from the end of a pause to the next tick
         )
 
-    def start(self, pose: Pose) -> None:
+    def start_task(self, pose: Pose) -> None:
         """Begin from a pose at rest; a hold ends, a lock does not."""
         self.reset()
         self._source.start(pose, self._columns['normal'].copy())
 
-    def ask(self, time: float) -> None:
+    def update_wanted_task(self, time: float) -> None:
         """Get what is wanted at a time since the start [s]; see `limit_task`."""
         if self.held or self.locked:
             self._lost_time += time - float(self._time[0])
@@ -269,12 +269,12 @@ class ContactTask:
                 None if self._guarded else self._columns['alpha_meas'],
             )
             if task is not self._task:
-                self._want(task)
+                self._write_wanted(task)
         self._time[0] = time
         if self._guarded and self._kept is not None:
-            self._return(self._kept)
+            self._return_to_task(self._kept)
 
-    def _want(self, task: Task) -> None:
+    def _write_wanted(self, task: Task) -> None:
         """Write what is new in a task into the records; what is the same object stands there."""
         self._task = task
         parts = (*task.pose_des, *task[1:])
@@ -289,7 +289,7 @@ class ContactTask:
         return not self._guarded and self._source.seeks
 
     @property
-    def reads_before(self) -> bool:
+    def has_free_readings(self) -> bool:
         """Return whether there is anything in `read_before`."""
         return bool(self._reads_before[0])
 
@@ -299,47 +299,47 @@ class ContactTask:
         if self._changed[0]:
             self._changed[0] = False
             codes = self._codes[self._leaders].tolist()
-            self._state_names = tuple([contacts.NAMES[code] for code in codes])
+            self._state_names = tuple([contacts.STATE_NAMES[code] for code in codes])
         return self._state_names
 
     @property
     def read_before(self) -> tuple[str, ...]:
         """Return a sentence for each force or couple that was read before anything was touched."""
-        readings = self.states['untared'] + self.states['resting']
+        readings = self.states['untared'] + self.states['resting_force']
         return tuple(
             f'{name} reads {reading:+.1f} N before it touches: nothing should press, tare'
             for name, reading in zip(self._names, readings.tolist())
             if reading
         )
 
-    def hold(self, wanted: bool) -> None:
+    def set_hold(self, wanted: bool) -> None:
         """Stay where the arm is and press as it does, or go on from there."""
         self.held = wanted
         if wanted:
-            self._stand(pressing=True)
+            self._stay_in_place(pressing=True)
         else:
-            self.resume()
+            self.resume_task()
 
-    def lock(self, wanted: bool) -> None:
+    def set_lock(self, wanted: bool) -> None:
         """Stay without contact where the arm is, or starts next; or go on if it is not held."""
-        self._lock(wanted)
+        self._set_locked(wanted)
         if wanted:
-            self._stand(pressing=False)
+            self._stay_in_place(pressing=False)
         elif not self.held:
-            self.resume()
+            self.resume_task()
 
-    def _lock(self, wanted: bool) -> None:
+    def _set_locked(self, wanted: bool) -> None:
         self.locked = wanted
         self.limits['locked'] = wanted
 
-    def resume(self) -> Mask:
+    def resume_task(self) -> Mask:
         """Go on from where the arm is; return which contacts are kept: pressed and felt, (r,)."""
         threshold = self.limits['config']['contacts']['contact_threshold']
         felt = self._columns['alpha_meas'] > threshold
         self._kept = (self._active & felt)[self._columns['config']['leader']]
         return self._kept
 
-    def _return(self, kept: Mask) -> None:
+    def _return_to_task(self, kept: Mask) -> None:
         """Let the reference go from where the arm is to the task; contacts go along normals."""
         self._kept, normals, pose = None, self._columns['normal'], self._task.pose_des
         gap = self._frame['position'] - pose.position_world
@@ -349,16 +349,16 @@ class ContactTask:
             self.states, self._columns, along.tolist(), kept
         ):
             if is_kept:
-                contacts.go_on(state, column['alpha_meas'], place)
+                contacts.resume_contact(state, column['alpha_meas'], place)
             else:
-                contacts.let_go(state, place, 0.0)
-                contacts.read_anew(state, settings, column['alpha_meas'])
-                take_off(column, state)
+                contacts.release_contact(state, place, 0.0)
+                contacts.restart_free_reading(state, settings, column['alpha_meas'])
+                subtract_free_reading(column, state)
         limits = self.limits
         limits['position'] = self._frame['position'] - along @ normals
         limits['rotation'] = self._frame['rotation']
         limits['twist'] = limits['ahead'] = limits['turned_ahead'] = 0.0
-        limits['bounded_at'], limits['behind'] = -math.inf, True
+        limits['bounded_at'], limits['catching_up'] = -math.inf, True
         limits['changed'] = True
 
     def sought_normals(self) -> Matrix:
@@ -407,13 +407,13 @@ def limit_task(
             answer.active, answer.alpha_des = columns[i].wanted, columns[i].alpha_wanted
         return False
     limit.bounded = limit.time - limit.bounded_at < BOUNDED_TIME
-    behind = _follow_task(limit, frame, task)
+    catching_up = _advance_reference(limit, frame, task)
     away = vector_between(task.position, frame.position)
     rate = vector_between(task.twist[:3], frame.twist[:3])
     shift = (0.0, 0.0, 0.0)
-    limit.reads_before = False
+    limit.has_free_readings = False
     for i in range(columns.shape[0]):
-        states[i].moved = states[i].displacement
+        states[i].displacement_before = states[i].displacement
     for i in range(columns.shape[0]):
         column, state = columns[i], states[i]
         before, first = state.state, column.config.leader
@@ -421,10 +421,13 @@ def limit_task(
             others = 0.0
             for j in range(columns.shape[0]):
                 if j != i:
-                    others += dot(column.normal, columns[j].normal) * states[j].moved
+                    others += (
+                        dot(column.normal, columns[j].normal)
+                        * states[j].displacement_before
+                    )
             # Turning about the tool moves the operational point, and a surface that is not where
             # the task has it moves the contact point: what escapes does both.
-            _follow_force(
+            _advance_force(
                 limit.config.contacts,
                 frame,
                 column,
@@ -433,26 +436,26 @@ def limit_task(
                 dot(column.normal, rate),
             )
         else:  # its normal force comes before
-            _follow_couple(
+            _advance_couple(
                 limit.config.contacts, column, state, columns[first], states[first]
             )
-        take_off(column, state)
+        subtract_free_reading(column, state)
         limit.changed = limit.changed or state.state != before
-        if state.untared != 0.0 or state.resting != 0.0:
-            limit.reads_before = True
+        if state.untared != 0.0 or state.resting_force != 0.0:
+            limit.has_free_readings = True
         shift = linear_combination(1.0, shift, state.displacement, column.normal)
         if not column.answer.active:
             column.answer.alpha_des = 0.0
             add_scaled_vector(task.twist[:3], state.speed, column.normal)
             add_scaled_vector(task.acceleration[:3], state.acceleration, column.normal)
     add_vector(task.position, shift)
-    return _bound_task(limit, frame, task, columns) or behind
+    return _limit_reference(limit, frame, task, columns) or catching_up
 
 
 @compiled
-def _follow_task(limit: TaskLimits, frame: Frame, task: TaskRecord) -> bool:
+def _advance_reference(limit: TaskLimits, frame: Frame, task: TaskRecord) -> bool:
     """
-    Let the reference catch up with the task where the arm could not; return if it is behind.
+    Let the reference catch up with the task where the arm could not; return if it is catching_up.
 
     Once the motion of the arm is bounded, after a pause, and where the task makes a step, the
     reference goes straight to the task, but no farther ahead of the arm than `LEAST_LEAD`: so it
@@ -460,19 +463,21 @@ def _follow_task(limit: TaskLimits, frame: Frame, task: TaskRecord) -> bool:
     """
     config, way, turn = limit.config, limit.way, limit.turned_way
     way[:] = vector_between(limit.position, task.position)
-    turn[:] = rotation_vector(task.rotation, limit.rotation)
-    if not limit.behind:
-        steps = _is_step(
+    turn[:] = rotation_vector_between(task.rotation, limit.rotation)
+    if not limit.catching_up:
+        steps = _is_task_step(
             way, task.twist[:3], limit.twist[:3], config.reach / config.lead
         ) or (
-            _is_step(turn, task.twist[3:], limit.twist[3:], config.turn / config.lead)
+            _is_task_step(
+                turn, task.twist[3:], limit.twist[3:], config.turn / config.lead
+            )
         )
         if not (limit.bounded or steps):
             limit.position[:], limit.rotation[:] = task.position, task.rotation
             limit.twist[:] = task.twist
             return False
-        limit.behind = True
-    there = _catch_up(
+        limit.catching_up = True
+    there = _advance_towards(
         way,
         task.twist[:3],
         task.acceleration[:3],
@@ -486,7 +491,7 @@ def _follow_task(limit: TaskLimits, frame: Frame, task: TaskRecord) -> bool:
     )
     add_vector(limit.position, way)
     task.position[:] = limit.position
-    there_turned = _catch_up(
+    there_turned = _advance_towards(
         turn,
         task.twist[3:],
         task.acceleration[3:],
@@ -500,22 +505,26 @@ def _follow_task(limit: TaskLimits, frame: Frame, task: TaskRecord) -> bool:
     )
     turn_rotation_by_vector(turn, limit.rotation)
     task.rotation[:] = limit.rotation
-    behind = not (there and there_turned)
-    limit.behind = limit.bounded or behind
-    return behind
+    catching_up = not (there and there_turned)
+    limit.catching_up = limit.bounded or catching_up
+    return catching_up
 
 
 @compiled
-def _is_step(way: Vector, speed_des: Vector, speed: Vector, fastest: float) -> bool:
+def _is_task_step(
+    way: Vector, speed_des: Vector, speed: Vector, fastest: float
+) -> bool:
     """Return whether a task is a step away from the reference, or suddenly faster."""
     missing = vector_between(speed, speed_des)
-    jumps = dot(way, way) > (STEP_TIME * fastest) ** 2
+    jumps = dot(way, way) > (TASK_STEP_TIME * fastest) ** 2
     faster = dot(speed_des, speed_des) > dot(speed, speed)
-    return jumps or (faster and dot(missing, missing) > (STEP_SHARE * fastest) ** 2)
+    return jumps or (
+        faster and dot(missing, missing) > (TASK_STEP_SHARE * fastest) ** 2
+    )
 
 
 @compiled
-def _catch_up(
+def _advance_towards(
     way: Vector,
     speed_des: Vector,
     acceleration: Vector,
@@ -555,17 +564,17 @@ def _catch_up(
         wanted = linear_combination(
             1.0, wanted, along - dot(wanted, direction), direction
         )
-        share = min(1.0, fastest / max(vector_length(wanted), THERE))
+        share = min(1.0, fastest / max(vector_length(wanted), CAUGHT_UP))
         wanted = (share * wanted[0], share * wanted[1], share * wanted[2])
         if slower:
             ramp *= BRAKING_SHARE
     change = vector_between(speed, wanted)
     add_scaled_vector(
-        speed, min(1.0, h * ramp / max(vector_length(change), THERE)), change
+        speed, min(1.0, h * ramp / max(vector_length(change), CAUGHT_UP)), change
     )
     missing = vector_between(speed, speed_des)
     if (
-        distance < THERE
+        distance < CAUGHT_UP
         and not slower
         and dot(missing, missing) < (2.0 * h * ramp) ** 2
     ):
@@ -578,7 +587,7 @@ def _catch_up(
 
 
 @compiled
-def _follow_force(
+def _advance_force(
     settings: ContactSettings,
     frame: Frame,
     column: Contact,
@@ -588,30 +597,32 @@ def _follow_force(
 ) -> None:
     """Advance a contact whose tip is at a place [m, m/s]; say what the force law does with it."""
     answer = column.answer
-    state.asked_for += settings.period
-    if state.asked != column.alpha_wanted:
-        state.asked_for = 0.0
-    state.wanted, state.asked = column.wanted, column.alpha_wanted
+    state.alpha_task_age += settings.period
+    if state.alpha_task != column.alpha_wanted:
+        state.alpha_task_age = 0.0
+    state.wanted, state.alpha_task = column.wanted, column.alpha_wanted
     state.stiffness = column.stiffness
-    state.approach_speed = contacts.approach_speed(state, settings, column.mobility)
+    state.approach_speed = contacts.limit_approach_speed(
+        state, settings, column.mobility
+    )
     # Of the surface, as far as it is known: what is as fast does not leave it.
     state.surface_speed = column.config.surface_speed + column.surface_speed_est
-    if contacts.refute(state, settings, place, speed):
-        take_off(column, state)
+    if contacts.refute_contact(state, settings, place, speed):
+        subtract_free_reading(column, state)
     escape = min(speed, dot(column.N, frame.twist)) - state.surface_speed
     contacts.advance_contact(state, settings, column.alpha_meas, place, speed, escape)
     answer.active = state.state in contacts.PRESSED
     answer.alpha_des = contacts.desired_force(state, settings)
-    fall_speed = _follow_slide(settings.period, frame, column, state)
-    held = state.state == contacts.HOLDING and state.in_state > GUARD_TIME
-    column.guarded = held and column.alpha_meas < GUARD_SHARE * min(
-        state.level, state.asked
+    fall_speed = _allow_for_sliding(settings.period, frame, column, state)
+    held = state.state == contacts.HOLDING and state.time_in_state > GUARD_TIME
+    column.use_measured_force = held and column.alpha_meas < GUARD_SHARE * min(
+        state.mean_force, state.alpha_task
     )
-    column.speed_bound = contacts.speed_bound(state, fall_speed)
+    column.speed_bound = contacts.bound_contact_speed(state, fall_speed)
 
 
 @compiled
-def _follow_couple(
+def _advance_couple(
     settings: ContactSettings,
     column: Contact,
     couple: ContactState,
@@ -623,10 +634,10 @@ def _follow_couple(
 
     What it reads before the touch is taken off, as of its normal force.
     """
-    couple.state, couple.in_state = leader.state, leader.in_state
+    couple.state, couple.time_in_state = leader.state, leader.time_in_state
     bound = LARGEST_OFFSET * force.answer.alpha_des
     column.answer.alpha_des = min(max(column.alpha_wanted, -bound), bound)
-    column.guarded = force.guarded
+    column.use_measured_force = force.use_measured_force
     # What turns the tool in free space is no couple.
     column.answer.active = leader.state in contacts.PRESSED and (
         leader.answered or leader.resumed
@@ -634,9 +645,9 @@ def _follow_couple(
     if leader.state == contacts.FREE:
         couple.untared = 0.0
     if leader.state == contacts.FREE or leader.state == contacts.GIVEN_UP:
-        contacts.average_reading(couple, settings, column.alpha_meas)
+        contacts.average_free_reading(couple, settings, column.alpha_meas)
     elif leader.state == contacts.APPROACHING:
-        contacts.follow_reading(
+        contacts.follow_free_reading(
             couple, settings, column.alpha_meas, leader.speed * settings.period
         )
     elif leader.state == contacts.IMPACT and leader.free_way < contacts.FREE_WAY:
@@ -644,14 +655,14 @@ def _follow_couple(
 
 
 @compiled
-def take_off(column: Contact, state: ContactState) -> None:
+def subtract_free_reading(column: Contact, state: ContactState) -> None:
     """Take what is read without a touch off the measured force from now on."""
     column.alpha_meas += column.untared - state.untared
     column.untared = state.untared
 
 
 @compiled
-def _follow_slide(
+def _allow_for_sliding(
     period: float, frame: Frame, column: Contact, state: ContactState
 ) -> float:
     """
@@ -665,22 +676,22 @@ def _follow_slide(
     config = column.config
     slope = np.sqrt(1.0 - config.smallest_cosine**2) / config.smallest_cosine
     fall_speed = slope * vector_length(component_across(frame.twist[:3], config.normal))
-    error = abs(state.level - state.asked)
+    error = abs(state.mean_force - state.alpha_task)
     if (
         state.state == contacts.HOLDING
-        and min(state.in_state, state.asked_for) > LASTING_TIME
+        and min(state.time_in_state, state.alpha_task_age) > LASTING_TIME
     ):
-        if error > max(LASTING_ERROR, LASTING_SHARE * state.asked):
+        if error > max(LASTING_ERROR, LASTING_SHARE * state.alpha_task):
             bound = (LASTING_STD * error) ** 2
             column.noise_variance = min(column.noise_variance, bound)
-    state.fall += fall_speed * period
+    state.surface_fall += fall_speed * period
     if state.state in contacts.PRESSED:
-        state.fall = 0.0
+        state.surface_fall = 0.0
     return fall_speed
 
 
 @compiled
-def _bound_task(
+def _limit_reference(
     limit: TaskLimits,
     frame: Frame,
     task: TaskRecord,
@@ -711,17 +722,17 @@ def _bound_task(
             count += 1
             gap, way = component_across(gap, axis), component_across(way, axis)
     limit.ahead[:] = gap
-    share = _share_within(limit.ahead, way, config.reach, twist[:3], acceleration[:3])
+    share = _limit_to_reach(limit.ahead, way, config.reach, twist[:3], acceleration[:3])
     if share < 1.0:
         add_scaled_vector(position, share - 1.0, gap)
     turn, turned_way = limit.turned_way, twist[3:]
-    limit.turned_ahead[:] = rotation_vector(task.rotation, frame.rotation)
+    limit.turned_ahead[:] = rotation_vector_between(task.rotation, frame.rotation)
     way = (
         config.lead * turned_way[0],
         config.lead * turned_way[1],
         config.lead * turned_way[2],
     )
-    turn_share = _share_within(
+    turn_share = _limit_to_reach(
         limit.turned_ahead, way, config.turn, twist[3:], acceleration[3:]
     )
     if turn_share < 1.0:
@@ -733,7 +744,7 @@ def _bound_task(
 
 
 @compiled
-def _share_within(
+def _limit_to_reach(
     gap: Vector,
     way: Triple,
     reach: float,

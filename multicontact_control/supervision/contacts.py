@@ -11,9 +11,9 @@ free as long as the task does not ask for it.
 
 A touch is a change since the approach began: what a sensor reads in free space is no force. That
 is averaged before the approach, followed on the way, and taken off (`untared`). A touch is proven
-once the force answers the motion: it rises while the tip advances, as on any surface of `SOFTEST`
-and more. Until then the tip is no faster than an approach, and a contact that yields farther is
-let go: all that it reads is no force, and the search goes on.
+once the force answers the motion: it rises while the tip advances, as on any surface of
+`SOFTEST_SURFACE` and more. Until then the tip is no faster than an approach, and a contact that
+yields farther is released: all that it reads is no force, and the search goes on.
 
 A `contact` is a record of `CONTACT_STATE`, changed, `settings` are one of `CONTACT_SETTINGS`;
 `alpha` is the measured force without what is taken off [N], `place` and `speed` are those of the
@@ -34,8 +34,16 @@ from multicontact_control.records import (
 import numpy as np
 from numpy.typing import NDArray
 
-NAMES = ('free', 'approaching', 'impact', 'holding', 'lost', 'retracting', 'given up')
-FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(len(NAMES))
+STATE_NAMES = (
+    'free',
+    'approaching',
+    'impact',
+    'holding',
+    'lost',
+    'retracting',
+    'given up',
+)
+FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = range(len(STATE_NAMES))
 PRESSED = IMPACT, HOLDING  # where the force law drives it
 RELEASE_SHARE = 0.3  # of the force held or asked for, below which a contact may be lost
 ESCAPE_SPEED = (
@@ -56,9 +64,9 @@ FORCE_RATE = (
     100.0  # N/s, rise of the desired force of a contact that was lost, from touch on
 )
 EXCESS = 1.5  # times that force, above which more is felt than it asks for
-LEVEL_TIME = 0.1  # s, over which the force a contact is held with is averaged
+MEAN_FORCE_TIME = 0.1  # s, over which the force a contact is held with is averaged
 TOUCH_SHARE = 0.5  # of the force before a loss, that counts as touch right after it
-STEP_TIME = 0.02  # s, in which a force step may be taken
+FORCE_STEP_TIME = 0.02  # s, in which a force step may be taken
 REBOUND_SPEED = 2e-3  # m/s, away from the surface, from which on it is thrown back
 REBOUNDS_APART = 0.5  # s
 LOSS_PERIODS, BOUNCE_PERIODS = 2, 3  # the same, at least: one sample says nothing
@@ -75,7 +83,7 @@ AHEAD_TIME = 0.3  # s without an answer, from which on more than the threshold i
 PRESSING_WAY = 5e-4  # m without a change, as of a preload on a surface
 FREE_WAY = 3e-3  # m without a change, after which what is read is no force of a surface
 ANSWER_SHARE = 0.5  # of the contact threshold, by which a force has to rise to answer
-SOFTEST = 150.0  # N/m; what rises less on the way is no surface
+SOFTEST_SURFACE = 150.0  # N/m; what rises less on the way is no surface
 SLIPPING = (
     2e-4  # m back, at which a force that rises still answers: drives and tools bend
 )
@@ -104,37 +112,41 @@ class ContactState(Record, Protocol):
 
     state: int  # one of those above
     losses: int  # how often it was lost since it was first wanted
-    left: bool  # whether it is to be left, or was, for its force or for where it leads
-    again: bool  # whether it is to be sought although it was given up
+    retract_requested: (
+        bool  # whether it is to be left, or was, for its force or for where it leads
+    )
+    retry_requested: bool  # whether it is to be sought although it was given up
     wanted: bool  # whether the task asks for it
-    asked: float  # force the task asks for [N]
-    asked_for: float  # since when it is the same [s]
+    alpha_task: float  # force the task asks for [N]
+    alpha_task_age: float  # since when it is the same [s]
     displacement: float  # of the reference along the normal, relative to the task [m]
-    moved: float  # the same when the tick began [m]
+    displacement_before: float  # the same when the tick began [m]
 
     # Of that displacement [m/s], [m/s^2].
     speed: float
     acceleration: float
 
     force_limit: float  # upper limit of the desired force [N]
-    in_state: float  # since when in this state [s]
+    time_in_state: float  # since when in this state [s]
 
     # For how long less is felt than by one that holds; < 0 if thrown back [s].
-    below: float
+    time_below_threshold: float
 
-    shaken: float  # until it may be thrown back again without being lost [s]
-    level: float  # force it is held with, averaged [N]
-    origin: float  # displacement at which the surface is, NaN if it was never met [m]
-    start: float  # displacement at which the search began [m]
+    rebound_lockout: float  # until it may be thrown back again without being lost [s]
+    mean_force: float  # force it is held with, averaged [N]
+    surface_displacement: (
+        float  # displacement at which the surface is, NaN if it was never met [m]
+    )
+    search_start: float  # displacement at which the search began [m]
 
     # By which a surface may be lower where the tip has slid to since a loss [m].
-    fall: float
+    surface_fall: float
 
-    target: float  # displacement to go to [m]
+    target_displacement: float  # displacement to go to [m]
     stiffness: float  # modelled, of the surface [N/m]
     surface_speed: float  # along the normal, as far as it is known [m/s]
     approach_speed: float  # largest one towards a surface that is not felt [m/s]
-    averaged: float  # samples in `baseline`, up to as many as are averaged
+    averaged_samples: float  # samples in `baseline`, up to as many as are averaged
     baseline: float  # what is read without a touch [N]
     untared: float  # of that, what is taken off the measured force [N]
     free_way: float  # of the search, on which nothing was felt [m]
@@ -143,27 +155,29 @@ class ContactState(Record, Protocol):
     resumed: bool  # whether it was pressed before a pause, and has not answered since
 
     # Force that the tip is said to rest on before a search, 0 if not [N].
-    resting: float
+    resting_force: float
 
     last_speed: float  # of the tip along the normal, at the sample before [m/s]
-    seen: float  # for how long a force is seen that has not answered [s]
-    felt: float  # that force without the tool's inertia, smoothed [N]
+    observed_time: float  # for how long a force is seen that has not answered [s]
+    smoothed_force: float  # that force without the tool's inertia, smoothed [N]
 
     # The same with it, and its minimum [N].
-    read: float
-    least_read: float
+    smoothed_reading: float
+    least_reading: float
 
-    unanswered: float  # for how long clearly more than that is asked for [s]
+    shortfall_time: float  # for how long clearly more than that is asked for [s]
 
     # Minimum of `felt`, and where the tip was then [N], [m].
-    least: float
-    least_place: float
+    least_force: float
+    least_force_place: float
 
     # Of the touch, and of the last force near that [m].
     touch_place: float
-    flat_place: float
+    flat_force_place: float
 
-    calm: float  # until it has more than the preload, of one that has answered late [s]
+    preload_time: (
+        float  # until it has more than the preload, of one that has answered late [s]
+    )
 
 
 CONTACT_STATE = record_dtype(ContactState)
@@ -196,7 +210,7 @@ CONTACT_SETTINGS = record_dtype(ContactSettings)
 
 
 FREE_CONTACT: NDArray[np.void] = np.zeros((), dtype=CONTACT_STATE)
-FREE_CONTACT['origin'] = np.nan
+FREE_CONTACT['surface_displacement'] = np.nan
 
 
 def contact_settings(
@@ -223,20 +237,22 @@ def contact_settings(
 
 
 @compiled
-def let_go(contact: ContactState, place: float, speed: float) -> None:
+def release_contact(contact: ContactState, place: float, speed: float) -> None:
     """Give a contact back to the motion law, which leads the tip to where the surface was."""
     contact.displacement, contact.speed = place, 0.0
     if contact.state in PRESSED:
         contact.losses += 1
         contact.speed = speed
-        contact.target = place
-        if not np.isnan(contact.origin):
-            contact.start = contact.target = contact.origin
-        contact.state, contact.in_state = LOST, 0.0
+        contact.target_displacement = place
+        if not np.isnan(contact.surface_displacement):
+            contact.search_start = contact.target_displacement = (
+                contact.surface_displacement
+            )
+        contact.state, contact.time_in_state = LOST, 0.0
 
 
 @compiled
-def _take_off(
+def _set_untared_force(
     contact: ContactState, settings: ContactSettings, baseline: float
 ) -> None:
     """Take what is read without a touch off the measured force, if it is worth it [N]."""
@@ -249,22 +265,24 @@ def _take_off(
 def _begin_search(contact: ContactState, settings: ContactSettings) -> None:
     """Go to a surface, and take off what is read before."""
     contact.free_way = 0.0
-    _take_off(contact, settings, contact.baseline)
+    _set_untared_force(contact, settings, contact.baseline)
     contact.state = APPROACHING
 
 
 @compiled
-def average_reading(
+def average_free_reading(
     contact: ContactState, settings: ContactSettings, alpha: float
 ) -> None:
     """Average what is read where a contact is not sought, over `AVERAGE_TIME`."""
     longest = max(1.0, np.round(AVERAGE_TIME / settings.period))
-    contact.averaged = min(contact.averaged + 1.0, longest)
-    contact.baseline += (alpha + contact.untared - contact.baseline) / contact.averaged
+    contact.averaged_samples = min(contact.averaged_samples + 1.0, longest)
+    contact.baseline += (
+        alpha + contact.untared - contact.baseline
+    ) / contact.averaged_samples
 
 
 @compiled
-def follow_reading(
+def follow_free_reading(
     contact: ContactState,
     settings: ContactSettings,
     alpha: float,
@@ -272,8 +290,8 @@ def follow_reading(
 ) -> None:
     """Follow what is read on a way towards a surface [m], and take it off."""
     seen = TARE_SHARE * settings.contact_threshold
-    if contact.averaged * settings.period < AVERAGE_TIME and abs(alpha) < seen:
-        average_reading(contact, settings, alpha)
+    if contact.averaged_samples * settings.period < AVERAGE_TIME and abs(alpha) < seen:
+        average_free_reading(contact, settings, alpha)
     else:
         share = abs(way) / AVERAGE_WAY
         if alpha < -seen:
@@ -281,11 +299,11 @@ def follow_reading(
         contact.baseline += min(share, 1.0) * (
             alpha + contact.untared - contact.baseline
         )
-    _take_off(contact, settings, contact.baseline)
+    _set_untared_force(contact, settings, contact.baseline)
 
 
 @compiled
-def go_on(contact: ContactState, alpha: float, place: float) -> None:
+def resume_contact(contact: ContactState, alpha: float, place: float) -> None:
     """
     Go on with a contact that was pressed before a pause.
 
@@ -293,30 +311,33 @@ def go_on(contact: ContactState, alpha: float, place: float) -> None:
     """
     contact.displacement = place
     contact.answered = contact.answered and (
-        place > contact.origin - STAYING and alpha > TOUCH_SHARE * contact.level
+        place > contact.surface_displacement - STAYING
+        and alpha > TOUCH_SHARE * contact.mean_force
     )
     contact.resumed = True
-    contact.seen = contact.resting = contact.unanswered = 0.0
+    contact.observed_time = contact.resting_force = contact.shortfall_time = 0.0
 
 
 @compiled
-def read_anew(contact: ContactState, settings: ContactSettings, alpha: float) -> None:
+def restart_free_reading(
+    contact: ContactState, settings: ContactSettings, alpha: float
+) -> None:
     """Take what is read after a pause for what a search begins with."""
     if (
         contact.state == FREE
         or contact.state == APPROACHING
         or contact.state == GIVEN_UP
     ):
-        contact.averaged = 0.0
-        average_reading(contact, settings, alpha)
+        contact.averaged_samples = 0.0
+        average_free_reading(contact, settings, alpha)
     if contact.state == APPROACHING:
         contact.free_way = 0.0
-        contact.start = contact.displacement
-        _take_off(contact, settings, contact.baseline)
+        contact.search_start = contact.displacement
+        _set_untared_force(contact, settings, contact.baseline)
 
 
 @compiled
-def _watch_answer(
+def _watch_surface_answer(
     contact: ContactState,
     settings: ContactSettings,
     alpha: float,
@@ -331,66 +352,71 @@ def _watch_answer(
     The inertia of the tool is no force; behind flexible drives the encoders do not tell it, so
     that what is read has to rise both with and without it.
     """
-    contact.seen += settings.period
+    contact.observed_time += settings.period
     force = alpha - settings.tool_mass * (speed - contact.last_speed) / settings.period
-    if contact.seen <= settings.settling_time + 1e-9:
-        contact.felt = contact.least = force
-        contact.read = contact.least_read = alpha
-        contact.least_place = place
+    if contact.observed_time <= settings.settling_time + 1e-9:
+        contact.smoothed_force = contact.least_force = force
+        contact.smoothed_reading = contact.least_reading = alpha
+        contact.least_force_place = place
         return
     share = settings.period / (ANSWER_TIME + settings.period)
-    contact.felt += share * (force - contact.felt)
-    contact.read += share * (alpha - contact.read)
-    contact.least_read = min(contact.least_read, contact.read)
-    if contact.felt < contact.least:
-        contact.least = contact.felt
-        contact.least_place = place
+    contact.smoothed_force += share * (force - contact.smoothed_force)
+    contact.smoothed_reading += share * (alpha - contact.smoothed_reading)
+    contact.least_reading = min(contact.least_reading, contact.smoothed_reading)
+    if contact.smoothed_force < contact.least_force:
+        contact.least_force = contact.smoothed_force
+        contact.least_force_place = place
     changed = TARE_SHARE * settings.contact_threshold
-    if contact.felt < contact.least + changed:
-        contact.flat_place = place
+    if contact.smoothed_force < contact.least_force + changed:
+        contact.flat_force_place = place
     # What the tip is said to rest on has to let go of it, too.
-    if contact.felt < contact.resting - changed:
-        contact.resting = 0.0
-    way = place - contact.least_place
-    needed = max(ANSWER_SHARE * settings.contact_threshold, SOFTEST * way)
-    missing = min(contact.asked, contact.force_limit) - contact.felt
+    if contact.smoothed_force < contact.resting_force - changed:
+        contact.resting_force = 0.0
+    way = place - contact.least_force_place
+    needed = max(ANSWER_SHARE * settings.contact_threshold, SOFTEST_SURFACE * way)
+    missing = min(contact.alpha_task, contact.force_limit) - contact.smoothed_force
     asks = missing > ANSWER_SHARE * settings.contact_threshold
-    contact.unanswered = contact.unanswered + settings.period if asks else 0.0
-    rise = min(contact.felt - contact.least, contact.read - contact.least_read)
-    contact.answered = contact.resting == 0.0 and way > -SLIPPING and rise >= needed
+    contact.shortfall_time = contact.shortfall_time + settings.period if asks else 0.0
+    rise = min(
+        contact.smoothed_force - contact.least_force,
+        contact.smoothed_reading - contact.least_reading,
+    )
+    contact.answered = (
+        contact.resting_force == 0.0 and way > -SLIPPING and rise >= needed
+    )
 
 
 @compiled
-def _take_answer(contact: ContactState, settings: ContactSettings) -> None:
+def _begin_with_preload(contact: ContactState, settings: ContactSettings) -> None:
     """
     Begin with the preload where the tip has gone on before a force that held has answered.
 
     It may touch the surface only now; after a longer way it does, and what it has read until then
     is no force.
     """
-    way = contact.flat_place - contact.touch_place
+    way = contact.flat_force_place - contact.touch_place
     if way > PRESSING_WAY:
-        contact.calm = IMPACT_TIME
+        contact.preload_time = IMPACT_TIME
     if way > FREE_WAY:
         contact.free_way = FREE_WAY
-        _take_off(contact, settings, contact.untared + contact.least)
+        _set_untared_force(contact, settings, contact.untared + contact.least_force)
 
 
 @compiled
 def desired_force(contact: ContactState, settings: ContactSettings) -> float:
     """Return what is asked of a contact as far as it may have it [N]."""
-    desired = min(contact.asked, contact.force_limit)
+    desired = min(contact.alpha_task, contact.force_limit)
     if contact.answered:
-        return min(desired, settings.preload) if contact.calm > 0.0 else desired
+        return min(desired, settings.preload) if contact.preload_time > 0.0 else desired
     # No more than is needed to find out: what is fed forward moves a tool that nothing bears.
-    if contact.resting > 0.0:
+    if contact.resting_force > 0.0:
         return min(desired, settings.preload)
-    ahead = settings.contact_threshold * max(1.0, contact.seen / AHEAD_TIME)
-    return min(desired, max(contact.felt + ahead, settings.preload))
+    ahead = settings.contact_threshold * max(1.0, contact.observed_time / AHEAD_TIME)
+    return min(desired, max(contact.smoothed_force + ahead, settings.preload))
 
 
 @compiled
-def approach_speed(
+def limit_approach_speed(
     contact: ContactState, settings: ContactSettings, mobility: float
 ) -> float:
     """
@@ -408,7 +434,7 @@ def approach_speed(
 
 
 @compiled
-def speed_bound(contact: ContactState, fall_speed: float) -> float:
+def bound_contact_speed(contact: ContactState, fall_speed: float) -> float:
     """
     Return the largest speed into a surface that does not answer, 0 for none [m/s].
 
@@ -418,15 +444,21 @@ def speed_bound(contact: ContactState, fall_speed: float) -> float:
     if contact.state not in PRESSED:
         return 0.0
     if contact.answered:
-        return contact.approach_speed + fall_speed if contact.below != 0.0 else 0.0
+        return (
+            contact.approach_speed + fall_speed
+            if contact.time_below_threshold != 0.0
+            else 0.0
+        )
     times = GENTLE
     if contact.state == IMPACT:
-        times += (TOUCHING - GENTLE) * max(0.0, 1.0 - contact.in_state / IMPACT_TIME)
+        times += (TOUCHING - GENTLE) * max(
+            0.0, 1.0 - contact.time_in_state / IMPACT_TIME
+        )
     return times * contact.approach_speed
 
 
 @compiled
-def refute(
+def refute_contact(
     contact: ContactState, settings: ContactSettings, place: float, speed: float
 ) -> bool:
     """
@@ -437,27 +469,31 @@ def refute(
     """
     if contact.state not in PRESSED or contact.answered:
         return False
-    if contact.seen <= settings.settling_time:
+    if contact.observed_time <= settings.settling_time:
         return False
-    way = place - contact.least_place
+    way = place - contact.least_force_place
     if contact.resumed:  # it may slide along a slope meanwhile
         refuted = way > settings.approach_distance
     else:
         # A law that goes on by a way of its own, as an impedance does, may stand in free space.
         refuted = (
-            way > YIELDING or way < -RETREATING or contact.unanswered > UNANSWERED_TIME
+            way > YIELDING
+            or way < -RETREATING
+            or contact.shortfall_time > UNANSWERED_TIME
         )
     if refuted:
-        _take_off(contact, settings, contact.untared + contact.felt)
+        _set_untared_force(contact, settings, contact.untared + contact.smoothed_force)
         contact.free_way = FREE_WAY
-        contact.origin = np.nan
-        contact.level = 0.0
-        let_go(contact, place, speed)
+        contact.surface_displacement = np.nan
+        contact.mean_force = 0.0
+        release_contact(contact, place, speed)
     return refuted
 
 
 @compiled
-def _touch(contact: ContactState, settings: ContactSettings, alpha: float) -> float:
+def _begin_contact(
+    contact: ContactState, settings: ContactSettings, alpha: float
+) -> float:
     """
     Begin to press; return the measured force without what was read before [N].
 
@@ -467,20 +503,20 @@ def _touch(contact: ContactState, settings: ContactSettings, alpha: float) -> fl
     reading = alpha + contact.untared
     if contact.free_way < FREE_WAY and contact.untared > 0.0:
         if contact.untared > settings.preload:
-            contact.answered, contact.resting = False, contact.untared
+            contact.answered, contact.resting_force = False, contact.untared
         contact.baseline = contact.untared = 0.0
     elif contact.untared != 0.0:
-        _take_off(contact, settings, contact.free_baseline)
+        _set_untared_force(contact, settings, contact.free_baseline)
     taken = reading - contact.untared
-    contact.felt += taken - alpha
-    contact.least += taken - alpha
-    contact.read += taken - alpha
-    contact.least_read += taken - alpha
+    contact.smoothed_force += taken - alpha
+    contact.least_force += taken - alpha
+    contact.smoothed_reading += taken - alpha
+    contact.least_reading += taken - alpha
     return taken
 
 
 @compiled
-def _watch_search(
+def _advance_search(
     contact: ContactState,
     settings: ContactSettings,
     alpha: float,
@@ -488,48 +524,50 @@ def _watch_search(
     speed: float,
 ) -> None:
     """Touch, or give up, or begin to look for a lost surface."""
-    met_before = not np.isnan(contact.origin)
+    met_before = not np.isnan(contact.surface_displacement)
     threshold = settings.contact_threshold
     nothing_seen = alpha < TARE_SHARE * threshold
     if contact.state == LOST or nothing_seen:  # an answer is waited for from now on
         contact.answered = contact.resumed = False
-        contact.seen = contact.resting = contact.unanswered = 0.0
+        contact.observed_time = contact.resting_force = contact.shortfall_time = 0.0
     else:
-        _watch_answer(contact, settings, alpha, place, speed)
+        _watch_surface_answer(contact, settings, alpha, place, speed)
     if contact.state == LOST:  # a tool that is being braked reads its own inertia
-        threshold = max(2.0 * threshold, TOUCH_SHARE * contact.level)
+        threshold = max(2.0 * threshold, TOUCH_SHARE * contact.mean_force)
     elif nothing_seen:
-        contact.free_way = max(contact.free_way, contact.displacement - contact.start)
+        contact.free_way = max(
+            contact.free_way, contact.displacement - contact.search_start
+        )
         contact.free_baseline = contact.baseline
     if alpha > threshold:
         if contact.state == APPROACHING:
-            alpha = _touch(contact, settings, alpha)
+            alpha = _begin_contact(contact, settings, alpha)
         contact.force_limit = (
             max(alpha, settings.preload) if met_before else settings.preload
         )
-        contact.below = contact.level = contact.calm = 0.0
-        contact.touch_place = contact.flat_place = place
+        contact.time_below_threshold = contact.mean_force = contact.preload_time = 0.0
+        contact.touch_place = contact.flat_force_place = place
         contact.state = IMPACT
     elif contact.state == LOST:
         stands = (
-            abs(contact.target - contact.displacement) < 2e-4
+            abs(contact.target_displacement - contact.displacement) < 2e-4
             and abs(contact.speed) < 2e-3
         )
-        if contact.in_state >= LOST_TIME and stands:
+        if contact.time_in_state >= LOST_TIME and stands:
             if met_before:
-                contact.start = contact.displacement
+                contact.search_start = contact.displacement
             contact.state = APPROACHING
     else:
         farthest = settings.approach_distance
         if met_before:
-            farthest = min(SEARCH_DISTANCE + contact.fall, farthest)
-        if contact.displacement - contact.start > farthest:
-            contact.target = contact.start
+            farthest = min(SEARCH_DISTANCE + contact.surface_fall, farthest)
+        if contact.displacement - contact.search_start > farthest:
+            contact.target_displacement = contact.search_start
             contact.state = GIVEN_UP
 
 
 @compiled
-def _watch_hold(
+def _advance_hold(
     contact: ContactState,
     settings: ContactSettings,
     alpha: float,
@@ -539,82 +577,95 @@ def _watch_hold(
 ) -> None:
     """Notice a loss, or that a touch has lasted."""
     h = settings.period
-    unproven = not contact.answered
-    if unproven:
-        _watch_answer(contact, settings, alpha, place, speed)
+    unanswered = not contact.answered
+    if unanswered:
+        _watch_surface_answer(contact, settings, alpha, place, speed)
         if contact.answered and contact.state == HOLDING and not contact.resumed:
-            _take_answer(contact, settings)
+            _begin_with_preload(contact, settings)
     threshold = max(
         settings.release_threshold,
-        RELEASE_SHARE * min(contact.level, contact.asked, contact.force_limit),
+        RELEASE_SHARE
+        * min(contact.mean_force, contact.alpha_task, contact.force_limit),
     )
-    held = contact.state == HOLDING and contact.calm == 0.0
+    held = contact.state == HOLDING and contact.preload_time == 0.0
     if alpha >= threshold:
-        contact.below = 0.0
-        contact.calm = max(0.0, contact.calm - h)
+        contact.time_below_threshold = 0.0
+        contact.preload_time = max(0.0, contact.preload_time - h)
         if contact.answered or contact.resumed:  # where it would not press any more
-            contact.origin = place - alpha / contact.stiffness
-        contact.level += h / (LEVEL_TIME + h) * (alpha - contact.level)
+            contact.surface_displacement = place - alpha / contact.stiffness
+        contact.mean_force += h / (MEAN_FORCE_TIME + h) * (alpha - contact.mean_force)
     else:
         if (
-            contact.below == 0.0
+            contact.time_below_threshold == 0.0
             and held
             and (
-                speed - contact.surface_speed < -REBOUND_SPEED and contact.shaken <= 0.0
+                speed - contact.surface_speed < -REBOUND_SPEED
+                and contact.rebound_lockout <= 0.0
             )
         ):
             # Thrown back by a surface that is stiffer than its model: it returns by itself,
             # once; one that is thrown back again and again swings, and is better let go.
-            contact.below = min(0.0, settings.loss_time - REBOUND_TIME)
-            contact.shaken = REBOUNDS_APART
-        contact.below += h
-    contact.shaken = max(0.0, contact.shaken - h)
+            contact.time_below_threshold = min(0.0, settings.loss_time - REBOUND_TIME)
+            contact.rebound_lockout = REBOUNDS_APART
+        contact.time_below_threshold += h
+    contact.rebound_lockout = max(0.0, contact.rebound_lockout - h)
     patience = settings.loss_time if held else settings.bounce_time
     # A step of the force is a motion, too: into a surface that yields as its model.
-    step = abs(min(contact.asked, contact.force_limit) - contact.level)
-    fastest = ESCAPE_SPEED + step / (contact.stiffness * STEP_TIME)
-    if contact.below > patience + 1e-9 or escape > fastest:
-        let_go(contact, place, speed)
+    step = abs(min(contact.alpha_task, contact.force_limit) - contact.mean_force)
+    fastest = ESCAPE_SPEED + step / (contact.stiffness * FORCE_STEP_TIME)
+    if contact.time_below_threshold > patience + 1e-9 or escape > fastest:
+        release_contact(contact, place, speed)
     elif (
         contact.state == IMPACT
-        and contact.below == 0.0
-        and contact.in_state >= IMPACT_TIME
+        and contact.time_below_threshold == 0.0
+        and contact.time_in_state >= IMPACT_TIME
     ):
         contact.state = HOLDING
 
 
 @compiled
-def _leave(contact: ContactState, place: float, speed: float) -> None:
+def _forget_contact(contact: ContactState, place: float, speed: float) -> None:
     """Forget a contact that the task does not ask for."""
     if contact.state in PRESSED:
-        let_go(contact, place, speed)
+        release_contact(contact, place, speed)
     contact.state = FREE
-    contact.left = False
+    contact.retract_requested = False
     contact.losses = 0
-    contact.origin = np.nan
-    contact.target = 0.0
+    contact.surface_displacement = np.nan
+    contact.target_displacement = 0.0
     contact.untared = 0.0
 
 
 @compiled
-def _search_again(contact: ContactState, settings: ContactSettings) -> None:
+def _repeat_search(contact: ContactState, settings: ContactSettings) -> None:
     """Look again for a surface that was given up, if it is time or asked for."""
-    due = 0.0 < settings.retry_time <= contact.in_state and not contact.left
-    if due or contact.again:
-        contact.left = False
+    due = (
+        0.0 < settings.retry_time <= contact.time_in_state
+        and not contact.retract_requested
+    )
+    if due or contact.retry_requested:
+        contact.retract_requested = False
         # As far as before, wherever the tip has come to meanwhile.
-        contact.start = contact.target if np.isnan(contact.origin) else contact.origin
+        contact.search_start = (
+            contact.target_displacement
+            if np.isnan(contact.surface_displacement)
+            else contact.surface_displacement
+        )
         _begin_search(contact, settings)
 
 
 @compiled
-def _lead_tip(contact: ContactState, settings: ContactSettings) -> None:
+def _advance_displacement(contact: ContactState, settings: ContactSettings) -> None:
     """Go on by a displacement that is ramped, bounded and braked."""
     h, wanted, change = settings.period, contact.approach_speed, BRAKING
     if contact.state != APPROACHING:
         limit = RETRACT_SPEED if contact.state == RETRACTING else wanted
         wanted = min(
-            max(POSITION_RATE * (contact.target - contact.displacement), -limit), limit
+            max(
+                POSITION_RATE * (contact.target_displacement - contact.displacement),
+                -limit,
+            ),
+            limit,
         )
     elif abs(contact.speed) <= contact.approach_speed:
         change = contact.approach_speed / settings.approach_ramp_time
@@ -638,48 +689,49 @@ def advance_contact(
     `escape` is the speed into the surface, less that of the surface, of a lost contact [m/s].
     """
     h, before = settings.period, contact.state
-    contact.in_state += h
-    contact.again = contact.again and before == GIVEN_UP
+    contact.time_in_state += h
+    contact.retry_requested = contact.retry_requested and before == GIVEN_UP
     if before == FREE or before == GIVEN_UP:
-        average_reading(contact, settings, alpha)
+        average_free_reading(contact, settings, alpha)
     elif before == APPROACHING:
-        follow_reading(contact, settings, alpha, contact.speed * h)
+        follow_free_reading(contact, settings, alpha, contact.speed * h)
     too_hard = alpha > settings.force_ceiling and before != RETRACTING
     if not contact.wanted:
-        _leave(contact, place, speed)
-    elif too_hard or (contact.left and before in PRESSED):
+        _forget_contact(contact, place, speed)
+    elif too_hard or (contact.retract_requested and before in PRESSED):
         contact.displacement, contact.speed = place, speed
-        contact.target = place - RETRACT_DISTANCE
-        contact.left = True
+        contact.target_displacement = place - RETRACT_DISTANCE
+        contact.retract_requested = True
         contact.state = RETRACTING
     elif before == FREE:
-        contact.start = contact.displacement
+        contact.search_start = contact.displacement
         _begin_search(contact, settings)
     elif before in PRESSED:
-        _watch_hold(contact, settings, alpha, place, speed, escape)
+        _advance_hold(contact, settings, alpha, place, speed, escape)
     elif before == RETRACTING:
-        if abs(contact.target - contact.displacement) < 1e-4:
+        if abs(contact.target_displacement - contact.displacement) < 1e-4:
             contact.state = GIVEN_UP
     elif before == GIVEN_UP:
-        _search_again(contact, settings)
+        _repeat_search(contact, settings)
     else:
-        _watch_search(contact, settings, alpha, place, speed)
+        _advance_search(contact, settings, alpha, place, speed)
     contact.last_speed = speed
     if contact.state != before:
-        contact.in_state = 0.0
+        contact.time_in_state = 0.0
         if contact.state == FREE or contact.state == GIVEN_UP:
-            contact.averaged = 0.0
+            contact.averaged_samples = 0.0
     if contact.state not in PRESSED:
-        _lead_tip(contact, settings)
+        _advance_displacement(contact, settings)
         return
     contact.acceleration = 0.0
-    found_again = contact.losses > 0 and not np.isnan(contact.origin)
+    found_again = contact.losses > 0 and not np.isnan(contact.surface_displacement)
     # It has what is asked for once it holds; after a loss at a bounded rate.
     if contact.state == HOLDING and contact.losses == 0:
-        contact.force_limit = max(contact.force_limit, contact.asked)
+        contact.force_limit = max(contact.force_limit, contact.alpha_task)
     elif contact.state == HOLDING or found_again:
         change = min(
-            max(contact.asked - contact.force_limit, -FORCE_RATE * h), FORCE_RATE * h
+            max(contact.alpha_task - contact.force_limit, -FORCE_RATE * h),
+            FORCE_RATE * h,
         )
         # After a bounce, which looks like noise, a law is blind for a while.
         if change < 0.0 or alpha <= EXCESS * contact.force_limit:

@@ -13,12 +13,12 @@ from multicontact_control.config import ControllerConfig
 from multicontact_control.config.controller import TransitionConfig
 from multicontact_control.control.arm import ArmState
 from multicontact_control.flags import (
-    JOINT_STOP,
-    REACH,
-    REFERENCE,
-    REPLACED,
-    TORQUE,
-    TORQUE_RATE,
+    JOINT_BOUNDED,
+    REFERENCE_LIMITED,
+    SINGULARITY_BOUNDED,
+    TORQUE_LIMITED,
+    TORQUE_RATE_LIMITED,
+    TORQUE_REPLACED,
 )
 from multicontact_control.records import (
     Contact,
@@ -34,16 +34,16 @@ from multicontact_control.supervision.bounds import bound_motion, BoundSpace
 import numpy as np
 
 LIMIT_NAMES = {
-    REFERENCE: 'reference',
-    REPLACED: 'not_finite',
-    JOINT_STOP: 'joint',
-    TORQUE: 'torque',
-    TORQUE_RATE: 'torque_rate',
-    REACH: 'reach',
+    REFERENCE_LIMITED: 'reference',
+    TORQUE_REPLACED: 'not_finite',
+    JOINT_BOUNDED: 'joint',
+    TORQUE_LIMITED: 'torque',
+    TORQUE_RATE_LIMITED: 'torque_rate',
+    SINGULARITY_BOUNDED: 'reach',
 }
 JOINT_MARGIN = 0.02  # rad before its stop, where a joint comes to rest
 STEEPEST = 1.875  # largest slope of the quintic from 0 to 1
-BLEND_TIME = (
+LAW_BLEND_TIME = (
     0.003  # s, time constant by which a change of active contacts or laws is blended
 )
 FADED = 1e-6  # N m in every joint, below which such a difference counts as gone
@@ -66,7 +66,7 @@ class GateConfig(Record, Protocol):
 GATE_CONFIG = record_dtype(GateConfig)
 
 
-class Gate(Record, Protocol):
+class GateState(Record, Protocol):
     """The gate: what is set for it, and what it remembers; one."""
 
     config: GateConfig
@@ -76,7 +76,7 @@ class Gate(Record, Protocol):
     begun: bool
     ranged: bool
 
-    law: int  # what has answered last; see `law_number`
+    law: int  # what has answered last; see `number_of_law`
     pending: bool  # whether the next torque is to be the one that acts
 
     # Whether `lacking` or `difference` of the joints count.
@@ -91,11 +91,11 @@ class Gate(Record, Protocol):
     space: BoundSpace
 
 
-GATE = record_dtype(Gate)
+GATE_STATE = record_dtype(GateState)
 
 
 @compiled
-def law_number(contacts: Records[Contact], guarded: bool) -> int:
+def number_of_law(contacts: Records[Contact], guarded: bool) -> int:
     """Return the number of the control law with these active contacts; 0 without guards."""
     if not guarded:
         return 0
@@ -107,7 +107,9 @@ def law_number(contacts: Records[Contact], guarded: bool) -> int:
 
 
 @compiled
-def blend(gate: Gate, joints: Records[Joint], law: int, torque: Vector) -> None:
+def blend_torque(
+    gate: GateState, joints: Records[Joint], law: int, torque: Vector
+) -> None:
     """
     Add to a torque, shape (n,), what is left of the differences from the ones before.
 
@@ -155,7 +157,7 @@ def blend(gate: Gate, joints: Records[Joint], law: int, torque: Vector) -> None:
 
 
 @compiled
-def set_ranges(joints: Records[Joint]) -> None:
+def set_joint_ranges(joints: Records[Joint]) -> None:
     """Keep joints a margin off their stops; one that starts beyond it may stay there."""
     for j in range(joints.shape[0]):
         joint = joints[j]
@@ -165,7 +167,7 @@ def set_ranges(joints: Records[Joint]) -> None:
 
 @compiled
 def pass_gate(
-    gate: Gate,
+    gate: GateState,
     joints: Records[Joint],
     control: Control,
     contacts: Records[Contact],
@@ -184,8 +186,8 @@ def pass_gate(
     mass_matrix, jacobian
         M (upper triangle), shape (n, n), and J, shape (6, n).
     law
-        What has answered: `law_number`, so that contacts and the task are kept as far as possible,
-        or a negative number for something else.
+        What has answered: `number_of_law`, so that contacts and the task are kept as far as
+        possible, or a negative number for something else.
 
     Returns
     -------
@@ -197,15 +199,15 @@ def pass_gate(
     torque = gate.torque[:n]
     for j in range(n):
         torque[j] = joints[j].answer.torque
-    blend(gate, joints, law, torque)
+    blend_torque(gate, joints, law, torque)
     if gate.seen and not gate.ranged:
-        set_ranges(joints)
+        set_joint_ranges(joints)
         gate.ranged = True
     finite = True
     for j in range(n):
         finite = finite and np.isfinite(torque[j])
     if not finite:
-        enforced = REPLACED
+        enforced = TORQUE_REPLACED
         for j in range(n):
             torque[j] = 0.0
             if np.isfinite(joints[j].bias_torque):
@@ -229,12 +231,12 @@ def pass_gate(
             joint.drive_gravity_torque + limit,
         )
         if clipped != torque[j]:
-            enforced |= TORQUE
+            enforced |= TORQUE_LIMITED
         slowed = clipped
         if gate.begun:
             slowed = min(max(clipped, last - step), last + step)
         if slowed != clipped:
-            enforced |= TORQUE_RATE
+            enforced |= TORQUE_RATE_LIMITED
         joint.gate.commanded_torque = slowed
     gate.begun = True
     return enforced
@@ -246,12 +248,12 @@ def limit_names(found: int) -> tuple[str, ...]:
     return tuple(name for flag, name in LIMIT_NAMES.items() if found & flag)
 
 
-def gate_record(config: ControllerConfig, *, guarded: bool) -> Records[Gate]:
+def make_gate_record(config: ControllerConfig, *, guarded: bool) -> Records[GateState]:
     """Return one record of `GATE` as configured, before the first torque."""
-    gate = np.zeros(1, dtype=GATE)
+    gate = np.zeros(1, dtype=GATE_STATE)
     settings = gate['config']
     settings['guarded'], settings['period'] = guarded, config.period
-    settings['keep'] = math.exp(-config.period / BLEND_TIME)
+    settings['keep'] = math.exp(-config.period / LAW_BLEND_TIME)
     return gate
 
 
@@ -280,19 +282,21 @@ class TorqueGate:
         self, config: ControllerConfig, arm: ArmState, *, guarded: bool = True
     ) -> None:
         self._arm, self._joints = arm, arm.joints
-        self.records: Records[Gate] = gate_record(config, guarded=guarded)
+        self.records: Records[GateState] = make_gate_record(config, guarded=guarded)
         self._gate, self._begun = self.records[0], self.records['begun']
         joints: Records[JointConfig] = self._joints['config']
         rate = config.limits.torque_rate if guarded else ()
         joints['torque_step'] = np.array(rate or np.inf) * config.period
         joints['gate_speed'] = config.limits.joint_speed or np.inf
         self.last: Vector = self._joints['gate']['commanded_torque']
-        self.retune(config.transition)
+        self.apply_config(config.transition)
         self.reset()
-        self.apply(-1, np.zeros(len(self._joints)))  # no tick is to wait for numba
+        self.apply_torque(
+            -1, np.zeros(len(self._joints))
+        )  # no tick is to wait for numba
         self.reset()
 
-    def retune(self, transition: TransitionConfig) -> None:
+    def apply_config(self, transition: TransitionConfig) -> None:
         """Set how fast a commanded change is gone over to."""
         self._gate['config']['blend_time'] = transition.blend_time
         self._gate['config']['blend_rate'] = transition.torque_rate
@@ -308,7 +312,7 @@ class TorqueGate:
         """Whether there is a torque that acts."""
         return bool(self._begun[0])
 
-    def begin(self, torque: Vector) -> None:
+    def begin_from(self, torque: Vector) -> None:
         """Go over from a torque, shape (n,) [N m], that acts before the first tick."""
         limit, added = (
             self._joints['config']['torque_limit'],
@@ -316,14 +320,14 @@ class TorqueGate:
         )
         self.last[:] = np.clip(torque, added - limit, added + limit)
         self._gate['begun'] = True
-        self.go_over()
+        self.start_blend()
 
-    def go_over(self) -> None:
+    def start_blend(self) -> None:
         """Let the next torque be the one that acts: what is commanded is about to jump."""
         self._gate['pending'] = self._gate['begun']
         self._gate['blending'] = self._gate['fading'] = False
 
-    def hurry(self) -> None:
+    def cancel_blend(self) -> None:
         """Leave what has still to fade slowly to the fast way."""
         if self._gate['pending'] or self._gate['blending']:
             self._gate['pending'] = self._gate['blending'] = self._gate['fading'] = (
@@ -331,12 +335,12 @@ class TorqueGate:
             )
             self._gate['law'] = 0
 
-    def allow_for(self, added: Vector) -> None:
+    def update_added_torque(self, added: Vector) -> None:
         """Take in what the drives add to a command [N m], which changes the torque that acts."""
         self.last += added - self._joints['drive_gravity_torque']
         self._joints['drive_gravity_torque'] = added
 
-    def apply(self, law: int, torque: Vector, *, seen: bool = True) -> int:
+    def apply_torque(self, law: int, torque: Vector, *, seen: bool = True) -> int:
         """
         Let a torque, shape (n,) [N m], through to `last`; return the `LIMITS` enforced.
 

@@ -26,10 +26,10 @@ from multicontact_control.records import (
 )
 from multicontact_control.supervision.velocities import (
     check_velocities,
-    count_proof,
+    count_velocity_proof,
     JointTrack,
-    OFFSET,
-    PROOF,
+    OFFSET_TOLERANCE,
+    PROOF_STATES,
     VelocityState,
 )
 import numpy as np
@@ -60,7 +60,7 @@ OUTLIER_TIME, MOST_OUTLIERS = (
     16.0,
 )  # s, and how many in that are a fault of the sensor
 FARTHEST = 1e3  # rad; no joint is beyond it
-SPEED_EXCESS = 3.0  # times the speed limit of a joint; no joint is faster
+IMPOSSIBLE_SPEED_FACTOR = 3.0  # times the speed limit of a joint; no joint is faster
 STILL = 1e-4  # rad/s; below it a joint state may repeat itself
 POSITION_JUMP = 0.01  # rad between a joint position and the one its speed leads to
 VARIANCE_GROWTH = 1.1  # per period, of an R that is not renewed
@@ -69,7 +69,7 @@ FORGOTTEN = 1.0  # s without known torques, after which a collision is forgotten
 UNEVEN = 0.5  # periods that a sample may be early or late and still be the next one
 AGE_TOLERANCE = 1e-3  # periods
 # Why the measured torque of a joint is of no use.
-HEARD, UNHEARD, NOT_A_NUMBER, SILENT = range(4)
+EFFORT_USABLE, EFFORT_MISSING, EFFORT_NOT_FINITE, EFFORT_ALWAYS_ZERO = range(4)
 NEAR_ZERO = 1.0  # N m; a torque that was larger does not become 0 exactly
 SILENCE = 0.1  # s of exactly 0 N m, from which on a joint seems to measure no torque
 REPORTED = 5  # samples in a row without a usable torque, from which on that is said
@@ -124,14 +124,14 @@ class InputSettings(Record, Protocol):
 INPUT_SETTINGS = record_dtype(InputSettings)
 
 
-class Stamps(Record, Protocol):
+class ReadingStamps(Record, Protocol):
     """What is known of the stamps of one reading, NaN for none."""
 
     seen: float  # the newest [s]
     valid: float  # of the newest valid reading [s]
 
 
-STAMPS = record_dtype(Stamps)
+READING_STAMPS = record_dtype(ReadingStamps)
 
 
 class WrenchState(Record, Protocol):
@@ -139,16 +139,16 @@ class WrenchState(Record, Protocol):
 
     newest: Annotated[Vector, 6]  # that was no outlier [N, N m]
     last: Annotated[Vector, 6]  # that was taken, NaN before the first [N, N m]
-    equal: int  # to that in a row, itself counted
-    faults: int  # frozen or saturated wrenches in a row
-    suspect: bool  # whether the wrench before was left out as an outlier
-    suspected: Annotated[Vector, 6]  # the newest that was [N, N m]
+    equal_samples: int  # to that in a row, itself counted
+    faulty_samples: int  # frozen or saturated wrenches in a row
+    left_out_before: bool  # whether the wrench before was left out as an outlier
+    left_out_wrench: Annotated[Vector, 6]  # the newest that was [N, N m]
 
     # For how long still wrenches are taken as they come, after a change [s].
-    trusted: float
+    trust_time: float
 
-    outliers: float  # count of those that were left out, which fades
-    learnt: int  # wrenches that `mean_square` knows
+    outlier_count: float  # count of those that were left out, which fades
+    learnt_wrenches: int  # wrenches that `mean_square` knows
 
     # Of what changes from one to the next [N^2, N^2 m^2].
     mean_square: Annotated[Vector, 6]
@@ -170,8 +170,8 @@ class TorqueState(Record, Protocol):
     last: float  # measured one that was not 0, inf before the first [N m]
 
     # Samples in a row of exactly 0 N m, and without a usable one.
-    zeros: int
-    unheard: int
+    zero_samples: int
+    unusable_samples: int
 
     # Ring of what was commanded, NaN before [N m].
     commanded: Annotated[Vector, MOST_COMMANDS]
@@ -196,9 +196,9 @@ class InputState(Record, Protocol):
 
     time: float  # of the newest tick, NaN before the first [s]
     odd_periods: int  # in a row that are too long or too short
-    joints: Stamps
-    wrench: Stamps
-    variance: Stamps
+    joints: ReadingStamps
+    wrench: ReadingStamps
+    variance: ReadingStamps
     known: bool  # whether any joints were valid
 
     # In a row without valid joints; without their torques.
@@ -220,23 +220,23 @@ class InputState(Record, Protocol):
 INPUT_STATE = record_dtype(InputState)
 
 
-class Finding(Record, Protocol):
+class ReadingFinding(Record, Protocol):
     """What was found of one reading, or of the time."""
 
     problem: int  # what is wrong with it, see `PROBLEMS`
     stale: bool  # whether the newest valid one is too old, or the time is wrong
 
 
-FINDING = record_dtype(Finding)
+READING_FINDING = record_dtype(ReadingFinding)
 
 
 class InputFindings(Record, Protocol):
     """What the input stage finds at a tick; one."""
 
-    joints: Finding
-    wrench: Finding
-    variance: Finding
-    clock: Finding
+    joints: ReadingFinding
+    wrench: ReadingFinding
+    variance: ReadingFinding
+    clock: ReadingFinding
     skipped: int  # samples missing before this tick
     blind: bool  # whether joints were valid neither in this tick nor in the one before
 
@@ -257,7 +257,7 @@ INPUT_STAGE = record_dtype(InputStage)
 
 
 @compiled
-def _check_clock(stage: InputStage) -> None:
+def _check_tick_time(stage: InputStage) -> None:
     """Check and keep the time of a tick."""
     settings, state, found = stage.settings, stage.state, stage.found
     elapsed, h = stage.sample.time - state.time, settings.period
@@ -279,7 +279,9 @@ def _check_clock(stage: InputStage) -> None:
 
 
 @compiled
-def _check_stamp(came: int, stamp: float, stamps: Stamps, latest: float) -> int:
+def _check_reading_stamp(
+    came: int, stamp: float, stamps: ReadingStamps, latest: float
+) -> int:
     """Check the stamp of a reading, at most `latest` [s]; return its content if it is new."""
     if came != FINE:
         return came
@@ -292,7 +294,9 @@ def _check_stamp(came: int, stamp: float, stamps: Stamps, latest: float) -> int:
 
 
 @compiled
-def _check_joints(stage: InputStage, tracks: Records[JointTrack], span: float) -> int:
+def _check_joint_state(
+    stage: InputStage, tracks: Records[JointTrack], span: float
+) -> int:
     """Check a joint state, `span` after the one before [s], and track it."""
     inputs, settings, state = stage.sample, stage.settings, stage.state
     velocities = state.velocities
@@ -311,7 +315,7 @@ def _check_joints(stage: InputStage, tracks: Records[JointTrack], span: float) -
             track.q += turn * np.round((track.last_q - track.q) / turn)
         way, speed = track.q - track.last_q, abs(track.velocity)
         still, same = still and speed <= STILL, same and way == 0.0
-        early = early or (speed > OFFSET and velocities.states < PROOF)
+        early = early or (speed > OFFSET_TOLERANCE and velocities.states < PROOF_STATES)
         jumped = jumped or (state.known and abs(way - track.v_tracked * span) > limit)
     contradicted = check_velocities(
         tracks,
@@ -324,21 +328,23 @@ def _check_joints(stage: InputStage, tracks: Records[JointTrack], span: float) -
     if jumped:
         return JUMP
     stopped = (
-        same and not still and not velocities.unproven
+        same and not still and not velocities.on_probation
     )  # as far as velocities can tell
     state.equal_joints = state.equal_joints + 1 if stopped else 1
     if 0 < settings.frozen_joint_ticks <= state.equal_joints:
         return FROZEN
     velocities.contradicted = velocities.contradicted + 1 if contradicted else 0
-    velocities.unproven = count_proof(tracks, velocities.contradicted >= FAULTS)
+    velocities.on_probation = count_velocity_proof(
+        tracks, velocities.contradicted >= FAULTS
+    )
     velocities.estimated = (
-        velocities.silent or contradicted or early or velocities.unproven
+        velocities.silent or contradicted or early or velocities.on_probation
     )
     return VELOCITY if contradicted else FINE
 
 
 @compiled
-def _take_joints(
+def _validate_joints(
     stage: InputStage,
     tracks: Records[JointTrack],
     q: Vector,
@@ -348,7 +354,7 @@ def _take_joints(
     inputs, state, finding = stage.sample, stage.state, stage.found.joints
     stamps, velocities, h = state.joints, state.velocities, stage.settings.period
     seen_before = stamps.seen
-    problem = _check_stamp(
+    problem = _check_reading_stamp(
         inputs.joints_came, inputs.joints_stamp, stamps, state.time + 0.5 * h
     )
     if inputs.joints_came != ABSENT and inputs.velocity_came == ABSENT:
@@ -358,7 +364,7 @@ def _take_joints(
         span = inputs.joints_stamp - seen_before
         if np.isnan(span):  # after a fault of the clock
             span = h * state.blind_ticks
-        problem = _check_joints(stage, tracks, span)
+        problem = _check_joint_state(stage, tracks, span)
         if problem == FINE or problem == VELOCITY:
             stamps.valid, state.known = inputs.joints_stamp, True
             state.blind_ticks = 0
@@ -378,7 +384,7 @@ def _take_joints(
 
 
 @compiled
-def _is_outlier(
+def _is_wrench_outlier(
     raw: Vector, before: WrenchState, settings: InputSettings, span: float
 ) -> bool:
     """
@@ -388,12 +394,12 @@ def _is_outlier(
     one wrench to the next is learnt from those that are taken.
     """
     h = settings.period
-    before.outliers *= np.exp(-h / OUTLIER_TIME)
-    before.trusted = max(0.0, before.trusted - h)
-    apart = span > (2.5 if before.suspect else 1.5) * h
+    before.outlier_count *= np.exp(-h / OUTLIER_TIME)
+    before.trust_time = max(0.0, before.trust_time - h)
+    apart = span > (2.5 if before.left_out_before else 1.5) * h
     if not settings.leaves_out or apart or np.isnan(span) or np.isnan(before.last[0]):
         return False
-    known, far = before.learnt >= LEARNT_WRENCHES, False
+    known, far = before.learnt_wrenches >= LEARNT_WRENCHES, False
     for i in range(6):
         least = UNLEARNT
         if known:
@@ -402,15 +408,17 @@ def _is_outlier(
         if not abs(raw[i]) < min(settings.full_scale[i], HARDEST):
             return False  # that is a fault of its own
         far = far or abs(raw[i] - before.last[i]) > max(least, usual)
-    if far and before.trusted == 0.0:
-        if not before.suspect:
+    if far and before.trust_time == 0.0:
+        if not before.left_out_before:
             return True
-        before.trusted = CHANGE_TIME
-        before.outliers -= 1.0  # the one before was none, and counts for what follows
-        before.last[:], before.equal = before.suspected, 1
-    if before.trusted == 0.0:
-        before.learnt += 1
-        share = max(h / USUAL_TIME, 1.0 / before.learnt)
+        before.trust_time = CHANGE_TIME
+        before.outlier_count -= (
+            1.0  # the one before was none, and counts for what follows
+        )
+        before.last[:], before.equal_samples = before.left_out_wrench, 1
+    if before.trust_time == 0.0:
+        before.learnt_wrenches += 1
+        share = max(h / USUAL_TIME, 1.0 / before.learnt_wrenches)
         for i in range(6):
             change = raw[i] - before.last[i]
             before.mean_square[i] += share * (change * change - before.mean_square[i])
@@ -442,15 +450,15 @@ def _filter_wrench(raw: Vector, before: WrenchState, settings: InputSettings) ->
             )
             before.output_after[i] = b[2] * raw[i] - a[2] * filtered
         before.filtered[i] = filtered
-    before.equal = before.equal + 1 if equal else 1
-    before.suspect = False
-    frozen = 0 < settings.frozen_ticks <= before.equal
-    before.faults = before.faults + 1 if saturated or frozen else 0
+    before.equal_samples = before.equal_samples + 1 if equal else 1
+    before.left_out_before = False
+    frozen = 0 < settings.frozen_ticks <= before.equal_samples
+    before.faulty_samples = before.faulty_samples + 1 if saturated or frozen else 0
     return SATURATED if saturated else FROZEN if frozen else FINE
 
 
 @compiled
-def _take_wrench(stage: InputStage, wrench: Vector) -> None:
+def _validate_wrench(stage: InputStage, wrench: Vector) -> None:
     """Check a wrench and hand it over behind the low-pass, if it is valid."""
     inputs, settings, state = stage.sample, stage.settings, stage.state
     stamps, before, finding, h = (
@@ -459,7 +467,7 @@ def _take_wrench(stage: InputStage, wrench: Vector) -> None:
         stage.found.wrench,
         settings.period,
     )
-    problem = _check_stamp(
+    problem = _check_reading_stamp(
         inputs.wrench_came, inputs.wrench_stamp, stamps, state.time + 0.5 * h
     )
     if problem == FINE and state.time - inputs.wrench_stamp > WRENCH_AGE * h:
@@ -467,33 +475,33 @@ def _take_wrench(stage: InputStage, wrench: Vector) -> None:
     if inputs.wrench_came == FINE:
         before.newest[:] = inputs.wrench
     if problem == FINE:
-        if _is_outlier(
+        if _is_wrench_outlier(
             inputs.wrench, before, settings, inputs.wrench_stamp - stamps.valid
         ):
             problem = OUTLIER
-            before.suspect = True
-            before.outliers += 1.0
-            before.suspected[:] = inputs.wrench
+            before.left_out_before = True
+            before.outlier_count += 1.0
+            before.left_out_wrench[:] = inputs.wrench
             before.newest[:] = before.last
         else:
             problem = _filter_wrench(inputs.wrench, before, settings)
     if problem == FINE:
         wrench[:] = before.filtered
         stamps.valid = inputs.wrench_stamp
-    flooded = problem == OUTLIER and before.outliers > MOST_OUTLIERS
+    flooded = problem == OUTLIER and before.outlier_count > MOST_OUTLIERS
     age = state.time - stamps.valid
     finding.problem = problem
     finding.stale = (
-        not age <= settings.wrench_max_age or before.faults >= FAULTS or flooded
+        not age <= settings.wrench_max_age or before.faulty_samples >= FAULTS or flooded
     )
 
 
 @compiled
-def _take_variance(stage: InputStage, contacts: Records[Contact]) -> None:
+def _validate_variance(stage: InputStage, contacts: Records[Contact]) -> None:
     """Check an R and hand it over within its bounds, if it is valid; let an old one grow."""
     inputs, settings, state = stage.sample, stage.settings, stage.state
     stamps, finding = state.variance, stage.found.variance
-    problem = _check_stamp(
+    problem = _check_reading_stamp(
         inputs.variance_came,
         inputs.variance_stamp,
         stamps,
@@ -519,7 +527,7 @@ def _take_variance(stage: InputStage, contacts: Records[Contact]) -> None:
 
 
 @compiled
-def _hear_torques(
+def _classify_efforts(
     inputs: Input,
     torques: Records[TorqueState],
     joints: Records[Joint],
@@ -536,34 +544,34 @@ def _hear_torques(
     for j in range(joints.shape[0]):
         moved = moved or inputs.effort[j] != 0.0
     for j in range(joints.shape[0]):
-        torque, effort, fault = torques[j], inputs.effort[j], HEARD
+        torque, effort, fault = torques[j], inputs.effort[j], EFFORT_USABLE
         if inputs.effort_came != FINE:
-            fault = UNHEARD
+            fault = EFFORT_MISSING
         elif not np.isfinite(effort):
-            fault = NOT_A_NUMBER
+            fault = EFFORT_NOT_FINITE
         elif effort != 0.0:
-            torque.last, torque.zeros = effort, 0
+            torque.last, torque.zero_samples = effort, 0
         else:
-            torque.zeros += 1
+            torque.zero_samples += 1
             if (
                 not moved
                 or abs(torque.last) > NEAR_ZERO
-                or torque.zeros * period > SILENCE
+                or torque.zero_samples * period > SILENCE
             ):
-                fault = SILENT
+                fault = EFFORT_ALWAYS_ZERO
         joints[j].watch.effort_fault = fault
-        if fault == HEARD:
-            torque.unheard = 0
+        if fault == EFFORT_USABLE:
+            torque.unusable_samples = 0
             heard += 1
         elif (
             inputs.joints_came != ABSENT
         ):  # a joint state that is missing says nothing of it
-            torque.unheard += 1
+            torque.unusable_samples += 1
     return heard
 
 
 @compiled
-def _supply_torques(
+def _supply_momentum_observer(
     stage: InputStage,
     joints: Records[Joint],
     momentum: Momentum,
@@ -588,18 +596,18 @@ def _supply_torques(
     next_oldest = (oldest + 1) % settings.commands
     third_oldest = (oldest + min(2, settings.commands - 1)) % settings.commands
     by_command = np.isfinite(torques[0].commanded[oldest])
-    heard = _hear_torques(inputs, torques, joints, h)
+    heard = _classify_efforts(inputs, torques, joints, h)
     for j in range(joints.shape[0]):
         watch, torque = joints[j].watch, torques[j]
         watch.effort_uncertainty, watch.unwatched = (
             0.0,
-            watch.effort_fault != HEARD and not by_command,
+            watch.effort_fault != EFFORT_USABLE and not by_command,
         )
-        if watch.unwatched and torque.unheard * h > FORGOTTEN:
+        if watch.unwatched and torque.unusable_samples * h > FORGOTTEN:
             watch.residual = watch.dynamic_threshold = (
                 0.0  # it would block the arm for good
             )
-        if watch.effort_fault == HEARD:
+        if watch.effort_fault == EFFORT_USABLE:
             watch.effort = inputs.effort[j]
             if settings.adds_gravity:
                 watch.effort += joints[j].drive_gravity_torque
@@ -627,7 +635,7 @@ def _supply_torques(
 
 
 @compiled
-def _keep_wrench(state: InputState, velocity: Vector) -> None:
+def _remember_wrench(state: InputState, velocity: Vector) -> None:
     """Keep the wrench of a tick, with the velocities of the joints, shape (n,) [rad/s]."""
     recent = state.recent[state.next_recent]
     recent.time = state.time
@@ -639,7 +647,7 @@ def _keep_wrench(state: InputState, velocity: Vector) -> None:
 
 
 @compiled
-def _hand_over_as_it_came(
+def _hand_over_unchecked(
     stage: InputStage,
     q: Vector,
     velocity: Vector,
@@ -694,21 +702,23 @@ def check_inputs(
     """
     stage, control = stages[0], controls[0]
     state, found = stage.state, stage.found
-    _check_clock(stage)
+    _check_tick_time(stage)
     valid_before = state.joints.valid
-    _take_joints(stage, state.tracks[: joints.shape[0]], q, velocity)
-    _take_wrench(stage, control.wrench)
-    _take_variance(stage, contacts)
-    _supply_torques(stage, joints, control.momentum, state.joints.valid - valid_before)
+    _validate_joints(stage, state.tracks[: joints.shape[0]], q, velocity)
+    _validate_wrench(stage, control.wrench)
+    _validate_variance(stage, contacts)
+    _supply_momentum_observer(
+        stage, joints, control.momentum, state.joints.valid - valid_before
+    )
     if (
         stage.sample.wrench_came == FINE
         and stage.sample.wrench_stamp == stage.sample.time
     ):
-        _keep_wrench(state, velocity)
+        _remember_wrench(state, velocity)
     if not stage.settings.guarded:
-        _hand_over_as_it_came(stage, q, velocity, control.wrench, contacts)
+        _hand_over_unchecked(stage, q, velocity, control.wrench, contacts)
         return True
-    if found.blind or found.skipped > 0 or state.velocities.unproven:
+    if found.blind or found.skipped > 0 or state.velocities.on_probation:
         return False
     if found.wrench.problem != FINE:  # the other readings may be of an earlier tick
         return False
@@ -716,12 +726,12 @@ def check_inputs(
         if finding.stale or finding.problem > FINE:
             return False
     for j in range(joints.shape[0]):
-        if state.torques[j].unheard >= REPORTED:
+        if state.torques[j].unusable_samples >= REPORTED:
             return False
     return True
 
 
-def stage_record(
+def make_input_stage(
     config: ControllerConfig, turning: Any, *, guarded: bool
 ) -> Records[InputStage]:
     """
@@ -739,7 +749,7 @@ def stage_record(
     settings['wrench_max_age'] = h * (AGE_TOLERANCE + watch.wrench_max_age)
     settings['variance_max_age'] = h * (AGE_TOLERANCE + watch.variance_max_age)
     settings['fastest'][:n] = np.minimum(
-        SPEED_EXCESS * np.array(config.limits.joint_speed or np.inf),
+        IMPOSSIBLE_SPEED_FACTOR * np.array(config.limits.joint_speed or np.inf),
         np.finfo(float).max,
     )
     settings['turn'][:n] = np.where(turning, 2.0 * math.pi, 0.0)
@@ -762,11 +772,11 @@ def stage_record(
             settings['b'][: order + 1], settings['a'][: order + 1] = butter(
                 order, sensor.filter_cutoff, fs=config.rate
             )
-    _forget(record['state'][0])
+    _clear_input_state(record['state'][0])
     return record
 
 
-def _forget(state: InputState) -> None:
+def _clear_input_state(state: InputState) -> None:
     """Set what nothing is known of before the first tick."""
     state['time'] = math.nan
     for reading in READINGS:

@@ -3,7 +3,8 @@ The input stage: what has come in at a tick, made valid, by one compiled call.
 
 A reading of joints, wrench or R is checked for its stamp, its shape, its numbers and the reading
 before it; a wrench is low-passed, too. A reading that fails counts as not received: the newest
-valid one stands in for it, and calls for a reaction (`checks.reaction_to`) once it is too old.
+valid one stands in for it, and calls for a reaction (`checks.choose_severest_reaction`)
+once it is too old.
 
 A fault is called ``<part>_<problem>``; the parts are `joints`, `wrench`, `variance` and `clock`:
 `invalid` (no number, or an impossible one), `jump` (a joint is not where its speed has taken it),
@@ -26,20 +27,20 @@ from multicontact_control.records import Input, Records
 from multicontact_control.supervision.input_checks import (
     ABSENT,
     check_inputs,
+    EFFORT_ALWAYS_ZERO,
+    EFFORT_MISSING,
+    EFFORT_NOT_FINITE,
+    EFFORT_USABLE,
     FINE,
-    HEARD,
     InputSettings,
     INVALID,
-    NOT_A_NUMBER,
+    make_input_stage,
     OUTLIER,
     READINGS,
     REPORTED,
-    SILENT,
-    stage_record,
     STAMP,
-    UNHEARD,
 )
-from multicontact_control.supervision.velocities import HISTORY, PROOF
+from multicontact_control.supervision.velocities import HISTORY_STATES, PROOF_STATES
 import numpy as np
 
 PARTS = (*READINGS, 'clock')
@@ -107,26 +108,26 @@ class TickInputs(NamedTuple):
     ahead: float = 0.0
 
 
-class Seen(NamedTuple):
+class InputVerdict(NamedTuple):
     """What is valid at a tick; the numbers are in the controller's records."""
 
     causes: tuple[str, ...] = ()  # of a reaction
     rejected: tuple[str, ...] = ()  # what is wrong with the readings of this tick
-    joints: bool = True  # whether any joint state was ever valid
+    joints_known: bool = True  # whether any joint state was ever valid
     blind: bool = (
         False  # whether the joint state is neither of this tick nor of the one before
     )
-    measured: bool = True  # whether the wrench is of this tick
-    skipped: int = 0  # samples that are missing before this tick
-    refuted: bool = (
+    wrench_is_current: bool = True  # whether the wrench is of this tick
+    skipped_samples: int = 0  # samples that are missing before this tick
+    velocities_refuted: bool = (
         False  # whether velocities were refuted, and not proven in motion since
     )
-    unheard: bool = (
+    efforts_unusable: bool = (
         False  # whether the torques of some joints are of no use for a while
     )
 
 
-ALL_WELL = Seen()
+ALL_VALID = InputVerdict()
 
 
 class _Intake:
@@ -282,7 +283,7 @@ class Inputs:
 
     Attributes
     ----------
-    raw, filtered
+    raw_wrench, filtered_wrench
         The newest wrench that was no outlier before and behind the low-pass, shape (6,) [N, N m].
 
     """
@@ -300,7 +301,9 @@ class Inputs:
             controller.contacts,
         )
         n = len(joints)
-        self._stage = stage_record(config, controller.robot.turning, guarded=guarded)
+        self._stage = make_input_stage(
+            config, controller.robot.turning, guarded=guarded
+        )
         self._initial = self._stage.copy()
         self._initial_variance = config.initial_noise_variance
         self._by_momentum = config.wrench_input == 'momentum'
@@ -312,8 +315,8 @@ class Inputs:
         state, self._found = self._stage['state'][0], self._stage['found'][0]
         self._state, self._velocities = state, state['velocities']
         self._tracks, self._torques = state['tracks'][:n], state['torques'][:n]
-        self.raw: Vector = state['wrenches']['newest']
-        self.filtered: Vector = state['wrenches']['filtered']
+        self.raw_wrench: Vector = state['wrenches']['newest']
+        self.filtered_wrench: Vector = state['wrenches']['filtered']
         self._intake = _Intake(self._stage['sample'], n, len(contacts))
         self.reset()
         self.validate(TickInputs(0.0))  # no tick is to wait for numba
@@ -327,26 +330,28 @@ class Inputs:
         self._momentum['elapsed'], self._momentum['collided'] = 0.0, False
 
     @property
-    def effort(self) -> Vector:
+    def measured_effort(self) -> Vector:
         """Return the torques of the newest joint state, NaN where they say nothing [N m]."""
         measured = self._intake.effort
-        heard = (self._joints['watch']['effort_fault'] == HEARD) & (measured != 0.0)
+        heard = (self._joints['watch']['effort_fault'] == EFFORT_USABLE) & (
+            measured != 0.0
+        )
         effort: Vector = np.where(heard, measured, math.nan)
         return effort
 
     @property
-    def unheard_joints(self) -> dict[str, tuple[int, ...]]:
+    def joints_without_effort(self) -> dict[str, tuple[int, ...]]:
         """Return the joints whose torques are of no use, by what is wrong with them."""
-        unheard = self._torques['unheard'] >= REPORTED
-        faults = np.where(unheard, self._joints['watch']['effort_fault'], HEARD)
+        unheard = self._torques['unusable_samples'] >= REPORTED
+        faults = np.where(unheard, self._joints['watch']['effort_fault'], EFFORT_USABLE)
         return {
             EFFORT_FAULTS[fault]: tuple(np.flatnonzero(faults == fault).tolist())
-            for fault in (UNHEARD, NOT_A_NUMBER, SILENT)
+            for fault in (EFFORT_MISSING, EFFORT_NOT_FINITE, EFFORT_ALWAYS_ZERO)
             if (faults == fault).any()
         }
 
     @property
-    def fresh(self) -> bool:
+    def wrench_arrived(self) -> bool:
         """Whether a wrench came with this tick, valid or not."""
         return self._found['wrench']['problem'] not in (ABSENT, STAMP, OUTLIER)
 
@@ -358,38 +363,40 @@ class Inputs:
     @property
     def refuted_joints(self) -> Mask:
         """Return whose velocities are refuted, and not proven in motion since, shape (n,)."""
-        refuted: Mask = self._tracks['unproven'] > 0
+        refuted: Mask = self._tracks['velocity_probation'] > 0
         return refuted
 
     @property
-    def refuted(self) -> bool:
+    def velocities_refuted(self) -> bool:
         """Whether any are."""
-        return bool(self._velocities['unproven'])
+        return bool(self._velocities['on_probation'])
 
-    def refute(self) -> None:
+    def refute_worst_velocity(self) -> None:
         """Take the velocity that is most in doubt for refuted: what it led to says so."""
-        doubt = self._tracks['doubt']
+        doubt = self._tracks['contradiction']
         worst = int(np.argmax(doubt))
         if np.isfinite(doubt[worst]):
-            self._tracks['unproven'][worst] = PROOF
-            self._velocities['unproven'] = True
+            self._tracks['velocity_probation'][worst] = PROOF_STATES
+            self._velocities['on_probation'] = True
 
     @property
-    def rate(self) -> Vector:
+    def estimated_velocity(self) -> Vector:
         """Return the velocities that positions make up for [rad/s]."""
         rate: Vector = self._tracks['v_tracked'].copy()
         return rate
 
     @property
-    def history(self) -> tuple[Matrix, Vector]:
+    def joint_history(self) -> tuple[Matrix, Vector]:
         """Return the newest joint states, shape (k, 2 n) [rad, rad/s], and the doubts of each."""
         count = int(self._velocities['states'])
-        newest = np.arange(max(count - HISTORY, 0), count) % HISTORY
+        newest = np.arange(max(count - HISTORY_STATES, 0), count) % HISTORY_STATES
         q, velocity = self._tracks['past_q'], self._tracks['past_velocity']
         states = np.hstack((q[:, newest].T, velocity[:, newest].T))
-        return states, self._tracks['doubt'].copy()
+        return states, self._tracks['contradiction'].copy()
 
-    def validate(self, inputs: TickInputs, command: Vector | None = None) -> Seen:
+    def validate(
+        self, inputs: TickInputs, command: Vector | None = None
+    ) -> InputVerdict:
         """Take in what came at a tick, and the command before it [N m]; say what is valid."""
         _, joints, wrench, variance, _ = inputs
         intake = self._intake
@@ -425,10 +432,10 @@ class Inputs:
         if self._by_command:
             intake.put_command(command)
         if check_inputs(*self._arguments):
-            return ALL_WELL
-        return self._what_is_wrong()
+            return ALL_VALID
+        return self._report_faults()
 
-    def recent(self, time: float) -> tuple[Matrix, Matrix]:
+    def recent_wrenches(self, time: float) -> tuple[Matrix, Matrix]:
         """
         Return the wrenches that came with ticks from a time on [s], at most `RECENT_WRENCHES`.
 
@@ -445,7 +452,7 @@ class Inputs:
             return None
         return WrenchInput(joints.stamp, self._wrench)
 
-    def _what_is_wrong(self) -> Seen:
+    def _report_faults(self) -> InputVerdict:
         """Return what was found of a tick that is not as it should be."""
         found, causes, rejected = self._found, [], []
         for part in PARTS:
@@ -454,13 +461,15 @@ class Inputs:
                 causes.append(f'{part}_{problem or "stale"}')
             if problem and part in READINGS:
                 rejected.append(f'{part}_{problem}')
-        return Seen(
+        return InputVerdict(
             tuple(causes),
             tuple(rejected),
-            joints=bool(self._state['known']),
+            joints_known=bool(self._state['known']),
             blind=bool(found['blind']),
-            measured=bool(found['wrench']['problem'] == FINE),
-            skipped=int(found['skipped']),
-            refuted=self.refuted,
-            unheard=bool((self._torques['unheard'] >= REPORTED).any()),
+            wrench_is_current=bool(found['wrench']['problem'] == FINE),
+            skipped_samples=int(found['skipped']),
+            velocities_refuted=self.velocities_refuted,
+            efforts_unusable=bool(
+                (self._torques['unusable_samples'] >= REPORTED).any()
+            ),
         )

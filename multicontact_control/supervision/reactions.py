@@ -15,7 +15,10 @@ from multicontact_control.dynamics.operational_space import (
     mobility_and_inertia,
 )
 from multicontact_control.records import Law, Records, Task
-from multicontact_control.supervision.velocities import OFFSET, SHARE
+from multicontact_control.supervision.velocities import (
+    OFFSET_TOLERANCE,
+    SHARE_TOLERANCE,
+)
 import numpy as np
 
 NONE, INFLATE, HOLD, FLOAT, DAMP = 'none', 'inflate', 'hold', 'float', 'damp'
@@ -42,7 +45,7 @@ FREE_FREQUENCY = 10.0  # rad/s, of what the operational point does not see of a 
 LESS_DAMPING = (
     0.5  # ratio to which the damping of a hold that shakes is reduced first...
 )
-SOFTER, SOFTEST = (
+SOFTER, SOFTEST_HOLD = (
     0.8,
     10.0,
 )  # ...then its natural frequency, by this factor, down to so many rad/s
@@ -137,7 +140,7 @@ def hold_torque(
     return torque
 
 
-def count_turns(rate: Vector, swings: Matrix, keep: float) -> float:
+def count_reversals(rate: Vector, swings: Matrix, keep: float) -> float:
     """
     Take in velocities, shape (n,) [rad/s]; return how often the joint that turned most has turned.
 
@@ -179,14 +182,14 @@ class Reactions:
         self._begin_swings()
         self._keep_turns = math.exp(-config.period / TURN_TIME)
         self._stiffest, self._settling, self._unlikely = math.nan, 0.0, 0.0
-        self.retune(config)
-        self.forget()
-        self._hold(
+        self.apply_config(config)
+        self.forget_postures()
+        self._hold_posture(
             controller.arm, controller.arm.velocity
         )  # no tick is to wait for numba
-        self.forget()
+        self.forget_postures()
 
-    def retune(self, config: ControllerConfig) -> None:
+    def apply_config(self, config: ControllerConfig) -> None:
         """Set what follows from values that may change while the arm is controlled."""
         self.safe_behaviour = config.safe_behaviour
         # A velocity that positions make up for comes 1.5 periods late.
@@ -196,13 +199,13 @@ class Reactions:
             self._frequency, self._damping = stiffest, 1.0
             self._stiffest = stiffest
 
-    def forget(self) -> None:
+    def forget_postures(self) -> None:
         """Let the next hold be the first one."""
         self._first: Vector | None = None  # posture in which that began
         self._reference: Vector | None = None  # of the task then
-        self.end()
+        self.end_reaction()
 
-    def end(self) -> None:
+    def end_reaction(self) -> None:
         """Control has resumed: the next reaction begins anew, and goes back if it comes soon."""
         self._posture: Vector | None = None
         self._pressing: Matrix | None = (
@@ -210,7 +213,7 @@ class Reactions:
         )
         self._coasting = 0
 
-    def begin(self, answered: ControlOutput) -> None:
+    def begin_pressing(self, answered: ControlOutput) -> None:
         """Go on pressing with the forces of the contacts that were held at an answer."""
         contacts = answered.contacts
         answer = contacts['answer']
@@ -222,11 +225,11 @@ class Reactions:
         )
         self._pressing = self._robot.terms.jacobian.T @ (contacts['N'].T * alpha)
 
-    def stay(self) -> None:
+    def keep_present_hold(self) -> None:
         """Let the next hold be the first one, and the present one go on."""
         self._reference = None
 
-    def go_back(self) -> None:
+    def return_to_first_hold(self) -> None:
         """Let a hold that begins be the first one, unless the arm was not led on since that."""
         reference = np.concatenate(
             [self._task['position'][0], self._task['rotation'][0].ravel()]
@@ -234,17 +237,17 @@ class Reactions:
         if self._reference is None or (
             np.abs(reference - self._reference).max() > COMMANDED_WAY
         ):
-            self.forget()
+            self.forget_postures()
             self._reference = reference
 
     @property
-    def presses(self) -> bool:
+    def presses_contact(self) -> bool:
         """Whether a contact is still pressed, since the law held it."""
         return self._pressing is not None and bool(
             (np.abs(self._pressing) > DROPPED).any()
         )
 
-    def torque(
+    def reaction_torque(
         self,
         reaction: str,
         arm: ArmState | None,
@@ -264,12 +267,16 @@ class Reactions:
             return np.zeros(self._robot.joint_count)
         does = SAFE_BEHAVIOURS[self.safe_behaviour] if reaction == SAFE else reaction
         if does in (DAMP, SAFE):
-            self.forget()  # it may be moved away
+            self.forget_postures()  # it may be moved away
             # Zero is what is commanded: what the drives add goes on acting.
-            return _damped(arm, DAMPING_RATE) if does == DAMP else self._added.copy()
-        pressing = self._press(wrench_known)
+            return (
+                _damping_torque(arm, DAMPING_RATE)
+                if does == DAMP
+                else self._added.copy()
+            )
+        pressing = self._pressing_torque(wrench_known)
         if does == HOLD:
-            return self._hold(arm, rate, timed=timed) + pressing
+            return self._hold_posture(arm, rate, timed=timed) + pressing
         self._posture = None  # wherever it has gone meanwhile
         if self._coasting * self._period > COAST_TIME:
             self._first = None
@@ -279,7 +286,9 @@ class Reactions:
         floating: Vector = state.gravity - braking + pressing
         return floating
 
-    def _hold(self, arm: ArmState, rate: Vector, *, timed: bool = True) -> Vector:
+    def _hold_posture(
+        self, arm: ArmState, rate: Vector, *, timed: bool = True
+    ) -> Vector:
         """Return the torque that keeps the arm where it is, or leads it back, shape (n,) [N m]."""
         if self._posture is None:
             # It goes on by 0.37 v / w, and comes back: less so if that is allowed for.
@@ -293,12 +302,14 @@ class Reactions:
             self._first = self._posture.copy()
         step = RETURN_SPEED * self._period
         self._posture += np.clip(self._first - self._posture, -step, step)
-        turns = count_turns(rate, self._swings, self._keep_turns)
+        turns = count_reversals(rate, self._swings, self._keep_turns)
         self._settling = max(self._settling - self._period, 0.0)
         if turns > TURNS and not self._settling:
-            self._soften()
+            self._soften_hold()
         # What may soon be refuted would push the arm: the estimate damps it already.
-        unlikely = np.abs(arm.velocity - rate) > OFFSET + SHARE * np.abs(rate)
+        unlikely = np.abs(
+            arm.velocity - rate
+        ) > OFFSET_TOLERANCE + SHARE_TOLERANCE * np.abs(rate)
         self._unlikely = (
             UNLIKELY_TIME if unlikely.any() else self._unlikely - self._period
         )
@@ -319,17 +330,17 @@ class Reactions:
         self._swings[:] = 0.0
         self._swings[DIRECTION] = 1.0
 
-    def _soften(self) -> None:
+    def _soften_hold(self) -> None:
         """Reduce what makes the rotors shake: damping by velocities that come late."""
         self._settling = SETTLING_TIME
         if self._damping > LESS_DAMPING:
             self._damping = LESS_DAMPING
         else:
             self._frequency = max(
-                SOFTER * self._frequency, min(SOFTEST, self._stiffest)
+                SOFTER * self._frequency, min(SOFTEST_HOLD, self._stiffest)
             )
 
-    def _press(self, wrench_known: bool) -> Vector | float:
+    def _pressing_torque(self, wrench_known: bool) -> Vector | float:
         """Return what is left of the contacts' forces at the next tick, shape (n,) [N m]."""
         if self._pressing is None:
             return 0.0
@@ -343,13 +354,13 @@ class Reactions:
         return total
 
 
-def _damped(arm: ArmState, rate: float) -> Vector:
+def _damping_torque(arm: ArmState, rate: float) -> Vector:
     """Return Gamma = C v + g - c diag(M) v, shape (n,) [N m], with c in [1/s]."""
     torque: Vector = arm.bias_torque - rate * arm.inertia * arm.velocity
     return torque
 
 
-class Steadiness:
+class ReactionHysteresis:
     """Keeps to the severer of two reactions that take turns, as with joints that come and go."""
 
     def __init__(self, period: float) -> None:
@@ -364,30 +375,32 @@ class Steadiness:
         self._before = self._severer = ''
         self._changes, self._calm = 0.0, 0
 
-    def of(self, reaction: str) -> str:
+    def steady_reaction(self, reaction: str) -> str:
         """Return what answers a tick for which a reaction is called for, the law aside."""
         self._changes *= self._keep
         if self._before and reaction != self._before:
             self._changes += 1.0
             if self._changes > FLICKERS:
                 self._severer = max(
-                    reaction, self._before, self._severer, key=_severity
+                    reaction, self._before, self._severer, key=_rank_severity
                 )
         self._before = reaction
         self._calm = (
-            self._calm + 1 if _severity(reaction) < _severity(self._severer) else 0
+            self._calm + 1
+            if _rank_severity(reaction) < _rank_severity(self._severer)
+            else 0
         )
         if self._calm > self._calm_ticks:
             self._severer = ''
-        return max(reaction, self._severer, key=_severity)
+        return max(reaction, self._severer, key=_rank_severity)
 
 
-def _severity(reaction: str) -> int:
+def _rank_severity(reaction: str) -> int:
     """Return how severe a reaction is, -1 for none that is known."""
     return SEVERITY.index(reaction) if reaction in SEVERITY else -1
 
 
-class Recovery:
+class RecoveryPolicy:
     """
     Counts relapses, so that holding and resuming do not alternate for ever.
 
@@ -404,13 +417,13 @@ class Recovery:
         """Forget the past."""
         self._wait = self._shortest
         self.resumed_at = -math.inf  # tick of control's own count
-        self.allow()
+        self.unlatch_control()
 
-    def allow(self) -> None:
+    def unlatch_control(self) -> None:
         """Let control resume although it is latched; the next relapse is the first."""
         self.latched, self._relapses = False, 0
 
-    def stopped(self, causes: tuple[str, ...], tick: int) -> bool:
+    def note_reaction(self, causes: tuple[str, ...], tick: int) -> bool:
         """Take note of a reaction that begins at a tick of control; return if it is new."""
         self.latched = (
             self.latched or 'wrench_stray' in causes
@@ -419,17 +432,17 @@ class Recovery:
         if (tick - self.resumed_at) * self._period > soon:
             self._relapses, self._wait = 0, self._shortest
             return True
-        self.relapsed(causes)
+        self.note_relapse(causes)
         return False
 
-    def relapsed(self, causes: tuple[str, ...]) -> None:
+    def note_relapse(self, causes: tuple[str, ...]) -> None:
         """Take note that control has stopped too soon, or could not even resume."""
         self._wait = min(GROWTH * self._wait, max(LONGEST_RECOVERY, self._shortest))
         if _is_physical(causes):
             self._relapses += 1
             self.latched = self._relapses >= RELAPSES
 
-    def missing(self, good_ticks: int) -> tuple[str, ...]:
+    def waiting_causes(self, good_ticks: int) -> tuple[str, ...]:
         """Return what control still waits for after so many good ticks, if anything."""
         if self.latched:
             return (LATCHED,)

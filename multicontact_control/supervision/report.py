@@ -10,7 +10,7 @@ from multicontact_control.records import CONTACT, CONTROL
 from multicontact_control.supervision.checks import COLLISION
 import numpy as np
 
-CAPACITY = (
+EVENT_CAPACITY = (
     1000  # events; a limit that comes and goes at every tick must not fill the memory
 )
 
@@ -35,7 +35,7 @@ class SupervisorStatus(NamedTuple):
     ] = ()  # what was read of contacts before a touch, in words
 
 
-def no_answer(joints: int, contacts: int) -> ControlOutput:
+def make_empty_answer(joints: int, contacts: int) -> ControlOutput:
     """Return the answer before anything is known."""
     controls = np.zeros(1, dtype=CONTROL)
     controls['frame']['rotation'] = controls['task']['rotation'] = np.eye(3)
@@ -59,7 +59,7 @@ class EventLog:
     """
 
     def __init__(self) -> None:
-        self.events: deque[tuple[float, str]] = deque(maxlen=CAPACITY)
+        self.events: deque[tuple[float, str]] = deque(maxlen=EVENT_CAPACITY)
         self.collisions: Counter[str] = Counter()
         self.repeats = 0
         self._status: SupervisorStatus | None = None  # of the newest tick
@@ -69,17 +69,17 @@ class EventLog:
         self._before: tuple[Any, ...] = ('', ())
 
     @property
-    def reactions(self) -> Counter[str]:
+    def reaction_counts(self) -> Counter[str]:
         """Return in how many ticks there was each reaction."""
         return self._counted()['reaction']
 
     @property
-    def rejected(self) -> Counter[str]:
+    def rejected_counts(self) -> Counter[str]:
         """Return in how many ticks a reading was not used, by what was wrong with it."""
         return self._counted()['rejected']
 
     @property
-    def limited(self) -> Counter[str]:
+    def limit_counts(self) -> Counter[str]:
         """Return in how many ticks each limit was enforced."""
         return self._counted()['limits']
 
@@ -97,7 +97,7 @@ class EventLog:
                     self._ticks[name][each] += ticks
         return self._ticks
 
-    def note(self, time: float, status: SupervisorStatus) -> None:
+    def note_status(self, time: float, status: SupervisorStatus) -> None:
         """Take in the status of a tick that is not as the one before, at a time [s]."""
         self._counted()
         self._status, self.repeats = status, 1

@@ -18,27 +18,32 @@ from multicontact_control.errors import (
 )
 from multicontact_control.flags import (
     ALARMS,
-    AMBIGUOUS,
-    DEPENDENT,
+    ANSWER_REFUSED,
+    COLUMNS_DEPENDENT,
+    FORCES_AMBIGUOUS,
     LASTING_LIMITS,
     LIMITS,
-    NO_NUMBERS,
-    PASSED,
-    REFERENCE,
-    REFUSED,
-    SINGULAR,
-    TOUCHED,
+    MODEL_NOT_FINITE,
+    POSTURE_SINGULAR,
+    REFERENCE_LIMITED,
+    RESIDUAL_CLEARED,
+    RESIDUAL_EXCEEDED,
 )
-from multicontact_control.force.force_law import continue_laws_at
+from multicontact_control.force.force_law import continue_laws_after_pause
 from multicontact_control.records import Records
 from multicontact_control.supervision import checks, reactions
 from multicontact_control.supervision.command_limits import outside_limits
 from multicontact_control.supervision.contact_task import ContactTask
 from multicontact_control.supervision.contacts import GIVEN_UP
 from multicontact_control.supervision.gate import limit_names, TorqueGate
-from multicontact_control.supervision.inputs import ALL_WELL, Inputs, Seen, TickInputs
+from multicontact_control.supervision.inputs import (
+    ALL_VALID,
+    Inputs,
+    InputVerdict,
+    TickInputs,
+)
 from multicontact_control.supervision.reactions import FLOAT, HOLD, NONE, SAFE
-from multicontact_control.supervision.report import no_answer, SupervisorStatus
+from multicontact_control.supervision.report import make_empty_answer, SupervisorStatus
 from multicontact_control.tick import ACT, SEE, tick, WORKSPACE
 import numpy as np
 
@@ -46,9 +51,9 @@ LOGGER = logging.getLogger(__name__)
 STANDING_TIME = (
     0.2  # s between two looks at what an arm that stands in a reaction weighs
 )
-SEEN_TIME = 0.05  # s, after which an arm that was not seen is held again
+SEEN_TIME = 0.05  # s, after which an arm that was not verdict is held again
 NAMED, UNNAMED = (
-    LIMITS | REFERENCE,
+    LIMITS | REFERENCE_LIMITED,
     -1,
 )  # what a status names; nothing that could be the same
 CONTROLLED = (NONE, reactions.INFLATE)  # what the control law answers
@@ -94,10 +99,10 @@ class Supervisor:
         self.explanations = Explanations(
             controller, self.inputs, self.task, guarded=guarded
         )
-        self._recovery = reactions.Recovery(
+        self._recovery = reactions.RecoveryPolicy(
             config.watchdog.recovery_time, config.period
         )
-        self._steadiness = reactions.Steadiness(config.period)
+        self._steadiness = reactions.ReactionHysteresis(config.period)
         self._judgements: Records[checks.Judgement] = np.zeros(
             1, dtype=checks.JUDGEMENT
         )
@@ -119,16 +124,16 @@ class Supervisor:
         self._q, self._velocity = controller.arm.q, controller.arm.velocity
         self._torque_acts = self.gate.records['begun']
         self._states_changed = self.task.limits['changed']
-        self._reads_before = self.task.limits['reads_before']
-        self._adopt(config)
-        self._run(0)  # no stage, but compiled: no sample waits for it
+        self._reads_before = self.task.limits['has_free_readings']
+        self._apply_config(config)
+        self._run_stage(0)  # no stage, but compiled: no sample waits for it
         operational_wrench(self._controls[0], np.zeros(6))
         self.reset()
 
     def reset(self) -> None:
         """Forget everything measured and commanded; the next tick starts anew."""
         if self.guarded:
-            checks.watch_arm(self.config, self.controller)
+            checks.configure_monitors(self.config, self.controller)
         self._restart_law()
         self.inputs.reset()
         self.gate.reset()
@@ -138,11 +143,13 @@ class Supervisor:
         self._failure = '', ''  # cause and text of an exception that is being answered
         self._told: set[str] = set()  # causes of which an exception has been logged
         self._arm: ArmState | None = None  # once it was seen
-        self._seen = Seen()
-        self._know_wrench(False)
+        self._verdict = InputVerdict()
+        self._set_wrench_known(False)
         self._reaction = NONE
         self._named, self._status = UNNAMED, SupervisorStatus(NONE)
-        self._output = no_answer(self._robot.joint_count, len(self.config.columns))
+        self._output = make_empty_answer(
+            self._robot.joint_count, len(self.config.columns)
+        )
 
     def _restart_law(self) -> None:
         self.controller.reset()
@@ -154,14 +161,14 @@ class Supervisor:
         self._recovery.reset()
         self._steadiness.reset()
         self._trusted = False
-        self.reactions.forget()
+        self.reactions.forget_postures()
 
     def stop(self) -> None:
         """Answer by the declared safe behaviour from the next tick on, until a `reset`."""
         if not self.safe:
             self._restart_law()
             self.safe = True
-            self.gate.go_over()
+            self.gate.start_blend()
 
     def step(self, inputs: TickInputs) -> Answer:
         """
@@ -174,23 +181,23 @@ class Supervisor:
             if not self.guarded:
                 self._require_readings(inputs)
             command = self.gate.last if self._torque_acts[0] else None
-            self._seen = seen = self.inputs.validate(inputs, command)
+            self._verdict = verdict = self.inputs.validate(inputs, command)
             if self.controller.tool is not self.controller.next_tool:
                 self.controller.change_tool()
-            if seen.joints:
+            if verdict.joints_known:
                 terms = self._robot.compute(self._q, self._velocity)
                 if self._adds_gravity:
                     self._allow_for_gravity()
-            if seen.measured != self._wrench_known:
-                self._know_wrench(seen.measured)
+            if verdict.wrench_is_current != self._wrench_known:
+                self._set_wrench_known(verdict.wrench_is_current)
             if (
-                seen is not ALL_WELL
+                verdict is not ALL_VALID
                 or not self._in_control
                 or (not self.guarded and self.task.seeks)
             ):
-                return self._step_apart(seen)
+                return self._step_in_stages(verdict)
             self._part = 'law'
-            self.task.ask(self._task_ticks * self._period)
+            self.task.update_wanted_task(self._task_ticks * self._period)
             found = tick(
                 SEE | ACT,
                 *self._records,
@@ -202,50 +209,52 @@ class Supervisor:
             )
             self.controller.arm.flags = found
             if found & ALARMS:
-                return self._decide(seen, found)
-            return self._answer(found, NONE, ())
+                return self._choose_answer(verdict, found)
+            return self._finish_law_answer(found, NONE, ())
         except Exception as error:
             if not self.guarded:
                 raise
-            return self._survive(self._part, error)
+            return self._answer_exception(self._part, error)
 
     def _require_readings(self, inputs: TickInputs) -> None:
         """Raise if joints or wrench are missing; the law's time is that of the samples."""
         if inputs.joints is None or inputs.wrench is None:
-            raise not_supervised()
+            raise unsupervised_error()
         self._task_ticks = round(inputs.time / self._period)
 
     def _allow_for_gravity(self) -> None:
         """Tell the gate what the drives add to a command."""
         weight = self.controller.own_weight()
         if np.isfinite(weight).all():
-            self.gate.allow_for(weight)
+            self.gate.update_added_torque(weight)
 
-    def _step_apart(self, seen: Seen) -> Answer:
+    def _step_in_stages(self, verdict: InputVerdict) -> Answer:
         """See first and act then, where it has to be decided between the two what answers."""
         found = 0
         if self.guarded and self._in_control:
-            self._task_ticks += seen.skipped
-        if seen.joints:
-            found = self._run(SEE)
+            self._task_ticks += verdict.skipped_samples
+        if verdict.joints_known:
+            found = self._run_stage(SEE)
             self.controller.arm.flags = found
-            if not found & NO_NUMBERS:
+            if not found & MODEL_NOT_FINITE:
                 self._arm = self.controller.arm
-            if found & PASSED:
+            if found & RESIDUAL_CLEARED:
                 self._add_finding(self.explanations.lag())
-        return self._decide(seen, found)
+        return self._choose_answer(verdict, found)
 
-    def _decide(self, seen: Seen, found: int) -> Answer:
+    def _choose_answer(self, verdict: InputVerdict, found: int) -> Answer:
         """Let the law answer what has been seen, or a reaction."""
         self._part = 'internal'
-        if found & AMBIGUOUS:
-            self._know_wrench(False)  # it is older
-        reaction, causes = self._choose(seen.causes + self._alarms(found))
+        if found & FORCES_AMBIGUOUS:
+            self._set_wrench_known(False)  # it is older
+        reaction, causes = self._choose_reaction(
+            verdict.causes + self._name_alarms(found)
+        )
         if reaction in CONTROLLED:
-            return self._control(reaction, causes)
-        return self._react(reaction, causes)
+            return self._answer_by_law(reaction, causes)
+        return self._answer_by_reaction(reaction, causes)
 
-    def _run(self, stage: int) -> int:
+    def _run_stage(self, stage: int) -> int:
         """Run one stage of the compiled pass; return what was found."""
         terms = self._robot.terms
         return tick(
@@ -258,68 +267,72 @@ class Supervisor:
             *terms.placements,
         )
 
-    def _know_wrench(self, known: bool) -> None:
+    def _set_wrench_known(self, known: bool) -> None:
         """Say whether the wrench is of this sample, and the contacts' forces with it."""
         self._wrench_known = known
         self._controls['measured'] = known
 
-    def _alarms(self, found: int) -> tuple[str, ...]:
+    def _name_alarms(self, found: int) -> tuple[str, ...]:
         """Name what is wrong with where the arm is and what touches it."""
         causes = [cause for flag, cause in checks.TOO_FAST.items() if found & flag]
-        if found & TOUCHED and not self.task.locked:
+        if found & RESIDUAL_EXCEEDED and not self.task.locked:
             watch = self._joints['watch']
             beyond = np.abs(watch['residual']) > RELEASE * watch['threshold']
             last = self.config.robot.joint_names[np.flatnonzero(beyond)[-1]]
             causes.append(f'{checks.COLLISION}_{last}')
         return tuple(causes)
 
-    def _control(self, reaction: str, causes: tuple[str, ...]) -> Answer:
+    def _answer_by_law(self, reaction: str, causes: tuple[str, ...]) -> Answer:
         """Let the law answer a sample that has been seen, also for the first time."""
         arm = self.controller.arm
         self._part = 'law'
         if not self._in_control:
-            self._resume()
-            self._begin()
-        self.task.ask(self._task_ticks * self._period)
-        if arm.flags & (NO_NUMBERS | AMBIGUOUS):
+            self._resume_law()
+            self._begin_torque()
+        self.task.update_wanted_task(self._task_ticks * self._period)
+        if arm.flags & (MODEL_NOT_FINITE | FORCES_AMBIGUOUS):
             self.controller.refuse()
         self._judgement['resumes'] = self._paused
-        return self._answer(self._run(ACT), reaction, causes)
+        return self._finish_law_answer(self._run_stage(ACT), reaction, causes)
 
-    def _answer(self, found: int, reaction: str, causes: tuple[str, ...]) -> Answer:
+    def _finish_law_answer(
+        self, found: int, reaction: str, causes: tuple[str, ...]
+    ) -> Answer:
         """Answer by the law, or refuse what it says."""
-        if found & (SINGULAR | DEPENDENT):
+        if found & (POSTURE_SINGULAR | COLUMNS_DEPENDENT):
             self.controller.refuse(found)
         self._part = 'internal'
-        if found & REFUSED:
-            return self._refuse(checks.cause_to_refuse(found))
+        if found & ANSWER_REFUSED:
+            return self._refuse_answer(checks.name_refusal_cause(found))
         if not self._in_control:
-            self._take_over()
-        if found & PASSED:
+            self._hand_control_to_law()
+        if found & RESIDUAL_CLEARED:
             self._add_finding(self.explanations.lag())
         # A blend passes in a moment, and a limited rate is caught up with: they are left out.
         if self.guarded and found & LASTING_LIMITS:
             self.controller.account_for(self.gate.last)
         self._task_ticks += 1
-        return self._report(reaction, causes, found)
+        return self._report_tick(reaction, causes, found)
 
     def _add_finding(self, finding: str) -> None:
         """Keep what explains the reaction in force, if anything new does."""
         if finding and finding not in self.findings:
             self.findings = (*self.findings, finding)
 
-    def _choose(self, causes: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
+    def _choose_reaction(self, causes: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
         """Return what answers the tick, the law or a reaction, and why."""
         arm = self._arm
         if self.safe:
             return SAFE, causes
         if checks.CONTRADICTED in causes:
             self._trusted = False
-        elif self._seen.refuted and not self._trusted:
+        elif self._verdict.velocities_refuted and not self._trusted:
             # At rest nothing contradicts them: the arm is held by estimates from its positions.
             causes = (checks.CONTRADICTED, *causes)
         if self.started and not self._paused:
-            return checks.reaction_to(causes, self.config) if causes else NONE, causes
+            return checks.choose_severest_reaction(
+                causes, self.config
+            ) if causes else NONE, causes
         if self.guarded and not self.started and arm is not None:
             outside = outside_limits(self.config, arm.q, arm.pose.position_world)
             if outside:  # the limits would move it at once
@@ -327,10 +340,10 @@ class Supervisor:
                     (*causes, 'start_outside'),
                     self.findings or outside,
                 )
-        reaction = checks.reaction_to(causes, self.config)
+        reaction = checks.choose_severest_reaction(causes, self.config)
         if reaction in CONTROLLED and self._paused:
             self._good_ticks += 1
-            if missing := self._recovery.missing(self._good_ticks):
+            if missing := self._recovery.waiting_causes(self._good_ticks):
                 # Joints that come and go are not held.
                 floats = (
                     self._reaction == FLOAT
@@ -340,69 +353,73 @@ class Supervisor:
         return reaction, causes
 
     @property
-    def velocities_in_doubt(self) -> bool:
+    def velocities_on_probation(self) -> bool:
         """Whether velocities were refuted, and neither motion nor an operator says otherwise."""
-        return self.guarded and self.inputs.refuted and not self._trusted
+        return self.guarded and self.inputs.velocities_refuted and not self._trusted
 
-    def _resume(self) -> None:
+    def _resume_law(self) -> None:
         """Start the control law, or go on with it after a reaction."""
         controller = self.controller
         if self.started:
-            held = self.task.resume()
-            continue_laws_at(controller.laws, held, controller.contacts['alpha_meas'])
+            held = self.task.resume_task()
+            continue_laws_after_pause(
+                controller.laws, held, controller.contacts['alpha_meas']
+            )
         else:
             controller.reset()  # the arm may have been moved since an attempt before
-            self.task.start(controller.start())
+            self.task.start_task(controller.start())
 
-    def _take_over(self) -> None:
+    def _hand_control_to_law(self) -> None:
         """Let the law act from now on."""
         self._judgement['resumes'] = False
         if self._paused:
-            self.reactions.end()
+            self.reactions.end_reaction()
             self._causes = self.findings = ()
             if self.started:
                 self._recovery.resumed_at = self._task_ticks
         self.started = self._in_control = True
         self._paused = False
 
-    def _begin(self) -> None:
+    def _begin_torque(self) -> None:
         """Let the torque start from the one that acts before any command."""
         if self.gate.begun:
             return
         acting = np.zeros(self._robot.joint_count)
         if self._arm is not None:
             acting = self._robot.terms.gravity.copy()
-        measured = self.inputs.effort + self._joints['drive_gravity_torque']
-        self.gate.begin(np.where(np.isnan(measured), acting, measured))
+        measured = self.inputs.measured_effort + self._joints['drive_gravity_torque']
+        self.gate.begin_from(np.where(np.isnan(measured), acting, measured))
 
-    def _refuse(self, cause: str) -> Answer:
+    def _refuse_answer(self, cause: str) -> Answer:
         """Answer without the control law because of what it says, or raise without guards."""
         if not self.guarded:
             raise SingularTaskError(
                 'the torque: expected finite numbers, got NaN or infinity'
             )
         if self._paused:
-            self._recovery.relapsed((cause,))
-        return self._react(checks.reaction_to((cause,), self.config), (cause,))
+            self._recovery.note_relapse((cause,))
+        return self._answer_by_reaction(
+            checks.choose_severest_reaction((cause,), self.config), (cause,)
+        )
 
-    def _react(self, reaction: str, causes: tuple[str, ...]) -> Answer:
+    def _answer_by_reaction(self, reaction: str, causes: tuple[str, ...]) -> Answer:
         """Answer without the control law."""
-        arm, blind = self._arm, self._seen.blind
+        arm, blind = self._arm, self._verdict.blind
         if blind and arm is not None:
             reaction = FLOAT  # what is not seen can be neither held nor slowed down
         if reaction != SAFE:
-            reaction = self._steadiness.of(reaction)
+            reaction = self._steadiness.steady_reaction(reaction)
         if causes not in reactions.WAITING:
             self._good_ticks = 0
             if causes != self._causes or not self.findings:
                 self._causes = causes
-                self.findings = self._explain(causes) or self.findings
+                self.findings = self._explain_causes(causes) or self.findings
                 self._weighed = False
         if self.started and not self._paused:
-            if self._recovery.stopped(causes, self._task_ticks):
-                self.reactions.forget()
-            self.reactions.go_back()
-            self.reactions.begin(self._output)
+            if self._recovery.note_reaction(causes, self._task_ticks):
+                self.reactions.forget_postures()
+            self.reactions.return_to_first_hold()
+            self.reactions.begin_pressing(self._output)
         self._reacting = self._reacting + 1 if self._paused else 0
         if (
             self._reacting % round(STANDING_TIME / self._period) == 1
@@ -412,55 +429,63 @@ class Supervisor:
             self._weighed = bool(gravity)
             self._add_finding(gravity)
         self._paused, self._in_control = True, False
-        self._begin()
+        self._begin_torque()
         if reaction != SAFE:
-            self.gate.hurry()
+            self.gate.cancel_blend()
         with np.errstate(all='ignore'):  # the gate finds numbers that are not finite
             # What blocks the arm may be what the contacts' forces press it against: they fade.
-            felt = self._wrench_known and not self.controller.arm.flags & TOUCHED
+            felt = (
+                self._wrench_known and not self.controller.arm.flags & RESIDUAL_EXCEEDED
+            )
             # Bare, velocities and angles are used as they come.
-            rate = self.inputs.rate if self.guarded else self.controller.arm.velocity
+            rate = (
+                self.inputs.estimated_velocity
+                if self.guarded
+                else self.controller.arm.velocity
+            )
             timed = not any(cause.startswith('clock') for cause in causes)
-            torque = self.reactions.torque(reaction, arm, felt, rate, timed=timed)
-        found = self.gate.apply(
+            torque = self.reactions.reaction_torque(
+                reaction, arm, felt, rate, timed=timed
+            )
+        found = self.gate.apply_torque(
             reactions.NUMBERS[reaction], torque, seen=arm is not None and not blind
         )
         if reaction == SAFE:
             reaction = NONE
-        return self._report(reaction, causes, found, controlled=False)
+        return self._report_tick(reaction, causes, found, controlled=False)
 
-    def _explain(self, causes: tuple[str, ...]) -> tuple[str, ...]:
+    def _explain_causes(self, causes: tuple[str, ...]) -> tuple[str, ...]:
         """Return what is known about causes that have just begun."""
         failed, text = self._failure
         if failed in causes:
             return (text,)
         if self.explanations.comes_of_velocities(causes):
-            self.inputs.refute()
+            self.inputs.refute_worst_velocity()
         return self.explanations.of(causes)
 
-    def _survive(self, part: str, error: Exception) -> Answer:
+    def _answer_exception(self, part: str, error: Exception) -> Answer:
         """Answer after an exception, in the law or in what is around it, and tell what it says."""
         cause = f'{part}_{type(error).__name__}'
         if part == 'law' and not self.controller.arm.finite:
             cause = 'law_not_finite'
-        self._failure = cause, self._tell(cause, error)
+        self._failure = cause, self._log_exception(cause, error)
         try:
             if part == 'law':
-                return self._refuse(cause)
+                return self._refuse_answer(cause)
             # What failed is not known: what is known of the arm is its past.
-            self._know_wrench(False)
-            self._seen = Seen(blind=True)
-            return self._react(FLOAT, (cause,))
+            self._set_wrench_known(False)
+            self._verdict = InputVerdict(blind=True)
+            return self._answer_by_reaction(FLOAT, (cause,))
         except Exception as second:  # the torque that acts goes on
-            again = self._tell(f'reaction_{type(second).__name__}', second)
+            again = self._log_exception(f'reaction_{type(second).__name__}', second)
             self.findings = self._failure[1], again
             self._causes = (cause,)
             self._paused, self._in_control, self._good_ticks = True, False, 0
-            return self._report(FLOAT, (cause,), 0, controlled=False)
+            return self._report_tick(FLOAT, (cause,), 0, controlled=False)
         finally:
             self._failure = '', ''
 
-    def _tell(self, cause: str, error: Exception) -> str:
+    def _log_exception(self, cause: str, error: Exception) -> str:
         """Return what an exception says; the first of each cause is logged with its traceback."""
         text = ' '.join(f'{type(error).__name__}: {error}'.split())
         if cause not in self._told:
@@ -470,7 +495,7 @@ class Supervisor:
             LOGGER.error('%s: %s', cause, text, exc_info=trace)
         return text
 
-    def _report(
+    def _report_tick(
         self,
         reaction: str,
         causes: tuple[str, ...],
@@ -491,7 +516,7 @@ class Supervisor:
             self._output = self._output.without_answer()
         if not self.guarded:
             return self._output, None
-        named, plain = found & NAMED, self._seen is ALL_WELL and not causes
+        named, plain = found & NAMED, self._verdict is ALL_VALID and not causes
         if (
             self._reads_before[0]
             or self._states_changed[0]
@@ -507,14 +532,14 @@ class Supervisor:
     ) -> SupervisorStatus:
         """Return what was done in a tick in which something is not as in the one before."""
         unwatched, read_before = '', tuple[str, ...]()
-        if self._seen.unheard:
+        if self._verdict.efforts_unusable:
             unwatched = self.explanations.unwatched()
         if self._reads_before[0]:
             read_before = self.task.read_before
         return SupervisorStatus(
             reaction,
             causes,
-            self._seen.rejected,
+            self._verdict.rejected,
             limit_names(named),
             self.task.state_names,
             unwatched,
@@ -526,36 +551,36 @@ class Supervisor:
         """Return the time of the task, which stands still during a reaction [s]."""
         return self._task_ticks * self._period
 
-    def use(self, design: Design) -> None:
+    def adopt_design(self, design: Design) -> None:
         """Go on with other live parameters, without a jump; see `Controller.design`."""
         self.controller.use(design)
-        self._adopt(design.config)
-        self.gate.go_over()
+        self._apply_config(design.config)
+        self.gate.start_blend()
 
-    def _adopt(self, config: ControllerConfig) -> None:
+    def _apply_config(self, config: ControllerConfig) -> None:
         """Set what follows from the values that may change while the arm is controlled."""
         self.config = config
-        self.gate.retune(config.transition)
-        self.reactions.retune(config)
-        self.task.retune(config)
+        self.gate.apply_config(config.transition)
+        self.reactions.apply_config(config)
+        self.task.apply_config(config)
         self._judgement['plausibility'] = checks.plausibility_limits(config)
 
-    def try_again(self) -> bool:
+    def request_retry(self) -> bool:
         """
         Resume control that is latched, seek contacts given up; return if there was any.
 
         Control resumes on estimates as well, if velocities were refuted and not proven since.
         """
         given_up = self.task.states['state'] == GIVEN_UP
-        waited = self._recovery.latched or self.velocities_in_doubt
-        self.task.states['again'] |= given_up
-        self._recovery.allow()
-        self.reactions.stay()
-        self._trusted = self.inputs.refuted
+        waited = self._recovery.latched or self.velocities_on_probation
+        self.task.states['retry_requested'] |= given_up
+        self._recovery.unlatch_control()
+        self.reactions.keep_present_hold()
+        self._trusted = self.inputs.velocities_refuted
         return bool(given_up.any()) or waited
 
 
-def not_supervised() -> CommandError:
+def unsupervised_error() -> CommandError:
     """Return the error of a tick that only a supervisor with guards can answer."""
     return CommandError(
         'control', hint='it needs the supervisor for this (supervised: true)'

@@ -7,7 +7,7 @@ rad and a quarter of the way for velocities that are less than 0.05 rad/s and 25
 estimate is that of a critically damped tracking filter, 1.5 periods late.
 
 At rest any velocity that is small agrees with the positions. So a joint whose velocity they have
-refuted stays in doubt until ten readings of its own motion agree, see `count_proof`.
+refuted stays in doubt until ten readings of its own motion agree, see `count_velocity_proof`.
 """
 
 from __future__ import annotations
@@ -23,19 +23,22 @@ from multicontact_control.records import (
 )
 import numpy as np
 
-HISTORY = 50  # joint states that are kept for an explanation
-MEMORY = 0.05  # s, in which evidence is forgotten
-OFFSET = 0.05  # rad/s by which a velocity may be wrong...
-SHARE = 0.25  # ...beside this share of it, which is that of a driver's low-pass, too
-LARGEST_UNREST = (
-    2.5  # rad/s that velocities go up and down beside the estimate in `MEMORY`
+HISTORY_STATES = 50  # joint states that are kept for an explanation
+EVIDENCE_TIME = 0.05  # s, in which evidence is forgotten
+OFFSET_TOLERANCE = 0.05  # rad/s by which a velocity may be wrong...
+SHARE_TOLERANCE = (
+    0.25  # ...beside this share of it, which is that of a driver's low-pass, too
 )
-PROOF = 10  # joint states, from the first on or in motion after wrong ones, that prove velocities
+LARGEST_UNREST = (
+    2.5  # rad/s that velocities go up and down beside the estimate in `EVIDENCE_TIME`
+)
+# Joint states, from the first on or in motion after wrong ones, that prove velocities.
+PROOF_STATES = 10
 PROVING = 0.02  # rad/s of a joint, from which on its motion may prove its velocity
 # The share of that rate, and rad/s beside it, by which such a velocity may miss the estimate; one
 # that misses it by twice as much begins anew.
 AGREEMENT, NEAR = 0.3, 0.01
-POLE = 0.5  # of the tracking filter, per period
+TRACKING_POLE = 0.5  # of the tracking filter, per period
 EVEN = 1.5  # periods between two joint states, up to which they are evidence
 
 
@@ -62,13 +65,14 @@ class JointTrack(Record, Protocol):
     unrest: float
 
     # Of the velocity: contradicted above 1, inf if it is not a possible number.
-    doubt: float
+    contradiction: float
 
-    unproven: int  # readings in motion that it lacks until it is believed again
+    # Readings in motion that its velocity lacks until it is believed again.
+    velocity_probation: int
 
     # Rings of what came [rad], [rad/s].
-    past_q: Annotated[Vector, HISTORY]
-    past_velocity: Annotated[Vector, HISTORY]
+    past_q: Annotated[Vector, HISTORY_STATES]
+    past_velocity: Annotated[Vector, HISTORY_STATES]
 
 
 JOINT_TRACK = record_dtype(JointTrack)
@@ -79,7 +83,7 @@ class VelocityState(Record, Protocol):
 
     states: int  # joint states since the first one, or since a jump
     contradicted: int  # in a row whose velocities positions contradict
-    unproven: bool  # whether velocities were refuted, and not proven in motion since
+    on_probation: bool  # whether a refuted velocity has not been proven in motion since
     silent: bool  # whether none come, or only zeros
     estimated: bool  # whether positions give the velocities in use
 
@@ -115,9 +119,9 @@ def check_velocities(
     evident = follows and span < EVEN * period
     if not follows:
         state.states = 0
-    place = state.states % HISTORY
+    place = state.states % HISTORY_STATES
     state.states += 1
-    keep, contradicted, silent = np.exp(-span / MEMORY), False, True
+    keep, contradicted, silent = np.exp(-span / EVIDENCE_TIME), False, True
     for j in range(tracks.shape[0]):
         track = tracks[j]
         track.past_q[place], track.past_velocity[place] = track.q, track.velocity
@@ -131,8 +135,10 @@ def check_velocities(
         way = track.q - track.last_q
         if evident:
             predicted = track.q_tracked + span * track.v_tracked
-            track.q_tracked = predicted + (1.0 - POLE**2) * (track.q - predicted)
-            change = (1.0 - POLE) ** 2 / span * (track.q - predicted)
+            track.q_tracked = predicted + (1.0 - TRACKING_POLE**2) * (
+                track.q - predicted
+            )
+            change = (1.0 - TRACKING_POLE) ** 2 / span * (track.q - predicted)
             track.v_tracked += change
             track.missed = (
                 keep * track.missed
@@ -148,23 +154,24 @@ def check_velocities(
             if follows:
                 track.v_tracked = way / span
             track.missed = track.way = track.unrest = 0.0
-        track.doubt = max(
+        track.contradiction = max(
             doubt,
             track.unrest / LARGEST_UNREST,
-            abs(track.missed) / (OFFSET * MEMORY + SHARE * track.way),
+            abs(track.missed)
+            / (OFFSET_TOLERANCE * EVIDENCE_TIME + SHARE_TOLERANCE * track.way),
         )
-        contradicted = contradicted or track.doubt > 1.0
+        contradicted = contradicted or track.contradiction > 1.0
     state.silent = silent and (state.silent or contradicted)
     if state.silent:
         contradicted = False
         for j in range(tracks.shape[0]):
             track = tracks[j]
-            track.missed = track.unrest = track.doubt = 0.0
+            track.missed = track.unrest = track.contradiction = 0.0
     return contradicted
 
 
 @compiled
-def count_proof(tracks: Records[JointTrack], refuted: bool) -> bool:
+def count_velocity_proof(tracks: Records[JointTrack], refuted: bool) -> bool:
     """
     Count the readings in motion that prove velocities which were `refuted`, now or before.
 
@@ -175,13 +182,17 @@ def count_proof(tracks: Records[JointTrack], refuted: bool) -> bool:
     for j in range(tracks.shape[0]):
         track = tracks[j]
         rate = track.v_tracked
-        if refuted and 1.0 < track.doubt < np.inf:
-            track.unproven = PROOF
-        elif track.unproven > 0 and abs(rate) > PROVING and track.doubt <= 1.0:
+        if refuted and 1.0 < track.contradiction < np.inf:
+            track.velocity_probation = PROOF_STATES
+        elif (
+            track.velocity_probation > 0
+            and abs(rate) > PROVING
+            and track.contradiction <= 1.0
+        ):
             missing = abs(track.velocity - rate) / (NEAR + AGREEMENT * abs(rate))
             if missing > 2.0:
-                track.unproven = PROOF
+                track.velocity_probation = PROOF_STATES
             elif missing <= 1.0:
-                track.unproven -= 1
-        lacking = lacking or track.unproven > 0
+                track.velocity_probation -= 1
+        lacking = lacking or track.velocity_probation > 0
     return lacking

@@ -10,7 +10,7 @@ from typing import Any
 from geometry_msgs.msg import Vector3Stamped
 from multicontact_control.config import Vector3
 from multicontact_control.errors import CommandError, MulticontactError, RunError
-from multicontact_control.judging.verdict import Event
+from multicontact_control.judging.supervisor_events import SupervisorEvent
 from multicontact_control.nodes import messages, topics
 from multicontact_control.nodes.controller_topics import MARKER_NAMESPACE
 from multicontact_control.nodes.graph import create_publisher
@@ -297,7 +297,7 @@ class GraphSource:
         if status.contacts:
             texts.append(
                 self._changes.read(
-                    Event(
+                    SupervisorEvent(
                         now,
                         status.reaction,
                         tuple(status.causes.split()),

@@ -13,8 +13,15 @@ from typing import Any
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
 from multicontact_control.errors import CommandError, ConfigError
-from multicontact_control.judging import results
-from multicontact_control.judging.verdict import Event, read_event
+from multicontact_control.judging.results import load_setup
+from multicontact_control.judging.run_folders import (
+    BAG_FOLDER,
+    find_run_folder,
+    is_run_folder,
+    SUMMARY_FILE,
+)
+from multicontact_control.judging.run_summary import read_summary
+from multicontact_control.judging.supervisor_events import read_event, SupervisorEvent
 from multicontact_control.runs.bag import MARKERS, mcap_files, read_messages
 from multicontact_control.runs.recording import (
     CUT_OFF,
@@ -152,7 +159,7 @@ class ReplaySource:
         """Nothing has been started."""
 
 
-def presses(data: RunData, leaders: Sequence[int]) -> list[Event]:
+def presses(data: RunData, leaders: Sequence[int]) -> list[SupervisorEvent]:
     """Return when forces were asked for, and no longer, in a recording without a log."""
     known = np.flatnonzero(np.isfinite(data.alpha_des[:, leaders]).all(axis=1))
     asked = data.alpha_des[known][:, leaders] > 0.0
@@ -160,9 +167,9 @@ def presses(data: RunData, leaders: Sequence[int]) -> list[Event]:
         np.diff(asked, axis=0, prepend=np.zeros((1, len(leaders)), bool)), axis=1
     )
     return [
-        Event(0.0, NONE, (), (), ('free',) * len(leaders)),
+        SupervisorEvent(0.0, NONE, (), (), ('free',) * len(leaders)),
         *(
-            Event(
+            SupervisorEvent(
                 float(data.time[k]),
                 NONE,
                 (),
@@ -205,19 +212,20 @@ def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> Repla
         raise ConfigError(
             'recording', 'a folder of `multicontact run` or `simulate`, or a bag', path
         )
-    run, of_run = results.run_of(path)
+    run = find_run_folder(path)
+    of_run = is_run_folder(run)
     # Whatever lies beside a file is another recording.
     alone = not of_run and path.is_file() and bool(mcap_files(path))
     title = f'recording {(path if alone else run).resolve().name}'
-    bag = run / results.BAG_FOLDER if of_run else path if alone else folder
+    bag = run / BAG_FOLDER if of_run else path if alone else folder
     events: list[tuple[float, str]] = []
     marks: list[tuple[float, str]] = []
     if of_run:
-        setup = results.load_setup(run)
-        if (run / results.SUMMARY_FILE).is_file():  # else it did not come to its end
+        setup = load_setup(run)
+        if (run / SUMMARY_FILE).is_file():  # else it did not come to its end
             events = [
                 (event['time_s'], event['what'])
-                for event in results.read_summary(run).get('events', ())
+                for event in read_summary(run).get('events', ())
             ]
         marks = [] if setup.commanded_by_topic else scenario_marks(setup)
     if alone or mcap_files(bag):
@@ -235,7 +243,7 @@ def load_replay(path: Path, setup: Setup, namespace: str | None = None) -> Repla
         data, places = RunData.load(run), []
     else:
         raise ConfigError(
-            'recording', f'{results.BAG_FOLDER}/*.mcap or {SERIES_FILE} in it', run
+            'recording', f'{BAG_FOLDER}/*.mcap or {SERIES_FILE} in it', run
         )
     if not np.isfinite(data.q).any():
         raise ConfigError(

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import webbrowser
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.judging.results import CONFIG_FOLDER
+from multicontact_control.judging.run_folders import CONFIG_FOLDER
 from multicontact_control.runs.compilation import ensure_compiled
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.view.source import Source

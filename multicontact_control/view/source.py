@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, Vector3
-from multicontact_control.judging.verdict import Event
+from multicontact_control.judging.supervisor_events import SupervisorEvent
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.supervision.reactions import NONE
 from sim_bridge.surface_patch import Patch, shape_configured_patch
@@ -182,9 +182,9 @@ class ChangeReader:
 
     def __init__(self, contact_names: Sequence[str]) -> None:
         self._names = tuple(contact_names)
-        self._before = Event(0.0, NONE, (), (), ('free',) * len(self._names))
+        self._before = SupervisorEvent(0.0, NONE, (), (), ('free',) * len(self._names))
 
-    def read(self, event: Event) -> str:
+    def read(self, event: SupervisorEvent) -> str:
         """Return what has changed, nothing if that is nothing."""
         before, self._before = self._before, event
         parts = []

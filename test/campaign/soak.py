@@ -26,9 +26,9 @@ from multicontact_control.faults.judge import (
     Observation,
 )
 from multicontact_control.faults.vocabulary import FAULTS, PlantEdit
-from multicontact_control.judging.oscillation import oscillations
+from multicontact_control.judging.oscillation import find_oscillations
 from multicontact_control.runs.closed_loop import ClosedLoop
-from multicontact_control.supervision.contacts import HOLDING, NAMES
+from multicontact_control.supervision.contacts import HOLDING, STATE_NAMES
 import numpy as np
 import pandas as pd
 from rich.progress import track
@@ -107,7 +107,7 @@ class Soak:
         self._problems.update(
             f'{name} oscillates at {line.frequency:.0f} Hz with {line.rms:.2g} N rms'
             for (name, force), error in zip(self.wanted.items(), errors.T)
-            for line in oscillations(
+            for line in find_oscillations(
                 error,
                 np.full(len(error), force),
                 np.ones(len(error), dtype=bool),
@@ -198,7 +198,7 @@ class Soak:
         wanted, status = np.array(list(self.wanted.values())), self.loop.status
         errors = np.array(forces) - wanted
         held = all(
-            state == NAMES[HOLDING]
+            state == STATE_NAMES[HOLDING]
             for state, force in zip(status.contact_states, wanted)
             if force > 0.0
         )

@@ -36,7 +36,7 @@ def world():
             for part, reaction in (
                 ('inputs.validate', 'float'),
                 ('controller.robot.compute', 'float'),
-                ('task.ask', 'hold'),
+                ('task.update_wanted_task', 'hold'),
             )
         ),
     ],

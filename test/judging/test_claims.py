@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
-from multicontact_control.judging import claims, metrics
-from multicontact_control.judging.results import summarise
-from multicontact_control.judging.verdict import INTERRUPTED
+from multicontact_control.judging import claims
+from multicontact_control.judging.contact_metrics import designed_rise
+from multicontact_control.judging.evidence import collect_evidence
+from multicontact_control.judging.run_modes import INTERRUPTED
+from multicontact_control.judging.run_summary import summarise_run
 from multicontact_control.runs.scenario import resolve
 import numpy as np
 import pytest
@@ -15,8 +17,8 @@ FIXED = {'noise_estimator': {'estimator': 'fixed'}}
 
 
 def evidence(data, setup, **changes):
-    summary = summarise(data, setup, mode='in_process', timing={}, **changes)
-    return claims.evidence_of(data, setup, summary)
+    summary = summarise_run(data, setup, mode='in_process', timing={}, **changes)
+    return collect_evidence(data, setup, summary)
 
 
 def claim_of(data, setup, words, rows=(), **changes):
@@ -195,8 +197,6 @@ def test_stiffness_claims_need_a_wrong_stiffness():
 
 def test_designed_rise_of_two_equal_poles_is_2_146_time_constants(setup):
     force = setup.controller.force
-    assert metrics.designed_rise(force) == pytest.approx(
-        0.006 + 2.1462 * 0.02, abs=1e-5
-    )
+    assert designed_rise(force) == pytest.approx(0.006 + 2.1462 * 0.02, abs=1e-5)
     fast = force.model_copy(update={'second_pole_ratio': 1e4})
-    assert metrics.designed_rise(fast) == pytest.approx(0.026, abs=1e-4)
+    assert designed_rise(fast) == pytest.approx(0.026, abs=1e-4)

@@ -25,14 +25,12 @@ from multicontact_control.cli.application import app
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.files import replace_json_file
 from multicontact_control.judging.display import print_summary
-from multicontact_control.judging.figures import (
-    draw_figures,
-    interactive_figures,
-    run_figures,
-)
+from multicontact_control.judging.figure_files import draw_figures
 from multicontact_control.judging.metrics import RunMetrics
+from multicontact_control.judging.report import render_figures
 from multicontact_control.judging.results import load, load_run
-from multicontact_control.judging.verdict import judge, verdict_text
+from multicontact_control.judging.run_figures import describe_figures
+from multicontact_control.judging.verdict import describe_verdict, judge_run
 from multicontact_control.runs.recording import find_gaps
 from multicontact_control.runs.scenario import resolve
 import numpy as np
@@ -52,10 +50,10 @@ def bag(tmp_path_factory):
 def verdict_shown(run):
     """Go through all that is shown of a run but the drawing of files; return the verdict."""
     print_summary(Console(quiet=True), run.summary, 'here')
-    interactive_figures(run.data, run.setup, 0)
+    render_figures(RunMetrics(run.data, run.setup), 'run0')
     json.dumps(run.summary, allow_nan=False)
     assert run.summary['stable'] is not True
-    return verdict_text(run.summary)
+    return describe_verdict(run.summary)
 
 
 def test_names_rate_and_commands_are_those_of_the_messages(bag):
@@ -115,7 +113,7 @@ def test_run_without_truth_is_not_judged_and_its_report_says_so(bag, tmp_path):
     }
     assert all(
         'no ground truth' in panel.label
-        for panel in run_figures(run.data, run.setup)[0].panels
+        for panel in describe_figures(RunMetrics(run.data, run.setup))[0].panels
     )
 
 
@@ -123,13 +121,14 @@ def test_run_without_truth_is_not_judged_and_its_report_says_so(bag, tmp_path):
 def test_recording_that_lacks_a_topic_is_shown_as_far_as_it_goes(tmp_path, topic):
     run = load(write_bag(tmp_path / 'bag', without=(TRUTH, topic), seconds=2.5))
     assert verdict_shown(run)
-    draw_figures(run.data, run.setup, run.summary, tmp_path, formats=())
+    draw_figures(RunMetrics(run.data, run.setup), run.summary, tmp_path, formats=())
     assert (topic == COMMANDED) or any(
         topic in remark for remark in run.summary['remarks']
     )
     if topic == MEASURED:
         assert (
-            verdict_text(run.summary) == 'not judged: neither true nor measured forces'
+            describe_verdict(run.summary)
+            == 'not judged: neither true nor measured forces'
         )
 
 
@@ -227,14 +226,14 @@ def test_step_is_not_judged_across_what_is_missing(tmp_path, away):
     data = load(write_bag(tmp_path / 'bag', without=())).data
     part = (data.time > away[0]) & (data.time < away[1])
     setup = load(tmp_path / 'bag').setup
-    assert len(RunMetrics(data, setup).step_responses(0)) == 1
+    assert len(RunMetrics(data, setup).contacts[0].step_responses) == 1
     for name, values in vars(data).items():
         if isinstance(values, np.ndarray) and name not in ('time', 'command'):
             values[part] = np.nan
     run = RunMetrics(data, setup)
-    assert run.step_responses(0) == []
+    assert run.contacts[0].step_responses == []
     assert not run.windows.loaded[part].any()
-    assert judge(data, setup, missing=find_gaps(data)).unjudged.startswith(
+    assert judge_run(data, setup, missing=find_gaps(data)).unjudged.startswith(
         'no samples from '
     )
 
@@ -243,7 +242,7 @@ def test_force_that_is_not_known_for_a_while_is_not_judged(tmp_path):
     run = load(write_bag(tmp_path / 'bag', without=()))
     for series in (run.data.alpha_true, run.data.alpha_meas):
         series[(run.data.time > 2.0) & (run.data.time < 2.3)] = np.nan
-    assert judge(run.data, run.setup).unjudged == (
+    assert judge_run(run.data, run.setup).unjudged == (
         'wall: no force from 2.01 to 2.30 s; what is there passed no limit'
     )
 

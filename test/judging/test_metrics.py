@@ -32,11 +32,10 @@ def test_windows_are_those_of_the_definition(setup, data):
 def test_losses_are_counted_under_load(setup, data):
     for start, samples in ((1000, 50), (3000, 20), (4000, 2), (5000, 1)):
         data.alpha_true[start : start + samples, 1] = 0.0
-    run = RunMetrics(data, setup)
-    assert run.losses(1, run.windows.loaded) == [(3000, 3020), (4000, 4002)]
+    assert RunMetrics(data, setup).contacts[1].losses == [(3000, 3020), (4000, 4002)]
     data.alpha_true[3010, 1] = np.nan
-    lost = RunMetrics(data, setup).losses(1, data.time >= 0.0)
-    assert [begin for begin, _ in lost] == [1000, 3000, 4000]
+    lost = RunMetrics(data, setup).contacts[1].losses
+    assert [begin for begin, _ in lost] == [3000, 4000]
 
 
 def test_contact_errors_are_root_mean_squares_in_their_window(setup, data):
@@ -45,10 +44,13 @@ def test_contact_errors_are_root_mean_squares_in_their_window(setup, data):
         np.arange(judged.rest.sum()) % 2, 1, -1
     )
     data.alpha_true[~judged.rest & (data.time > 4.5) & (data.time < 5.0), 0] += 3.0
-    rest = RunMetrics(data, setup).contact_summary(0)['rest']
+    rest = RunMetrics(data, setup).contacts[0].summarise()['rest']
     assert rest['true_error_rms_n'] == pytest.approx(0.5)
     assert rest['estimate_error_rms_n'] == pytest.approx(0.5)
-    assert RunMetrics(data, setup).contact_summary(1)['rest']['true_error_rms_n'] == 0.0
+    assert (
+        RunMetrics(data, setup).contacts[1].summarise()['rest']['true_error_rms_n']
+        == 0.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -64,14 +66,15 @@ def test_step_response_of_a_known_lag(setup, data, commanded, start, steps):
         setup = replace(setup, commanded_by_topic=True)
         for series, before in ((data.alpha_des, 2.0), (data.command, 0.0)):
             series[:] = np.where(t < 0.0, before, 10.0)[:, None]
-    first, *others = RunMetrics(data, setup).step_responses(0)
+    first, *others = RunMetrics(data, setup).contacts[0].step_responses
     assert (first.time_s, first.size_n, len(others)) == (start, 8.0, steps - 1)
     assert first.rise_63_s == pytest.approx(0.05, abs=0.003)
     assert first.overshoot_percent == pytest.approx(10.0)
     assert first.settling_s == pytest.approx(-0.05 * np.log(0.05), abs=0.003)
     assert first.steady_error_n == pytest.approx(0.0, abs=1e-6)
     assert (
-        RunMetrics(data, setup).contact_summary(0)['step_rise_63_s'] == first.rise_63_s
+        RunMetrics(data, setup).contacts[0].summarise()['step_rise_63_s']
+        == first.rise_63_s
     )
 
 
@@ -81,7 +84,7 @@ def test_step_that_stays_off_its_command_has_a_steady_error(
 ):
     """Within 5 % of the step of 8 N, and beyond."""
     data.alpha_true[data.time > 2.5, 0] += error
-    first = RunMetrics(data, setup).step_responses(0)[0]
+    first = RunMetrics(data, setup).contacts[0].step_responses[0]
     assert first.settling_s == settling
     assert first.steady_error_n == pytest.approx(error)
 
@@ -92,20 +95,22 @@ def test_measured_force_settles_within_the_noise_of_its_sensor(setup, data):
     data.alpha_meas[:, 0] += noise
     data.alpha_meas[(data.time > 1.9) & (data.time < 1.95), 0] += 20.0
     data.alpha_true[:] = np.nan
-    assert RunMetrics(data, setup).step_responses(0)[0].settling_s < 0.1
+    assert RunMetrics(data, setup).contacts[0].step_responses[0].settling_s < 0.1
     data.alpha_true[:] = data.alpha_meas
-    assert RunMetrics(data, setup).step_responses(0)[0].settling_s is None
+    assert RunMetrics(data, setup).contacts[0].step_responses[0].settling_s is None
 
 
 def test_rise_over_the_design_is_known_of_the_law_that_is_designed(setup, data):
     data.alpha_true[:] = delayed(data, 0.05)
-    run = RunMetrics(data, setup)
-    assert run.rise_over_design(0, run.largest_step(0)) == pytest.approx(1.02, abs=0.01)
+    contact = RunMetrics(data, setup).contacts[0]
+    assert contact.rise_over_design(contact.largest_step) == pytest.approx(
+        1.02, abs=0.01
+    )
     other = setup.controller.model_copy(
         update={'force': setup.controller.force.model_copy(update={'law': 'pi'})}
     )
-    run = RunMetrics(data, replace(setup, controller=other))
-    assert run.rise_over_design(0, run.largest_step(0)) is None
+    contact = RunMetrics(data, replace(setup, controller=other)).contacts[0]
+    assert contact.rise_over_design(contact.largest_step) is None
 
 
 def test_couple_has_no_loss_and_its_steps_begin_at_zero():
@@ -114,11 +119,12 @@ def test_couple_has_no_loss_and_its_steps_begin_at_zero():
     data = perfect_run(edge)
     data.alpha_true[:] = edge.commanded(data.time)
     assert [
-        (step.time_s, step.size_n) for step in RunMetrics(data, edge).step_responses(1)
+        (step.time_s, step.size_n)
+        for step in RunMetrics(data, edge).contacts[1].step_responses
     ] == [(6.0, 3.0), (7.5, -3.0)]
     data.alpha_true[::2, 1] = -1.0
     force, couple = (
-        RunMetrics(data, edge).contact_summary(i)['moving'] for i in (0, 1)
+        RunMetrics(data, edge).contacts[i].summarise()['moving'] for i in (0, 1)
     )
     assert (force['contact_loss_fraction'], couple['contact_loss_fraction']) == (
         0.0,
@@ -129,19 +135,19 @@ def test_couple_has_no_loss_and_its_steps_begin_at_zero():
 
 def test_motion_error_counts_in_free_directions_and_in_its_window(setup, data):
     data.position[:, 1:] += [0.01, -0.01]
-    assert RunMetrics(data, setup).motion_summary()['moving_position_rms_m'] < 1e-12
+    assert RunMetrics(data, setup).summarise_motion()['moving_position_rms_m'] < 1e-12
     data.position[data.time < 8.5, 0] += 0.1
     data.position[data.time >= 8.5, 0] += 0.002
     turned = data.quaternion.copy()
     turned[5000] = -np.sin(0.01), 0.0, 0.0, -np.cos(0.01)
-    motion = RunMetrics(replace(data, quaternion=turned), setup).motion_summary()
+    motion = RunMetrics(replace(data, quaternion=turned), setup).summarise_motion()
     assert motion['moving_position_rms_m'] == pytest.approx(0.002)
     assert motion['position_rms_m'] > motion['moving_position_rms_m']
     assert motion['orientation_max_rad'] == pytest.approx(0.02)
     tilted = resolve('tilt', plant='rigid')
     data = perfect_run(tilted)
     data.position[:] += 0.03 * np.array(tilted.plant.surfaces['table'].normal_world)
-    assert RunMetrics(data, tilted).motion_summary()['moving_position_rms_m'] < 1e-12
+    assert RunMetrics(data, tilted).summarise_motion()['moving_position_rms_m'] < 1e-12
 
 
 @pytest.fixture(scope='module')
@@ -175,12 +181,11 @@ def test_recovery_is_the_time_until_the_error_stays_in_the_band(
     data = perfect_run(pushed)
     for error in errors:
         data = with_error(data, *error)
-    answer = RunMetrics(data, pushed).recoveries(0, None)[push]
+    answer = RunMetrics(data, pushed).contacts[0].measure_recoveries(None)[push]
     assert answer['recovery'] == (
         recovery if recovery is None else pytest.approx(recovery, abs=0.003)
     )
     assert answer['peak'] == pytest.approx(max(abs(size) for *_, size in errors))
-    early = RunMetrics(data, pushed).recoveries(
-        0, 4.0
-    )  # of a run that is unstable by then
+    # Of a run that is unstable by then.
+    early = RunMetrics(data, pushed).contacts[0].measure_recoveries(4.0)
     assert early and all(answer['recovery'] is None for answer in early)

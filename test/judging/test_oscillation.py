@@ -1,6 +1,6 @@
 """Limit cycles are found, noise and transients are not."""
 
-from multicontact_control.judging.oscillation import oscillations
+from multicontact_control.judging.oscillation import find_oscillations
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -22,7 +22,7 @@ def noise(rms, seed=0, colour=0.0):
 
 
 def detect(error, judged=TIME >= 0.0, command=COMMAND):
-    return oscillations(error, command, judged, RATE)
+    return find_oscillations(error, command, judged, RATE)
 
 
 @pytest.mark.parametrize('frequency', [11.0, 14.0, 42.0, 180.0])
@@ -30,7 +30,7 @@ def test_limit_cycle_in_noise_is_detected_with_its_frequency_and_size(frequency)
     (one,) = detect(tone(frequency, 0.8) + noise(0.5))
     assert one.frequency == pytest.approx(frequency, abs=1.0)
     assert one.rms == pytest.approx(0.8, rel=0.15)
-    assert one.known == pytest.approx(2.0, abs=0.01)
+    assert one.recognised_at == pytest.approx(2.0, abs=0.01)
     assert one.duration == pytest.approx(6.0, abs=0.3)
 
 

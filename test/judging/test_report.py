@@ -9,14 +9,10 @@ from multicontact_control.cli.application import app
 from multicontact_control.errors import ConfigError
 from multicontact_control.files import replace_json_file
 from multicontact_control.judging import report
-from multicontact_control.judging.page import (
-    envelope,
-    figure,
-    Panel,
-    Trace,
-    write_page,
-)
-from multicontact_control.judging.results import load_run, summarise
+from multicontact_control.judging.page import render_figure, thin_series, write_page
+from multicontact_control.judging.panels import Panel, RunFigure, Trace
+from multicontact_control.judging.results import load_run
+from multicontact_control.judging.run_summary import summarise_run
 from multicontact_control.runs.scenario import resolve
 import numpy as np
 import pytest
@@ -39,7 +35,7 @@ def folder(tmp_path_factory):
     data.save(folder)
     replace_json_file(
         folder / 'summary.json',
-        summarise(data, setup, mode='in_process', timing={'kernels_compiled': 0}),
+        summarise_run(data, setup, mode='in_process', timing={'kernels_compiled': 0}),
     )
     return folder
 
@@ -90,7 +86,7 @@ def test_run_is_loaded_by_text_and_one_without_a_summary_is_said_to_be_one(
 def test_report_of_two_runs_has_figures_of_both_and_one_table(
     folder, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(report, 'FORMATS', ('png',))
+    monkeypatch.setattr(report, 'FIGURE_FORMATS', ('png',))
     runs = [
         load_run(folder)._replace(folder=tmp_path / name / 'first') for name in 'ab'
     ]
@@ -116,13 +112,16 @@ def test_report_of_two_runs_has_figures_of_both_and_one_table(
 
 def test_page_needs_no_other_file(tmp_path):
     values = np.array([1e-3, 0.6, np.nan, np.inf, -1.0])
-    drawn = figure(
+    drawn = render_figure(
         'forces',
-        'Forces',
-        [
-            Panel('R </script>', [Trace('', values)], logarithmic=log)
-            for log in (False, True)
-        ],
+        RunFigure(
+            '',
+            'Forces',
+            [
+                Panel('R </script>', [Trace('', values)], logarithmic=log)
+                for log in (False, True)
+            ],
+        ),
         np.arange(5.0),
     )
     made = json.loads(re.search(r'json">(.*)</script>', drawn)[1])
@@ -143,7 +142,7 @@ def test_envelope_keeps_every_peak_and_its_place():
     time = np.arange(10001) / 500.0
     values = np.sin(time)
     values[4321], values[777] = 50.0, -40.0
-    x, (y, clock) = envelope(time, [values, time], 200)
+    x, (y, clock) = thin_series(time, [values, time], 200)
     assert len(x) == len(y) <= 202
     assert (y.max(), y.min()) == (50.0, -40.0)
     assert (np.diff(x) >= 0.0).all() and (np.diff(clock) >= 0.0).all()
@@ -153,7 +152,7 @@ def test_envelope_keeps_every_peak_and_its_place():
 @pytest.mark.browser
 @pytest.mark.nightly
 def test_report_in_a_browser(folder, chromium, tmp_path, monkeypatch):
-    monkeypatch.setattr(report, 'FORMATS', ('png',))
+    monkeypatch.setattr(report, 'FIGURE_FORMATS', ('png',))
     path = report.write_report([load_run(folder)], tmp_path)[0]
     opened = Tab(chromium, path.as_uri(), viewport={'width': 1240, 'height': 900})
     tab = opened.page

@@ -5,21 +5,22 @@ import io
 
 from canonical_runs import run_of
 from multicontact_control.cli.run import end_by_verdict
-from multicontact_control.judging import figures
-from multicontact_control.judging.claims import claims_of
+from multicontact_control.judging.claims import judge_claims_of_run
 from multicontact_control.judging.display import (
+    list_summary_rows,
+    list_verdict_lines,
     print_summary,
-    summary_rows,
-    verdict_lines,
 )
+from multicontact_control.judging.figure_files import draw_figures
 from multicontact_control.judging.metrics import RunMetrics
-from multicontact_control.judging.results import summarise
+from multicontact_control.judging.run_figures import describe_figures, list_shaded_spans
+from multicontact_control.judging.run_modes import INTERRUPTED
+from multicontact_control.judging.run_summary import summarise_run
+from multicontact_control.judging.supervisor_events import read_event
 from multicontact_control.judging.verdict import (
     HELD,
-    INTERRUPTED,
-    judge,
+    judge_run,
     NOT_STABLE,
-    read_event,
     STABLE,
 )
 from multicontact_control.runs.scenario import resolve
@@ -72,16 +73,16 @@ def test_loss_and_saturation_may_last_a_tenth_of_a_second(
     setup, data, fault, reason, seconds
 ):
     fault(data, 6.0, seconds)
-    verdict = judge(data, setup)
+    verdict = judge_run(data, setup)
     assert (verdict.name == NOT_STABLE) == (seconds > 0.1)
     assert all(reason in line for line in verdict.reasons)
     assert verdict.unstable_at == (pytest.approx(6.1) if seconds > 0.1 else None)
     weak = replace(
         setup, plant=setup.plant.model_copy(update={'torque_limit': (12.0,) * 6})
     )
-    assert any('simulated drives' in line for line in judge(data, weak).reasons) == (
-        fault is saturate and seconds > 0.1
-    )
+    assert any(
+        'simulated drives' in line for line in judge_run(data, weak).reasons
+    ) == (fault is saturate and seconds > 0.1)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +99,7 @@ def test_contact_that_is_lost_more_than_five_times_is_not_stable(
 ):
     for k in range(losses):
         lose(data, LOADED + 1.0 + k * every, lasting, contact=0)
-    assert judge(data, setup).name == name
+    assert judge_run(data, setup).name == name
 
 
 @pytest.mark.parametrize(
@@ -118,7 +119,7 @@ def test_force_beyond_five_times_its_command_and_half_the_ceiling_is_not_stable(
 ):
     data.alpha_true[start, 0] = force
     data.alpha_des[4990:, 0] = 0.0
-    verdict = judge(data, setup)
+    verdict = judge_run(data, setup)
     assert verdict.reasons == reasons
     assert verdict.unstable_at == (start / RATE if reasons else None)
 
@@ -139,22 +140,22 @@ def test_couple_as_large_as_its_force_is_a_lost_end_of_the_edge(
     data = perfect_run(edge)
     data.alpha_true[:, 1] = edge.commanded(data.time)[:, 1]
     data.alpha_true[4000 : 4000 + int(seconds * RATE), 1] = couple
-    assert judge(data, edge).reasons == reasons
+    assert judge_run(data, edge).reasons == reasons
 
 
 def test_missing_contacts_answers_and_infinite_numbers_are_not_stable(setup, data):
-    assert judge(data, setup).reasons == ()
+    assert judge_run(data, setup).reasons == ()
     data.torque[100] = np.nan
-    assert judge(data, setup).name == STABLE
+    assert judge_run(data, setup).name == STABLE
     data.torque[:900] = np.nan
     for mode in ('in_process', 'lockstep', 'free_running'):
-        assert judge(data, setup, mode=mode).reasons == (
+        assert judge_run(data, setup, mode=mode).reasons == (
             '15.0 % of the samples were not answered',
         )
     data.alpha_meas[7, 0] = np.inf
     data.alpha_des[:, 0] = 0.0
     assert {'a number is not finite', 'table: no contact was made'} <= {
-        *judge(data, setup).reasons
+        *judge_run(data, setup).reasons
     }
 
 
@@ -163,14 +164,16 @@ def test_run_that_ends_before_its_load_is_not_judged_and_tells_of_no_claim():
     data = perfect_run(setup)
     data.alpha_true[:] = 0.0
     data.alpha_des[:] = 0.0
-    summary = summarise(data, setup, mode='in_process', timing={})
+    summary = summarise_run(data, setup, mode='in_process', timing={})
     assert (summary['verdict'], summary['unjudged'], summary['instabilities']) == (
         'not judged',
         'never under load',
         [],
     )
     end_by_verdict(summary)
-    summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
+    summary['claims'] = [
+        claim._asdict() for claim in judge_claims_of_run(data, setup, summary)
+    ]
     assert {claim['holds'] for claim in summary['claims']} == {None}
     console = Console(width=80, soft_wrap=True, record=True, file=io.StringIO())
     print_summary(console, summary, 'here')
@@ -190,13 +193,13 @@ def test_contact_without_truth_is_judged_by_its_measured_force(
     setup, data, hidden, whose
 ):
     data.alpha_true[hidden(data)] = np.nan
-    verdict = judge(data, setup, mode='external')
+    verdict = judge_run(data, setup, mode='external')
     assert (verdict.name, verdict.unjudged) == (
         'not judged',
         f'no ground truth{whose}; by the measured forces no limit was passed',
     )
     data.alpha_meas[3000:, 1] = 0.0
-    verdict = judge(data, setup, mode='external')
+    verdict = judge_run(data, setup, mode='external')
     assert (
         verdict.reasons == ('board: contact lost for 6.00 s',)
         and verdict.name == NOT_STABLE
@@ -213,7 +216,7 @@ def test_supervisor_that_steps_in_more_than_five_times_holds_the_run(
         texts = [(0.0, CALM)]
         for k in range(times):
             texts += [(3.0 + k, caught), (3.002 + k, CALM)]
-        verdict = judge(data, setup, events=texts)
+        verdict = judge_run(data, setup, events=texts)
         assert (verdict.name, len(verdict.reasons)) == (name, int(times > 5))
     cause = caught.split(' | ')[1].strip() or 'contact lost'
     assert f'({cause} 6)' in verdict.reasons[0] and verdict.unstable_at is None
@@ -231,7 +234,7 @@ def test_line_of_the_log_on_what_a_contact_reads_before_it_touches_is_read(setup
             ),
         )
     assert [len(what.split(' | ')) for _, what in report.events] == [4, 4]
-    assert judge(data, setup, events=report.events).name == STABLE
+    assert judge_run(data, setup, events=report.events).name == STABLE
 
 
 def test_bounces_before_load_and_slow_references_are_no_interventions(setup, data):
@@ -245,7 +248,7 @@ def test_bounces_before_load_and_slow_references_are_no_interventions(setup, dat
     ):
         texts = [(start + 0.5 * every * k, cycle[k % 2]) for k in range(40)]
         assert (
-            judge(data, setup, events=[(0.0, 'none |  | free, free'), *texts]).name
+            judge_run(data, setup, events=[(0.0, 'none |  | free, free'), *texts]).name
             == STABLE
         )
 
@@ -286,7 +289,7 @@ def test_limit_cycle_is_named_with_and_without_supervisor(
     """R fixed at 0.6 on flexible drives, and surfaces fifteen times as stiff as modelled."""
     setup = resolve(scenario, preset='paper', **changes)
     result = run_of(setup, supervised=supervised)
-    verdict = judge(
+    verdict = judge_run(
         result.data, setup, ended_early=result.ended_early, events=result.events
     )
     assert verdict.name == NOT_STABLE and verdict.unstable_at is not None
@@ -320,11 +323,11 @@ def test_limit_cycle_is_named_with_and_without_supervisor(
 def test_verdict_is_shown_and_decides_the_exit_code(
     setup, data, ticks, changes, verdict, stable, code
 ):
-    summary = summarise(
+    summary = summarise_run(
         data.part(0, ticks), setup, **{'mode': 'in_process', 'timing': {}, **changes}
     )
     assert (summary['verdict'], summary['stable']) == (verdict, stable)
-    assert f']{verdict}' in verdict_lines(summary, 'here')[1]
+    assert f']{verdict}' in list_verdict_lines(summary, 'here')[1]
     if code is None:
         end_by_verdict(summary)
         return
@@ -347,7 +350,7 @@ def test_force_or_motion_far_off_its_command_makes_a_stable_run_poor(
     """A step from 2 to 10 N at 2.5 s, and a motion that is judged from 8.5 s on."""
     data.alpha_true[1300:1310, 0] = force
     data.position[data.time >= 8.5, 0] += shift
-    summary = summarise(data, setup, mode='in_process', timing={})
+    summary = summarise_run(data, setup, mode='in_process', timing={})
     assert (summary['verdict'], summary['stable']) == (
         'poor' if reasons else 'stable',
         True,
@@ -363,10 +366,11 @@ def test_figures_show_the_start_of_the_motion_and_what_of_r_is_a_median(setup, d
     )
     start = setup.scenario.reference.motion.start_time
     data.noise_variance[np.argmax(data.time >= start + 1.0), 0] = 900.0
-    spans = {name: (begin, end) for name, begin, end in figures._judged(data, setup)}
+    run = RunMetrics(data, setup)
+    spans = {name: (begin, end) for name, begin, end in list_shaded_spans(run)}
     assert spans['start'][0] == pytest.approx(start, abs=0.01)
     assert spans['start'][1] == pytest.approx(spans['moving'][0], abs=0.01)
-    drawn = {each.file: each for each in figures.run_figures(data, setup)}
+    drawn = {each.file: each for each in describe_figures(run)}
     table, *_ = drawn['fig6_noise_variance'].panels[0].traces
     assert table.label == (
         'table: median 0.6 at rest, 100 moving; at most 900 from the start of '
@@ -386,8 +390,8 @@ def test_figures_show_the_start_of_the_motion_and_what_of_r_is_a_median(setup, d
 def test_stable_run_says_beside_its_verdict_how_good_it_is(setup, data, force, said):
     data.alpha_true[:] = delayed(data, 0.05)
     data.alpha_true[1300:1310, 0] = force
-    summary = summarise(data, setup, mode='in_process', timing={})
-    verdict, quality = verdict_lines(summary, 'here')[1:3]
+    summary = summarise_run(data, setup, mode='in_process', timing={})
+    verdict, quality = list_verdict_lines(summary, 'here')[1:3]
     assert 'stable' in verdict and quality.startswith(said)
     assert (
         'rise 1.02 of the design' in quality
@@ -400,17 +404,19 @@ def test_quality_and_claims_say_the_same_of_a_slow_small_step(delay):
     """The smallest step of board alone is late: both see it, by the same bounds."""
     setup = resolve('paper', plant='puma')
     data = paper_run(setup)
-    small = min(RunMetrics(data, setup).timed_steps(1), key=lambda step: step.size_n)
+    small = min(
+        RunMetrics(data, setup).contacts[1].timed_steps, key=lambda step: step.size_n
+    )
     begin = round(small.time_s * RATE)
     before = float(setup.commanded(data.time)[begin - 1, 1])
     data.alpha_true[begin : begin + round(delay * RATE), 1] = before
     data.alpha_true[begin + round(delay * RATE) : begin + 100, 1] = (
         before + small.size_n
     )
-    summary = summarise(data, setup, mode='in_process', timing={})
+    summary = summarise_run(data, setup, mode='in_process', timing={})
     rises = next(
         claim
-        for claim in claims_of(data, setup, summary)
+        for claim in judge_claims_of_run(data, setup, summary)
         if 'time constant' in claim.claim
     )
     bad, _, good = summary['quality'].rpartition('; ')
@@ -422,8 +428,8 @@ def test_quality_and_claims_say_the_same_of_a_slow_small_step(delay):
 
 def test_loss_that_the_controller_alone_sees_is_named_as_such(setup, data):
     seen = [(0.0, CALM), (3.0, LOST), (3.1, CALM)]
-    summary = summarise(data, setup, mode='in_process', timing={}, events=seen)
-    rows = {label: cells for label, *cells in summary_rows(summary)}
+    summary = summarise_run(data, setup, mode='in_process', timing={}, events=seen)
+    rows = {label: cells for label, *cells in list_summary_rows(summary)}
     assert rows['contact lost [times]'] == ['0', '0']
     assert rows['lost to the controller [times]'] == ['0', '1']
 
@@ -439,8 +445,10 @@ def test_event_is_read_with_what_was_read_of_contacts_before_a_touch():
 def test_claims_of_the_paper_are_printed_in_a_narrow_terminal():
     setup = resolve('paper', plant='puma')
     data = paper_run(setup)
-    summary = summarise(data, setup, mode='in_process', timing={})
-    summary['claims'] = [claim._asdict() for claim in claims_of(data, setup, summary)]
+    summary = summarise_run(data, setup, mode='in_process', timing={})
+    summary['claims'] = [
+        claim._asdict() for claim in judge_claims_of_run(data, setup, summary)
+    ]
     console = Console(width=80, soft_wrap=True, record=True, file=io.StringIO())
     print_summary(console, summary, 'here')
     text = console.export_text()
@@ -452,8 +460,8 @@ def test_claims_of_the_paper_are_printed_in_a_narrow_terminal():
 def test_figures_of_a_plane_have_legal_file_names(tmp_path):
     setup = resolve('plane', plant='rigid', duration=10.0)
     data = perfect_run(setup)
-    summary = summarise(data, setup, mode='in_process', timing={})
-    figures.draw_figures(data, setup, summary, tmp_path, formats=('png',))
+    summary = summarise_run(data, setup, mode='in_process', timing={})
+    draw_figures(RunMetrics(data, setup), summary, tmp_path, formats=('png',))
     assert {path.stem for path in tmp_path.iterdir()} == {
         'fig3_force_face',
         'fig4_force_face_along',

@@ -4,7 +4,7 @@ from arms import controller_config
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import MessageError
 from multicontact_control.nodes.controller_topics import build_contact_arrows
-from multicontact_control.supervision.report import no_answer
+from multicontact_control.supervision.report import make_empty_answer
 import numpy as np
 import pytest
 from visualization_msgs.msg import Marker
@@ -17,7 +17,7 @@ CONFIG = controller_config()
 
 
 def arrows_of(forces, active):
-    nothing = no_answer(6, len(NORMALS))
+    nothing = make_empty_answer(6, len(NORMALS))
     contacts, controls = nothing.contacts.copy(), nothing.controls.copy()
     contacts['alpha_meas'], contacts['answer']['active'] = forces, active
     contacts['normal'] = NORMALS

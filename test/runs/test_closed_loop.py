@@ -2,7 +2,7 @@
 
 from canonical_runs import run_of
 from multicontact_control.judging.metrics import RunMetrics
-from multicontact_control.judging.verdict import judge
+from multicontact_control.judging.verdict import judge_run
 from multicontact_control.runs.scenario import resolve
 import numpy as np
 import pytest
@@ -13,9 +13,9 @@ def test_quick_is_stable_and_holds_its_forces(plant):
     """The paper's experiment in short."""
     setup = resolve('quick', plant=plant)
     result = run_of(setup)
-    assert judge(result.data, setup, ended_early=result.ended_early).reasons == ()
+    assert judge_run(result.data, setup, ended_early=result.ended_early).reasons == ()
     for i in range(2):
-        summary = RunMetrics(result.data, setup).contact_summary(i)
+        summary = RunMetrics(result.data, setup).contacts[i].summarise()
         assert summary['rest']['true_error_rms_n'] < 1.0
         assert summary['moving']['true_error_rms_n'] < 3.0
         assert summary['moving']['contact_loss_fraction'] == 0.0
@@ -48,7 +48,7 @@ def test_limited_slew_of_the_variance_leaves_a_force_step_its_speed():
             preset='paper',
             noise_estimator={'slew_time': slew_time},
         )
-        steps = RunMetrics(run_of(setup).data, setup).contact_summary(1)['steps']
+        steps = RunMetrics(run_of(setup).data, setup).contacts[1].summarise()['steps']
         rises.append([step['rise_63_s'] for step in steps])
     assert min(rises[0]) > 0.08
     assert max(rises[1]) < 0.08

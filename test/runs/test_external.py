@@ -7,7 +7,7 @@ from foreign_bag import controller_file, JOINTS
 from multicontact_control.cli.options import RunOptions
 from multicontact_control.errors import ConfigError
 from multicontact_control.files import replace_json_file
-from multicontact_control.judging.results import contact_types, load_setup
+from multicontact_control.judging.results import infer_contact_types, load_setup
 from multicontact_control.runs.parameter_file import write_parameters
 from multicontact_control.runs.scenario import (
     resolve,
@@ -220,4 +220,4 @@ def test_setting_without_what_it_is_laid_over_is_refused(file, setting, message)
 
 def test_contact_types_follow_from_names():
     names = ('a', 'b', 'b/along', 'c', 'c/along', 'c/across')
-    assert contact_types(names) == {'a': 'point', 'b': 'edge', 'c': 'plane'}
+    assert infer_contact_types(names) == {'a': 'point', 'b': 'edge', 'c': 'plane'}

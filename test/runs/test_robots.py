@@ -97,8 +97,8 @@ def test_a_robot_of_another_rate_presses_without_any_reaction(rate, force):
     for _ in range(round(0.5 * rate)):
         loop.advance()
     loop.close()
-    assert set(loop.control.events.reactions) == {'none'}
-    assert loop.control.events.rejected == {'wrench_outlier': 1}
+    assert set(loop.control.events.reaction_counts) == {'none'}
+    assert loop.control.events.rejected_counts == {'wrench_outlier': 1}
     assert not [event for _, event in loop.control.events.events if 'lost' in event]
 
 
@@ -124,7 +124,7 @@ def test_encoder_with_steps_is_not_taken_for_a_frozen_one():
             )
         )
     loop.close()
-    assert set(loop.control.events.reactions) == {'none'}
+    assert set(loop.control.events.reaction_counts) == {'none'}
 
 
 CONFIG = PushTestConfig()

@@ -4,7 +4,7 @@ from contextlib import closing
 
 from multicontact_control.config import ControllerConfig, merge, validate
 from multicontact_control.control.tasks import MotionReading
-from multicontact_control.judging.oscillation import oscillations
+from multicontact_control.judging.oscillation import find_oscillations
 from multicontact_control.registry import FORCE_LAWS
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import preset_values, resolve
@@ -105,7 +105,7 @@ def test_slow_slide_with_friction_in_joints_and_on_surfaces_does_not_stick_and_s
     np.testing.assert_allclose(forces, FORCE, atol=3.0)
     for error in (forces - FORCE).T:
         steady = np.ones(len(error), dtype=bool)
-        assert not oscillations(error, np.full(len(error), FORCE), steady, 500.0)
+        assert not find_oscillations(error, np.full(len(error), FORCE), steady, 500.0)
 
 
 def test_every_law_takes_over_while_it_presses():

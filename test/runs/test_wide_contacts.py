@@ -1,8 +1,9 @@
 """Edges, planes, moving and tilted surfaces: what the force loops make of them, in simulation."""
 
 from canonical_runs import run_of
-from multicontact_control.judging.metrics import rms_in, RunMetrics
-from multicontact_control.judging.verdict import judge, STABLE
+from multicontact_control.judging.metrics import RunMetrics
+from multicontact_control.judging.run_series import rms_within
+from multicontact_control.judging.verdict import judge_run, STABLE
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 import numpy as np
@@ -22,12 +23,13 @@ def test_forces_and_couples_are_kept_at_rest_and_while_sliding(scenario, plant, 
     setup = resolve(scenario, plant=plant, seed=1, duration=13.0)
     data = run_of(setup).data
     window = RunMetrics(data, setup).windows
-    assert judge(data, setup, mode='in_process', events=()).name == STABLE
+    assert judge_run(data, setup, mode='in_process', events=()).name == STABLE
     for i, name in enumerate(data.contact_names):
-        error = RunMetrics(data, setup).error[:, i]
-        assert rms_in(window.rest, error) < 0.2, name
-        assert rms_in(window.moving, error) < bound, name
-        assert RunMetrics(data, setup).losses(i, window.loaded) == []
+        contact = RunMetrics(data, setup).contacts[i]
+        error = contact.error
+        assert rms_within(window.rest, error) < 0.2, name
+        assert rms_within(window.moving, error) < bound, name
+        assert contact.losses == []
     # the couple of 3 N has moved the centre of pressure: a fifth of the half length
     held = (data.time > 6.5) & (data.time < 7.5)
     assert data.alpha_true[held, 1].mean() == pytest.approx(3.0, abs=0.1)

@@ -242,7 +242,9 @@ def test_single_wrenches_far_from_the_others_cost_no_force(robot, size):
         assert np.mean(arm.true[-1000:]) == pytest.approx(10.0, abs=0.2)
         assert np.abs(np.array(arm.true[-1000:]) - 10.0).max() < 0.5
         assert set(arm.rejected) == {'wrench_outlier'}
-        assert arm.loop.control.events.rejected['wrench_outlier'] == len(arm.rejected)
+        assert arm.loop.control.events.rejected_counts['wrench_outlier'] == len(
+            arm.rejected
+        )
 
 
 def test_wrench_with_many_outliers_is_a_fault_of_the_sensor():

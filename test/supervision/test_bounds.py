@@ -54,7 +54,7 @@ def test_least_change_fulfils_the_conditions_of_an_optimum(seed, count):
         R, excess = R[:n], excess[:n]
     space, m = np.zeros(1, dtype=bounds.BOUND_SPACE)[0], len(R)
     space['cost'][:n, :n], space['rows'][:m, :n], space['excess'][:m] = H, R, excess
-    assert bounds.least_change(n, m, space)
+    assert bounds.solve_least_change(n, m, space)
     multipliers, change = space['multipliers'][:m], space['change'][:n]
     slack = -excess - R @ change
     scale = 1.0 + np.abs(excess).max()
@@ -69,14 +69,16 @@ def test_least_change_fulfils_the_conditions_of_an_optimum(seed, count):
 def test_allowed_speed_stops_a_joint_without_more_than_its_braking(speed):
     """A joint that follows the allowed speed comes to rest at the stop, from any speed."""
     distance = next(
-        d for d in np.linspace(0.0, 10.0, 100_001) if bounds.allowed_speed(d) >= speed
+        d
+        for d in np.linspace(0.0, 10.0, 100_001)
+        if bounds.allowed_stop_speed(d) >= speed
     )
-    h, fastest_change, before = 1e-4, 0.0, bounds.allowed_speed(distance)
+    h, fastest_change, before = 1e-4, 0.0, bounds.allowed_stop_speed(distance)
     for _ in range(60_000):
-        allowed = bounds.allowed_speed(distance)
+        allowed = bounds.allowed_stop_speed(distance)
         fastest_change = max(fastest_change, abs(allowed - before) / h)
         before = allowed
         distance -= h * allowed
     assert fastest_change < 1.01 * bounds.JOINT_BRAKING
     assert 0.0 <= distance < 1e-3
-    assert bounds.allowed_speed(-0.01) < 0.0  # what is beyond the stop comes back
+    assert bounds.allowed_stop_speed(-0.01) < 0.0  # what is beyond the stop comes back

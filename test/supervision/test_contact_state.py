@@ -7,7 +7,7 @@ from equations import rotation_error
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from multicontact_control.config.supervision import ContactStateConfig
-from multicontact_control.contact.geometry import place_columns
+from multicontact_control.contact.geometry import configure_contacts
 from multicontact_control.control.tasks import (
     ApproachConfig,
     CommandedTask,
@@ -27,7 +27,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 H = 0.002
-FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = contacts.NAMES
+FREE, APPROACHING, IMPACT, HOLDING, LOST, RETRACTING, GIVEN_UP = contacts.STATE_NAMES
 # Every transition there is, as docs/architecture.md has them.
 GRAPH = {
     FREE: {APPROACHING, RETRACTING},
@@ -59,14 +59,14 @@ class Surface:
 
     @property
     def state(self):
-        return contacts.NAMES[self.contact['state']]
+        return contacts.STATE_NAMES[self.contact['state']]
 
     @property
     def pressed(self):
         return self.contact['state'] in contacts.PRESSED
 
     def advance(self, wanted, alpha, asked, place, speed, escape):
-        self.records['wanted'], self.records['asked'] = wanted, asked
+        self.records['wanted'], self.records['alpha_task'] = wanted, asked
         contacts.advance_contact(
             self.contact, self.settings, alpha, place, speed, escape
         )
@@ -112,7 +112,7 @@ HISTORY = st.lists(
         st.floats(-0.03, 0.03),
         st.floats(-0.05, 0.05),
         st.floats(-0.05, 0.05) | st.just(0.2),
-        st.sampled_from(['', '', '', 'let_go', 'again']),
+        st.sampled_from(['', '', '', 'release', 'retry']),
     ),
     min_size=1,
     max_size=25,
@@ -125,11 +125,11 @@ def test_transitions_keep_to_the_graph_and_its_times_for_any_history_of_forces(h
     surface = Surface(approach_distance=0.02, retry_time=0.05)
     state, ticks, felt = FREE, 0, []
     for length, wanted, alpha, asked, place, speed, escape, event in history:
-        if event == 'let_go':
-            contacts.let_go(surface.contact, place, speed)
-        elif event == 'again':
-            surface.contact['again'] = True
-        state, ticks = surface.state, 0 if event == 'let_go' else ticks
+        if event == 'release':
+            contacts.release_contact(surface.contact, place, speed)
+        elif event == 'retry':
+            surface.contact['retry_requested'] = True
+        state, ticks = surface.state, 0 if event == 'release' else ticks
         for _ in range(length):
             surface.advance(wanted, alpha, asked, place, speed, escape)
             before, state, contact = state, surface.state, surface.contact
@@ -153,7 +153,7 @@ def test_transitions_keep_to_the_graph_and_its_times_for_any_history_of_forces(h
                         x < limit for x, limit in felt[-below:]
                     )
                 if (before, state) == (APPROACHING, GIVEN_UP):
-                    assert contact['displacement'] - contact['start'] > 0.0099
+                    assert contact['displacement'] - contact['search_start'] > 0.0099
                 ticks = 0
             if state in (IMPACT, HOLDING):
                 assert contact['acceleration'] == 0.0
@@ -211,7 +211,7 @@ def test_force_beyond_the_ceiling_makes_it_retract_and_a_retry_reaches_the_surfa
     assert surface.state is GIVEN_UP
     assert trace[-1, 0] == pytest.approx(start - contacts.RETRACT_DISTANCE, abs=2e-4)
     assert np.abs(trace[:, 1]).max() <= 0.05 + 1e-9
-    surface.contact['again'] = True
+    surface.contact['retry_requested'] = True
     surface.run(3.0)
     assert surface.state is HOLDING
 
@@ -226,17 +226,17 @@ class Asked:
         config = controller_config(limits=limits)
         self.source = source or CommandedTask(config.contact_names)
         self.controls, self.contacts = np.zeros(1, CONTROL), np.zeros(2, CONTACT)
-        place_columns(config, self.contacts)
+        configure_contacts(config, self.contacts)
         self.task = ContactTask(config, self.source, self)
         self.stay(POSE)
-        self.task.start(POSE)
+        self.task.start_task(POSE)
 
     def stay(self, pose):
         self.controls['frame']['position'], self.controls['frame']['rotation'] = pose
 
     def ask(self, time):
         """Return what is asked for where nothing is felt."""
-        self.task.ask(time)
+        self.task.update_wanted_task(time)
         self.limited = limit_task(
             self.task.limits[0], self.controls[0], self.contacts, self.task.states
         )
@@ -294,7 +294,7 @@ def test_task_is_caught_up_with_slowly_after_a_pause(away, speed):
     asked = Asked()
     asked.ask(0.0)
     asked.stay(away)
-    asked.task.resume()
+    asked.task.resume_task()
     gaps = []
     for k in range(1, 2500):
         pose = asked.ask(k * H).pose
@@ -318,7 +318,7 @@ def test_task_that_is_held_stands_still_and_then_goes_on_where_it_was():
     for tick in range(501):
         before = asked.ask(H * tick).pose.position_world
     asked.stay(here)
-    asked.task.hold(True)
+    asked.task.set_hold(True)
     for time in (1.1, 1.6):
         out = asked.ask(time)
         np.testing.assert_array_equal(out.pose.position_world, here.position_world)
@@ -326,7 +326,7 @@ def test_task_that_is_held_stands_still_and_then_goes_on_where_it_was():
             x.any() for x in (out.twist, out.acceleration, out.active, out.alpha_des)
         )
     asked.stay(Pose(before, np.eye(3)))
-    asked.task.hold(False)
+    asked.task.set_hold(False)
     # From rest, with a bounded acceleration.
     np.testing.assert_allclose(asked.ask(1.6).pose.position_world, before, atol=1e-5)
 
@@ -361,14 +361,14 @@ def test_states_are_told_anew_only_when_one_has_changed():
     asked.source.set_forces({'table': 5.0})
     asked.ask(2.0 * H)
     assert asked.task.state_names == (APPROACHING, FREE)
-    asked.task.lock(True)
+    asked.task.set_lock(True)
     assert asked.task.state_names == (FREE, FREE)
 
 
 @njit
 def limit_again(count, limits, controls, columns, states):
     for k in range(count):
-        limits[0].behind = k % 2 == 0  # it is caught up with, or followed
+        limits[0].catching_up = k % 2 == 0  # it is caught up with, or followed
         columns[0].alpha_meas = 5.0 - columns[0].untared
         limit_task(limits[0], controls[0], columns, states)
 

@@ -9,7 +9,7 @@ from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 from multicontact_control.sensor.push_test import PushTestConfig
 from multicontact_control.supervision import reactions
-from multicontact_control.supervision.reactions import Steadiness
+from multicontact_control.supervision.reactions import ReactionHysteresis
 import numpy as np
 import pytest
 from robots import robot_parameters
@@ -93,7 +93,7 @@ def assert_held_against_a_push(plant, wrong):
     with make_loop(plant) as loop:
         loop.plant.push(PUSH, 1.5, tool=True)
         places, statuses = advance(loop, 3.0, with_velocity(wrong))
-        refuted = loop.control.supervisor.inputs.refuted
+        refuted = loop.control.supervisor.inputs.velocities_refuted
     first = [status.reaction for status in statuses].index('hold')
     way = np.linalg.norm(places - places[first], axis=1)[first:]
     assert way.max() < FARTHEST and way[-1] < 1e-3
@@ -195,7 +195,7 @@ def test_hold_after_a_commanded_motion_does_not_return_to_the_one_before():
 def shake(loop, corrupt=None):
     """Move an arm by hand, to and fro in every direction, until its velocities are proven."""
     for k in range(24):
-        if not loop.control.supervisor.inputs.refuted:
+        if not loop.control.supervisor.inputs.velocities_refuted:
             break
         loop.plant.push(
             30.0 * (-1) ** k * np.eye(3)[k // 2 % 3], 0.15, tool=k // 6 % 2 == 0
@@ -217,7 +217,7 @@ def test_velocities_that_were_refuted_are_proven_by_hand_alone(plant):
         assert loop.status.causes == ('joints_velocity',)
         shake(loop)
         assert loop.status.reaction == 'none'
-        assert not loop.control.supervisor.inputs.refuted
+        assert not loop.control.supervisor.inputs.velocities_refuted
 
 
 @pytest.mark.parametrize('way', ['retry', 'hold', 'force'])
@@ -232,7 +232,7 @@ def test_operator_resumes_control_on_estimates_until_they_are_refuted_again(way)
             loop.control.set_forces({'table': 10.0})
         _, statuses = advance(loop, 0.5)
         assert statuses[-1].reaction == 'none'
-        assert loop.control.supervisor.inputs.refuted
+        assert loop.control.supervisor.inputs.velocities_refuted
         loop.plant.push(3.0 * PUSH, 0.2)
         _, statuses = advance(loop, 1.0, with_velocity(np.negative))
         assert statuses[-1].reaction == 'hold'
@@ -361,14 +361,14 @@ def test_wrench_of_the_residual_needs_the_torque_of_every_joint():
 
 
 def test_severer_of_two_reactions_that_take_turns_stays():
-    steadiness = Steadiness(H)
+    steadiness = ReactionHysteresis(H)
     turns = [
-        steadiness.of(reactions.FLOAT if k % 10 < 2 else reactions.HOLD)
+        steadiness.steady_reaction(reactions.FLOAT if k % 10 < 2 else reactions.HOLD)
         for k in range(600)
     ]
     assert sum(a != b for a, b in zip(turns, turns[1:])) <= 4
     assert turns[-1] == reactions.FLOAT
-    after = [steadiness.of(reactions.HOLD) for _ in range(300)]
+    after = [steadiness.steady_reaction(reactions.HOLD) for _ in range(300)]
     assert after[0] == reactions.FLOAT and after[-1] == reactions.HOLD
     assert sum(a != b for a, b in zip(after, after[1:])) == 1
 

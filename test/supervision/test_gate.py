@@ -7,12 +7,12 @@ from multicontact_control.control.arm import ArmState
 from multicontact_control.control.tasks import CommandedTask
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.flags import (
+    ANSWER_NOT_FINITE,
+    FORCE_SIDEWAYS,
     JOINT_SPEED,
-    NOT_FINITE,
     OPERATIONAL_SPEED,
-    OUTSIDE,
-    PULL,
-    SIDEWAYS,
+    OUTSIDE_WORKSPACE,
+    SURFACE_PULLS,
 )
 from multicontact_control.paths import find_config_folder
 from multicontact_control.records import CONTACT, CONTROL
@@ -20,7 +20,7 @@ from multicontact_control.supervision.checks import (
     check_plausibility,
     plausibility_limits,
 )
-from multicontact_control.supervision.contacts import LOST, NAMES
+from multicontact_control.supervision.contacts import LOST, STATE_NAMES
 from multicontact_control.supervision.gate import TorqueGate
 from multicontact_control.supervision.supervisor import Supervisor
 import numpy as np
@@ -50,7 +50,7 @@ def make(q=HOME, velocity=REST, config=CONFIG, limit=LIMIT, guarded=True):
 
 def passed(gate, law, torque):
     """Return what the gate makes of a torque of a law."""
-    gate.apply(law, torque)
+    gate.apply_torque(law, torque)
     return gate.last.copy()
 
 
@@ -58,7 +58,7 @@ def blending(**transition):
     """Return a gate that starts from a torque and has no limits."""
     config = controller_config(transition=transition)
     gate, _ = make(config=config, limit=np.inf, guarded=False)
-    gate.begin(START)
+    gate.begin_from(START)
     return gate
 
 
@@ -114,7 +114,7 @@ def test_commanded_change_starts_at_the_torque_before_and_fades_at_its_rate():
     calm, moved = (blending(blend_time=0.2, torque_rate=100.0) for _ in range(2))
     torques = []
     for gate in (calm, moved):
-        gate.go_over()
+        gate.start_blend()
         torques = [passed(gate, -1, TORQUE.copy())]
     np.testing.assert_array_equal(torques[0], START)
     np.testing.assert_allclose(
@@ -170,7 +170,7 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
     contacts['answer']['innovation'] = 0.0
     arm.joints['answer']['torque'] = random.normal(size=6)
     arm.joints['answer']['torque'][3] = np.nan if scale == 3.0 else 0.0
-    states = random.integers(len(NAMES), size=CONTACTS)
+    states = random.integers(len(STATE_NAMES), size=CONTACTS)
     SUPERVISOR.task.states['state'] = states
 
     def check():
@@ -197,10 +197,10 @@ def test_speeds_and_plausibility_equal_numpy(seed, scale):
         place > np.array(limits.workspace_upper) + 0.01
     ).any()
     assert check() == (
-        NOT_FINITE * (scale == 3.0)
-        + PULL * bool((alpha < -pull).any())
-        + SIDEWAYS * bool(np.linalg.norm(sideways) > bound)
-        + OUTSIDE * bool(outside)
+        ANSWER_NOT_FINITE * (scale == 3.0)
+        + SURFACE_PULLS * bool((alpha < -pull).any())
+        + FORCE_SIDEWAYS * bool(np.linalg.norm(sideways) > bound)
+        + OUTSIDE_WORKSPACE * bool(outside)
     )
     arm.joints['answer']['torque'], contacts['answer']['innovation'][0] = 0.0, np.inf
-    assert check() & NOT_FINITE
+    assert check() & ANSWER_NOT_FINITE

@@ -8,7 +8,7 @@ from multicontact_control.errors import ConfigError
 from multicontact_control.force.force_law import make_force_laws
 from multicontact_control.records import CONTACT, CONTROL, JOINT
 from multicontact_control.supervision.inputs import (
-    ALL_WELL,
+    ALL_VALID,
     Inputs,
     JointInput,
     TickInputs,
@@ -114,7 +114,7 @@ def test_fault_of_a_reading_is_named_and_its_numbers_are_not_used(source, change
     seen = stage.validate(change(inputs, source))
     assert seen.rejected == (name,)
     np.testing.assert_array_equal(place, before)
-    assert seen.measured == (source != 'wrench')
+    assert seen.wrench_is_current == (source != 'wrench')
     if source != 'joints':
         np.testing.assert_array_equal(stage.q, inputs.joints.q)
 
@@ -261,7 +261,7 @@ def sensed(wrenches, **sensor):
     stage, passed, rejected = make(config), [], []
     for k, wrench in enumerate(wrenches):
         seen = stage.validate(TickInputs(k * H, wrench=WrenchInput(k * H, wrench)))
-        passed.append(stage.filtered.copy())
+        passed.append(stage.filtered_wrench.copy())
         rejected.append(tuple(x for x in seen.rejected if x.startswith('wrench')))
     return stage, np.array(passed), rejected
 
@@ -285,7 +285,7 @@ def test_single_wrench_far_from_the_others_is_left_out_and_two_in_a_row_are_take
     assert np.abs(passed - calm).max() < 0.3
     stage, passed, rejected = sensed(changed, **sensor)
     assert rejected == left_out
-    np.testing.assert_array_equal(stage.raw, changed[-1])
+    np.testing.assert_array_equal(stage.raw_wrench, changed[-1])
     if not order:
         np.testing.assert_array_equal(passed[201:], changed[201:])
 
@@ -317,7 +317,7 @@ def test_stage_without_guards_hands_over_what_came():
         inputs = changed(
             inputs, 'variance', variance=np.full(CONTACTS, 10.0 ** (k % 9 - 4))
         )
-        assert stage.validate(inputs) is ALL_WELL
+        assert stage.validate(inputs) is ALL_VALID
         np.testing.assert_array_equal(stage.q, inputs.joints.q)
         np.testing.assert_array_equal(stage.qd, inputs.joints.qd)
         np.testing.assert_array_equal(stage.wrench, inputs.wrench.wrench)
@@ -335,10 +335,10 @@ def test_stage_without_guards_hands_over_no_numbers_for_what_has_none(numbers):
     stage, random = make(guarded=False), np.random.default_rng(0)
     stage.validate(good(0, random))
     inputs = changed(good(1, random), 'joints', q=numbers)
-    assert stage.validate(changed(inputs, 'variance', variance=numbers)) is ALL_WELL
+    assert stage.validate(changed(inputs, 'variance', variance=numbers)) is ALL_VALID
     assert np.isnan(stage.q).all()
     assert np.isnan(stage.variance).all()
-    assert stage.validate(good(2, random)) is ALL_WELL
+    assert stage.validate(good(2, random)) is ALL_VALID
     assert np.isfinite(stage.q).all()
 
 

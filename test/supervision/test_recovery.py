@@ -10,7 +10,7 @@ from multicontact_control.faults.in_process import with_obstacles
 from multicontact_control.faults.vocabulary import ELBOW_WALL, FAR
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
-from multicontact_control.supervision.reactions import RECOVERING, Recovery
+from multicontact_control.supervision.reactions import RECOVERING, RecoveryPolicy
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -72,14 +72,14 @@ def test_recovery_waits_longer_after_each_relapse_and_latches_physical_causes(
     cause, soon
 ):
     """From 50 ms up to 2 s; a reaction is a relapse within `soon` after control has resumed."""
-    recovery, tick = Recovery(WatchdogConfig().recovery_time, H), 0
+    recovery, tick = RecoveryPolicy(WatchdogConfig().recovery_time, H), 0
 
     def stop(after):
         """Return the wait after some seconds of control [s]; None for ever."""
         nonlocal tick
         tick += round(after / H)
-        recovery.stopped((cause,), tick)
-        waits = [k * H for k in range(2000) if recovery.missing(k) == ()]
+        recovery.note_reaction((cause,), tick)
+        waits = [k * H for k in range(2000) if recovery.waiting_causes(k) == ()]
         recovery.resumed_at = tick
         return waits[0] if waits else None
 
@@ -87,10 +87,10 @@ def test_recovery_waits_longer_after_each_relapse_and_latches_physical_causes(
     if soon == 5.0:
         waits[3:] = [None] * 3
     assert [stop(0.5 * soon) for _ in waits] == pytest.approx(waits, abs=1.01 * H)
-    recovery.allow()
-    assert recovery.missing(2000) == ()
+    recovery.unlatch_control()
+    assert recovery.waiting_causes(2000) == ()
     assert stop(1.1 * soon) == pytest.approx(0.05)
-    assert recovery.missing(0) == (RECOVERING,)
+    assert recovery.waiting_causes(0) == (RECOVERING,)
 
 
 @on_both_plants

@@ -82,21 +82,29 @@ def test_approach_is_as_slow_as_a_touch_of_ten_newtons_asks_for(
     stiffness, mobility, speed
 ):
     contact = contact_of(stiffness=stiffness)
-    assert contacts.approach_speed(contact, SETTINGS, mobility) == pytest.approx(speed)
+    assert contacts.limit_approach_speed(contact, SETTINGS, mobility) == pytest.approx(
+        speed
+    )
     assert speed * np.sqrt(stiffness / mobility) <= 10.0 + 1e-9
 
 
 def test_approach_has_its_speed_before_the_law_has_been_asked():
-    assert contacts.approach_speed(contact_of(stiffness=STEEL), SETTINGS, 0.0) == 0.02
+    assert (
+        contacts.limit_approach_speed(contact_of(stiffness=STEEL), SETTINGS, 0.0)
+        == 0.02
+    )
 
 
 @pytest.mark.parametrize(('below', 'bound'), [(0.0, 0.0), (0.004, 0.05), (-0.05, 0.05)])
 def test_contact_that_is_not_felt_returns_no_faster_than_it_may_touch(below, bound):
     """And than a surface within `normal_range` falls away where it slides."""
     contact = contact_of(
-        state=contacts.HOLDING, answered=True, below=below, approach_speed=0.02
+        state=contacts.HOLDING,
+        answered=True,
+        time_below_threshold=below,
+        approach_speed=0.02,
     )
-    assert contacts.speed_bound(contact, 0.03) == pytest.approx(bound)
+    assert contacts.bound_contact_speed(contact, 0.03) == pytest.approx(bound)
 
 
 @pytest.mark.parametrize(('felt', 'rises'), [(2.0, True), (8.0, False)])
@@ -106,10 +114,10 @@ def test_force_after_a_loss_rises_unless_more_is_felt_than_it_asks_for(felt, ris
         wanted=True,
         answered=True,
         losses=1,
-        origin=0.0,
-        asked=FORCE,
+        surface_displacement=0.0,
+        alpha_task=FORCE,
         force_limit=2.0,
-        level=felt,
+        mean_force=felt,
         stiffness=6000.0,
         approach_speed=0.02,
     )

@@ -8,7 +8,7 @@ from unittest.mock import Mock
 from canonical_runs import run_of
 from multicontact_control.errors import CommandError
 from multicontact_control.files import replace_json_file
-from multicontact_control.judging.results import CONFIG_FOLDER, SUMMARY_FILE
+from multicontact_control.judging.run_folders import CONFIG_FOLDER, SUMMARY_FILE
 from multicontact_control.nodes import messages, topics
 from multicontact_control.runs.recording import RunData
 from multicontact_control.runs.scenario import resolve

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from multicontact_control.judging.claims import Claim, judge_claims, PAPER_ESTIMATOR
-from multicontact_control.judging.page import claims_table
+from multicontact_control.judging.page import render_claims
 from multicontact_control.study.study import Results, Study
 
 LIKE_THE_PAPER = ('active state', 'K_2')  # parts
@@ -33,7 +33,7 @@ class CompareStudy(Study):
     def sections(self, results: Results) -> dict[str, str]:
         """Return the claims with each value of K_2."""
         return {
-            f'Claims of the paper over K_2, plant {plant}': claims_table(
+            f'Claims of the paper over K_2, plant {plant}': render_claims(
                 {f'K_2 = {rate:g} 1/s': judged for rate, judged in claims.items()}
             )
             for plant, claims in comparison_claims(results).items()

@@ -1,0 +1,220 @@
+"""A run as it is judged: its forces and commands in columns, and the windows that are judged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+import math
+from typing import Any, NamedTuple
+
+from multicontact_control.arrays import find_true_stretches, Mask, Matrix, Vector
+from multicontact_control.judging.oscillation import bridge_gaps
+from multicontact_control.runs.recording import Missing, RunData
+from multicontact_control.runs.scenario import Setup
+import numpy as np
+
+SETTLE_AFTER_STEP = 1.0  # s, the start of the window `rest` after the last force step
+SETTLE_AFTER_START = 2.0  # s, the start of the window `moving` after the motion's start
+SETTLE_AFTER_PUSH = 1.0  # s, left out of the quiet windows
+LEAST_MOVING_SPEED = 1e-3  # m/s, from which on a commanded pose moves
+LEAST_TRUTH_SHARE = 0.9  # of the time under load, that a true force is known for
+ROUNDING_TIME = 1e-9  # s, by which the stamp of a sample may be off by rounding
+
+
+class Windows(NamedTuple):
+    """The stretches of a run that are judged, as masks of its samples, shape (m,)."""
+
+    rest: Mask  # under the last force step, from 1 s after it until the motion starts
+    moving: Mask  # from 2 s after the start of the motion on
+    loaded: Mask  # from the first force step on
+
+
+class Push(NamedTuple):
+    """A push of the simulated plant on the tool."""
+
+    start: float  # s
+    duration: float  # s
+
+
+class RunSeries:
+    """
+    A run with the forces that it is judged by, the commands, and the windows.
+
+    Columns are the r controlled coordinates: the normal force of each contact, followed by the
+    couples of an edge or a plane. Rows are the m samples. A contact is judged by its true force
+    where that is known for 0.9 of the time under load, else by the measured one.
+
+    Parameters
+    ----------
+    data
+        The recorded series.
+    setup
+        What the run was made with.
+    missing
+        The stretches that the recording lacks.
+
+    """
+
+    def __init__(
+        self, data: RunData, setup: Setup, missing: Sequence[Missing] = ()
+    ) -> None:
+        self.data = data
+        self.setup = setup
+        self.missing = missing
+        self.recorded = data.recorded()
+        self.leaders = list(setup.controller.leader_of)  # normal force of each column
+        # A recording that lost its end has no say in what came of the last step.
+        end = data.ticks / data.rate
+        end_is_missing = any(stretch.end > end for stretch in missing)
+        self.lost_from = end if end_is_missing else math.inf  # s
+        motion = setup.scenario.reference.motion
+        self.motion_start = motion.start_time if motion else math.inf  # s
+
+    @cached_property
+    def windows(self) -> Windows:
+        """The judged stretches, as far as they were recorded."""
+        if self.setup.commanded_by_topic:
+            planned = self._find_commanded_windows()
+        else:
+            planned = self._find_scenario_windows()
+        return Windows(*(window & self.recorded for window in planned))
+
+    def _find_scenario_windows(self) -> Windows:
+        """Return the windows that force steps and motion of the scenario set."""
+        time = self.data.time
+        steps = [step.time for step in self.setup.scenario.reference.force_steps]
+        steps_at_rest = [step for step in steps if step < self.motion_start]
+        rest_start = max(steps_at_rest, default=math.inf) + SETTLE_AFTER_STEP
+        return Windows(
+            rest=(time >= rest_start) & (time < self.motion_start),
+            moving=time >= self.motion_start + SETTLE_AFTER_START,
+            loaded=time >= min(steps, default=math.inf),
+        )
+
+    def _find_commanded_windows(self) -> Windows:
+        """
+        Return the windows of a run that obeys commands.
+
+        `loaded` is while a force is asked for, `moving` while the pose asked for moves, and `rest`
+        what is 1 s away from that and from every change of a command.
+        """
+        data = self.data
+        command = np.nan_to_num(data.command)
+        loaded = np.asarray((command > 0.0).any(axis=1))
+        way = np.diff(data.position_des, axis=0, prepend=data.position_des[:1])
+        moving = np.linalg.norm(way, axis=1) * data.rate > LEAST_MOVING_SPEED
+        # The first command counts as a change.
+        steps = np.diff(command, axis=0, prepend=np.nan)
+        changed = (steps != 0.0).any(axis=1)
+        samples = np.arange(data.ticks)
+        last_change = np.maximum.accumulate(np.where(changed | moving, samples, 0))
+        calm = samples - last_change >= SETTLE_AFTER_STEP * data.rate
+        return Windows(rest=loaded & calm, moving=loaded & moving, loaded=loaded)
+
+    @cached_property
+    def quiet_windows(self) -> dict[str, Mask]:
+        """The windows `rest` and `moving` without the pushes and 1 s after each."""
+        quiet = np.ones(self.data.ticks, dtype=bool)
+        for push in self.pushes:
+            settled = push.start + push.duration + SETTLE_AFTER_PUSH
+            quiet &= ~self.between(push.start, settled)
+        return {
+            'rest': self.windows.rest & quiet,
+            'moving': self.windows.moving & quiet,
+        }
+
+    @property
+    def pushes(self) -> list[Push]:
+        """The pushes of the simulated plant."""
+        plant = self.setup.plant
+        return [Push(*push) for push in zip(plant.push_start, plant.push_duration)]
+
+    @cached_property
+    def command(self) -> Matrix:
+        """The forces asked for by the scenario or over topics, shape (m, r) [N]."""
+        if self.setup.commanded_by_topic:
+            return self.data.command
+        return self.setup.commanded(self.data.time)
+
+    @cached_property
+    def has_truth(self) -> Mask:
+        """Whether the true force is known for 0.9 of the load, shape (r,)."""
+        shares = [
+            self.find_known_share(i, true)
+            for i, true in enumerate(self.data.alpha_true.T)
+        ]
+        return np.array(shares) >= LEAST_TRUTH_SHARE
+
+    @cached_property
+    def force(self) -> Matrix:
+        """The true forces where they are known, else those measured, shape (m, r) [N]."""
+        return np.where(self.has_truth, self.data.alpha_true, self.data.alpha_meas)
+
+    def find_pressed(self, i: int) -> Mask:
+        """Return the samples under load in which the contact of column i is to press, (m,)."""
+        return self.windows.loaded & (self.command[:, self.leaders[i]] > 0.0)
+
+    def find_known_share(self, i: int, force: Vector) -> float:
+        """
+        Return for what share of the time under load, or else of the run, a force is known.
+
+        `force` is a series of column i, shape (m,) [N]; gaps of at most 10 ms count as known.
+        """
+        known = np.isfinite(bridge_gaps(force, self.data.rate))
+        pressed = self.find_pressed(i)
+        if pressed.any():
+            known = known[pressed]
+        return float(known.mean())
+
+    def list_without_truth(self) -> list[str]:
+        """Return the names of the contacts whose true forces are not known."""
+        names = self.data.contact_names
+        return [name for name, known in zip(names, self.has_truth) if not known]
+
+    def between(self, start: float, end: float) -> Mask:
+        """Return the samples from one time on, until before another [s], shape (m,)."""
+        time = self.data.time
+        return (time >= start - ROUNDING_TIME) & (time < end - ROUNDING_TIME)
+
+    def find_next_event(self, time: float) -> float:
+        """Return when the next push, or force step or motion of the scenario, begins [s]."""
+        events: list[float] = []
+        if self.setup.simulated:
+            events += self.setup.plant.push_start
+        if not self.setup.commanded_by_topic:
+            events.append(self.motion_start)
+            events += [step.time for step in self.setup.scenario.reference.force_steps]
+        later = [event for event in events if event > time + ROUNDING_TIME]
+        return min(later, default=math.inf)
+
+
+def statistic_within(
+    window: Mask, values: Any, statistic: Callable[[Any], Any] = np.mean
+) -> float | None:
+    """
+    Return a statistic of what is known of a series within a window.
+
+    `values` and `window` have one shape; `statistic` takes the known values, shape (k,), k > 0.
+    The result is None where every value of the window is NaN, or the window is empty.
+    """
+    chosen = values[window]
+    known = chosen[~np.isnan(chosen)]
+    if not known.size:
+        return None
+    return float(statistic(known))
+
+
+def _find_rms(values: Vector) -> float:
+    return math.sqrt((values * values).mean())
+
+
+def rms_within(window: Mask, values: Vector) -> float | None:
+    """Return the root mean square of a series within a window; None if nothing is known."""
+    return statistic_within(window, values, _find_rms)
+
+
+def find_long_stretches(mask: Mask, least: float) -> list[tuple[int, int]]:
+    """Return first sample and end of every stretch of True of at least `least` samples."""
+    return [
+        (begin, end) for begin, end in find_true_stretches(mask) if end - begin >= least
+    ]
