@@ -58,7 +58,11 @@ POINTS = np.array(
 
 
 def resolve_setup(duration=None):
-    """Return the scenario of all measurements."""
+    """
+    Return the setup of all measurements: the scenario `quick` on the rigid plant.
+
+    `duration` is another length than its own [s].
+    """
     return resolve('quick', plant='rigid', seed=0, duration=duration)
 
 
@@ -109,7 +113,12 @@ def bare_dynamics(setup):
 
 
 def bench_tick(count, *, supervised, estimated=True):
-    """Time a tick, with the noise estimator if `estimated`, and the bare dynamics."""
+    """
+    Time a tick of the loop beside the bare dynamics, on the samples of a recorded run.
+
+    Contact states, watchdogs and limits are timed, too, if `supervised`; the noise estimator if
+    `estimated`. The floor are the calls of pinocchio that no controller of the kind does without.
+    """
     setup = resolve_setup()
     config = setup.controller
     samples = record_samples(setup, supervised)
@@ -147,7 +156,11 @@ def bench_tick(count, *, supervised, estimated=True):
 
 
 def record_samples(setup, supervised):
-    """Return position, velocity, wrench and measured torque of each sample of a run."""
+    """
+    Return position, velocity, wrench and measured torque of each sample of a run in process.
+
+    The wrench is that of the configured series; each reading is an array of its own.
+    """
     data = run_in_process(setup, supervised=supervised).data
     wrench = getattr(data, setup.controller.wrench_series)
     series = (data.q, data.qd, wrench, data.effort)
@@ -155,7 +168,11 @@ def record_samples(setup, supervised):
 
 
 def bench_plant(count):
-    """Time a period of the plant, and `stepSimulation` of a bare arm as often as its substeps."""
+    """
+    Time a period of the plant beside `stepSimulation` of a bare arm, as often as its substeps.
+
+    The arm falls, without control, and is put back every half second.
+    """
     config = resolve_setup().plant
     plant = Plant(config, rate=RATE, seed=0)
     bare = BulletArm(plant.description, config.gravity_world, config.substep)
@@ -179,7 +196,11 @@ def bench_plant(count):
 
 
 def bench_contacts(count):
-    """Return the median time of a tick of the bare law [us] by the number of contacts."""
+    """
+    Return the median time of a tick of the bare law [us] by the number of contacts.
+
+    The samples are random postures about home, with random wrenches, so that nothing is steady.
+    """
     setup = resolve_setup()
     random = np.random.default_rng(0)
     home = np.array(setup.plant.home)
@@ -206,7 +227,11 @@ def bench_contacts(count):
 
 
 def configure_contacts(setup, count):
-    """Return the controller of a setup with the first of the six contacts, all like a table."""
+    """
+    Return the controller's configuration with the first `count` of the six contacts.
+
+    They are parameters of the table but for normal and point, which are independent at home.
+    """
     home = np.array(setup.plant.home)
     robot = RobotModel(setup.controller.robot, setup.urdf_dir)
     rotation = robot.update(home, 0.0 * home).pose.rotation_world
@@ -224,7 +249,12 @@ def configure_contacts(setup, count):
 
 
 def bench_graph(duration):
-    """Run the graph [s] in lockstep and in real time: latency, misses, load of each node."""
+    """
+    Run the graph in lockstep and in real time, each for a duration [s]; needs ROS.
+
+    Returns for both how fast time passed, the latency from sample to command, the deadlines that
+    were missed, and how much of a core each node took.
+    """
     from multicontact_control.runs.graph.run import run_graph  # needs ROS
     from multicontact_control.runs.graph.spec import GraphSpec, START_ORDER
 
@@ -265,7 +295,11 @@ def bench_graph(duration):
 
 
 def read_processor_times(nodes):
-    """Return the time of the wall, and what each node has computed until now [s]."""
+    """
+    Return the time of the wall, and what each node has computed until now [s].
+
+    Nodes are children of this process, and are known by their command; an absent one is left out.
+    """
     times = {'wall': 1e-9 * perf_counter_ns()}
     for process in psutil.Process().children(recursive=True):
         # NODE, or python -m MODULE.
@@ -364,7 +398,11 @@ def main(arguments=None):
 
 
 def print_tables(result):
-    """Print the figures [us], and those of the graph."""
+    """
+    Print the figures of each part beside its floor [us], and those of the graph.
+
+    A part that was skipped is not in the table.
+    """
     rows = []
     for name, part in result.items():
         if 'us' in part:

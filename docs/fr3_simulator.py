@@ -38,7 +38,7 @@ UNTOUCHED = {'contype': '0', 'conaffinity': '0'}  # touches in its pairs alone
 
 
 def format_numbers(values: Any) -> str:
-    """Return numbers as MJCF has them."""
+    """Return numbers as MJCF has them, with blanks between and nine digits each."""
     return ' '.join(f'{value:.9g}' for value in values)
 
 
@@ -97,7 +97,12 @@ def write_scene(simulator: Any, prefix: str, robot: Any) -> None:
 
 
 def replace_hand(hand: Any, arm: Any, face: Any) -> None:
-    """Take shapes and mass off hand and fingers, and give the hand the mass of the tool."""
+    """
+    Take shapes and mass off hand and fingers, and give the hand the mass of the tool.
+
+    `face` is where the tool begins, in the frame of the hand, shape (3,) [m]. The fingers stay,
+    with next to no mass: franky-sim asks for their joints.
+    """
     remove_elements(hand, 'geom', 'inertial')
     for finger in hand:  # their joints are asked for
         remove_elements(finger, 'geom')
@@ -112,14 +117,19 @@ def replace_hand(hand: Any, arm: Any, face: Any) -> None:
 
 
 def remove_elements(parent: Any, *tags: str) -> None:
-    """Remove the children that have one of some tags."""
+    """Remove the children of an element that have one of some tags; theirs go with them."""
     for element in list(parent):
         if element.tag in tags:
             parent.remove(element)
 
 
 def add_tip(hand: Any, name: str, face: Any, tip: Any, normal: Any) -> None:
-    """Add a rod from the tool's face to a tip, and its ball; all in the frame of the hand."""
+    """
+    Add a rod from the tool's face to a tip, and the ball that touches at its end.
+
+    Places are in the frame of the hand, shape (3,) [m]; `normal` points into the surface, and the
+    ball touches at the tip.
+    """
     add_element(
         hand,
         'geom',
@@ -142,7 +152,12 @@ def add_tip(hand: Any, name: str, face: Any, tip: Any, normal: Any) -> None:
 
 
 class Sensor:
-    """The driver of the simulated sensor; called after each step of the physics."""
+    """
+    The driver of the simulated sensor; called after each step of the physics.
+
+    It is a node of its own, on this machine alone. Its constructor also gives the surfaces the
+    stiffness of config/robots, which MJCF cannot say in newtons per metre.
+    """
 
     def __init__(self, model: Any) -> None:
         os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
@@ -196,7 +211,12 @@ class Sensor:
 
 
 def run_franky_sim(address: str, output: Path | None) -> None:
-    """Run franky-sim on a port of this machine, or write its scene to a file."""
+    """
+    Run franky-sim at an address of this machine, or write its scene to a file and return.
+
+    SIGUSR1 presses the user stop, or releases it. Raises OSError if another simulator has the
+    port.
+    """
     from franky_sim import franka_robot_server, simulation_server
     from franky_sim.base_simulator import RobotParameters
     from franky_sim.franka_robot_protocol import (
@@ -273,7 +293,12 @@ def run_franky_sim(address: str, output: Path | None) -> None:
 
 
 def run_franka_sim(address: str, scene: Path) -> None:
-    """Run franka-sim with a scene from a file; it aborts motions as the arm does."""
+    """
+    Run franka-sim with a scene from a file; it aborts motions as the real arm does.
+
+    It checks the limits of commands and their rate, and needs neither this package nor its
+    robots.
+    """
     from franka_sim import FrankaSimServer, mujoco_franka_sim
 
     os.environ['FR3_MJCF'] = str(scene)

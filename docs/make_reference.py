@@ -72,7 +72,12 @@ EMPTY_TEXT = '""'
 
 
 class Entry(NamedTuple):
-    """A value that can be set, as a row of a table shows it."""
+    """
+    A value that can be set, as a row of a table shows it.
+
+    Its kind is the name of its type on the pages, such as `float[3]`; it has choices if it is one
+    of a few texts.
+    """
 
     name: str
     kind: str
@@ -81,12 +86,12 @@ class Entry(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Return the declared SI unit, empty if it has none."""
+        """Return the SI unit that it was declared with, empty if it has none."""
         return str(_declared_extra(self.field).get('unit', ''))
 
     @property
     def live(self) -> bool:
-        """Whether it may change while a node runs."""
+        """Whether it may change while a node runs; all others while it is unconfigured."""
         return bool(_declared_extra(self.field).get('live'))
 
     @property
@@ -99,7 +104,7 @@ class Entry(NamedTuple):
 
     @property
     def limits(self) -> str:
-        """Return the range or the choices."""
+        """Return the range or the choices, as Markdown; empty if every value of its type will do."""
         if self.choices:
             return ', '.join(f'`{choice or EMPTY_TEXT}`' for choice in self.choices)
         limits = []
@@ -112,7 +117,7 @@ class Entry(NamedTuple):
 
 
 class Group(NamedTuple):
-    """The values that one model declares itself, under the prefix they have."""
+    """The values that one model declares itself, under the dotted prefix of their names."""
 
     prefix: str
     model: type[Config]
@@ -121,9 +126,10 @@ class Group(NamedTuple):
 
 def list_groups(model: type[Config], prefix: str = '') -> Iterator[Group]:
     """
-    Yield a model and then those in it; NAME stands for any name, N for a place in a list.
+    Yield the values of a model and then those of the models in it, however deep.
 
-    What a model has from another, as nodes do, is that one's.
+    In a prefix NAME stands for any key of a mapping, N for a place in a list. What a model
+    inherits from another one, as those of nodes do, is listed with that one alone.
     """
     entries = []
     inner = []
@@ -209,7 +215,11 @@ def _plain_value(value: Any) -> Any:
 
 
 def make_parameters_page() -> str:
-    """Return the page of all parameters."""
+    """
+    Return the page of all parameters: those of nodes, then those of files.
+
+    A table has the name, type, default, unit, range and description that the code declares.
+    """
     parts = [
         '# Parameters',
         MADE,
@@ -264,7 +274,12 @@ def _group_tables(
 
 
 def make_topics_page() -> str:
-    """Return the page of topics, services and qualities of service."""
+    """
+    Return the page of topics, services and qualities of service.
+
+    Topics and services come from their declarations, profiles from the constants of `nodes/qos`
+    and the texts below these.
+    """
     # Equal profiles have different reasons: each is known by its identity.
     profile_names = {}
     profiles = []
@@ -354,7 +369,11 @@ def _constant_docs(module: Any) -> dict[str, str]:
 
 
 def make_commands_page() -> str:
-    """Return the page of all commands and their options."""
+    """
+    Return the page of all commands and their options, and of the files that these choose from.
+
+    Commands stand in the order of the help; a hidden one is left out.
+    """
     commands = dict(_list_commands(app))
     overview = []
     for name, command in commands.items():
@@ -461,7 +480,11 @@ def _option_default(option: Any) -> str:
 
 
 def make_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table of Markdown; what stands in its cells is Markdown, too."""
+    """
+    Return a table of Markdown; what stands in its cells is Markdown, too.
+
+    Line breaks in a cell become blanks, because a row is one line.
+    """
     lines = []
     for row in (header, ['---'] * len(header), *rows):
         cells = [' '.join(cell.split()) for cell in row]
@@ -499,7 +522,7 @@ PAGES: dict[str, Callable[[], str]] = {
 
 
 def main() -> None:
-    """Write the pages."""
+    """Write all pages anew into docs/reference, whose folder is made if it is not there."""
     FOLDER.mkdir(exist_ok=True)
     for name, page in PAGES.items():
         (FOLDER / name).write_text(page(), encoding='utf-8')

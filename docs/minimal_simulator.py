@@ -57,7 +57,11 @@ mujoco.mj_forward(model, data)
 
 
 def find_tip():
-    """Return where the tip is in the world, shape (3,) [m]."""
+    """
+    Return where the tip is in the world, shape (3,) [m].
+
+    MuJoCo moves the operational frame; the tip is fixed in it.
+    """
     return frame.xpos + frame.xmat.reshape(3, 3) @ point
 
 
@@ -65,7 +69,12 @@ table = normal @ find_tip() + GAP
 
 
 def advance(torque):
-    """Apply joint torques for a period [N m]; the table pushes what is beyond the sensor."""
+    """
+    Apply joint torques [N m] for a period, in several steps of the engine.
+
+    The table is a spring and a damper along its normal, and only pushes. Its force acts on the
+    body beyond the sensor, so that the sensor reads it.
+    """
     data.qfrc_applied[joints] = torque
     for _ in range(STEPS):
         before = find_tip()

@@ -43,7 +43,7 @@ def find_chromium() -> str:
 
 
 def main() -> None:
-    """Start the page, press, take the picture, end all."""
+    """Start the page and its graph, press on both contacts, take the picture, end all."""
     picture = PICTURE
     if len(sys.argv) > 1:
         picture = Path(sys.argv[1])
@@ -75,7 +75,11 @@ def main() -> None:
 
 
 def read_address(view: subprocess.Popen[str]) -> str:
-    """Return the address of the page, which the command prints; end if it does not."""
+    """
+    Return the address of the page, which `multicontact view` prints when the graph is up.
+
+    End this program if the command ends without it.
+    """
     if view.stdout is not None:
         for line in view.stdout:
             if 'http' in line:
@@ -84,7 +88,11 @@ def read_address(view: subprocess.Popen[str]) -> str:
 
 
 def press_contacts(page: Page) -> None:
-    """Press with 10 N on both contacts, and wait until they hold; close the notifications."""
+    """
+    Press with 10 N on both contacts, and wait until they hold.
+
+    The notifications that the page shows meanwhile are closed, so that none is in the picture.
+    """
     button = page.get_by_role('button', name='Press with 10 N')
     button.focus()
     button.press('Enter')

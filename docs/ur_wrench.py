@@ -15,7 +15,12 @@ from rclpy.qos import qos_profile_sensor_data
 
 
 def publish_opposite(message):
-    """Publish the opposite of a wrench, with the stamp that it came with."""
+    """
+    Publish the opposite of a wrench, with the stamp that it came with.
+
+    The frame of its header becomes the one that the controller is configured for, which is the
+    second argument of this script: drivers name the same frame differently.
+    """
     message.header.frame_id = sys.argv[2]
     for vector in (message.wrench.force, message.wrench.torque):
         vector.x = -vector.x

@@ -83,7 +83,7 @@ class Command(TyperCommand):
     """A command that lists what its options choose from, and names an error in one line."""
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
-        """List the files that can be chosen by name."""
+        """List the files of ``config/`` that the command's options choose from by name."""
         for parameter in self.params:
             folder = FOLDERS.get(parameter.name)
             if folder is not None:
@@ -91,7 +91,12 @@ class Command(TyperCommand):
                     formatter.write_dl(list(options.describe_files(folder).items()))
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command; an error of this package is a line, and an exit code."""
+        """
+        Run the command; an error of this package becomes a line, and an exit code.
+
+        The code is 2 if a value is not acceptable, which is named by its option, else 1. Other
+        exceptions are mistakes of ours and keep their traceback.
+        """
         try:
             return super().invoke(ctx)
         except ConfigError as error:
@@ -143,7 +148,7 @@ app.add_typer(topic, name='topic')
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line, with one thread for linear algebra, and exit."""
     if sys.getfilesystemencoding() != 'utf-8' and os.environ.get('PYTHONUTF8') != '1':
         # Start anew with UTF-8 in a locale of another encoding.
         os.environ['PYTHONUTF8'] = '1'

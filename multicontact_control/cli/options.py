@@ -61,7 +61,7 @@ Overwrite = Annotated[bool, typer.Option('--overwrite', help='Replace what is th
 
 @dataclass(frozen=True)
 class PlaceOptions:
-    """Options of commands that meet a running graph: where it is."""
+    """Options of commands that meet a running graph, or start one: where it is, or is to be."""
 
     domain_id: DomainId = None
     namespace: Namespace = None
@@ -222,7 +222,11 @@ def flatten_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def describe_files(folder: str) -> dict[str, str]:
-    """Return the names of the files in a folder of ``config/``, with the first line of each."""
+    """
+    Return the names of the files in a folder of ``config/``, with the first line of each.
+
+    The line is a comment that says what the file is; a name has the inner folder, as in laws/pi.
+    """
     there = find_config_folder() / folder
     descriptions = {}
     for path in sorted(there.rglob('*.yaml')):
@@ -233,7 +237,11 @@ def describe_files(folder: str) -> dict[str, str]:
 
 
 def end_at_signals(text: str) -> None:
-    """Let SIGINT and SIGTERM end this process with a line of text, and exit code 128 + n."""
+    """
+    Let SIGINT and SIGTERM end this process with a line of text, and exit code 128 + n.
+
+    What is going on is left by SystemExit, so that contexts end and folders are put in order.
+    """
 
     def end(number: int, _frame: object) -> None:
         typer.echo(f'multicontact: {text}', err=True)
@@ -250,7 +258,11 @@ def is_given(context: typer.Context, name: str) -> bool:
 
 
 def refuse_options(context: typer.Context, names: Sequence[str], where: str) -> None:
-    """Refuse options that have no meaning; ConfigError naming the first one that is given."""
+    """
+    Refuse options that have no meaning beside others; ConfigError naming the first that is given.
+
+    `where` completes the line, as in "leave it out with --external".
+    """
     for name in names:
         if is_given(context, name):
             raise ConfigError(name, hint=f'leave it out {where}')

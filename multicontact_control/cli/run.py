@@ -169,7 +169,11 @@ def simulate(chosen: options.RunOptions) -> None:
 
 
 def end_by_verdict(summary: dict[str, Any] | None) -> None:
-    """Exit with 1 if there is no run, or it was judged and its loop is not known to be stable."""
+    """
+    Exit with 1 if there is no run, or it was judged and its loop is not known to be stable.
+
+    `summary` is that of the run's folder; None of a run that no report was made of.
+    """
     if summary is None or not (summary['stable'] or summary['unjudged']):
         raise typer.Exit(options.EXIT_FAILED)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence, Sized
 from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 from itertools import pairwise
 import os
@@ -58,20 +59,17 @@ def echo(
     domain_id: DomainId = None,
 ) -> None:
     """Print the messages of a topic as YAML documents, until Ctrl-C."""
-    from multicontact_control.nodes import graph
     from multicontact_control.nodes.runtime import collect_stop_signals
 
     stop = collect_stop_signals()
     with _subscribed(topic, timeout, domain_id, stop) as (kind, subscription):
         document(kind(), field)  # refuses a wrong field before the first message
         while not stop:
-            taken = graph.take_message(subscription)
-            if taken is not None:
-                print(document(taken[0], field), flush=True)
-                if once:
+            for message, _ in _take_waiting(subscription):
+                print(document(message, field), flush=True)
+                if once or stop:
                     return
-            else:
-                time.sleep(POLL_PERIOD)
+            time.sleep(POLL_PERIOD)
 
 
 def rate(
@@ -88,7 +86,8 @@ def rate(
         arrivals: list[int] = []  # ns; the last of a line begins the next
         due = time.monotonic() + LINE_PERIOD
         while not stop:
-            arrivals += _arrival_times(subscription)
+            for _, known in _take_waiting(subscription):
+                arrivals.append(known['received_timestamp'])
             if time.monotonic() < due:
                 time.sleep(POLL_PERIOD)
                 continue
@@ -99,20 +98,19 @@ def rate(
             due += LINE_PERIOD
 
 
-def _arrival_times(subscription: Any) -> Iterator[int]:
-    """Yield when each message that waits arrived [ns]."""
+def _take_waiting(subscription: Any) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Return the messages that wait, each with what is known of it."""
     from multicontact_control.nodes.graph import take_message
 
-    while True:
-        taken = take_message(subscription)
-        if taken is None:
-            return
-        _, known = taken
-        yield known['received_timestamp']
+    return iter(partial(take_message, subscription), None)
 
 
 def describe_rate(arrivals: Sequence[int]) -> str:
-    """Return how often messages have arrived, of the times when they did [ns], in words."""
+    """
+    Return how often messages have arrived, in words: rate, least and longest gap, deviation.
+
+    `arrivals` are the times when they did [ns], in their order.
+    """
     if len(arrivals) < 2:
         return 'no two messages within a second'
     apart = [1e-6 * (late - early) for early, late in pairwise(arrivals)]  # ms
@@ -167,10 +165,14 @@ def _subscribed(
 
 
 def document(message: Any, field: str = '') -> str:
-    """Return a message, or a field of it by its dotted path, as YAML; ConfigError without one."""
+    """
+    Return a message, or a field of it by its dotted path, as a YAML document, as `ros2 topic` does.
+
+    An empty path stands for the whole message. Raises ConfigError if there is no such field.
+    """
     value = _plain(message)
-    path = field.split('.') if field else []
-    for name in path:
+    while field:
+        name, _, field = field.partition('.')
         if not isinstance(value, dict):
             raise ConfigError('--field', 'one of no further fields', f"'{name}'")
         if name not in value:
