@@ -104,7 +104,7 @@ class Entry(NamedTuple):
 
     @property
     def limits(self) -> str:
-        """Return the range or the choices, as Markdown; empty if every value of its type will do."""
+        """Return the range or the choices, as Markdown; empty if its type alone limits it."""
         if self.choices:
             return ', '.join(f'`{choice or EMPTY_TEXT}`' for choice in self.choices)
         limits = []

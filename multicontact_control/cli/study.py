@@ -117,7 +117,7 @@ def study(
     options.end_at_signals('interrupted; the same command goes on from there')
     # Only now: what is heavy is not loaded for the sake of an error.
     from multicontact_control.study import config as files
-    from multicontact_control.study.presets import study_of
+    from multicontact_control.study.presets import make_study
     from multicontact_control.study.study import run_study
 
     texts = list(chosen.settings or ())
@@ -138,11 +138,11 @@ def study(
         shortened = {'seed': [first_seed], **config.quick}
     if chosen.seeds:
         shortened['seed'] = range(first_seed, first_seed + chosen.seeds)
-    selected = files.select(
+    selected = files.apply_choices(
         config.model_copy(update={'law': chosen.law or ''}),
         {**shortened, **choices},
         robot=robot,
     )
-    results = run_study(study_of(selected), **vars(execution))
+    results = run_study(make_study(selected), **vars(execution))
     if config.truth == 'safe' and results and not results.frame[config.truth].all():
         raise typer.Exit(options.EXIT_FAILED)

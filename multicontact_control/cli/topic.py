@@ -166,7 +166,7 @@ def _subscribed(
 
 def document(message: Any, field: str = '') -> str:
     """
-    Return a message, or a field of it by its dotted path, as a YAML document, as `ros2 topic` does.
+    Return a message, or a field of it by its dotted path, as YAML, as `ros2 topic` does.
 
     An empty path stands for the whole message. Raises ConfigError if there is no such field.
     """
