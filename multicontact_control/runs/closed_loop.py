@@ -137,7 +137,7 @@ class ClosedLoop:
 
         The command of tick k reaches the plant with k + `plant.actuator_delay_ticks`.
         """
-        self._delay.command(self.tick, self.command)
+        self._delay.enter_command(self.tick, self.command)
         self.sample = self.plant.step(self._delay.torque_for(self.tick))
         self.tick += 1
 
