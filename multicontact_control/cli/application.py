@@ -123,9 +123,9 @@ class Command(TyperCommand):
         errors = []
         for each in error.errors:
             if not each.source:
-                each = each.moved(spellings.get(each.field, ''))
+                each = each.as_config_error(spellings.get(each.field, ''))
             errors.append(each)
-        return ConfigError.of(errors)
+        return ConfigError.combine(errors)
 
 
 for function in COMMANDS:

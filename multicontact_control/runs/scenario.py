@@ -19,7 +19,7 @@ from multicontact_control.config import (
     read_yaml,
     validate,
 )
-from multicontact_control.config.base import EVERY_NODE, read_node_parameters
+from multicontact_control.config.base import ANY_NODE, read_node_parameters
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, run_all_checks
@@ -44,7 +44,7 @@ COMMANDS = 'commands'  # in the place of a scenario's name
 NO_PLANT: Any = None  # in the place of the plant where the robot is the user's own
 SHORTEST = 1.0  # s, of a run
 UNTIL_STOPPED = 1e6  # s, of a run that Ctrl-C ends
-OF_EVERY_NODE = ('startup_peers', 'timing_file')  # each run sets its own
+OF_ANY_NODE = ('startup_peers', 'timing_file')  # each run sets its own
 REFUSED_OF_EXTERNAL = {  # parameters of the controller's node, and what to do instead
     'reference_file': 'give --scenario',
     'lockstep': 'set it to false',
@@ -128,7 +128,7 @@ class Setup:
 
     def reference(self) -> ScenarioTask:
         """Return a new task that plays the scenario's reference, at its start; ConfigError."""
-        return ScenarioTask.of(self.scenario.reference, self.controller)
+        return ScenarioTask.for_controller(self.scenario.reference, self.controller)
 
     def commanded(self, time: Vector) -> Matrix:
         """Return the scenario's forces at some times [s], first its preload, shape (m, r) [N]."""
@@ -417,7 +417,7 @@ def check_together(setup: Setup, path: Path) -> None:
     try:
         setup.reference()
     except ConfigError as error:
-        raise error.moved(source=str(path)) from None
+        raise error.as_config_error(source=str(path)) from None
 
 
 def _check_force_steps(setup: Setup, path: Path) -> None:
@@ -475,9 +475,9 @@ def read_controller_files(files: Sequence[Path]) -> ControllerSections:
     estimator: dict[str, Any] = {}
     urdf_dir = Path()
     for path in files:
-        sections = read_node_parameters(path, (EVERY_NODE, *PRESET_NODES))
+        sections = read_node_parameters(path, (ANY_NODE, *PRESET_NODES))
         for_estimator, for_controller = _split_values(
-            sections.get(EVERY_NODE, {}), of_estimator
+            sections.get(ANY_NODE, {}), of_estimator
         )
         section = merge_layers(for_controller, sections.get(CONTROLLER))
         given = merge(given, section)
@@ -558,7 +558,7 @@ def resolve_external(
                 source=read.source,
                 hint=f'{instead} in an external run',
             )
-    _, node = _split_values(read.node, {*OF_EVERY_NODE, *REFUSED_OF_EXTERNAL})
+    _, node = _split_values(read.node, {*OF_ANY_NODE, *REFUSED_OF_EXTERNAL})
     setup = Setup(
         scenario=config,
         controller=controller_config,
