@@ -184,7 +184,7 @@ def find_misread_friction(
     coupling = friction_coupling(columns.copy(), rotation_world)
     names = config.column_names
     misread = []
-    for j in config.leaders:
+    for j in config.force_columns:
         contact = config.contacts[names[j]]
         if contact.friction_std or contact.friction_coefficient:
             continue

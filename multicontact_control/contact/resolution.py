@@ -126,7 +126,7 @@ def check_resolution(
         if worst < least or not best:
             least = worst
             best = found
-    raise ConfigError.of(_too_noisy(best))
+    raise ConfigError.combine(_too_noisy(best))
 
 
 def _turn_tool(frame: Records[Frame], turn: Matrix, lever: Vector) -> None:

@@ -79,7 +79,7 @@ def collect_warnings(findings: Iterable[Finding]) -> tuple[str, ...]:
         errors.append(ConfigError(field, finding.expected, finding.got))
         refused = refused or finding.refused
     if refused:
-        raise ConfigError.of(errors)
+        raise ConfigError.combine(errors)
     return tuple(dict.fromkeys(map(str, errors)))
 
 

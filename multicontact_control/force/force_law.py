@@ -162,7 +162,7 @@ def make_force_laws(config: ControllerConfig) -> Records[ForceLaw]:
     adaptive = config.force.stiffness == 'adaptive'
     ratio_limits = find_ratio_limits(config) if adaptive else []
     for law, column in zip(laws, config.columns):
-        name = config.law_of(column.contact)
+        name = config.force_law_of(column.contact)
         stiffness = config.force.adaptive.highest if adaptive else column.stiffness
         design = design_law(name, config.force, make_loop_model(config, stiffness))
         law['kind'] = names.index(name)
