@@ -264,7 +264,7 @@ def graph() -> str:
         [
             f'`{x.name}`',
             x.publisher,
-            ', '.join(name for name in x.subscribers if name != topics.RECORDER),
+            ', '.join(x.subscribers),
             x.rate,
             f'[{names[id(x.profile)]}](#quality-of-service)',
         ]
