@@ -246,7 +246,7 @@ class RecorderNode(Node):
 
 
 def main() -> int:
-    """Run the recorder node."""
+    """Run the recorder node in this process; return the exit code, see `run_node`."""
     return run_node(RecorderNode)
 
 
