@@ -18,8 +18,8 @@ from typing import Any
 
 from multicontact_control.config.base import (
     Config,
+    find_config_model,
     merge,
-    model_in,
     sets_parameter,
     validate,
 )
@@ -43,7 +43,7 @@ def _list_fields(
     """Yield the dotted name and the field of each value of a model, with those of its parts."""
     for key, field in model.model_fields.items():
         name = prefix + key
-        inner = model_in(field.annotation)
+        inner = find_config_model(field.annotation)
         if inner is None:
             yield name, field
         elif typing.get_origin(field.annotation) is dict:

@@ -136,9 +136,10 @@ class RecorderNode(Node):
         # Parameter services need an executor, which this node has not.
         super().__init__(RECORDER, start_parameter_services=False)
         self._config: RecorderConfig = load_parameters(self, RecorderConfig)[0]
+        topics = self._list_topics()  # first: a bad name leaves no folder behind
         self._bag = Bag(Path(self._config.folder))
         self._recorded = []
-        for name, topic in self._list_topics().items():
+        for name, topic in topics.items():
             latched = topic.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
             profile = qos.make_profile(qos.STREAM.depth, latched=latched)
             connection = self._bag.add_topic(name, topic.type_name, topic.profile)
