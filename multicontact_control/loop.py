@@ -176,7 +176,7 @@ class ControlLoop:
         frame = self.supervisor.controller.arm.frames[0]
         if (
             joints.stamp == wrench.stamp
-            and self.push_gate.add_fit_sample(frame, stage.raw_wrench, self.config.tool)
+            and self.push_gate.take_sample(frame, stage.raw_wrench, self.config.tool)
             and self.push_gate.open
         ):
             self.supervisor.gate.start_blend()
