@@ -293,12 +293,11 @@ def make_topics_page() -> str:
         contents.append(
             [f'`{topic.name}`', topic.type_name, _escape_text(topic.content)]
         )
-        readers = [name for name in topic.subscribers if name != topics.RECORDER]
         ends.append(
             [
                 f'`{topic.name}`',
                 topic.publisher,
-                ', '.join(readers),
+                ', '.join(topic.subscribers),
                 topic.rate,
                 f'[{profile_names[id(topic.profile)]}](#quality-of-service)',
             ]

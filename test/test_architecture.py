@@ -60,7 +60,7 @@ BUDGETS = {
     'diagnosis': 3_500,
     'sensor': 3_200,
     'config': 6_400,
-    'nodes': 27_300,
+    'nodes': 27_500,
     'runs': 16_700,
     'judging': 21_900,
     'commissioning': 6_700,
