@@ -23,7 +23,7 @@ from multicontact_control.config import ControllerConfig, validate
 from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.config.supervision import ContactStateConfig
 from multicontact_control.control.controller import Controller
-from multicontact_control.control.tasks import STILL, Task, TaskSource
+from multicontact_control.control.tasks import TaskSource, WantedTask, ZERO_TWIST
 from multicontact_control.dynamics.rotations import Pose, rotation_vector_between
 from multicontact_control.records import (
     Contact,
@@ -33,8 +33,8 @@ from multicontact_control.records import (
     Record,
     record_dtype,
     Records,
+    Task,
 )
-from multicontact_control.records import Task as TaskRecord
 from multicontact_control.supervision import contacts
 from multicontact_control.supervision.contacts import (
     CONTACT_STATE,
@@ -173,7 +173,7 @@ class ContactTask:
         self._written: tuple[object, ...] = (None,) * len(self._places)
         self._active = self._columns['answer']['active']
         self._names = config.column_names
-        self._leaders = np.array(config.leaders)
+        self._leaders = np.array(config.force_columns)
         self.states: Records[ContactState] = np.zeros(
             len(config.columns), dtype=CONTACT_STATE
         )
@@ -244,7 +244,9 @@ class ContactTask:
         for state, normal in zip(self.states[pressed], normals):
             position -= state['displacement'] * normal
         pose = Pose(position, rotation)
-        self._write_wanted(Task(pose, STILL, STILL, pressed & pressing, forces))
+        self._write_wanted(
+            WantedTask(pose, ZERO_TWIST, ZERO_TWIST, pressed & pressing, forces)
+        )
         self.states[~pressed] = contacts.FREE_CONTACT
         self._columns['untared'][~pressed] = 0.0
         self._columns['speed_bound'][~pressed] = 0.0
@@ -277,7 +279,7 @@ class ContactTask:
             measured = None
             if not self._guarded:
                 measured = self._columns['alpha_meas']
-            task = self._source.task(time - self._lost_time, measured)
+            task = self._source.task_at(time - self._lost_time, measured)
             if task is not self._task:
                 self._write_wanted(task)
         self._time[0] = time
@@ -285,7 +287,7 @@ class ContactTask:
             self._return_to_task(self._kept)
             self._kept = None
 
-    def _write_wanted(self, task: Task) -> None:
+    def _write_wanted(self, task: WantedTask) -> None:
         """Write what is new in a task into the records; what is the same object stands there."""
         self._task = task
         parts = (*task.pose_des, *task[1:])
@@ -447,7 +449,7 @@ def limit_task(
 
 
 @compiled
-def _advance_reference(limit: TaskLimits, frame: Frame, task: TaskRecord) -> bool:
+def _advance_reference(limit: TaskLimits, frame: Frame, task: Task) -> bool:
     """
     Let the reference catch up with the task where the arm could not; return if it still does.
 
@@ -653,7 +655,7 @@ def _allow_for_sliding(
 def _limit_reference(
     limit: TaskLimits,
     frame: Frame,
-    task: TaskRecord,
+    task: Task,
     columns: Records[Contact],
 ) -> bool:
     """
