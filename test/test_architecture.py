@@ -63,7 +63,7 @@ BUDGETS = {
     'nodes': 27_300,
     'runs': 16_700,
     'judging': 21_900,
-    'commissioning': 6_700,
+    'commissioning': 6_300,
     'faults': 11_700,
     'study': 16_400,
     'view': 19_700,

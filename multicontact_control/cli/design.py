@@ -42,14 +42,13 @@ def design(
 
     result = law_report.design_for_range(
         law,
+        stiffness=stiffness,
         input_delay=input_delay,
-        softest=stiffness[0],
-        stiffest=stiffness[1],
         noise_variance=noise,
         damping_rate=damping_rate,
         period=1.0 / rate,
     )
-    typer.echo(law_report.show_design(result))
+    typer.echo(law_report.describe_design(result))
     if out is not None:
         law_report.write_design(result, out)
         typer.echo(f'written to {out}')

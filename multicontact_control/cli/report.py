@@ -99,10 +99,10 @@ def identify(
     motion, each with its standard error.
     """
     from multicontact_control.commissioning.contact_identification import (
+        describe_contacts,
         identify_contacts,
-        show,
     )
     from multicontact_control.judging.results import load
 
     loaded = load(run, controller or ())
-    typer.echo(show(identify_contacts(loaded.data, loaded.setup)))
+    typer.echo(describe_contacts(identify_contacts(loaded.data, loaded.setup)))

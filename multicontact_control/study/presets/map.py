@@ -10,7 +10,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from multicontact_control.commissioning.law_report import contact_loop
+from multicontact_control.commissioning.law_report import closed_loop_matrix
 from multicontact_control.contact.geometry import normal_space
 from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
@@ -203,7 +203,7 @@ class ArmLoop:
 
         def is_stable(ratio: float) -> bool:
             loop = (
-                contact_loop(law, model, ratio)
+                closed_loop_matrix(law, model, ratio)
                 if paper
                 else margins.closed_loop(
                     margins.LinearArmPlant(  # where the real delay counts in whole periods
