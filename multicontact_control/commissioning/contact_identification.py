@@ -239,7 +239,7 @@ def _pass_band(signal: ContactSignals, h: float) -> tuple[Matrix, Mask]:
     space: stiffness.FitSpace = np.zeros(1, dtype=stiffness.FIT_SPACE)[0]
     record['config']['period'] = h
     fit = record['slow']
-    stiffness.adopt_band(fit, stiffness.SLOW_BAND, h, math.inf)
+    stiffness.set_fit_band(fit, stiffness.SLOW_BAND, h, math.inf)
     filtered = np.zeros((len(signal.alpha), 5))
     accepted = np.zeros(len(signal.alpha), dtype=bool)
     rows = zip(signal.alpha, signal.alpha_des, signal.speed, signal.friction)
@@ -249,7 +249,7 @@ def _pass_band(signal: ContactSignals, h: float) -> tuple[Matrix, Mask]:
             continue
         rate_before = float(fit['rate']['passed'])
         weight_before = float(fit['weight'])
-        stiffness.find_stiffness(record, alpha, alpha_des, speed, friction, space)
+        stiffness.estimate_stiffness(record, alpha, alpha_des, speed, friction, space)
         filtered[k, :4] = [fit[name]['passed'] for name in FIT_SIGNALS]
         filtered[k, 4] = (filtered[k, 1] - rate_before) / h
         accepted[k] = fit['weight'] > weight_before

@@ -11,7 +11,7 @@ from typing import Any
 from multicontact_control.arrays import Matrix
 from multicontact_control.config import ForceConfig, validate
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.laws.aob import steady_law
+from multicontact_control.force.laws.aob import make_steady_law
 from multicontact_control.force.laws.design import find_law, LoopModel
 from multicontact_control.force.laws.linear import (
     ALPHA_DES,
@@ -20,8 +20,8 @@ from multicontact_control.force.laws.linear import (
     SPEED,
     U,
 )
-from multicontact_control.force.margins import last_stable, spectral_radius
-from multicontact_control.force.observer import steady_gain
+from multicontact_control.force.margins import find_last_stable, spectral_radius
+from multicontact_control.force.observer import solve_steady_gain
 from multicontact_control.runs.parameter_file import write_parameters
 import numpy as np
 import yaml
@@ -103,7 +103,7 @@ def find_margins(law: LinearLaw, model: LoopModel) -> Margins:
     """
     Return the margins of a force law on the model that it is designed for.
 
-    Of an active observer the law is its `steady_law`. A margin without a limit is infinite.
+    Of an active observer the law is its `make_steady_law`. A margin without a limit is infinite.
     """
     import control  # takes a second
 
@@ -138,8 +138,8 @@ def find_stable_ratios(law: LinearLaw, model: LoopModel) -> tuple[float, float]:
     def is_stable_softer(ratio: float) -> bool:
         return is_stable(1.0 / ratio)
 
-    softer = last_stable(is_stable_softer, STIFFNESS_RATIOS, RATIO_TOLERANCE)[0]
-    largest = last_stable(is_stable, STIFFNESS_RATIOS, RATIO_TOLERANCE)[0]
+    softer = find_last_stable(is_stable_softer, STIFFNESS_RATIOS, RATIO_TOLERANCE)[0]
+    largest = find_last_stable(is_stable, STIFFNESS_RATIOS, RATIO_TOLERANCE)[0]
     smallest = 1.0 / softer if softer else math.inf
     return smallest, largest
 
@@ -230,7 +230,7 @@ def design_for_range(
             values[section][gain] = noise_variance
         law = entry.design(model, validate(ForceConfig, {**values, **given}))
         if not isinstance(law, LinearLaw):
-            law = steady_law(law, steady_gain(law, noise_variance))
+            law = make_steady_law(law, solve_steady_gain(law, noise_variance))
         smallest, largest = find_stable_ratios(law, stiffest_model)
         if smallest > softest / stiffest or largest < LEAST_GAIN_MARGIN:
             continue  # before the frequency response, which takes ten times as long

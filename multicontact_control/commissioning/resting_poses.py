@@ -10,7 +10,7 @@ from multicontact_control.config import ControllerConfig, ToolConfig
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError, RunError
 from multicontact_control.runs.bag import BagColumns
-from multicontact_control.sensor.tool import PoseReading, tare_bias
+from multicontact_control.sensor.tool import compute_tare_bias, PoseReading
 import numpy as np
 
 LARGEST_REST_SPEED = 0.02  # rad/s, of any joint
@@ -80,7 +80,7 @@ def list_quiet_poses(
         rotation = state.sensor_pose.rotation_world
         rest = f'rest from {begin - q_time[0]:.1f} to {end - q_time[0]:.1f} s'
         try:
-            reading = tare_bias(felt, rotation, ToolConfig(), arm.gravity_world)
+            reading = compute_tare_bias(felt, rotation, ToolConfig(), arm.gravity_world)
         except CalibrationError as error:
             tell(f'{rest} left out: {error}')
             continue

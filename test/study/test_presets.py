@@ -6,7 +6,7 @@ from multicontact_control.cli.options import described
 from multicontact_control.config import read_yaml
 from multicontact_control.errors import ConfigError
 from multicontact_control.faults.vocabulary import FAULTS
-from multicontact_control.force.noise.window import lead_filter
+from multicontact_control.force.noise.window import design_lead_filter
 from multicontact_control.paths import find_config_folder
 from multicontact_control.registry import FORCE_LAWS, NOISE_ESTIMATORS
 from multicontact_control.runs.closed_loop import run_in_process
@@ -74,7 +74,7 @@ def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_fi
     assert labels == {*NOISE_ESTIMATORS, 'window rescaled', 'innovation matched'}
     usual = setups['active state', 'lead_window']
     config = usual.noise_estimator
-    f = lead_filter(config.zero_frequency, config.pole_frequency, config.rate)
+    f = design_lead_filter(config.zero_frequency, config.pole_frequency, config.rate)
     gain = f.gain**2 * (
         1.0 + (f.pole - f.zero) ** 2 / (1.0 - f.pole**2)
     )  # of white noise

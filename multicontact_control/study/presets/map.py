@@ -16,10 +16,10 @@ from multicontact_control.control.controller import Controller
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError
 from multicontact_control.force import margins
-from multicontact_control.force.force_law import design_law, loop_model
-from multicontact_control.force.laws.aob import steady_law
+from multicontact_control.force.force_law import design_law, make_loop_model
+from multicontact_control.force.laws.aob import make_steady_law
 from multicontact_control.force.laws.design import LoopModel
-from multicontact_control.force.observer import ObserverDesign, steady_gain
+from multicontact_control.force.observer import ObserverDesign, solve_steady_gain
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.study.study import Results, Study
 import numpy as np
@@ -165,7 +165,7 @@ class ArmLoop:
         observer = design_law(
             config.law_of(names[0]),
             config.force,
-            loop_model(config, config.contacts[names[0]].stiffness),
+            make_loop_model(config, config.contacts[names[0]].stiffness),
         )
         if not isinstance(observer, ObserverDesign):
             raise ConfigError(
@@ -197,7 +197,9 @@ class ArmLoop:
 
         With R held at `noise_variance` [N^2], on the arm, or on the plant of eq. 32 if `paper`.
         """
-        law = steady_law(self.observer, steady_gain(self.observer, noise_variance))
+        law = make_steady_law(
+            self.observer, solve_steady_gain(self.observer, noise_variance)
+        )
         period, K_2 = self.config.period, self.config.force.damping_rate
         model = LoopModel(float(self.stiffness[0]), K_2, self.delay, period)
 
@@ -221,4 +223,4 @@ class ArmLoop:
             )
             return margins.spectral_radius(loop) < 1.0
 
-        return math.sqrt(math.prod(margins.last_stable(is_stable, RATIOS, 1e-7)))
+        return math.sqrt(math.prod(margins.find_last_stable(is_stable, RATIOS, 1e-7)))
