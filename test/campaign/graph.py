@@ -18,7 +18,7 @@ import time
 from campaign.graph_faults import HALT, KILL, NodeChange
 from campaign.relay import INPUTS, PREFIX
 from multicontact_control.errors import RunError
-from multicontact_control.faults import judge
+from multicontact_control.faults import outcomes
 from multicontact_control.nodes import link, messages, qos, topics
 from multicontact_control.nodes.graph import (
     create_publisher,
@@ -200,7 +200,7 @@ class Graph(link.ServiceClientNode):
 
     def inject(self, fault, seed):
         """Let a fault happen; what a node was led down from is left to `recover`."""
-        action, random = fault.action, fault.random(seed)
+        action, random = fault.action, fault.random_source(seed)
         if fault.input == CONTROLLER and action.steps != HALT:
             self.moves = False  # no motion is commanded meanwhile
         duration = float(random.uniform(*FAULT_TIME))
@@ -266,7 +266,7 @@ class Graph(link.ServiceClientNode):
         """Let a fault happen and recover; return the `FaultRow`."""
         problems, begin, recovered = [], time.time(), False
         try:
-            self.spin(float(fault.random(seed).uniform(*QUIET)))
+            self.spin(float(fault.random_source(seed).uniform(*QUIET)))
             begin = time.time()
             self.inject(fault, seed)
             self.recover()
@@ -277,7 +277,7 @@ class Graph(link.ServiceClientNode):
         if fault.goes_on and any(stop - start > STOPPED for start, stop in silences):
             seen.problems.add('commands stopped')
         # The first command of a controller is what the drives do.
-        row = judge.judge(
+        row = outcomes.judge_fault(
             fault,
             seed,
             self.setup,
@@ -323,7 +323,7 @@ class Graph(link.ServiceClientNode):
             > 0.5 * (stop - start) * rate
         ]
         torque = np.array([[values[name] for name in joints] for _, values in commands])
-        return judge.Observation(
+        return outcomes.Observation(
             torque=torque.reshape(-1, len(joints)),
             time=samples - begin,
             force=np.array([max(x.values()) for _, x in forces]),

@@ -19,7 +19,7 @@ from multicontact_control.config import merge
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, RunError
-from multicontact_control.faults.in_process import Occurrence
+from multicontact_control.faults.fault_run import FaultOccurrence
 from multicontact_control.faults.vocabulary import FAULTS as EVERY_FAULT
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
@@ -73,12 +73,12 @@ def run(cell):
         if (
             fault
         ):  # the middle of the share that a place has of random numbers, and a sign
-            occurrence = Occurrence(fault, fault.random(0), loop)
+            occurrence = FaultOccurrence(fault, fault.random_source(0), loop)
             count = len(getattr(loop.inputs(), fault.input)[1])
             occurrence.choice = np.array(
                 [(cell.place % count + 0.5) / count, cell.place // count]
             )
-            corrupt = occurrence.corrupt  # throughout
+            corrupt = occurrence.corrupt_inputs  # throughout
         home = robot.update(loop.sample.q, loop.sample.qd).pose
         for _ in range(LONG_TICKS if cell.fault.startswith('wrench') else TICKS):
             loop.advance(corrupt)  # RunError: thrown out of all numbers
