@@ -147,7 +147,7 @@ def collect_signals(
     signals = np.full((data.ticks, len(ContactSignals._fields), len(names)), np.nan)
     signals[:, 1] = np.nan_to_num(data.alpha_des)
     for k in np.flatnonzero(np.isfinite(readings).all(axis=1)):
-        controller.take(data.q[k], data.qd[k], wrench[k])
+        controller.take_sample(data.q[k], data.qd[k], wrench[k])
         twist = frame['twist']
         levers = contacts['config']['point'] @ frame['rotation'].T
         velocities = twist[:3] + np.cross(twist[3:], levers)
@@ -157,7 +157,7 @@ def collect_signals(
         for i in range(len(names)):
             signals[k, 4, i] = stiffness.friction_of_others(frame, contacts, i)
         signals[k, 5:] = _find_accelerations(controller, data.torque[k])
-    return {names[i]: ContactSignals(*signals[:, :, i].T) for i in config.leaders}
+    return {names[i]: ContactSignals(*signals[:, :, i].T) for i in config.force_columns}
 
 
 def _find_accelerations(controller: Controller, torque: Vector) -> Matrix:
@@ -192,7 +192,7 @@ def _fit_contact(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
     """
     z, v, w, y, a = filtered[accepted].T
     columns = [z, v, a]
-    if np.abs(w).max(initial=0.0) > stiffness.STEP:
+    if np.abs(w).max(initial=0.0) > stiffness.COMMAND_STEP:
         columns.append(w)
     X = np.column_stack(columns)
     count = X.shape[1]

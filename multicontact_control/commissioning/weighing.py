@@ -272,7 +272,7 @@ def _await_rest(
         while not len(joints) or 1e-9 * joints.stamps[-1] < until:
             messages = link.receive_fresh(*streams)
             for columns, message in zip((joints, wrenches), messages):
-                columns.take(message, time.time_ns())
+                columns.add_message(message, time.time_ns())
         poses = list_quiet_poses('calibrate', arm, joints, wrenches, said.append)
         if poses:
             return poses[-1]
