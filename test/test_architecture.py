@@ -63,7 +63,7 @@ BUDGETS = {
     'nodes': 27_500,
     'runs': 16_700,
     'judging': 21_900,
-    'commissioning': 6_300,
+    'commissioning': 6_600,
     'faults': 11_700,
     'study': 16_500,
     'view': 19_700,
