@@ -9,7 +9,7 @@ import time
 from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Vector
 from multicontact_control.config import LimitsConfig
-from multicontact_control.contact.geometry import placed_way
+from multicontact_control.contact.geometry import project_on_contacts
 from multicontact_control.control.tasks import shortest_duration
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, RunError
@@ -212,7 +212,7 @@ class MultiContactClient(ControllerLink):
             else messages.quaternion_array(quaternion_xyzw, 'quaternion_xyzw')
         )
         goal_pose = Pose.from_quaternion(goal, last)
-        _require_time(duration, start.pose_desired.way_to(goal_pose), limits)
+        _require_time(duration, start.pose_desired.displacement_to(goal_pose), limits)
         # All that takes time comes first: the motion runs from the sample that it starts at.
         status = self.command_until_answered(
             topics.MOTION_COMMAND,
@@ -224,7 +224,7 @@ class MultiContactClient(ControllerLink):
             ),
         )
         start = self.read()
-        way = start.pose_desired.way_to(goal_pose)
+        way = start.pose_desired.displacement_to(goal_pose)
         _require_free(way, status, position_tolerance, rotation_tolerance)
         _require_passing(status, start, goal_pose, 0.0)
         self._follow(start, way, goal_pose, duration)
@@ -274,8 +274,10 @@ class MultiContactClient(ControllerLink):
         while True:
             self.take_statuses()
             status = self._known_status()
-            distance, angle = _free_distance(state.pose.way_to(goal), status)
-            left, turn_left = _free_distance(state.pose_desired.way_to(goal), status)
+            distance, angle = _free_distance(state.pose.displacement_to(goal), status)
+            left, turn_left = _free_distance(
+                state.pose_desired.displacement_to(goal), status
+            )
             near = distance <= position_tolerance and angle <= rotation_tolerance
             led_there = max(left, turn_left) <= LED_THERE
             if near and led_there and _is_controlled(status):
@@ -402,7 +404,7 @@ def _free_distance(way: Vector, status: ControllerStatus) -> tuple[float, float]
 def _placed(way: Vector, status: ControllerStatus) -> Vector:
     """Return the part of a way, shape (6,) [m, rad], that contacts decide."""
     columns = np.array(list(status.placing.values())).reshape(-1, 6)
-    return placed_way(way, columns)
+    return project_on_contacts(way, columns)
 
 
 def _require_free(

@@ -13,14 +13,14 @@ from pathlib import Path
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import ControllerConfig
-from multicontact_control.contact.geometry import offset_shares, placed_way
+from multicontact_control.contact.geometry import offset_shares, project_on_contacts
 from multicontact_control.control.controller import ControlOutput, Design
 from multicontact_control.control.tasks import CommandedTask, MotionReading, TaskSource
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CommandError, ConfigError
 from multicontact_control.sensor.push_test import CANCELLED, PushGate, PushTestConfig
-from multicontact_control.sensor.tool import MAX_JOINT_SPEED, tare_bias
+from multicontact_control.sensor.tool import compute_tare_bias, MAX_JOINT_SPEED
 from multicontact_control.supervision.command_limits import check_motion, CommandLimits
 from multicontact_control.supervision.input_checks import RECENT_WRENCHES
 from multicontact_control.supervision.inputs import TickInputs
@@ -115,7 +115,7 @@ class ControlLoop:
     def restart(self) -> None:
         """Forget the past: the next sample is the first."""
         self.supervisor.reset()
-        self.push_gate.restart()
+        self.push_gate.restart_test()
         self.output: ControlOutput | None = None
         self.status: SupervisorStatus | None = None
         self.events = EventLog()
@@ -148,7 +148,7 @@ class ControlLoop:
     def _push(self, inputs: TickInputs) -> None:
         """Lead on with a push test by a sample with a new wrench, and obey its verdict."""
         if self.supervisor.velocities_on_probation:
-            self.push_gate.fail(VELOCITIES_IN_DOUBT)
+            self.push_gate.fail_test(VELOCITIES_IN_DOUBT)
         if self.output is None or not self.push_gate.phase:
             return
         joints, wrench, stage = inputs.joints, inputs.wrench, self.supervisor.inputs
@@ -158,7 +158,7 @@ class ControlLoop:
             and wrench
             and joints.stamp == wrench.stamp
             and (
-                self.push_gate.update(
+                self.push_gate.add_fit_sample(
                     self.supervisor.controller.arm.frames[0],
                     stage.raw_wrench,
                     self.config.tool,
@@ -185,7 +185,7 @@ class ControlLoop:
         self._require_rest('push test')
         if self.supervisor.velocities_on_probation:
             raise CommandError('push test', hint=VELOCITIES_IN_DOUBT)
-        self.push_gate.start(
+        self.push_gate.start_test(
             config,
             {
                 name: np.array(x.point_operational)
@@ -197,8 +197,8 @@ class ControlLoop:
         return self.push_gate.instruction
 
     def cancel_push_test(self) -> str:
-        """Take back a push test, see `PushGate.cancel`; return what is allowed now."""
-        self.push_gate.cancel()
+        """Take back a push test, see `PushGate.cancel_test`; return what is allowed now."""
+        self.push_gate.cancel_test()
         self.supervisor.gate.start_blend()
         self.supervisor.task.set_lock(not self.push_gate.open)
         return self.push_gate.instruction or CANCELLED
@@ -267,10 +267,10 @@ class ControlLoop:
         placing = self.supervisor.task.placing_columns()
         if self.output is None or not placing:
             return ''
-        way = self.output.pose_des.way_to(
+        way = self.output.pose_des.displacement_to(
             Pose.from_quaternion(motion.position_world, motion.quaternion_xyzw)
         )
-        placed = placed_way(way, np.array(list(placing.values())))
+        placed = project_on_contacts(way, np.array(list(placing.values())))
         distance, angle = np.linalg.norm(placed.reshape(2, 3), axis=1).tolist()
         if distance <= UNTOLD_WAY and angle <= UNTOLD_TURN:
             return ''
@@ -331,7 +331,7 @@ class ControlLoop:
 
     def tare(self) -> Vector:
         """
-        Return the bias by which the compensated wrench would read zero, as `tare_bias` does.
+        Return the bias by which the compensated wrench would read zero, by `compute_tare_bias`.
 
         CommandError if the arm presses on something or moves, which would be taken for bias, or if
         there is no sensor, or a fault of it.
@@ -349,7 +349,7 @@ class ControlLoop:
                 f'{fastest:.3g} rad/s',
             )
         rotation_world = self.supervisor.controller.arm.frames['sensor_rotation'][0]
-        return tare_bias(
+        return compute_tare_bias(
             readings,
             rotation_world,
             self.config.tool,

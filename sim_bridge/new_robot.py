@@ -12,8 +12,8 @@ from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ControllerConfig, validate
 from multicontact_control.dynamics.robot import (
     check_torques,
+    find_followers,
     Follower,
-    followers,
     largest_gravity,
     load_model,
 )
@@ -301,7 +301,7 @@ def _joints(
     if tip != sensor and sensor not in joints_up_to(root, tip):
         raise ConfigError('--tip', f"'{sensor}' or a link beyond it", f"'{tip}'")
     locked = dict(lock)
-    coupled = followers(root)
+    coupled = find_followers(root)
     for name, joint in moving.items():
         if name not in chain and name not in coupled and name not in locked:
             locked[name] = _nearest_to_zero(joint)

@@ -9,7 +9,7 @@ from multicontact_control.arrays import require_shape, Vector
 from multicontact_control.config import ToolConfig
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.records import Records
-from multicontact_control.sensor.tool import weight_reading
+from multicontact_control.sensor.tool import predict_weight_reading
 import numpy as np
 import pinocchio as pin
 from sim_bridge.arm import Arm, OPERATIONAL_FRAME, SENSOR_FRAME, TOOL_LINK
@@ -236,7 +236,9 @@ class Plant:
         pin.framesForwardKinematics(model, data, self._home)
         rotation = data.oMf[model.getFrameId(SENSOR_FRAME)].rotation
         carried = ToolConfig(mass=arm.carried_mass, com_sensor=arm.carried_com)
-        return weight_reading(rotation, carried, np.array(self.config.gravity_world))
+        return predict_weight_reading(
+            rotation, carried, np.array(self.config.gravity_world)
+        )
 
     def _sample(self) -> Sample:
         return Sample(

@@ -16,7 +16,11 @@ from urllib.parse import unquote
 import xml.etree.ElementTree as ElementTree
 
 from multicontact_control.dynamics.robot import load_model
-from multicontact_control.dynamics.urdf import check_tree, ends_of, parse_urdf
+from multicontact_control.dynamics.urdf import (
+    check_link_tree,
+    find_joint_ends,
+    parse_urdf,
+)
 from multicontact_control.errors import ConfigError
 import numpy as np
 import pinocchio as pin
@@ -134,7 +138,7 @@ def read_urdf(path: Path) -> str:
             f'{path}, which is xacro',
             hint=f'write one with `xacro {path.name} > arm.urdf`',
         )
-    check_tree(root)
+    check_link_tree(root)
     return ElementTree.tostring(root, encoding='unicode')
 
 
@@ -142,11 +146,11 @@ def joints_up_to(
     root: ElementTree.Element, link: str
 ) -> dict[str, ElementTree.Element]:
     """Return the joints of a URDF from the base to a link, each under the link it carries."""
-    carried = {ends_of(joint)[1]: joint for joint in root.findall('joint')}
+    carried = {find_joint_ends(joint)[1]: joint for joint in root.findall('joint')}
     way = {}
     while joint := carried.pop(link, None):
         way[link] = joint
-        link = ends_of(joint)[0]
+        link = find_joint_ends(joint)[0]
     return dict(reversed(way.items()))
 
 
@@ -162,7 +166,11 @@ def _without_tool(text: str, mount: str) -> str:
         link for link in known if link != mount and mount in joints_up_to(root, link)
     }
     for element in list(root):
-        name = element.get('name') if element.tag == 'link' else ends_of(element)[1]
+        name = (
+            element.get('name')
+            if element.tag == 'link'
+            else find_joint_ends(element)[1]
+        )
         # What is neither link nor joint names joints that may be gone.
         if element.tag not in ('link', 'joint') or name in beyond:
             root.remove(element)

@@ -12,7 +12,7 @@ from joblib import Memory
 from multicontact_control.judging.run_summary import summarise_run
 from multicontact_control.runs.closed_loop import LoopResult, run_in_process
 from multicontact_control.runs.scenario import Setup
-from multicontact_control.study.jobs import content_key, setup_content
+from multicontact_control.study.jobs import outcome_key
 
 MEMORY = Memory(
     Path(__file__).resolve().parents[1] / '.pytest_cache' / 'runs', verbose=0
@@ -21,7 +21,7 @@ MEMORY = Memory(
 
 def run_of(setup: Setup, *, supervised: bool = True) -> LoopResult:
     """Return the result of `run_in_process`."""
-    key = content_key('test', {'supervised': supervised, **setup_content(setup)})
+    key = outcome_key('test', setup, supervised=supervised)
     return _run(key, setup, supervised)
 
 

@@ -11,7 +11,7 @@ from multicontact_control.nodes.graph import (
     take_message,
 )
 from multicontact_control.paths import find_config_folder
-from multicontact_control.sensor.tool import weight_reading
+from multicontact_control.sensor.tool import predict_weight_reading
 import numpy as np
 from rclpy.qos import QoSProfile
 from ros_graph import wait_for
@@ -46,7 +46,7 @@ class FakeArm:
         self.state = RobotModel(self.config.robot, find_config_folder()).update(
             HOME, np.zeros(6)
         )
-        self.weight = weight_reading(
+        self.weight = predict_weight_reading(
             self.state.sensor_pose.rotation_world,
             self.config.tool,
             np.array(self.config.robot.gravity_world),

@@ -3,7 +3,7 @@
 from multicontact_control.config import NoiseEstimatorConfig
 from multicontact_control.force import observer as aob
 from multicontact_control.force.noise import Innovation, make_noise_estimator
-from multicontact_control.force.plant import delayed_plant, place_poles
+from multicontact_control.force.plant import make_delayed_plant, place_poles
 from multicontact_control.records import CONTACT
 import numpy as np
 
@@ -25,7 +25,7 @@ def design_force_loop(
     time_constant=0.02,
 ):
     return place_poles(
-        delayed_plant(stiffness, damping_rate, input_delay, period),
+        make_delayed_plant(stiffness, damping_rate, input_delay, period),
         period,
         time_constant=time_constant,
     )
@@ -78,7 +78,7 @@ def run_force_loop(estimator, noise=0.0, leak=0.0, command=10.0):
     """
     observer, plant, x = (
         observer_of(),
-        delayed_plant(6000.0, 20.0, 0.006, H),
+        make_delayed_plant(6000.0, 20.0, 0.006, H),
         np.zeros(5),
     )
     x[0] = command

@@ -65,7 +65,7 @@ BUDGETS = {
     'judging': 21_900,
     'commissioning': 6_700,
     'faults': 11_700,
-    'study': 16_400,
+    'study': 16_500,
     'view': 19_700,
     'cli': 5_900,
     'sim_bridge': 30_000,

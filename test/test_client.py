@@ -59,7 +59,7 @@ def test_first_command_is_sent_again_to_a_recorder_that_is_connected_after_it(
             topic.profile,
         )
         status, heard = create_publisher(controller.node, topics.STATUS), subscribe()
-        sending = pool.submit(client.command, topic, command)
+        sending = pool.submit(client.command_until_answered, topic, command)
         first, _ = wait_for(lambda: take_message(heard), 'the command')
         recorder = subscribe()
         accepted = ControllerStatus(  # the controller knows of 2 readers
@@ -240,7 +240,7 @@ def test_move_in_a_reaction_that_waits_for_an_operator_raises_place_and_cause(
 ):
     reached(arm, table=8.0, board=4.0)
     start = arm.read()
-    command = arm.command
+    command = arm.command_until_answered
 
     def latched(*given):
         return replace(
@@ -250,7 +250,7 @@ def test_move_in_a_reaction_that_waits_for_an_operator_raises_place_and_cause(
             text='hold instead of control: latched',
         )
 
-    monkeypatch.setattr(arm, 'command', latched)
+    monkeypatch.setattr(arm, 'command_until_answered', latched)
     with pytest.raises(
         NotReachedError,
         match=(

@@ -19,9 +19,9 @@ from multicontact_control.client import ArmState, MultiContactClient
 from multicontact_control.judging.results import load_run
 from multicontact_control.nodes import messages, topics
 from multicontact_control.study.config import (
+    apply_choices,
     read_choices,
     read_study,
-    select,
 )
 import pytest
 from robots import has_urdf
@@ -120,7 +120,9 @@ def parse(words):
             assert (ROOT / word).exists() or word.startswith('runs/'), word
     values = known_commands()[name].make_context(name, list(words[1 + size :])).params
     if name == 'study' and values['name']:
-        select(read_study(values['name']), read_choices(values['settings'] or ()))
+        apply_choices(
+            read_study(values['name']), read_choices(values['settings'] or ())
+        )
     if (
         'scenario' in values
         and not values.get('external')

@@ -9,7 +9,7 @@ from multicontact_control.loop import ControlLoop
 from multicontact_control.paths import find_config_folder
 from multicontact_control.sampling import Action, SampleTiming
 from multicontact_control.sensor.push_test import PushTestConfig
-from multicontact_control.sensor.tool import weight_reading
+from multicontact_control.sensor.tool import predict_weight_reading
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import (
     JointInput,
@@ -43,7 +43,7 @@ class Bench:
             self.config.rate, supervised=supervised, patience=1.5
         )
         self.state = self.loop.supervisor.controller.robot.update(HOME, REST)
-        self.weight = weight_reading(
+        self.weight = predict_weight_reading(
             self.state.sensor_pose.rotation_world,
             self.config.tool,
             np.array(self.config.robot.gravity_world),

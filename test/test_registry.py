@@ -9,12 +9,12 @@ pytestmark = pytest.mark.slow
 
 PLUGIN = """
 from multicontact_control.force.laws.design import LawDesign
-from multicontact_control.force.laws.linear import ALPHA_DES, ALPHA_MEAS, U, zero_law
+from multicontact_control.force.laws.linear import ALPHA_DES, ALPHA_MEAS, U, make_zero_law
 from multicontact_control.force.noise.base import NoiseEstimator
 
 
 def design_gain(model, config):
-    law = zero_law(0)
+    law = make_zero_law(0)
     law.D[U, [ALPHA_MEAS, ALPHA_DES]] = -1e-3, 1e-3
     return law
 

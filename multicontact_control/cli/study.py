@@ -99,7 +99,7 @@ def study(
     options.end_at_signals('interrupted; the same command goes on from there')
     # Only now: what is heavy is not loaded for the sake of an error.
     from multicontact_control.study import config as files
-    from multicontact_control.study.presets import study_of
+    from multicontact_control.study.presets import make_study
     from multicontact_control.study.study import run_study
 
     texts = [*([f'plant={plants}'] if plants else []), *(settings or ())]
@@ -114,8 +114,8 @@ def study(
     short = {'seed': [first], **config.quick} if quick else {}
     if seeds:
         short['seed'] = range(first, first + seeds)
-    one = study_of(
-        files.select(
+    one = make_study(
+        files.apply_choices(
             config.model_copy(update={'law': law or ''}),
             {**short, **choices},
             robot=robot,

@@ -209,7 +209,7 @@ def _band_passed(signal: ContactSignals, h: float) -> tuple[Matrix, Mask]:
     space: stiffness.FitSpace = np.zeros(1, dtype=stiffness.FIT_SPACE)[0]
     record['config']['period'] = h
     fit = record['slow']
-    stiffness.adopt_band(fit, stiffness.SLOW_BAND, h, math.inf)
+    stiffness.set_fit_band(fit, stiffness.SLOW_BAND, h, math.inf)
     filtered = np.zeros((len(signal.alpha), 5))
     accepted = np.zeros(len(signal.alpha), dtype=bool)
     rows = zip(signal.alpha, signal.alpha_des, signal.speed, signal.friction)
@@ -218,7 +218,7 @@ def _band_passed(signal: ContactSignals, h: float) -> tuple[Matrix, Mask]:
             record['felt'] = False  # a gap: the filters begin anew
             continue
         before, weight = float(fit['rate']['passed']), float(fit['weight'])
-        stiffness.find_stiffness(record, alpha, alpha_des, speed, friction, space)
+        stiffness.estimate_stiffness(record, alpha, alpha_des, speed, friction, space)
         filtered[k, :4] = [fit[name]['passed'] for name in SIGNALS]
         filtered[k, 4] = (filtered[k, 1] - before) / h
         accepted[k] = fit['weight'] > weight

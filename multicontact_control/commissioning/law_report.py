@@ -11,7 +11,7 @@ from typing import Any
 from multicontact_control.arrays import Matrix
 from multicontact_control.config import ForceConfig, validate
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.laws.aob import steady_law
+from multicontact_control.force.laws.aob import make_steady_law
 from multicontact_control.force.laws.design import find_law, LoopModel
 from multicontact_control.force.laws.linear import (
     ALPHA_DES,
@@ -20,8 +20,8 @@ from multicontact_control.force.laws.linear import (
     SPEED,
     U,
 )
-from multicontact_control.force.margins import last_stable, spectral_radius
-from multicontact_control.force.observer import steady_gain
+from multicontact_control.force.margins import find_last_stable, spectral_radius
+from multicontact_control.force.observer import solve_steady_gain
 from multicontact_control.runs.parameter_file import write_parameters
 import numpy as np
 import yaml
@@ -87,7 +87,7 @@ def rise_time(law: LinearLaw, model: LoopModel) -> float:
 
 
 def margins_of(law: LinearLaw, model: LoopModel) -> Margins:
-    """Return the margins of a force law, of an active observer's `steady_law`, on its model."""
+    """Return the margins of a force law on its model; of an observer's `make_steady_law`."""
     import control  # takes a second
 
     plant = control.ss(
@@ -116,8 +116,8 @@ def stable_ratios(law: LinearLaw, model: LoopModel) -> tuple[float, float]:
     def stable(ratio: float) -> bool:
         return spectral_radius(contact_loop(law, model, ratio)) < 1.0 + 1e-9
 
-    down = last_stable(lambda ratio: stable(1.0 / ratio), RATIOS, 1e-3)[0]
-    return 1.0 / down if down else math.inf, last_stable(stable, RATIOS, 1e-3)[0]
+    down = find_last_stable(lambda ratio: stable(1.0 / ratio), RATIOS, 1e-3)[0]
+    return 1.0 / down if down else math.inf, find_last_stable(stable, RATIOS, 1e-3)[0]
 
 
 def _faster(exponents: Mapping[str, Any], usual: Any, speed: float) -> dict[str, Any]:
@@ -184,7 +184,7 @@ def design_for_range(
             values[section][gain] = noise_variance
         law = entry.design(model, validate(ForceConfig, {**values, **given}))
         if not isinstance(law, LinearLaw):
-            law = steady_law(law, steady_gain(law, noise_variance))
+            law = make_steady_law(law, solve_steady_gain(law, noise_variance))
         low, high = stable_ratios(law, stiff)
         if low > softest / stiffest or high < GAIN_MARGIN:
             continue  # before the frequency response, which takes ten times as long

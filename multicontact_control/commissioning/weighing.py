@@ -89,7 +89,7 @@ def quiet_rests(
         ).sensor_pose.rotation_world
         rest = f'rest from {begin - q_time[0]:.1f} to {end - q_time[0]:.1f} s'
         try:
-            reading = tool.tare_bias(
+            reading = tool.compute_tare_bias(
                 readings[(f_time >= begin) & (f_time <= end)],
                 rotation,
                 ToolConfig(),

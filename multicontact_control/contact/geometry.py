@@ -119,7 +119,7 @@ def friction_coupling(contacts: Records[Contact], rotation_world: Matrix) -> Mat
     return coupling
 
 
-def placed_way(way: Vector, columns: Matrix) -> Vector:
+def project_on_contacts(way: Vector, columns: Matrix) -> Vector:
     """
     Return the part of a way of the operational point that contacts decide, shape (6,) [m, rad].
 
@@ -144,7 +144,7 @@ def placed_way(way: Vector, columns: Matrix) -> Vector:
     return placed
 
 
-def place_columns(config: ControllerConfig, columns: Records[Contact]) -> None:
+def configure_contacts(config: ControllerConfig, columns: Records[Contact]) -> None:
     """Fill records of `CONTACT`, shape (r,), with the configuration of the columns of N."""
     for record, column in zip(columns, config.columns):
         known, contact = record['config'], config.contacts[column.contact]
@@ -177,7 +177,7 @@ def place_columns(config: ControllerConfig, columns: Records[Contact]) -> None:
             )
 
 
-def misread_friction(
+def find_misread_friction(
     config: ControllerConfig,
     columns: Records[Contact],
     rotation_world: Matrix,

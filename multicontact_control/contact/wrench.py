@@ -238,7 +238,7 @@ def weigh_at_sensor(law: Law, frame: Frame, wrench: Vector) -> None:
         wrench[3 + i] = (wrench[3 + i] - moment[i]) / law.torque_noise
 
 
-def tool_record(tool: ToolConfig, gravity_world: Vector) -> Records[Tool]:
+def make_tool_record(tool: ToolConfig, gravity_world: Vector) -> Records[Tool]:
     """Return what hangs on the sensor as one record of `TOOL`; g in [m/s^2], shape (3,)."""
     record = np.zeros(1, dtype=TOOL)
     record['com_sensor'], record['bias'] = tool.com_sensor, tool.bias_sensor
@@ -246,7 +246,7 @@ def tool_record(tool: ToolConfig, gravity_world: Vector) -> Records[Tool]:
     return record
 
 
-def tool_between(before: ToolConfig, after: ToolConfig, share: float) -> ToolConfig:
+def interpolate_tool(before: ToolConfig, after: ToolConfig, share: float) -> ToolConfig:
     """Return what is a share of the way between: linear in mass, first moment and bias."""
     if share >= 1.0:
         return after
@@ -294,6 +294,9 @@ def contact_wrench(
     frame = control['frame']
     frame['position'] = position_world
     frame['sensor_position'], frame['sensor_rotation'] = sensor_pose
-    control['tool'], control['wrench'] = tool_record(tool, gravity_world), wrench_sensor
+    control['tool'], control['wrench'] = (
+        make_tool_record(tool, gravity_world),
+        wrench_sensor,
+    )
     operational_wrench(control[0], wrench)
     return wrench

@@ -8,9 +8,9 @@ from typing import NamedTuple, NoReturn
 from multicontact_control.algebra import quintic_blend
 from multicontact_control.arrays import Mask, Vector
 from multicontact_control.config import ControllerConfig, ToolConfig
-from multicontact_control.contact.geometry import check_columns, place_columns
+from multicontact_control.contact.geometry import check_columns, configure_contacts
 from multicontact_control.contact.resolution import check_resolution
-from multicontact_control.contact.wrench import tool_between, tool_record
+from multicontact_control.contact.wrench import interpolate_tool, make_tool_record
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.law import control_law, LAW_SPACE, LawSpace
 from multicontact_control.dynamics.operational_space import MAX_CONDITION, STOP_MARGIN
@@ -29,7 +29,7 @@ from multicontact_control.flags import (
     TORQUE_LIMITED,
 )
 from multicontact_control.force.force_law import (
-    act_beyond,
+    add_extra_acceleration,
     continue_laws,
     ForceLaw,
     make_force_laws,
@@ -161,7 +161,7 @@ class Controller:
         self.contacts: Records[Contact] = self.memory[CONTROL.itemsize :].view(CONTACT)
         self.controls['measured'] = True
         self.controls['task']['rotation'] = np.eye(3)
-        place_columns(config, self.contacts)
+        configure_contacts(config, self.contacts)
         check_columns(config.column_names, self.contacts)
         self.arm = ArmState(robot, self.controls, self.contacts)
         self.active: Mask = self.contacts['answer']['active']
@@ -192,7 +192,7 @@ class Controller:
             self._last_tool, self.next_tool, self._slewed = self.tool, config.tool, 0
         # What has been learnt of the surfaces is kept.
         if before is not None and before.contacts != config.contacts:
-            place_columns(config, self.contacts)
+            configure_contacts(config, self.contacts)
         joints = self.arm.joints['config']
         for name in ('coulomb', 'viscous'):
             joints[name] = getattr(config.friction, name) or 0.0
@@ -203,17 +203,17 @@ class Controller:
     def _carry(self, tool: ToolConfig) -> None:
         """Take a tool off the readings (by momentum they are without it), and bear its weight."""
         self.tool, felt = tool, self.config.wrench_input != 'momentum'
-        self.controls['tool'] = tool_record(
+        self.controls['tool'] = make_tool_record(
             tool if felt else ToolConfig(), np.array(self.config.robot.gravity_world)
         )
-        self.robot.carry(tool, self._in_urdf)
+        self.robot.carry_load(tool, self._in_urdf)
 
     def change_tool(self) -> None:
         """Go a tick on from one tool to the next: weight, inertia and bias together."""
         self._slewed += 1
         elapsed = self._slewed * self.config.period
         self._carry(
-            tool_between(
+            interpolate_tool(
                 self._last_tool,
                 self.next_tool,
                 quintic_blend(elapsed, self.config.transition.slew_time)[0],
@@ -257,7 +257,7 @@ class Controller:
                 f'{mass:.4g} kg, with the {self._in_urdf.mass:.4g} kg of its tool',
             )
         columns = self.contacts.copy()
-        place_columns(config, columns)
+        configure_contacts(config, columns)
         check_columns(config.column_names, columns)  # normals may be others
         check_resolution(config, self.controls, columns)
         return Design(config, make_force_laws(config))
@@ -333,7 +333,7 @@ class Controller:
             self.config.robot.adds_tool_gravity,
             self.robot.terms.gravity.copy(),
         )
-        return own if with_tool else own - self.robot.load_torque(self.tool)
+        return own if with_tool else own - self.robot.compute_load_torque(self.tool)
 
     def account_for(self, torque: Vector) -> None:
         """
@@ -355,7 +355,7 @@ class Controller:
         twist_rate = terms.jacobian @ np.linalg.solve(
             M, torque - unlimited + terms.jacobian.T @ (N @ beyond)
         )
-        act_beyond(self.laws, active, N.T @ twist_rate)
+        add_extra_acceleration(self.laws, active, N.T @ twist_rate)
 
     def refuse(self, found: int = COLUMNS_DEPENDENT) -> NoReturn:
         """Raise what `control_law` has found, or that the model has no finite numbers."""

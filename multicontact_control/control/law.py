@@ -23,13 +23,17 @@ from multicontact_control.dynamics.operational_space import (
     InertiaSpace,
     mobility_and_inertia,
 )
-from multicontact_control.dynamics.rotations import rotation_vector
+from multicontact_control.dynamics.rotations import rotation_vector_between
 from multicontact_control.flags import (
     COLUMNS_DEPENDENT,
     POSTURE_SINGULAR,
     TORQUE_LIMITED,
 )
-from multicontact_control.force.force_law import answer_forces, ForceLaw, ForceSpace
+from multicontact_control.force.force_law import (
+    answer_contact_forces,
+    ForceLaw,
+    ForceSpace,
+)
 from multicontact_control.records import (
     Contact,
     Control,
@@ -100,7 +104,7 @@ def motion_law(law: Law, task: Task, frame: Frame, f_t: Vector) -> None:
     k_v = 2 zeta omega_n (P04 sec. 3.1; sec. 5.2: critically damped, 30 rad/s); world axes, shape
     (6,) [m/s^2, rad/s^2].
     """
-    turn = rotation_vector(task.rotation, frame.rotation)
+    turn = rotation_vector_between(task.rotation, frame.rotation)
     for i in range(3):
         f_t[i] = law.k_p * (task.position[i] - frame.position[i])
         f_t[3 + i] = law.k_p * turn[i]
@@ -229,7 +233,7 @@ def control_law(
 
     F = Lambda (Omega_m f_t* + Omega_c f_c*) + mu + p + N alpha_fed_forward, Gamma = J^T F (P04
     eqs 23-27), then null space, friction and limits. As published
-    alpha_fed_forward is the estimate; see `force_to_feed`.
+    alpha_fed_forward is the estimate; see `choose_fed_force`.
 
     Parameters
     ----------
@@ -277,7 +281,7 @@ def control_law(
     ):
         return COLUMNS_DEPENDENT
     motion_law(law, task, frame, space.f_t)
-    answer_forces(laws, contacts, control, inputs, space.forces)
+    answer_contact_forces(laws, contacts, control, inputs, space.forces)
     if not law.decoupled:
         drive_coordinates(rows, inputs)
     force_law(law, rows, factor, frame.twist, contacts, inputs, alpha_star, space.f_c)

@@ -24,7 +24,7 @@ OVERLOAD = 3.0  # of gravity's torque to the limit; published arms reach 1.7
 Finding = tuple[bool, str, str, object]
 
 
-def judge(findings: Iterable[Finding]) -> tuple[str, ...]:
+def collect_warnings(findings: Iterable[Finding]) -> tuple[str, ...]:
     """Return what is suspicious, a line each; ConfigError with all if some is refused."""
     errors = [
         (refused, ConfigError(f'robot.urdf.{where}', expected, got))

@@ -12,7 +12,7 @@ from multicontact_control.arrays import Mask, Matrix, require_shape, Vector
 from multicontact_control.config import RobotConfig, ToolConfig
 from multicontact_control.dynamics import model_check
 from multicontact_control.dynamics.rotations import Pose
-from multicontact_control.dynamics.urdf import check_tree, parse_urdf
+from multicontact_control.dynamics.urdf import check_link_tree, parse_urdf
 from multicontact_control.errors import ConfigError
 from multicontact_control.records import MAX_JOINTS
 import numpy as np
@@ -193,7 +193,7 @@ class RobotModel:
             sensor_pose=_pose(data.oMf[self._sensor]),
         )
 
-    def load_torque(self, load: ToolConfig) -> Vector:
+    def compute_load_torque(self, load: ToolConfig) -> Vector:
         """Return what a load adds to g(q) where `compute` was called last, shape (n,) [N m]."""
         weight = load.mass * self._model.gravity.linear
         lever = self._data.oMf[self._sensor].rotation @ np.array(load.com_sensor)
@@ -216,12 +216,13 @@ class RobotModel:
         for axis in np.eye(3):
             model.gravity.linear = axis
             columns.append(
-                pin.computeGeneralizedGravity(model, data, q) - self.load_torque(load)
+                pin.computeGeneralizedGravity(model, data, q)
+                - self.compute_load_torque(load)
             )
         model.gravity.linear = known
         return np.array(columns).T
 
-    def carry(self, load: ToolConfig, in_urdf: ToolConfig) -> None:
+    def carry_load(self, load: ToolConfig, in_urdf: ToolConfig) -> None:
         """Let the model carry a point mass on the sensor in place of one that its URDF has."""
         parameters = (
             self._body.toDynamicParameters()
@@ -235,7 +236,7 @@ class RobotModel:
             else pin.Inertia.FromDynamicParameters(parameters)
         )
 
-    def link_poses(self, q: Vector, links: Sequence[str]) -> list[Pose]:
+    def compute_link_poses(self, q: Vector, links: Sequence[str]) -> list[Pose]:
         """Return where links are at positions, shape (n,) [rad]; ConfigError for others."""
         require_shape('q', q, (self._model.nv,))
         pin.framesForwardKinematics(self._model, self._data, q)
@@ -266,9 +267,9 @@ def load_model(
     Raises
     ------
     ConfigError
-        If the file cannot be read, is no URDF, has joints of more than one coordinate or
-        without a motor of their own (`followers`) that are not locked, does not have a joint that
-        is, or has impossible figures (`model_check`).
+        If the file cannot be read or is no URDF; if joints that are not locked have more than one
+        coordinate or no motor of their own (`find_followers`); if a locked joint is unknown; or if
+        figures are impossible (`model_check`).
 
     """
     source = str(urdf) if isinstance(urdf, Path) else 'text'
@@ -306,7 +307,7 @@ def load_model(
         at = model.joints[model.getJointId(name)].idx_q
         model.lowerPositionLimit[at], model.upperPositionLimit[at] = -np.inf, np.inf
     (warnings if warnings is not None else []).extend(
-        model_check.judge(_findings(model, axes))
+        model_check.collect_warnings(_findings(model, axes))
     )
     return model
 
@@ -315,7 +316,7 @@ def _read_root(text: str | bytes, source: str) -> ElementTree.Element:
     """Return the root element of a URDF that is one tree; ConfigError of `robot.urdf`."""
     try:
         root = parse_urdf(text)
-        check_tree(root)
+        check_link_tree(root)
     except ConfigError as error:
         raise error.moved(f'robot.{error.field}', source) from None
     return root
@@ -337,7 +338,7 @@ class Follower(NamedTuple):
     offset: float  # rad or m
 
 
-def followers(root: ElementTree.Element) -> dict[str, Follower]:
+def find_followers(root: ElementTree.Element) -> dict[str, Follower]:
     """
     Return the joints of a URDF that have no motor of their own, by name.
 
@@ -365,7 +366,7 @@ def followers(root: ElementTree.Element) -> dict[str, Follower]:
 def _refuse_followers(root: ElementTree.Element, locked: Mapping[str, float]) -> None:
     """Refuse joints that mimic others, unless they are locked, by ConfigError with all."""
     errors = []
-    for name, follower in followers(root).items():
+    for name, follower in find_followers(root).items():
         if name not in locked:
             errors.append(
                 ConfigError(
@@ -489,7 +490,7 @@ def check_torques(
     heaviest = max(range(model.njoints), key=lambda joint: model.inertias[joint].mass)
     heavy = f'{model.inertias[heaviest].mass:.4g} kg on {model.names[heaviest]}'
     figures = zip(list(model.names)[1:], (not adds_gravity) * gravity, inertia, limit)
-    return model_check.judge(
+    return model_check.collect_warnings(
         finding
         for each in figures
         for finding in model_check.check_torque(*each, heavy)

@@ -14,7 +14,9 @@ Rows = tuple[Triple, Triple, Triple]
 
 
 @compiled
-def quaternion_of(rotation: Matrix | Rows) -> tuple[float, float, float, float]:
+def quaternion_from_rotation(
+    rotation: Matrix | Rows,
+) -> tuple[float, float, float, float]:
     """
     Return the unit quaternion, scalar last, of a rotation, shape (3, 3).
 
@@ -38,7 +40,7 @@ def quaternion_of(rotation: Matrix | Rows) -> tuple[float, float, float, float]:
 
 
 @compiled
-def rotation_vector(rotation_des: Matrix, rotation: Matrix) -> Triple:
+def rotation_vector_between(rotation_des: Matrix, rotation: Matrix) -> Triple:
     """
     Return log(R_des R^T), the rotation from an orientation to a desired one, in world axes.
 
@@ -56,7 +58,7 @@ def rotation_vector(rotation_des: Matrix, rotation: Matrix) -> Triple:
     if (
         cosine < -0.99
     ):  # near half a turn the skew part vanishes and no longer names the axis
-        x, y, z, w = quaternion_of(error)
+        x, y, z, w = quaternion_from_rotation(error)
         sine = vector_length((x, y, z))
         angle = 2.0 * np.arctan2(sine, abs(w))
         if w < 0.0:
@@ -78,9 +80,11 @@ class Pose(NamedTuple):
     def quaternion_xyzw(self) -> Vector:
         """Orientation as a unit quaternion, shape (4,), scalar last."""
         # A copy: numba would compile anew for an array of another layout, or not writable.
-        return np.array(quaternion_of(np.array(self.rotation_world, order='C')))
+        return np.array(
+            quaternion_from_rotation(np.array(self.rotation_world, order='C'))
+        )
 
-    def way_to(self, goal: Pose) -> Vector:
+    def displacement_to(self, goal: Pose) -> Vector:
         """Return displacement and rotation vector to another pose, world axes, (6,) [m, rad]."""
         turn = Rotation.from_matrix(goal.rotation_world @ self.rotation_world.T)
         return np.concatenate(

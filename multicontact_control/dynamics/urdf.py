@@ -71,20 +71,20 @@ def _refuse_ignored_turns(root: ElementTree.Element) -> None:
             )
 
 
-def ends_of(joint: ElementTree.Element) -> tuple[str, str]:
+def find_joint_ends(joint: ElementTree.Element) -> tuple[str, str]:
     """Return parent and child link of a joint; empty where it does not say."""
     ends = (joint.find('parent'), joint.find('child'))
     parent, child = ('' if end is None else end.get('link', '') for end in ends)
     return parent, child
 
 
-def check_tree(root: ElementTree.Element) -> None:
+def check_link_tree(root: ElementTree.Element) -> None:
     """Check that the joints of a URDF make one tree of its links; ConfigError."""
     links = [link.get('name', '') for link in root.findall('link')]
     carriers = defaultdict[str, list[str]](list)  # of a link, the joints
     for joint in root.findall('joint'):
         name = joint.get('name', '')
-        parent, child = ends_of(joint)
+        parent, child = find_joint_ends(joint)
         for end, link in (('parent', parent), ('child', child)):
             if link not in links:
                 raise ConfigError(

@@ -15,7 +15,11 @@ REST_TIME = 1.0  # s, at each end of a motion
 
 
 class Course(NamedTuple):
-    """A motion from a pose: along a direction and about an axis, world axes, unit vectors or 0."""
+    """
+    A motion from a pose, there and back: along a direction and about an axis.
+
+    Both are unit vectors in world axes, or 0.
+    """
 
     start: Pose
     direction: Vector
@@ -39,45 +43,46 @@ class Course(NamedTuple):
         """Return the period of a sinusoid of this amplitude and largest speed [s]."""
         return 2.0 * np.pi * self.distance / self.speed
 
-    def way(self, time: float) -> Vector:
+    def way_at(self, time: float) -> Vector:
         """Return way [m or rad], rate and its rate at a time since its beginning [s], (3,)."""
-        if not 0.0 <= time < self.duration:
-            return np.array([self.distance * (self.legs % 2) * (time > 0.0), 0.0, 0.0])
+        if time <= 0.0:
+            return np.zeros(3)
+        far_end = np.array([self.distance, 0.0, 0.0])
+        if time >= self.duration:
+            return far_end * (self.legs % 2)
         leg, elapsed = divmod(time, self.leg_time)
-        way = _run(elapsed, self.distance, self.speed)
-        return np.array([self.distance, 0.0, 0.0]) - way if leg % 2 else way
+        way = _smooth_run(elapsed, self.distance, self.speed)
+        returns = leg % 2 == 1
+        return far_end - way if returns else way
 
-    def readings(self, ways: Matrix) -> list[MotionReading]:
+    def setpoints(self, ways: Matrix) -> list[MotionReading]:
         """Return the setpoints of some ways [m or rad] with their rates, shape (k, 3)."""
         turns = Rotation.from_rotvec(ways[:, :1] * self.axis)
         quaternions = (turns * Rotation.from_quat(self.start.quaternion_xyzw)).as_quat()
-        both = np.concatenate([self.direction, self.axis])
-        return [
-            MotionReading(
-                self.start.position_world + way * self.direction,
-                quaternion,
-                rate * both,
-                acceleration * both,
+        twist = np.concatenate([self.direction, self.axis])  # of a unit rate
+        setpoints = []
+        for (way, rate, acceleration), quaternion in zip(ways.tolist(), quaternions):
+            position = self.start.position_world + way * self.direction
+            setpoints.append(
+                MotionReading(position, quaternion, rate * twist, acceleration * twist)
             )
-            for (way, rate, acceleration), quaternion in zip(ways.tolist(), quaternions)
-        ]
+        return setpoints
 
 
-def _run(elapsed: float, distance: float, speed: float) -> Vector:
+def _smooth_run(elapsed: float, distance: float, speed: float) -> Vector:
     """Return way, rate and its rate of a motion of constant speed with smooth ramps, (3,)."""
-    way = np.zeros(3)
-    for begin, sign in ((0.0, 1.0), (distance / speed, -1.0)):
-        share = min(max((elapsed - begin) / RAMP_TIME, 0.0), 1.0)
-        after = max(elapsed - begin - RAMP_TIME, 0.0)
-        way += (
-            sign
-            * speed
-            * np.array(
-                [
-                    RAMP_TIME * (share**3 - 0.5 * share**4) + after,
-                    share**2 * (3.0 - 2.0 * share),
-                    6.0 * share * (1.0 - share) / RAMP_TIME,
-                ]
-            )
-        )
-    return way
+    brake_time = distance / speed
+    return _ramp(elapsed, speed) + _ramp(elapsed - brake_time, -speed)
+
+
+def _ramp(elapsed: float, speed: float) -> Vector:
+    """Return way, rate and its rate of a point that takes up a speed at time 0, (3,)."""
+    share = min(max(elapsed / RAMP_TIME, 0.0), 1.0)
+    time_at_speed = max(elapsed - RAMP_TIME, 0.0)
+    return speed * np.array(
+        [
+            RAMP_TIME * (share**3 - 0.5 * share**4) + time_at_speed,
+            share**2 * (3.0 - 2.0 * share),
+            6.0 * share * (1.0 - share) / RAMP_TIME,
+        ]
+    )

@@ -7,7 +7,7 @@ joint or out of reach, a sensor has a bias, a surface is tilted, a tool carries 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cache
 import hashlib
 from importlib.util import find_spec
@@ -35,11 +35,16 @@ STEP_TIME = 1.2  # s, when a scenario's forces go from the preload to their comm
 BLEND_TIME = 1.0  # s, of a sinusoid
 BOX_MARGIN = 1e-3  # m
 BEYOND_STOP = 0.15  # rad, that a motion leads a joint beyond its stop
-FARTHEST_SLIDE, FARTHEST_TURN = 0.3, 0.8  # m, rad, to lead a joint to its stop
+FARTHEST_SLIDE = 0.3  # m, to lead a joint to its stop
+FARTHEST_TURN = 0.8  # rad, likewise
 
 
 class SituationConfig(Config):
-    """What an arm is asked to do, where, and with which sensor and tool."""
+    """
+    What an arm is asked to do, where, and with which sensor and tool.
+
+    In a study's file the names of these parameters begin with ``situation.``.
+    """
 
     contacts: int = parameter(
         1, 'How many of the contacts there are, the first ones.', ge=1
@@ -113,12 +118,12 @@ def foreign_robot() -> str:
     """Return the file of a robot that `multicontact new-robot` has written for a foreign arm."""
     urdf = find_config_folder() / 'studies' / FOREIGN_URDF
     stamp = hashlib.sha256(urdf.read_bytes()).hexdigest()[:16]
-    folder = (find_cache_folder() or Path(tempfile.gettempdir())) / f'foreign-{stamp}'
+    base_folder = find_cache_folder() or Path(tempfile.gettempdir())
+    folder = base_folder / f'foreign-{stamp}'
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / 'arm.yaml'
-    with tempfile.TemporaryDirectory(
-        dir=folder
-    ) as unfinished:  # others may write it, too
+    # Written elsewhere and moved: other processes may write it at the same time.
+    with tempfile.TemporaryDirectory(dir=folder) as unfinished:
         written = Path(unfinished) / file.name
         new_robot(
             urdf,
@@ -131,10 +136,10 @@ def foreign_robot() -> str:
     return str(file)
 
 
-class Means(NamedTuple):
-    """What a robot has to be in situations."""
+class RobotMeans(NamedTuple):
+    """What a robot has for situations: plants, contacts and joints."""
 
-    plants: Mapping[str, str]  # by their names and aliases
+    plants: Collection[str]  # names and aliases
     contacts: int
     joints: int
 
@@ -143,31 +148,43 @@ class Means(NamedTuple):
         return (
             plant in self.plants
             and situation.contacts <= self.contacts
-            and (situation.stop_joint <= self.joints)
+            and situation.stop_joint <= self.joints
         )
 
 
 @cache
-def means_of(name: str) -> Means:
-    """Return what a robot has; ConfigError if it is not installed."""
+def find_means(name: str) -> RobotMeans:
+    """
+    Return what a robot has for situations.
+
+    Raises
+    ------
+    ConfigError
+        Of its `urdf` or `engine`, if it is not installed.
+
+    """
     robot = find_robot(foreign_robot() if name == FOREIGN else name or DEFAULT)
-    plants = {plant: plant for plant in robot.file.plants} | dict(
-        robot.file.plant_aliases
-    )
     contacts = robot.controller_base()['contact_names']
     if name == FOREIGN and find_spec('mujoco') is None:
         raise ConfigError('engine', 'mujoco: pip install mujoco', 'none')
-    return Means(plants, len(contacts), len(robot.arm.links))
+    plants = {*robot.file.plants, *robot.file.plant_aliases}
+    return RobotMeans(plants, len(contacts), len(robot.arm.links))
 
 
-def situated(
+def resolve_situation(
     arguments: Mapping[str, Any],
     situation: SituationConfig,
 ) -> tuple[Setup, Course]:
     """
-    Return a setup, resolved from some `arguments`, in a situation, and the motion in it.
+    Return a setup in a situation, and the motion in it.
 
-    The robot has such a joint, and so many contacts; see `Means`.
+    Parameters
+    ----------
+    arguments
+        Of `resolve`; the robot may be `FOREIGN`.
+    situation
+        What is asked for. The robot has such a joint, and so many contacts; see `RobotMeans`.
+
     """
     given = dict(arguments)
     if given.get('robot') == FOREIGN:
@@ -177,52 +194,47 @@ def situated(
         )
     base = resolve(**given)
     names = base.controller.contact_names[: situation.contacts]
-    course = _course(base, situation, names)
+    course = _plan_course(base, situation, names)
     # A surface that is farther away is touched later, at the speed of the approach.
     approach_speed = base.controller.contact_state.approach_speed
     begin = situation.motion_time + situation.farther / approach_speed
     scenario: dict[str, Any] = {'duration': begin + course.duration + REST_TIME}
     if situation.motion == 'sine':
         scenario['reference'] = _sine_reference(situation, course, names)
-        scenario['duration'] = (
-            situation.motion_time + 0.5 * situation.legs * course.period
-        )
+        motion_duration = 0.5 * situation.legs * course.period
+        scenario['duration'] = situation.motion_time + motion_duration
     chosen = {'contact_names': list(names)}
-    setup = resolve(
-        **merge(
-            given,
-            {
-                'controller': {**chosen, 'limits': _stops(base, situation)},
-                'noise_estimator': chosen,
-                'plant_overrides': {
-                    **chosen,
-                    'surfaces': _tilted(base, situation, course),
-                },
-                'scenario_overrides': scenario,
-            },
-        )
-    )
-    return setup, course
+    changes = {
+        'controller': {**chosen, 'limits': _stops_near_home(base, situation)},
+        'noise_estimator': chosen,
+        'plant_overrides': {
+            **chosen,
+            'surfaces': _tilted_surfaces(base, situation, course),
+        },
+        'scenario_overrides': scenario,
+    }
+    return resolve(**merge(given, changes)), course
 
 
-def _course(base: Setup, situation: SituationConfig, names: tuple[str, ...]) -> Course:
+def _plan_course(
+    base: Setup, situation: SituationConfig, names: tuple[str, ...]
+) -> Course:
     """Return the motion of a situation, as far as the workspace box lets it go."""
     robot = RobotModel(base.controller.robot, base.urdf_dir)
     state = robot.update(np.array(base.plant.home), np.zeros(robot.joint_count))
-    direction, axis = (
-        np.array(situation.direction_world),
-        np.array(situation.turn_world),
-    )
+    direction = np.array(situation.direction_world)
+    axis = np.array(situation.turn_world)
     distance = situation.distance
     if situation.stop_joint:
-        normals = np.array(
-            [base.controller.contacts[name].normal_world for name in names]
-        )
-        free = null_space(normals) if situation.force else np.eye(3)
+        free = np.eye(3)
+        if situation.force:
+            contacts = base.controller.contacts
+            free = null_space(np.array([contacts[name].normal_world for name in names]))
         direction, axis, distance = _towards_stop(
             state.mass_matrix, state.jacobian, free, situation
         )
-    direction, axis = _unit(direction), _unit(axis)
+    direction = _unit_vector(direction)
+    axis = _unit_vector(axis)
     limits = base.controller.limits
     if direction.any() and limits.workspace_lower:
         ends = np.where(direction > 0.0, limits.workspace_upper, limits.workspace_lower)
@@ -233,10 +245,15 @@ def _course(base: Setup, situation: SituationConfig, names: tuple[str, ...]) -> 
     return Course(state.pose, direction, axis, distance, situation.speed, legs)
 
 
-def _unit(vector: Vector) -> Vector:
+def _unit_vector(vector: Vector) -> Vector:
     """Return a vector of unit length in the same direction, or 0 as it is."""
     length = float(np.linalg.norm(vector))
     return vector / length if length else vector
+
+
+def _side_sign(situation: SituationConfig) -> float:
+    """Return in which direction the joint turns towards its stop."""
+    return 1.0 if situation.stop_side == 'upper' else -1.0
 
 
 def _towards_stop(
@@ -254,27 +271,33 @@ def _towards_stop(
     moved = np.linalg.solve(mass_matrix, jacobian.T)
     inverse = moved @ np.linalg.inv(jacobian @ moved)
     rates = inverse[situation.stop_joint - 1]
-    slide, turn = free @ (free.T @ rates[:3]), rates[3:]
-    slid, turned = float(np.linalg.norm(slide)), float(np.linalg.norm(turn))
-    sign = 1.0 if situation.stop_side == 'upper' else -1.0
+    slide = free @ (free.T @ rates[:3])
+    turn = rates[3:]
+    rate_of_slide = float(np.linalg.norm(slide))  # rad of the joint per m
+    rate_of_turn = float(np.linalg.norm(turn))
+    sign = _side_sign(situation)
     way = situation.stop_margin + BEYOND_STOP
-    if FARTHEST_SLIDE * slid >= min(way, FARTHEST_TURN * turned):
-        return sign * slide, np.zeros(3), min(way / max(slid, 1e-9), FARTHEST_SLIDE)
-    return np.zeros(3), sign * turn, min(way / turned, FARTHEST_TURN)
+    if FARTHEST_SLIDE * rate_of_slide >= min(way, FARTHEST_TURN * rate_of_turn):
+        distance = min(way / max(rate_of_slide, 1e-9), FARTHEST_SLIDE)
+        return sign * slide, np.zeros(3), distance
+    return np.zeros(3), sign * turn, min(way / rate_of_turn, FARTHEST_TURN)
 
 
-def _stops(base: Setup, situation: SituationConfig) -> dict[str, list[float]]:
+def _stops_near_home(base: Setup, situation: SituationConfig) -> dict[str, list[float]]:
     """Return the joints' limits where one of them is near home."""
     if not situation.stop_joint:
         return {}
-    joint, side = situation.stop_joint - 1, f'joint_{situation.stop_side}'
+    joint = situation.stop_joint - 1
+    side = f'joint_{situation.stop_side}'
     stops = list(getattr(base.controller.limits, side))
-    sign = 1.0 if situation.stop_side == 'upper' else -1.0
-    stops[joint] = base.plant.home[joint] + sign * situation.stop_margin
+    margin = _side_sign(situation) * situation.stop_margin
+    stops[joint] = base.plant.home[joint] + margin
     return {side: stops}
 
 
-def _tilted(base: Setup, situation: SituationConfig, course: Course) -> dict[str, Any]:
+def _tilted_surfaces(
+    base: Setup, situation: SituationConfig, course: Course
+) -> dict[str, Any]:
     """Return the surfaces' normals, turned about where the tips meet them at home."""
     if not situation.tilt:
         return {}
@@ -282,7 +305,7 @@ def _tilted(base: Setup, situation: SituationConfig, course: Course) -> dict[str
     surfaces = {}
     for name in base.plant.touched:
         normal = np.array(base.plant.surfaces[name].normal_world)
-        ahead = _unit(course.direction - normal * (normal @ course.direction))
+        ahead = _unit_vector(course.direction - normal * (normal @ course.direction))
         turned = np.cos(angle) * normal + np.sin(angle) * ahead
         surfaces[name] = {'normal_world': turned.tolist()}
     return surfaces

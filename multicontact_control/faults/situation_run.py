@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from contextlib import suppress
 from typing import Any
 
-from multicontact_control.arrays import Vector
+from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.config import ToolConfig
 from multicontact_control.control.tasks import MotionReading, sine_motion
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError
 from multicontact_control.faults.course import Course
-from multicontact_control.faults.judge import (
-    died,
+from multicontact_control.faults.outcomes import (
     judge_situation,
     Observation,
     SituationRow,
 )
-from multicontact_control.faults.situation import (
-    COMMAND_TIME,
-    SituationConfig,
+from multicontact_control.faults.situation import COMMAND_TIME, SituationConfig
+from multicontact_control.faults.unasked_motion import (
+    MotionTrace,
+    project_across_normals,
 )
-from multicontact_control.faults.unasked import across_normals, Way
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.supervision.inputs import TickInputs
@@ -40,162 +40,151 @@ class SituationRun:
     def __init__(
         self, setup: Setup, course: Course, situation: SituationConfig
     ) -> None:
-        self._course, self._situation = course, situation
-        self._scenario = situation.motion == 'sine'
-        self.loop = ClosedLoop(setup, commanded=not self._scenario)
+        self._course = course
+        self._situation = situation
+        self._is_scenario = situation.motion == 'sine'
+        self.loop = ClosedLoop(setup, commanded=not self._is_scenario)
         self._period = setup.controller.period
         self._names = setup.controller.contact_names
         self._robot = RobotModel(setup.controller.robot, setup.urdf_dir)
-        self._setpoints = self._planned(setup)
+        self._setpoints = self._plan_setpoints(setup)
         self._setpoint = self._setpoints[0]
         self._bias = self._sensor_bias(setup)
+        distance = situation.farther if situation.force else NOWHERE
         for surface in range(len(setup.plant.touched)):
-            self.loop.plant.contacts.shift_surface(
-                surface, situation.farther if situation.force else NOWHERE
-            )
-        self.seen: dict[str, list[Any]] = {
-            name: []
-            for name in (
-                'torque',
-                'force',
-                'q',
-                'qd',
-                'tip',
-                'setpoint',
-                'states',
-                'reaction',
-                'commanded',
-            )
-        }
+            self.loop.plant.contacts.shift_surface(surface, distance)
+        self.seen: defaultdict[str, list[Any]] = defaultdict(list)  # of every tick
 
     def _sensor_bias(self, setup: Setup) -> Vector:
         """Return the bias of the wrench in the sensor's axes at home, shape (6,) [N, N m]."""
         home = np.array(setup.plant.home)
-        rotation = self._robot.update(
-            home, np.zeros(len(home))
-        ).sensor_pose.rotation_world
+        state = self._robot.update(home, np.zeros(len(home)))
         normal = np.array(setup.controller.contacts[self._names[0]].normal_world)
         across = null_space(normal[np.newaxis])[:, 0]
-        force = (
-            self._situation.bias_along * normal + self._situation.bias_across * across
-        )
-        return np.concatenate([rotation.T @ force, np.zeros(3)])
+        situation = self._situation
+        force = situation.bias_along * normal + situation.bias_across * across
+        return np.concatenate([state.sensor_pose.rotation_world.T @ force, np.zeros(3)])
 
-    def _planned(self, setup: Setup) -> list[MotionReading]:
+    def _plan_setpoints(self, setup: Setup) -> list[MotionReading]:
         """Return the setpoint of every tick."""
-        times = self._period * np.arange(setup.ticks)
-        start = self._situation.motion_time
+        times = (self._period * np.arange(setup.ticks)).tolist()
         motion = setup.scenario.reference.motion
-        ways = [
-            sine_motion(motion, time)
-            if self._scenario and motion is not None
-            else self._course.way(time - start)
-            for time in times.tolist()
-        ]
-        return self._course.readings(np.array(ways))
+        ways: list[Any]
+        if self._is_scenario and motion is not None:
+            ways = [sine_motion(motion, time) for time in times]
+        else:
+            start = self._situation.motion_time
+            ways = [self._course.way_at(time - start) for time in times]
+        return self._course.setpoints(np.array(ways))
 
-    def _biased(self, inputs: TickInputs) -> TickInputs:
-        appeared = not self._situation.bias_appears or inputs.time >= APPEARING_TIME
-        if inputs.wrench is None or not appeared:
+    def _add_bias(self, inputs: TickInputs) -> TickInputs:
+        """Return the inputs of a tick with the bias of the sensor, once it has appeared."""
+        is_early = inputs.time < APPEARING_TIME
+        if inputs.wrench is None or (is_early and self._situation.bias_appears):
             return inputs
         wrench = inputs.wrench._replace(wrench=inputs.wrench.wrench + self._bias)
         return inputs._replace(wrench=wrench)
 
     def advance(self) -> None:
         """Take one tick, and note what was there at its beginning, and how it was answered."""
-        loop, seen, arm = self.loop, self.seen, self.loop.plant.arm
+        loop = self.loop
+        seen = self.seen
         time = loop.tick * self._period
         self._command(time)
         seen['setpoint'].append(self._setpoint)
-        seen['commanded'].append(self._commanded(time))
+        seen['commanded'].append(self._commanded_forces(time))
         seen['force'].append(loop.sample.contact_force)
-        seen['q'].append(np.array(arm.q))
-        seen['qd'].append(np.array(arm.qd))
+        seen['q'].append(np.array(loop.plant.arm.q))
+        seen['qd'].append(np.array(loop.plant.arm.qd))
         seen['tip'].append(loop.plant.contacts.points_world.copy())
-        loop.advance(self._biased if self._bias.any() else None)
+        loop.advance(self._add_bias if self._bias.any() else None)
         seen['torque'].append(loop.command.copy())
         seen['states'].append(loop.status.contact_states)
         seen['reaction'].append(loop.status.reaction)
 
-    def _commanded(self, time: float) -> Vector:
+    def _commanded_forces(self, time: float) -> Vector:
         """Return the forces that are commanded, shape (r,) [N]."""
-        if self._scenario:
+        if self._is_scenario:
             return self.loop.setup.commanded(np.array([time]))[0]
         forces = self.loop.control.commanded_forces
         return np.array([forces[name] for name in self._names])
 
     def _command(self, time: float) -> None:
         """Command forces, motion and payload when it is time."""
-        situation, control = self._situation, self.loop.control
-        if (
-            situation.payload
-            and time >= situation.motion_time
-            and not self.loop.plant.payload
-        ):
-            self._pick_up()
+        situation = self._situation
+        control = self.loop.control
+        in_motion = time >= situation.motion_time
+        if situation.payload and in_motion and not self.loop.plant.payload:
+            self._pick_up_payload()
         setpoint = self._setpoints[self.loop.tick]
-        if self._scenario:
+        if self._is_scenario:
             self._setpoint = setpoint
             return
         with suppress(CommandError):  # before it has begun, or while it is held
-            if (
-                time >= COMMAND_TIME
-                and situation.force
-                and not any(control.commanded_forces.values())
-            ):
+            is_commanded = any(control.commanded_forces.values())
+            if time >= COMMAND_TIME and situation.force and not is_commanded:
                 control.set_forces(dict.fromkeys(self._names, situation.force))
-            begun = self._course.legs and time >= situation.motion_time
-            if begun and _differs(setpoint, self._setpoint):
+            moves = self._course.legs and in_motion
+            if moves and _differs(setpoint, self._setpoint):
                 control.set_motion(setpoint)
                 self._setpoint = setpoint
 
-    def _pick_up(self) -> None:
-        situation, config = self._situation, self.loop.setup.controller
-        plant, tool = self.loop.plant, config.tool
-        plant.payload = situation.payload
-        if situation.told:
-            mass = tool.mass + situation.payload
-            place = np.array(plant.description.tool.com.position)
-            com = (
-                tool.mass * np.array(tool.com_sensor) + situation.payload * place
-            ) / mass
-            told = ToolConfig(
-                mass=mass, com_sensor=tuple(com), bias_sensor=tool.bias_sensor
-            )
-            self.loop.control.reconfigure(config.model_copy(update={'tool': told}))
+    def _pick_up_payload(self) -> None:
+        """Load the tool, and tell the controller of its new mass and centre, if it is told."""
+        payload = self._situation.payload
+        plant = self.loop.plant
+        plant.payload = payload
+        if not self._situation.told:
+            return
+        config = self.loop.setup.controller
+        tool = config.tool
+        mass = tool.mass + payload
+        place = np.array(plant.description.tool.com.position)
+        com = (tool.mass * np.array(tool.com_sensor) + payload * place) / mass
+        loaded = ToolConfig(
+            mass=mass, com_sensor=tuple(com), bias_sensor=tool.bias_sensor
+        )
+        self.loop.control.reconfigure(config.model_copy(update={'tool': loaded}))
 
-    def way(self) -> Way:
+    def trace_motion(self) -> MotionTrace:
         """Return where the arm was and should have been."""
-        seen, contacts = self.seen, self.loop.setup.controller.contacts
-        q, qd = np.array(seen['q']), np.array(seen['qd'])
+        seen = self.seen
+        contacts = self.loop.setup.controller.contacts
+        q = np.array(seen['q'])
+        qd = np.array(seen['qd'])
         positions = [
             self._robot.update(*joints).pose.position_world for joints in zip(q, qd)
         ]
         wanted = np.array(seen['commanded']) > 0.0
         normals = np.array([contacts[name].normal_world for name in self._names])
-        return Way(
+        setpoints = self._setpoint_places()
+        return MotionTrace(
             direction=self._course.direction,
             q=q,
             qd=qd,
             position=np.array(positions),
-            setpoint=np.array(
-                [setpoint.position_world for setpoint in seen['setpoint']]
-            ),
+            setpoint=setpoints,
             tip=np.array(seen['tip']),
-            tip_setpoint=self._tip_setpoints(),
+            tip_setpoint=self._tip_setpoints(setpoints),
             wanted=wanted,
             pressed=np.array(seen['force']) > 0.0,
-            across=across_normals(normals, wanted),
+            across=project_across_normals(normals, wanted),
             states=seen['states'],
         )
 
-    def _tip_setpoints(self) -> Any:
+    def _setpoint_places(self) -> Matrix:
+        """Return where the operational point should have been, shape (ticks, 3) [m]."""
+        return np.array([setpoint.position_world for setpoint in self.seen['setpoint']])
+
+    def _tip_setpoints(self, places: Matrix) -> Any:
         """Return where the tips would be if each setpoint were reached, shape (ticks, k, 3)."""
-        start, setpoints = self._course.start, self.seen['setpoint']
+        start = self._course.start
         offsets = self.seen['tip'][0] - start.position_world
-        turns = Rotation.from_quat([setpoint.quaternion_xyzw for setpoint in setpoints])
-        turned = turns * Rotation.from_quat(start.quaternion_xyzw).inv()
-        places = np.array([setpoint.position_world for setpoint in setpoints])
+        quaternions = [setpoint.quaternion_xyzw for setpoint in self.seen['setpoint']]
+        turned = (
+            Rotation.from_quat(quaternions)
+            * Rotation.from_quat(start.quaternion_xyzw).inv()
+        )
         return np.stack([places + turned.apply(offset) for offset in offsets], axis=1)
 
 
@@ -210,30 +199,37 @@ def run_situation(
     course: Course,
     situation: SituationConfig,
 ) -> SituationRow:
-    """Run a situation from the start to the end, and judge it."""
+    """
+    Run a situation from the start to the end, and judge it; one that breaks off is not safe.
+
+    Parameters
+    ----------
+    what
+        The situation in words, for the row.
+    setup, course
+        What `resolve_situation` makes of it.
+    situation
+        What is asked of the arm.
+
+    """
     run = SituationRun(setup, course, situation)
-    before = run.loop.command.copy()
+    torque_before = run.loop.command.copy()
     try:
         for _ in range(setup.ticks):
             run.advance()
     except Exception as error:  # an arm out of all numbers, or a broken controller
-        return died(what, error)
+        return SituationRow(what, problems=f'{type(error).__name__}: {error}')
     finally:
         run.loop.close()
-    seen = run.seen
-    force, commanded = np.array(seen['force']), np.array(seen['commanded'])
-    time: Vector = setup.controller.period * np.arange(float(len(force)))
-    return judge_situation(
-        what,
-        setup,
-        Observation(
-            torque=np.array(seen['torque']),
-            before=before,
-            time=time,
-            force=force.max(axis=1),
-            reaction=max(seen['reaction'], key=SEVERITY.index),
-            forces=force,
-            commands=commanded,
-        ),
-        run.way(),
+    forces = np.array(run.seen['force'])
+    time: Vector = setup.controller.period * np.arange(float(len(forces)))
+    seen = Observation(
+        torque=np.array(run.seen['torque']),
+        torque_before=torque_before,
+        time=time,
+        force=forces.max(axis=1),
+        reaction=max(run.seen['reaction'], key=SEVERITY.index),
+        forces=forces,
+        commands=np.array(run.seen['commanded']),
     )
+    return judge_situation(what, setup, seen, run.trace_motion())

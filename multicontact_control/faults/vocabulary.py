@@ -12,20 +12,20 @@ from multicontact_control.arrays import Vector
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-TWO = 'two at once'
+TWO_AT_ONCE = 'two at once'  # kind of a pair of faults
 START, APPROACH, REST, SLIDING = 'start', 'approach', 'rest', 'sliding'
 PHASES = (REST, SLIDING, APPROACH)
 
 Random = np.random.Generator
-Change = Callable[
-    [Any, Vector], Any
-]  # of old values and four numbers drawn once from (0, 1)
+# Each takes four numbers that are drawn once from (0, 1), and the old values or the plant.
+ValueChange = Callable[[Any, Vector], Any]
 PlantChange = Callable[[Any, Vector], None]
+ClockError = Callable[[float, float], float]
 
 HOLD, FLOAT, INFLATE = ('hold',), ('float',), ('inflate',)
 STOPPED = ('hold', 'float', 'damp')
 REACTIONS = {'joints': FLOAT, 'wrench': HOLD, 'variance': INFLATE}
-CLOCK = 'clock'
+CLOCK, PLANT = 'clock', 'plant'
 
 NAN, INF = math.nan, math.inf
 PERIOD = 0.002  # s, by which clocks are moved
@@ -34,10 +34,7 @@ FULL_SCALE = np.array(
     [100.0, 100.0, 200.0, 5.0, 5.0, 5.0]
 )  # N, N m of the simulated sensor
 LASTING = (300, 600)  # ticks of what is there from the start
-SIDE_WALL, ELBOW_WALL = (
-    -2,
-    -1,
-)  # numbers of surfaces that are no contacts: the last ones
+SIDE_WALL, ELBOW_WALL = -2, -1  # surfaces that are no contacts: the last ones
 FAR = 10.0  # m, where they are not in the way
 # What a tick calls of a supervisor, one after the other.
 PARTS = (
@@ -51,17 +48,28 @@ PARTS = (
 
 @dataclass(frozen=True)
 class Delivery:
-    """Another reading than the newest: from how many ticks ago in the n-th tick, or none."""
+    """Readings that come late, in another order, or never: another one than the newest."""
 
-    age: Callable[[Random, int], int | None]
+    # How many ticks old the reading of each tick is, in turn; None for no reading.
+    ages: tuple[int | None, ...] = (0,)
+    stuck: bool = False  # every tick has the last reading from before the fault
+    loss: float = 0.0  # share of readings that never come
+
+    def age_of_reading(self, random: Random, tick: int) -> int | None:
+        """Return how many ticks old the reading of a tick of the fault is, None for no reading."""
+        if self.stuck:
+            return tick + 1
+        if self.loss and random.random() < self.loss:
+            return None
+        return self.ages[tick % len(self.ages)]
 
 
 @dataclass(frozen=True)
-class Edit:
+class ReadingEdit:
     """Other values in some fields of a reading (``q qd wrench variance``); stamps go on."""
 
     fields: tuple[str, ...]
-    change: Change | None  # None keeps the values of the first reading
+    change: ValueChange | None  # None keeps the values of the first reading
     source: str = (
         ''  # field whose values are changed into those of `fields`; '' for their own
     )
@@ -70,26 +78,36 @@ class Edit:
     )
     single: bool = False  # one number of each field, in a random place, and not all
 
-    def values(
+    def edited_values(
         self,
         now: Mapping[str, Any],
         first: Mapping[str, Any],
         choice: Vector,
     ) -> dict[str, Any]:
-        """Return what the fields become, from a reading and the first one during the fault."""
-        values = {}
+        """
+        Return what the fields become.
+
+        Parameters
+        ----------
+        now, first
+            Values by field: of the reading, and of the first one during the fault.
+        choice
+            Four numbers from (0, 1), which decide on places and signs.
+
+        """
+        edited = {}
         for name in self.fields:
-            values[name] = (
-                first[name]
-                if self.change is None
-                else (self.change(now[self.source or name], choice))
-            )
+            if self.change is None:
+                values = first[name]
+            else:
+                values = self.change(now[self.source or name], choice)
             if self.single:
-                every, vector = values[name], np.array(now[name], dtype=float)
-                place = int(choice[0] * vector.size)
-                vector[place] = every[place]
-                values[name] = vector
-        return values
+                vector = _vector(now[name])
+                place = _random_place(vector, choice)
+                vector[place] = values[place]
+                values = vector
+            edited[name] = values
+        return edited
 
 
 @dataclass(frozen=True)
@@ -97,7 +115,7 @@ class ClockShift:
     """A clock that goes wrong, with the stamps of the readings or without."""
 
     # By how much, from the time since the fault began and the time when it did [s].
-    shift: Callable[[float, float], float]
+    shift: ClockError
     stamps: bool = True
 
 
@@ -110,7 +128,7 @@ class Breakdown:
 
 @dataclass(frozen=True)
 class PlantEdit:
-    """What is done to the plant at the beginning and at the end."""
+    """What is done to the plant at the beginning and at the end of a fault, if anything."""
 
     begin: PlantChange
     end: PlantChange | None = None
@@ -118,7 +136,11 @@ class PlantEdit:
 
 @dataclass(frozen=True)
 class Fault:
-    """One kind of fault."""
+    """
+    One kind of fault: what is done to which input, and what must follow.
+
+    A pair of faults is one with `parts` and neither input nor action of its own.
+    """
 
     kind: str
     input: str  # noqa: A003
@@ -127,29 +149,36 @@ class Fault:
     # cannot be told from a good input or is bridged.
     declared: tuple[str, ...] = ()
     phases: tuple[str, ...] = PHASES  # in which it can be noticed at all
-    at_once: bool = (
-        False  # a declared reaction may not wait until the reading is too old
-    )
+    # Whether a declared reaction may not wait until the reading is too old.
+    at_once: bool = False
     ticks: tuple[int, int] = (5, 150)  # how long it lasts, at least and less than
-    from_start: bool = (
-        False  # also happens from the first sample on; joint speeds are judged
-    )
-    meets: int | None = (
-        None  # obstacle that the arm meets before its sensor and must notice
-    )
+    # Whether it also happens from the first sample on; joint speeds are judged.
+    from_start: bool = False
+    obstacle: int | None = None  # that the arm meets before its sensor, and must notice
     parts: tuple[Fault, ...] = ()  # what happens at the same time, of two faults
 
     @property
-    def passes(self) -> bool:
-        """Whether the arm can do again what it did, once it has passed, with all its parts."""
+    def single_faults(self) -> tuple[Fault, ...]:
+        """The faults that happen at the same time: those of a pair, or this one alone."""
+        return self.parts or (self,)
+
+    @property
+    def breaks_part(self) -> bool:
+        """Whether a part of the supervisor raises on purpose."""
+        return any(isinstance(each.action, Breakdown) for each in self.single_faults)
+
+    @property
+    def allows_return(self) -> bool:
+        """Whether the arm can do again what it did, once the fault has passed."""
         return all(
-            isinstance(part.action, (Delivery, Breakdown)) or bool(part.declared)
-            for part in self.parts or (self,)
+            isinstance(each.action, (Delivery, Breakdown)) or bool(each.declared)
+            for each in self.single_faults
         )
 
-    def random(self, seed: int) -> Random:
-        """Return the source of the details of this fault."""
-        return np.random.default_rng([seed, sum(map(ord, self.kind + self.input))])
+    def random_source(self, seed: int) -> Random:
+        """Return the source of the details of this fault, another one for each kind and input."""
+        letters = sum(ord(letter) for letter in self.kind + self.input)
+        return np.random.default_rng([seed, letters])
 
 
 def _vector(values: Any) -> Vector:
@@ -160,266 +189,356 @@ def _sign(choice: Vector) -> float:
     return 1.0 if choice[1] < 0.5 else -1.0
 
 
-def _one(new: Callable[[float, float], float]) -> Change:
-    """Return a change of a number in a random place, by its value and a random sign."""
+def _random_place(vector: Vector, choice: Vector) -> int:
+    return int(choice[0] * vector.size)
+
+
+def _put(number: float) -> ValueChange:
+    """Return a change of one number, in a random place, into another."""
 
     def change(values: Any, choice: Vector) -> Vector:
         vector = _vector(values)
-        place = int(choice[0] * vector.size)
-        vector[place] = new(vector[place], _sign(choice))
+        vector[_random_place(vector, choice)] = number
         return vector
 
     return change
 
 
-def _put(number: float) -> Change:
-    return _one(lambda value, sign: number)
+def _add(size: float) -> ValueChange:
+    """Return a change of one number, in a random place, by a size with a random sign."""
+
+    def change(values: Any, choice: Vector) -> Vector:
+        vector = _vector(values)
+        vector[_random_place(vector, choice)] += size * _sign(choice)
+        return vector
+
+    return change
 
 
-def _add(size: float) -> Change:
-    return _one(lambda value, sign: value + size * sign)
+def _scale(factor: float) -> ValueChange:
+    """Return a change of all numbers by a factor."""
+
+    def change(values: Any, _choice: Vector) -> Vector:
+        return factor * _vector(values)
+
+    return change
 
 
-def _scale(factor: float) -> Change:
-    return lambda values, choice: factor * _vector(values)
+def _bias(share: float) -> ValueChange:
+    """Return a change of one number of a wrench by a share of the sensor's range."""
+    add_share = _add(share)
+
+    def change(values: Any, choice: Vector) -> Vector:
+        return _vector(values) + FULL_SCALE * add_share(np.zeros(6), choice)
+
+    return change
 
 
 def _shorten(values: Any, _choice: Vector) -> Any:
     return values[:-1]
 
 
+def _make_constant(values: Any, _choice: Vector) -> Vector:
+    return np.full(len(values), 0.5)
+
+
 def _turn(values: Any, choice: Vector) -> Vector:
     """Turn force and torque by 90 degrees about a random axis."""
     axis = np.eye(3)[int(3 * choice[0])] * _sign(choice)
-    rotation = Rotation.from_rotvec(0.5 * np.pi * axis)
-    return np.concatenate(
-        [rotation.as_matrix() @ part for part in np.split(_vector(values), 2)]
-    )
+    rotation = Rotation.from_rotvec(0.5 * np.pi * axis).as_matrix()
+    force, torque = np.split(_vector(values), 2)
+    return np.concatenate([rotation @ force, rotation @ torque])
 
 
-def _deliveries() -> Iterator[Fault]:
-    """Yield the faults of delivery of every stream: kind, age, and whether it must be noticed."""
-    ways: tuple[tuple[str, Callable[[Any, int], int | None], bool], ...] = (
-        ('dropped', lambda random, n: None, True),
-        ('delayed', lambda random, n: 4, True),
-        ('stuck', lambda random, n: n + 1, True),
-        ('out_of_order', lambda random, n: 25, True),
-        ('duplicated', lambda random, n: n % 2, False),
-        ('reordered', lambda random, n: (1, 0, 2, 0)[n % 4], False),
-        (
-            'intermittent',
-            lambda random, n: None if random.random() < LOSS else 0,
-            False,
-        ),
-    )
+DELIVERIES = {  # by kind: how readings come, and whether that must be noticed
+    'dropped': (Delivery((None,)), True),
+    'delayed': (Delivery((4,)), True),
+    'stuck': (Delivery(stuck=True), True),
+    'out_of_order': (Delivery((25,)), True),
+    'duplicated': (Delivery((0, 1)), False),
+    'reordered': (Delivery((1, 0, 2, 0)), False),
+    'intermittent': (Delivery(loss=LOSS), False),
+}
+
+
+def _delivery_faults() -> Iterator[Fault]:
+    """Yield the faults of delivery of every stream of readings."""
     for stream, reactions in REACTIONS.items():
-        for kind, age, noticed in ways:
-            yield Fault(kind, stream, Delivery(age), reactions if noticed else ())
+        for kind, (delivery, is_noticed) in DELIVERIES.items():
+            declared = reactions if is_noticed else ()
+            yield Fault(kind, stream, delivery, declared)
     for stream in REACTIONS:
-        yield Fault('gap', stream, Delivery(lambda random, n: None), ticks=(1, 51))
+        yield Fault('gap', stream, Delivery((None,)), ticks=(1, 51))
 
 
-def _edits() -> Iterator[Fault]:
+def _joint_fault(
+    kind: str,
+    fields: str,
+    change: ValueChange | None,
+    declared: tuple[str, ...] = FLOAT,
+    phases: tuple[str, ...] = PHASES,
+) -> Fault:
+    edit = ReadingEdit(tuple(fields.split()), change)
+    return Fault(kind, 'joints', edit, declared, phases)
+
+
+def _wrench_fault(
+    kind: str,
+    change: ValueChange | None,
+    declared: tuple[str, ...] = HOLD,
+    phases: tuple[str, ...] = PHASES,
+    *,
+    at_once: bool = False,
+) -> Fault:
+    edit = ReadingEdit(('wrench',), change)
+    return Fault(kind, 'wrench', edit, declared, phases, at_once)
+
+
+def _variance_fault(
+    kind: str, change: ValueChange | None, declared: tuple[str, ...] = INFLATE
+) -> Fault:
+    return Fault(kind, 'variance', ReadingEdit(('variance',), change), declared)
+
+
+def _value_faults() -> Iterator[Fault]:
     """Yield the faults of the values in readings, and of values that stand still."""
-
-    def edit(
-        stream: str, fields: str, kind: str, change: Change | None, **options: Any
-    ) -> Fault:
-        return Fault(
-            kind,
-            stream,
-            Edit(tuple(fields.split()), change),
-            **{'declared': REACTIONS[stream], **options},
-        )
-
-    wrong = {
+    invalid = {
         'nan': _put(NAN),
         'infinite': _put(INF),
         'huge': _put(1e30),
         'wrong_count': _shorten,
     }
     for field, declared in (('q', FLOAT), ('qd', HOLD)):
-        for kind, change in wrong.items():
-            yield edit('joints', field, f'{kind}_{field}', change, declared=declared)
-    for kind, change, options in (
-        ('nan', _put(NAN), {}),
-        ('infinite', _put(-INF), {}),
-        ('huge', _put(1e30), {}),
-        ('wrong_count', _shorten, {}),
-        ('saturated', _put(200.0), {'at_once': True}),
-        ('biased', _add(5.0), {'declared': ()}),
-        ('sign_flipped', _scale(-1.0), {'phases': (REST, SLIDING), 'at_once': True}),
-        ('rotated', _turn, {'declared': ()}),
-        ('scaled_x3', _scale(3.0), {'declared': ()}),
-        ('half', _scale(0.5), {'declared': ()}),
-    ):
-        yield edit('wrench', 'wrench', kind, change, **options)
-    for kind, change, options in (
-        ('nan', _put(NAN), {}),
-        ('infinite', _put(INF), {}),
-        ('zero', _put(0.0), {}),
-        ('negative', _put(-1.0), {}),
-        ('wrong_count', _shorten, {}),
-        ('huge', _put(1e30), {'declared': ()}),
-        ('tiny', _put(1e-30), {'declared': ()}),
-    ):
-        yield edit('variance', 'variance', kind, change, **options)
-    yield edit('joints', 'q', 'biased_q', _add(0.05))
-    yield edit('joints', 'qd', 'biased_qd', _add(0.2), declared=())
-    yield edit('joints', 'qd', 'saturated_qd', _put(50.0), declared=HOLD)
-    yield edit('joints', 'q qd', 'frozen', None, phases=(SLIDING, APPROACH))
-    yield edit('joints', 'q', 'frozen_q', None, phases=(SLIDING, APPROACH))
-    yield edit('joints', 'qd', 'frozen_qd', None, declared=())
-    yield edit('wrench', 'wrench', 'frozen', None)
-    yield edit('variance', 'variance', 'frozen', None, declared=())
-
-
-def _clocks() -> Iterator[Fault]:
-    for kind, shift, stamps, declared in (
-        ('backwards', lambda since, begin: -0.05, False, STOPPED),
-        ('restarted', lambda since, begin: 2.0 * PERIOD - begin, True, STOPPED),
-        ('nan', lambda since, begin: NAN, False, STOPPED),
-        ('stands_still', lambda since, begin: -since, False, STOPPED),
-        ('too_fast', lambda since, begin: 3.0 * (since + PERIOD), True, STOPPED),
-        ('too_slow', lambda since, begin: -0.8 * (since + PERIOD), True, STOPPED),
-        ('jump_ahead', lambda since, begin: 0.1, True, ()),
-    ):
-        yield Fault(kind, CLOCK, ClockShift(shift, stamps), declared)
-
-
-def _plants() -> Iterator[Fault]:
-    def surface(method: str, value: float) -> PlantChange:
-        return lambda plant, choice: getattr(plant.contacts, method)(
-            int(2 * choice[0]), value
-        )
-
-    def wall(number: int) -> PlantEdit:
-        return PlantEdit(
-            lambda plant, choice: plant.contacts.put_before_tip(number, 2e-3),
-            lambda plant, choice: plant.contacts.shift_surface(number, FAR),
-        )
-
-    def torque_limit(factor: float) -> PlantEdit:
-        return PlantEdit(
-            lambda plant, choice: plant.scale_torque_limit(factor),
-            lambda plant, choice: plant.scale_torque_limit(1.0 / factor),
-        )
-
-    for kind, method, there, back in (
-        ('stiffness_x20', 'scale_stiffness', 20.0, 1.0 / 20.0),
-        ('stiffness_x5', 'scale_stiffness', 5.0, 1.0 / 5.0),
-        ('stiffness_x0.2', 'scale_stiffness', 0.2, 5.0),
-        ('surface_removed', 'shift_surface', 1.0, -1.0),
-        ('surface_gone', 'shift_surface', 1.0, None),
-        ('surface_jump_2mm_up', 'shift_surface', -2e-3, None),
-        ('surface_jump_2mm_down', 'shift_surface', 2e-3, None),
-        ('friction_x5', 'scale_friction', 5.0, 0.2),
-    ):
-        yield Fault(
-            kind,
-            'plant',
-            PlantEdit(
-                surface(method, there), None if back is None else surface(method, back)
-            ),
-        )
-    yield Fault('side_wall', 'plant', wall(SIDE_WALL))
-    yield Fault('torque_limit_halved', 'plant', torque_limit(0.5))
-    yield Fault('torque_limit_to_a_fifth', 'plant', torque_limit(0.2))
-    # It is met once the slide has turned round, as long as it takes.
-    yield Fault(
-        'elbow_obstacle', 'plant', wall(ELBOW_WALL), ticks=(590, 600), meets=ELBOW_WALL
+        for kind, change in invalid.items():
+            yield _joint_fault(f'{kind}_{field}', field, change, declared)
+    yield from (
+        _wrench_fault('nan', _put(NAN)),
+        _wrench_fault('infinite', _put(-INF)),
+        _wrench_fault('huge', _put(1e30)),
+        _wrench_fault('wrong_count', _shorten),
+        _wrench_fault('saturated', _put(200.0), at_once=True),
+        _wrench_fault('biased', _add(5.0), ()),
+        _wrench_fault(
+            'sign_flipped', _scale(-1.0), phases=(REST, SLIDING), at_once=True
+        ),
+        _wrench_fault('rotated', _turn, ()),
+        _wrench_fault('scaled_x3', _scale(3.0), ()),
+        _wrench_fault('half', _scale(0.5), ()),
+        _variance_fault('nan', _put(NAN)),
+        _variance_fault('infinite', _put(INF)),
+        _variance_fault('zero', _put(0.0)),
+        _variance_fault('negative', _put(-1.0)),
+        _variance_fault('wrong_count', _shorten),
+        _variance_fault('huge', _put(1e30), ()),
+        _variance_fault('tiny', _put(1e-30), ()),
+        _joint_fault('biased_q', 'q', _add(0.05)),
+        _joint_fault('biased_qd', 'qd', _add(0.2), ()),
+        _joint_fault('saturated_qd', 'qd', _put(50.0), HOLD),
+        _joint_fault('frozen', 'q qd', None, phases=(SLIDING, APPROACH)),
+        _joint_fault('frozen_q', 'q', None, phases=(SLIDING, APPROACH)),
+        _joint_fault('frozen_qd', 'qd', None, ()),
+        _wrench_fault('frozen', None),
+        _variance_fault('frozen', None, ()),
     )
 
 
-def _velocities() -> Iterator[Fault]:
+def _jump(size: float) -> ClockError:
+    def shift(_since: float, _begin: float) -> float:
+        return size
+
+    return shift
+
+
+def _drift(rate: float) -> ClockError:
+    def shift(since: float, _begin: float) -> float:
+        return rate * (since + PERIOD)
+
+    return shift
+
+
+def _stand_still(since: float, _begin: float) -> float:
+    return -since
+
+
+def _restart(_since: float, begin: float) -> float:
+    return 2.0 * PERIOD - begin
+
+
+def _clock_faults() -> Iterator[Fault]:
+    """Yield the faults of the clock that a tick reads."""
+    yield from (
+        Fault('backwards', CLOCK, ClockShift(_jump(-0.05), stamps=False), STOPPED),
+        Fault('restarted', CLOCK, ClockShift(_restart), STOPPED),
+        Fault('nan', CLOCK, ClockShift(_jump(NAN), stamps=False), STOPPED),
+        Fault('stands_still', CLOCK, ClockShift(_stand_still, stamps=False), STOPPED),
+        Fault('too_fast', CLOCK, ClockShift(_drift(3.0)), STOPPED),
+        Fault('too_slow', CLOCK, ClockShift(_drift(-0.8)), STOPPED),
+        Fault('jump_ahead', CLOCK, ClockShift(_jump(0.1))),
+    )
+
+
+def _change_surface(method: str, value: float) -> PlantChange:
+    """Return what calls a method of the contacts with one of the first two, and a value."""
+
+    def change(plant: Any, choice: Vector) -> None:
+        getattr(plant.contacts, method)(int(2 * choice[0]), value)
+
+    return change
+
+
+def _surface_fault(
+    kind: str, method: str, begin: float, end: float | None = None
+) -> Fault:
+    """Return a fault of a surface, whose method is called at its beginning and at its end."""
+    undo = None if end is None else _change_surface(method, end)
+    return Fault(kind, PLANT, PlantEdit(_change_surface(method, begin), undo))
+
+
+def _put_wall(number: int) -> PlantEdit:
+    """Return what puts an obstacle before the tip, and takes it away."""
+
+    def begin(plant: Any, _choice: Vector) -> None:
+        plant.contacts.put_before_tip(number, 2e-3)
+
+    def end(plant: Any, _choice: Vector) -> None:
+        plant.contacts.shift_surface(number, FAR)
+
+    return PlantEdit(begin, end)
+
+
+def _limit_torque(factor: float) -> PlantEdit:
+    """Return what scales the torque that the drives can give, and undoes that."""
+
+    def begin(plant: Any, _choice: Vector) -> None:
+        plant.scale_torque_limit(factor)
+
+    def end(plant: Any, _choice: Vector) -> None:
+        plant.scale_torque_limit(1.0 / factor)
+
+    return PlantEdit(begin, end)
+
+
+def _plant_faults() -> Iterator[Fault]:
+    """Yield the changes of surfaces, obstacles and drives."""
+    yield from (
+        _surface_fault('stiffness_x20', 'scale_stiffness', 20.0, 1.0 / 20.0),
+        _surface_fault('stiffness_x5', 'scale_stiffness', 5.0, 1.0 / 5.0),
+        _surface_fault('stiffness_x0.2', 'scale_stiffness', 0.2, 5.0),
+        _surface_fault('surface_removed', 'shift_surface', 1.0, -1.0),
+        _surface_fault('surface_gone', 'shift_surface', 1.0),
+        _surface_fault('surface_jump_2mm_up', 'shift_surface', -2e-3),
+        _surface_fault('surface_jump_2mm_down', 'shift_surface', 2e-3),
+        _surface_fault('friction_x5', 'scale_friction', 5.0, 0.2),
+        Fault('side_wall', PLANT, _put_wall(SIDE_WALL)),
+        Fault('torque_limit_halved', PLANT, _limit_torque(0.5)),
+        Fault('torque_limit_to_a_fifth', PLANT, _limit_torque(0.2)),
+        # It is met once the slide has turned round, as long as it takes.
+        Fault(
+            'elbow_obstacle',
+            PLANT,
+            _put_wall(ELBOW_WALL),
+            ticks=(590, 600),
+            obstacle=ELBOW_WALL,
+        ),
+    )
+
+
+def _velocity_faults() -> Iterator[Fault]:
     """Yield the faults of speeds beside right positions, of all joints and of one."""
+    fields = ('qd',)
     edits = {
-        'scaled_x0.02': Edit(('qd',), _scale(0.02)),
-        'scaled_x0.1': Edit(('qd',), _scale(0.1)),
-        'in_degrees': Edit(('qd',), _scale(180.0 / math.pi)),
-        'scaled_x60': Edit(('qd',), _scale(60.0)),
-        'sign_flipped': Edit(('qd',), _scale(-1.0)),
-        'zero': Edit(('qd',), _scale(0.0)),
-        'like_position': Edit(('qd',), _scale(1.0), source='q'),
-        'constant': Edit(('qd',), lambda values, choice: np.full(len(values), 0.5)),
-        'delayed': Edit(('qd',), None, age=25),
-        'frozen': Edit(('qd',), None),
+        'scaled_x0.02': ReadingEdit(fields, _scale(0.02)),
+        'scaled_x0.1': ReadingEdit(fields, _scale(0.1)),
+        'in_degrees': ReadingEdit(fields, _scale(180.0 / math.pi)),
+        'scaled_x60': ReadingEdit(fields, _scale(60.0)),
+        'sign_flipped': ReadingEdit(fields, _scale(-1.0)),
+        'zero': ReadingEdit(fields, _scale(0.0)),
+        'like_position': ReadingEdit(fields, _scale(1.0), source='q'),
+        'constant': ReadingEdit(fields, _make_constant),
+        'delayed': ReadingEdit(fields, None, age=25),
+        'frozen': ReadingEdit(fields, None),
     }
-    noticed = ('constant_qd', 'like_position_qd')  # also of an arm that stands
+    noticed_at_rest = ('constant_qd', 'like_position_qd')
     for kind, edit in edits.items():
         for which in ('qd', 'qd_of_one'):
-            if (kind, which) != ('frozen', 'qd'):
-                name = f'{kind}_{which}'
-                yield Fault(
-                    name,
-                    'joints',
-                    replace(edit, single=which == 'qd_of_one'),
-                    STOPPED if name in noticed else (),
-                    ticks=LASTING,
-                    from_start=True,
-                )
+            name = f'{kind}_{which}'
+            if name == 'frozen_qd':  # one of the values above
+                continue
+            yield Fault(
+                name,
+                'joints',
+                replace(edit, single=which == 'qd_of_one'),
+                STOPPED if name in noticed_at_rest else (),
+                ticks=LASTING,
+                from_start=True,
+            )
 
 
-def _drivers() -> Iterator[Fault]:
+def _publish_twice(plant: Any, _choice: Vector) -> None:
+    """Let every second command be that of a publisher which holds the arm where it started."""
+    step = plant.step
+    own_turns = cycle((True, False))
+
+    def step_in_turn(torque: Vector) -> Any:
+        return step(torque if next(own_turns) else plant.initial_torque)
+
+    plant.step = step_in_turn
+
+
+def _publish_once(plant: Any, _choice: Vector) -> None:
+    del plant.step
+
+
+def _driver_faults() -> Iterator[Fault]:
     """Yield the faults of what is between an arm and its controller: units, tare, publishers."""
-
-    def bias(share: float) -> Change:
-        return lambda values, choice: (
-            values + FULL_SCALE * _add(share)(np.zeros(6), choice)
-        )
-
-    def command_twice(plant: Any, choice: Vector) -> None:
-        step, mine = plant.step, cycle((True, False))
-        plant.step = lambda torque: step(torque if next(mine) else plant.initial_torque)
-
-    wrenches = {
-        'millinewtons': _scale(1e3),
-        'kilonewtons': _scale(1e-3),
-        **{f'biased_by_{share:.0%}': bias(share) for share in (0.1, 0.5, 1.0)},
-    }
+    wrenches = {'millinewtons': _scale(1e3), 'kilonewtons': _scale(1e-3)}
+    for share in (0.1, 0.5, 1.0):
+        wrenches[f'biased_by_{share:.0%}'] = _bias(share)
     for kind, change in wrenches.items():
-        yield Fault(
-            kind, 'wrench', Edit(('wrench',), change), ticks=LASTING, from_start=True
-        )
-    yield Fault('wrapped_q', 'joints', Edit(('q',), _add(2.0 * math.pi)))
-    yield Fault(
-        'second_publisher',
-        'plant',
-        PlantEdit(command_twice, lambda plant, choice: delattr(plant, 'step')),
-    )
+        edit = ReadingEdit(('wrench',), change)
+        yield Fault(kind, 'wrench', edit, ticks=LASTING, from_start=True)
+    yield _joint_fault('wrapped_q', 'q', _add(2.0 * math.pi), ())
+    yield Fault('second_publisher', PLANT, PlantEdit(_publish_twice, _publish_once))
+
+
+def _breakdown_faults() -> Iterator[Fault]:
+    for part in PARTS:
+        yield Fault('raises', part, Breakdown(part))
 
 
 # By kind and input.
 FAULTS: dict[tuple[str, str], Fault] = {
     (fault.kind, fault.input): fault
     for fault in (
-        *_deliveries(),
-        *_edits(),
-        *_clocks(),
-        *_plants(),
-        *(Fault('raises', part, Breakdown(part)) for part in PARTS),
-        *_velocities(),
-        *_drivers(),
+        *_delivery_faults(),
+        *_value_faults(),
+        *_clock_faults(),
+        *_plant_faults(),
+        *_breakdown_faults(),
+        *_velocity_faults(),
+        *_driver_faults(),
     )
 }
 
 
-def together(*faults: Fault) -> Fault:
+def combine_faults(*faults: Fault) -> Fault:
     """Return several faults as one of which no reaction is declared; a single one as it is."""
-    meets = [fault.meets for fault in faults if fault.meets is not None]
-    return (
-        faults[0]
-        if len(faults) == 1
-        else Fault(TWO, '', None, meets=meets[0] if meets else None, parts=faults)
-    )
+    if len(faults) == 1:
+        return faults[0]
+    obstacles = [fault.obstacle for fault in faults if fault.obstacle is not None]
+    obstacle = obstacles[0] if obstacles else None
+    return Fault(TWO_AT_ONCE, '', None, obstacle=obstacle, parts=faults)
 
 
-def pairs_of_faults(count: int, seed: int) -> list[tuple[tuple[str, str], ...]]:
+def draw_pairs(count: int, seed: int) -> list[tuple[tuple[str, str], ...]]:
     """Return the names of faults of different inputs, two at a time, drawn at random."""
-    random, known = np.random.default_rng([seed, count]), list(FAULTS)
+    random = np.random.default_rng([seed, count])
+    known = list(FAULTS)
     pairs: list[tuple[tuple[str, str], ...]] = []
     while len(pairs) < count:
-        one, other = (known[int(k)] for k in random.integers(len(known), size=2))
-        if one[1] != other[1]:
-            pairs.append((one, other))
+        first, second = random.integers(len(known), size=2)
+        pair = (known[first], known[second])
+        inputs = {name for _, name in pair}
+        if len(inputs) == 2:
+            pairs.append(pair)
     return pairs

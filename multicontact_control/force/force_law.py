@@ -15,36 +15,36 @@ from multicontact_control.compiled import compiled
 from multicontact_control.config import ControllerConfig, FedForward, ForceConfig
 from multicontact_control.config.contact import FORCE
 from multicontact_control.errors import ConfigError
-from multicontact_control.force.laws.aob import steady_law
+from multicontact_control.force.laws.aob import make_steady_law
 from multicontact_control.force.laws.design import find_law, LoopModel
 from multicontact_control.force.laws.linear import Linear, LinearLaw, LinearRow
 from multicontact_control.force.margins import (
     closed_loop,
-    last_stable,
+    find_last_stable,
     LinearArmPlant,
     spectral_radius,
 )
 from multicontact_control.force.observer import (
     command,
-    continue_at,
-    continue_from,
-    keep_at_rest,
+    command_rest,
+    continue_observers_after_pause,
+    continue_observers_from,
     make_observers,
     observe,
     Observer,
     ObserverDesign,
     ObserverSpace,
-    steady_gain,
+    solve_steady_gain,
 )
 from multicontact_control.force.stiffness import (
-    adopt_stiffness,
     APPROACH_LIMIT,
     FitSpace,
+    follow_stiffness,
     INPUT_LIMIT,
-    keep_stiffness,
-    learn_stiffness,
     LIMITS,
+    set_up_stiffness,
     Stiffness,
+    take_over_stiffness,
 )
 from multicontact_control.records import (
     Contact,
@@ -83,7 +83,7 @@ FORCE_LAW = record_dtype(ForceLaw)
 
 
 class ForceSpace(Record, Protocol):
-    """What `answer_forces` works in; one."""
+    """What `answer_contact_forces` works in; one."""
 
     observer: ObserverSpace
     fit: FitSpace
@@ -93,14 +93,14 @@ class ForceSpace(Record, Protocol):
 FORCE_SPACE = record_dtype(ForceSpace)
 
 
-def loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
+def make_loop_model(config: ControllerConfig, stiffness: float) -> LoopModel:
     """Return what the force law of a contact of a stiffness [N/m] is designed for."""
     return LoopModel(
         stiffness, config.force.damping_rate, config.loop_delay, config.period
     )
 
 
-def gains_of(name: str, force: ForceConfig) -> Gains:
+def select_gains(name: str, force: ForceConfig) -> Gains:
     """Return what the design of a law reads, by name: the same gains are designed for once."""
     return tuple((field, getattr(force, field)) for field in find_law(name).reads)
 
@@ -117,7 +117,7 @@ def design_law(
         If there is none, or none of finite numbers.
 
     """
-    return _design_of(name, gains_of(name, force), model)
+    return _design_of(name, select_gains(name, force), model)
 
 
 @lru_cache(
@@ -160,15 +160,17 @@ def make_force_laws(config: ControllerConfig) -> Records[ForceLaw]:
         stiffnesses = np.geomspace(
             force.adaptive.lowest, force.adaptive.highest, LIMITS
         )
-        gains = gains_of('aob', force)
+        gains = select_gains('aob', force)
         limits = [
-            largest_ratio(gains, loop_model(config, k), config.initial_noise_variance)
+            find_largest_stiffness_ratio(
+                gains, make_loop_model(config, k), config.initial_noise_variance
+            )
             for k in stiffnesses.tolist()
         ]
     for law, column in zip(laws, config.columns):
         name = config.law_of(column.contact)
         stiffness = force.adaptive.highest if adaptive else column.stiffness
-        design = design_law(name, force, loop_model(config, stiffness))
+        design = design_law(name, force, make_loop_model(config, stiffness))
         law['kind'] = names.index(name)
         law['fed'] = get_args(FedForward).index(force.fed_forward)
         law['stiffness']['k'] = stiffness
@@ -178,8 +180,8 @@ def make_force_laws(config: ControllerConfig) -> Records[ForceLaw]:
         law['observer'] = make_observers([design])[0]
         if adaptive:
             of_observer = law['observer']['design']
-            of_observer['Phi_c'] = of_observer['Phi_n']  # see `answer_forces`
-            adopt_stiffness(
+            of_observer['Phi_c'] = of_observer['Phi_n']  # see `answer_contact_forces`
+            set_up_stiffness(
                 law['stiffness'],
                 design.loop.plant,
                 stiffness,
@@ -198,16 +200,18 @@ def make_force_laws(config: ControllerConfig) -> Records[ForceLaw]:
 @lru_cache(
     maxsize=64
 )  # the first sample and a live change are not to wait for it once more
-def largest_ratio(gains: Gains, model: LoopModel, noise_variance: float) -> float:
+def find_largest_stiffness_ratio(
+    gains: Gains, model: LoopModel, noise_variance: float
+) -> float:
     """
     Return how many times as stiff as its model a surface may be, with a constant R [N^2].
 
-    `gains` are those of the observer, see `gains_of`.
+    `gains` are those of the observer, see `select_gains`.
     """
     none = np.zeros((1, 1))
     with _designing('aob'):
         design = cast(ObserverDesign, _design_of('aob', gains, model))
-        law = steady_law(design, steady_gain(design, noise_variance))
+        law = make_steady_law(design, solve_steady_gain(design, noise_variance))
 
         def stable(ratio: float) -> bool:
             plant = LinearArmPlant(
@@ -224,7 +228,7 @@ def largest_ratio(gains: Gains, model: LoopModel, noise_variance: float) -> floa
                 < 1.0
             )
 
-        return min(last_stable(stable, RATIOS, 1e-2)[0], RATIOS[-1])
+        return min(find_last_stable(stable, RATIOS, 1e-2)[0], RATIOS[-1])
 
 
 def continue_laws(laws: Records[ForceLaw], others: Records[ForceLaw]) -> None:
@@ -258,10 +262,10 @@ def continue_laws(laws: Records[ForceLaw], others: Records[ForceLaw]) -> None:
             == (other['observer']['design']['order'][0])
         ):
             if law['stiffness']['config']['adaptive'][0]:
-                keep_stiffness(
+                take_over_stiffness(
                     law[0], other[0]
                 )  # before the state, which is of that model
-            continue_from(law['observer'], other['observer'])
+            continue_observers_from(law['observer'], other['observer'])
         elif taken is not None:
             observer = law['observer'][0]
             observer['x_est'][0], p = taken
@@ -270,7 +274,7 @@ def continue_laws(laws: Records[ForceLaw], others: Records[ForceLaw]) -> None:
             observer['x_est'][n - order : n] = p
             observer['P'][:n, :n] = design['P_0'] * np.eye(n)
             observer['running'] = True
-            keep_at_rest(law['observer'])
+            command_rest(law['observer'])
 
 
 def known(law: ForceLaw) -> tuple[float, float] | None:
@@ -284,20 +288,32 @@ def known(law: ForceLaw) -> tuple[float, float] | None:
     return float(x[0]), float(x[states - order]) if order else 0.0
 
 
-def continue_laws_at(laws: Records[ForceLaw], held: Mask, force: Vector) -> None:
-    """Go on after a pause; see `continue_at`. Linear laws of contacts that are held stay."""
-    continue_at(laws['observer'], held, force)
+def continue_laws_after_pause(
+    laws: Records[ForceLaw], held: Mask, force: Vector
+) -> None:
+    """
+    Go on after a pause with the laws of contacts that stayed pressed.
+
+    Their observers start from the measured force [N], shape (r,), see
+    `continue_observers_after_pause`; their linear laws keep their state. Laws of contacts that are
+    not `held`, shape (r,), begin anew.
+    """
+    continue_observers_after_pause(laws['observer'], held, force)
     laws['linear']['running'] &= held
 
 
-def act_beyond(laws: Records[ForceLaw], which: Mask, acceleration: Vector) -> None:
+def add_extra_acceleration(
+    laws: Records[ForceLaw], which: Mask, acceleration: Vector
+) -> None:
     """Add an acceleration along the normals [m/s^2] to what these laws, (r,), predict with."""
     laws['observer']['command'][which] += acceleration
     laws['linear']['extra'][which] += acceleration
 
 
 @compiled
-def step_linear(law: Linear, contact: Contact, speed: float, x_next: Vector) -> float:
+def step_linear_law(
+    law: Linear, contact: Contact, speed: float, x_next: Vector
+) -> float:
     """
     Take one sample into a record of `LINEAR`; return u [m/s^2].
 
@@ -313,11 +329,11 @@ def step_linear(law: Linear, contact: Contact, speed: float, x_next: Vector) -> 
     for i in range(n):
         x[i] += design.E[i] * law.extra
     law.extra = 0.0
-    u = work_out(design.of_u, law, contact, speed)
-    law.alpha = work_out(design.of_alpha, law, contact, speed)
-    law.p_est = work_out(design.of_p, law, contact, speed)
+    u = evaluate_linear_row(design.of_u, law, contact, speed)
+    law.alpha = evaluate_linear_row(design.of_alpha, law, contact, speed)
+    law.p_est = evaluate_linear_row(design.of_p, law, contact, speed)
     for i in range(n):
-        x_next[i] = work_out(design.of_state[i], law, contact, speed)
+        x_next[i] = evaluate_linear_row(design.of_state[i], law, contact, speed)
     for i in range(n):
         x[i] = x_next[i]
     contact.answer.alpha_est = law.alpha
@@ -325,7 +341,9 @@ def step_linear(law: Linear, contact: Contact, speed: float, x_next: Vector) -> 
 
 
 @compiled
-def work_out(row: LinearRow, law: Linear, contact: Contact, speed: float) -> float:
+def evaluate_linear_row(
+    row: LinearRow, law: Linear, contact: Contact, speed: float
+) -> float:
     """Return what a record of `LINEAR_ROW` makes of a law's state and inputs."""
     total = row.alpha_meas * contact.alpha_meas
     total += row.alpha_des * contact.answer.alpha_des
@@ -336,7 +354,7 @@ def work_out(row: LinearRow, law: Linear, contact: Contact, speed: float) -> flo
 
 
 @compiled
-def force_to_feed(law: ForceLaw, contact: Contact, K_2: float) -> float:
+def choose_fed_force(law: ForceLaw, contact: Contact, K_2: float) -> float:
     """
     Return the contact force that is fed forward in P04 eq. 24 [N].
 
@@ -363,7 +381,7 @@ def force_to_feed(law: ForceLaw, contact: Contact, K_2: float) -> float:
 
 
 @compiled
-def bound_speed(
+def limit_approach_speed(
     contact: Contact,
     law: ForceLaw,
     control: Control,
@@ -397,7 +415,7 @@ def bound_speed(
 
 
 @compiled
-def answer_forces(
+def answer_contact_forces(
     laws: Records[ForceLaw],
     contacts: Records[Contact],
     control: Control,
@@ -423,7 +441,7 @@ def answer_forces(
         ):  # what does not answer the motion says nothing of a surface
             law.stiffness.felt = False
         elif law.stiffness.config.adaptive:
-            learn_stiffness(laws, contacts, i, control, speed, space.fit)
+            follow_stiffness(laws, contacts, i, control, speed, space.fit)
         if not answer.active:
             law.observer.running = law.linear.running = False
             answer.alpha_est = answer.alpha_rate_est = (
@@ -432,7 +450,7 @@ def answer_forces(
             continue
         stiffness, observer = law.stiffness, law.observer
         if law.is_linear:
-            inputs[i] = step_linear(law.linear, contact, speed, space.x_next)
+            inputs[i] = step_linear_law(law.linear, contact, speed, space.x_next)
             answer.alpha_rate_est = stiffness.k * speed
         elif stiffness.config.adaptive:
             # The prediction is that of the open loop, under the input that was asked for.
@@ -454,8 +472,8 @@ def answer_forces(
         else:
             observe(observer, contact, control.measured, 0.0, space.observer)
             inputs[i] = command(observer, answer.alpha_des)
-        answer.alpha_fed_forward = force_to_feed(law, contact, control.law.K_2)
+        answer.alpha_fed_forward = choose_fed_force(law, contact, control.law.K_2)
         if contact.speed_bound > 0.0:
-            inputs[i] = bound_speed(contact, law, control, inputs[i], speed)
+            inputs[i] = limit_approach_speed(contact, law, control, inputs[i], speed)
         else:
             contact.borne_acceleration = 0.0

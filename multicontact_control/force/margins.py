@@ -16,7 +16,7 @@ import math
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.force.laws.linear import LinearLaw
-from multicontact_control.force.plant import delayed_hold
+from multicontact_control.force.plant import discretise_delayed_input
 import numpy as np
 
 
@@ -69,7 +69,7 @@ def closed_loop(
     )  # alpha of z and dz/dt
     acceleration = -plant.mobility @ force
     acceleration[:, r:] -= plant.damping_rate * one
-    Phi, Gamma = delayed_hold(
+    Phi, Gamma = discretise_delayed_input(
         np.vstack([np.hstack([zero, one]), acceleration]),
         np.vstack([zero, one]),
         plant.delay,
@@ -115,7 +115,7 @@ def spectral_radius(matrix: Matrix) -> float:
     return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
-def last_stable(
+def find_last_stable(
     stable: Callable[[float], bool],
     ratios: Sequence[float],
     tolerance: float,

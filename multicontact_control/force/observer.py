@@ -135,7 +135,7 @@ def design_observer(
     )
 
 
-def steady_gain(observer: ObserverDesign, noise_variance: float) -> Vector:
+def solve_steady_gain(observer: ObserverDesign, noise_variance: float) -> Vector:
     """
     Return the gain K, shape (n,), that an observer settles at with a constant R [N^2].
 
@@ -179,7 +179,9 @@ def make_observers(designs: Sequence[ObserverDesign]) -> Records[Observer]:
     return observers
 
 
-def continue_from(observers: Records[Observer], others: Records[Observer]) -> None:
+def continue_observers_from(
+    observers: Records[Observer], others: Records[Observer]
+) -> None:
     """
     Take over the states of others, of as many states, records of `OBSERVER`, shape (r,).
 
@@ -201,7 +203,7 @@ def _predicted_feedback(observers: Records[Observer]) -> Matrix:
     return feedback
 
 
-def keep_at_rest(observers: Records[Observer]) -> None:
+def command_rest(observers: Records[Observer]) -> None:
     """Let what has been commanded be what keeps the force as it is estimated, and at rest."""
     for i, feedback in enumerate(_predicted_feedback(observers)):
         x_est, design = observers['x_est'][i], observers['design'][i]
@@ -310,7 +312,9 @@ def command(observer: Observer, alpha_des: float) -> float:
     return total
 
 
-def continue_at(observers: Records[Observer], held: Mask, force: Vector) -> None:
+def continue_observers_after_pause(
+    observers: Records[Observer], held: Mask, force: Vector
+) -> None:
     """
     Go on after a pause; records of `OBSERVER`, changed, and measured forces [N], shape (r,).
 
@@ -323,7 +327,7 @@ def continue_at(observers: Records[Observer], held: Mask, force: Vector) -> None
             x_est, design = observer['x_est'], observer['design']
             x_est[: design['states'] - design['order']] = 0.0
             x_est[0] = alpha
-    keep_at_rest(observers)
+    command_rest(observers)
 
 
 @compiled

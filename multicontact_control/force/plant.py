@@ -28,7 +28,7 @@ class DelayedPlant:
     Gamma: Vector
 
 
-def delayed_plant(
+def make_delayed_plant(
     stiffness: float,
     damping_rate: float,
     input_delay: float,
@@ -58,11 +58,11 @@ def delayed_plant(
         )
     A = np.array([[0.0, 1.0], [0.0, -damping_rate]])
     B = np.array([[0.0], [stiffness]])
-    Phi, Gamma = delayed_hold(A, B, input_delay, period)
+    Phi, Gamma = discretise_delayed_input(A, B, input_delay, period)
     return DelayedPlant(Phi, Gamma[:, 0])
 
 
-def delayed_hold(
+def discretise_delayed_input(
     A: Matrix,
     B: Matrix,
     input_delay: float,
@@ -128,7 +128,7 @@ def _damped_hold(
     return Phi, stiffness * duration * np.array([[duration * second], [first]])
 
 
-def ackermann(Phi: Matrix, Gamma: Vector, poles: Sequence[float]) -> Vector:
+def place_eigenvalues(Phi: Matrix, Gamma: Vector, poles: Sequence[float]) -> Vector:
     """
     Return the feedback L, shape (n,), that places the eigenvalues of Phi - Gamma L.
 
@@ -188,4 +188,4 @@ def place_poles(
         math.exp(-period * second_pole_ratio / time_constant),
     ]
     poles += [0.0] * (len(plant.Gamma) - len(poles))
-    return ForceLoop(plant, ackermann(plant.Phi, plant.Gamma, poles))
+    return ForceLoop(plant, place_eigenvalues(plant.Phi, plant.Gamma, poles))

@@ -239,7 +239,7 @@ class FitSpace(Record, Protocol):
 FIT_SPACE = record_dtype(FitSpace)
 
 
-def adopt_band(
+def set_fit_band(
     fit: StiffnessFit, band: tuple[float, float], period: float, memory: float
 ) -> None:
     """Set the band [Hz] and the memory [s] of a record of `STIFFNESS_FIT`; h in [s]."""
@@ -250,14 +250,14 @@ def adopt_band(
 
 
 @compiled
-def begin_band(band: SignalBand, value: float) -> None:
+def settle_band_pass(band: SignalBand, value: float) -> None:
     """Let the band-pass of a signal, a record of `SIGNAL_BAND`, be at rest at a value."""
     band.drift = value
     band.first = band.second = band.passed = 0.0
 
 
 @compiled
-def pass_band(fit: StiffnessFit, band: SignalBand, value: float) -> float:
+def filter_signal(fit: StiffnessFit, band: SignalBand, value: float) -> float:
     """Return what passes the band of a record of `STIFFNESS_FIT` of one of its signals."""
     band.drift += fit.high * (value - band.drift)
     band.first += fit.low * (value - band.drift - band.first)
@@ -267,7 +267,7 @@ def pass_band(fit: StiffnessFit, band: SignalBand, value: float) -> float:
 
 
 @compiled
-def take_sample(
+def add_fit_sample(
     stiffness: Stiffness,
     fit: StiffnessFit,
     friction: float,
@@ -283,10 +283,10 @@ def take_sample(
     record of `FIT_SPACE`.
     """
     speed_before = fit.rate.passed
-    z = pass_band(fit, fit.way, stiffness.depth)
-    v = pass_band(fit, fit.rate, stiffness.speed)
-    w = pass_band(fit, fit.friction, friction)
-    y = pass_band(fit, fit.force, alpha)
+    z = filter_signal(fit, fit.way, stiffness.depth)
+    v = filter_signal(fit, fit.rate, stiffness.speed)
+    w = filter_signal(fit, fit.friction, friction)
+    y = filter_signal(fit, fit.force, alpha)
     config = stiffness.config
     y -= config.tool_mass * (v - speed_before) / config.period
     if not accepted or abs(y) < SMALLEST_SIGNAL:
@@ -314,7 +314,7 @@ def solve_fit(fit: StiffnessFit, space: FitSpace) -> None:
     if products[WAY, WAY] <= 0.0:
         return
     for friction_known in (False, True):
-        if not fit_factors(fit, friction_known, space):
+        if not solve_fit_factors(fit, friction_known, space):
             return
         bounded = min(max(factors[FRICTION], 0.0), LARGEST_FRICTION)
         if bounded == factors[FRICTION]:
@@ -337,7 +337,7 @@ def solve_fit(fit: StiffnessFit, space: FitSpace) -> None:
 
 
 @compiled
-def fit_factors(fit: StiffnessFit, friction_known: bool, space: FitSpace) -> bool:
+def solve_fit_factors(fit: StiffnessFit, friction_known: bool, space: FitSpace) -> bool:
     """
     Fill in the `factors` of least squares; return whether the regressors tell them apart.
 
@@ -376,7 +376,7 @@ def fit_factors(fit: StiffnessFit, friction_known: bool, space: FitSpace) -> boo
     return True
 
 
-def adopt_stiffness(
+def set_up_stiffness(
     record: Stiffness,
     plant: DelayedPlant,
     stiffness: float,
@@ -411,8 +411,8 @@ def adopt_stiffness(
         settings['delay_gain'][name][: len(gains)] = of_delayed
         settings['input_gain'][name] = gain
     record['k'], record['c'] = stiffness, 0.0
-    adopt_band(record['slow'], SLOW_BAND, period, MEMORY)
-    adopt_band(record['fast'], FAST_BAND, period, FAST_MEMORY)
+    set_fit_band(record['slow'], SLOW_BAND, period, MEMORY)
+    set_fit_band(record['fast'], FAST_BAND, period, FAST_MEMORY)
 
 
 def predictor_gains(plant: DelayedPlant, stiffness: float) -> tuple[Matrix, Vector]:
@@ -434,7 +434,7 @@ def predictor_gains(plant: DelayedPlant, stiffness: float) -> tuple[Matrix, Vect
     return gains, plant.Gamma[:2] / stiffness + under_way
 
 
-def keep_stiffness(law: AdaptiveLaw, other: AdaptiveLaw) -> None:
+def take_over_stiffness(law: AdaptiveLaw, other: AdaptiveLaw) -> None:
     """Take over what another design has found out; records of `FORCE_LAW`, the first changed."""
     record, known = law['stiffness'], other['stiffness']
     for name in (
@@ -450,11 +450,13 @@ def keep_stiffness(law: AdaptiveLaw, other: AdaptiveLaw) -> None:
         'felt',
     ):
         record[name] = known[name]
-    use_stiffness(law['observer'], record, float(known['k']), float(known['c']))
+    use_model_stiffness(law['observer'], record, float(known['k']), float(known['c']))
 
 
 @compiled
-def use_stiffness(observer: Observer, stiffness: Stiffness, k: float, c: float) -> None:
+def use_model_stiffness(
+    observer: Observer, stiffness: Stiffness, k: float, c: float
+) -> None:
     """
     Give an observer another model, and the feedback that belongs to it.
 
@@ -526,7 +528,7 @@ def friction_of_others(frame: Frame, contacts: Records[Contact], which: int) -> 
 
 
 @compiled
-def find_stiffness(
+def estimate_stiffness(
     stiffness: Stiffness,
     alpha: float,
     alpha_des: float,
@@ -551,10 +553,10 @@ def find_stiffness(
         if alpha <= BEGIN:
             return
         for fit in (slow, fast):
-            begin_band(fit.way, 0.0)
-            begin_band(fit.rate, 0.0)
-            begin_band(fit.friction, 0.0)
-            begin_band(fit.force, alpha)
+            settle_band_pass(fit.way, 0.0)
+            settle_band_pass(fit.rate, 0.0)
+            settle_band_pass(fit.friction, 0.0)
+            settle_band_pass(fit.force, alpha)
         stiffness.since = 0.0
         stiffness.depth = 0.0
         stiffness.felt = True
@@ -563,15 +565,15 @@ def find_stiffness(
         stiffness.felt = alpha > END
     stiffness.speed = speed
     lately = stiffness.felt and stiffness.since <= WINDOW
-    take_sample(stiffness, slow, friction, alpha, lately, space)
-    take_sample(stiffness, fast, friction, alpha, stiffness.felt, space)
+    add_fit_sample(stiffness, slow, friction, alpha, lately, space)
+    add_fit_sample(stiffness, fast, friction, alpha, stiffness.felt, space)
     if slow.k > 0.0 and slow.share > SLOW_SHARE:
         stiffness.k_est = slow.k
         stiffness.k_std = slow.k_std
 
 
 @compiled
-def learn_stiffness(
+def follow_stiffness(
     laws: Records[AdaptiveLaw],
     contacts: Records[Contact],
     which: int,
@@ -600,14 +602,14 @@ def learn_stiffness(
         share = config.share
         k = min(max(share * whole.k, config.lowest), config.highest)
         if k != stiffness.k:
-            use_stiffness(observer, stiffness, k, share * whole.c)
+            use_model_stiffness(observer, stiffness, k, share * whole.c)
         contact.stiffness = k
         contact.stiffness_est = share * leader.stiffness_est
         contact.stiffness_std = share * leader.stiffness_std
         contact.ratio_bound, contact.margin = leader.ratio_bound, leader.margin
         return
     alpha = contact.alpha_meas if control.measured else contact.answer.alpha_est
-    find_stiffness(
+    estimate_stiffness(
         stiffness,
         alpha,
         contact.answer.alpha_des,
@@ -631,18 +633,18 @@ def learn_stiffness(
         max(np.log(target / k), -min(h / FALL_TIME, 1.0)), min(h / RISE_TIME, 1.0)
     )
     if change != 0.0 or c != stiffness.c:
-        use_stiffness(observer, stiffness, k * np.exp(change), c)
+        use_model_stiffness(observer, stiffness, k * np.exp(change), c)
     contact.stiffness = stiffness.k
     contact.stiffness_est = stiffness.k_est
     contact.stiffness_std = stiffness.k_std
     contact.ratio_bound = contact.margin = 0.0  # as long as nothing is known
     if stiffness.k_est > 0.0:
         contact.ratio_bound = (stiffness.k_est + 2.0 * stiffness.k_std) / stiffness.k
-        contact.margin = ratio_limit_of(stiffness) / contact.ratio_bound
+        contact.margin = interpolate_ratio_limit(stiffness) / contact.ratio_bound
 
 
 @compiled
-def ratio_limit_of(stiffness: Stiffness) -> float:
+def interpolate_ratio_limit(stiffness: Stiffness) -> float:
     """Return k over that of the model in use at which its loop is stable, from the curve of it."""
     config, last = stiffness.config, LIMITS - 1
     limits = config.ratio_limit

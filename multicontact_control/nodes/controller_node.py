@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 import contextlib
 from functools import partial
 from pathlib import Path
@@ -19,29 +19,39 @@ from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import messages, qos, topics
 from multicontact_control.nodes.controller_report import ControllerReport
 from multicontact_control.nodes.controller_topics import (
+    CommandServers,
     ControllerOutputs,
-    create_command_servers,
 )
 from multicontact_control.nodes.diagnostics import ComponentStatus
 from multicontact_control.nodes.graph import SAFE_TIME, StartupConfig
-from multicontact_control.nodes.lifecycle import ACTIVE, INACTIVE, ManagedNode
+from multicontact_control.nodes.lifecycle import CONFIGURED, ManagedNode
 from multicontact_control.nodes.parameters import find_parameter_folder
 from multicontact_control.nodes.runtime import run_node, Spinner
 from multicontact_control.nodes.streams import MessageReader
-from multicontact_control.sampling import Action, Decision, SampleTiming
+from multicontact_control.sampling import (
+    Action,
+    Decision,
+    NANOSECONDS,
+    SampleTiming,
+)
 from multicontact_control.sensor.push_test import PushTestConfig
 from multicontact_control.supervision.command_limits import CommandLimits
 from multicontact_control.supervision.inputs import JointInput, TickInputs, WrenchInput
 import numpy as np
-from std_msgs.msg import Float64MultiArray
 
-NEW = (Action.STEP, Action.ANEW, Action.HALF)
-WHOLE = (Action.STEP, Action.ANEW, Action.REPEAT)
-SHOWN = (Action.STEP, Action.ANEW, Action.HALF, Action.SHOW)
+# Actions on a sample with a new stamp, on one with both halves, and on one of which forces and
+# poses are published.
+NEW_SAMPLE = (Action.STEP, Action.ANEW, Action.HALF)
+WHOLE_SAMPLE = (Action.STEP, Action.ANEW, Action.REPEAT)
+PUBLISHED = (*NEW_SAMPLE, Action.SHOW)
 
 
 class ControllerNodeConfig(StartupConfig):
-    """Parameters of the node."""
+    """
+    Parameters of the node around the controller: timing of samples, source of the task, commands.
+
+    The controller's own are in `ControllerConfig`; a file has both side by side.
+    """
 
     supervised: bool = parameter(
         True,
@@ -87,14 +97,15 @@ class ControllerNodeConfig(StartupConfig):
 
     def scenario(self, config: ControllerConfig, folder: Path) -> ScenarioTask | None:
         """
-        Return the scenario to follow, None to obey commands; ConfigError if it is a bad one.
+        Return the scenario to follow, None to obey commands.
 
-        A relative path starts at `folder`.
+        The file may be a whole scenario, of which the reference alone counts here. A relative path
+        starts at `folder`. ConfigError if the file is unreadable or does not fit the controller.
         """
         if not self.reference_file:
             return None
         path = folder / self.reference_file
-        values = read_yaml(path)  # of a scenario file more than its reference
+        values = read_yaml(path)
         reference = validate(
             ReferenceConfig, values.get('reference', values), str(path)
         )
@@ -105,36 +116,36 @@ class ControllerNode(ManagedNode):
     """
     Answers each pair of joint state and wrench with joint torques.
 
-    After a deactivation samples are answered by the declared safe behaviour.
+    Once it has been active, a deactivated controller answers samples by the safe behaviour, until
+    it is cleaned up: a robot that is left without commands may fall.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(
             topics.CONTROLLER, ControllerConfig, ControllerNodeConfig, **options
         )
-        self._heard = 0  # messages of whatever use
-        self._folder_of = partial(
+        self._message_count = 0  # of all inputs, also of messages that are refused
+        self._find_folder = partial(
             find_parameter_folder,
             node_name=self.get_name(),
             arguments=options.get('cli_args', sys.argv),
         )
 
     def configure(self, configurations: Sequence[Any]) -> None:
-        """Build the controller and its ends of the topics."""
+        """
+        Build the controller, its subscriptions, publishers and services.
+
+        Raises
+        ------
+        MulticontactError
+            If a file is unreadable, or the arm, the contacts or the scenario are unusable.
+
+        """
         config, node_config = configurations
-        scenario = node_config.scenario(config, self._folder_of('reference_file'))
-        self._loop = loop = ControlLoop(
-            config,
-            scenario,
-            node_config.command,
-            self._folder_of('robot.urdf'),
-            supervised=node_config.supervised,
-        )
-        for text in loop.warnings:
-            self.get_logger().warning(text)
-        self.get_logger().info(loop.remark)
-        _warm_up(loop)
-        self._timing = timing = SampleTiming(
+        self._node_config = node_config
+        self._torque: Vector | None = None  # the newest, shape (n,) [N m]
+        self._loop = self._build_loop(config)
+        self._timing = SampleTiming(
             config.rate,
             supervised=node_config.supervised,
             lockstep=node_config.lockstep,
@@ -142,40 +153,17 @@ class ControllerNode(ManagedNode):
             patience=node_config.patience,
             pair_tolerance=node_config.pair_tolerance,
         )
-        robot, wrench = config.robot, topics.WRENCHES.get(config.wrench_input)
-        efforts = ('effort',) * robot.measures_torque
-        self._inputs: dict[
-            topics.Topic, tuple[Callable[..., Any], Callable[..., None]]
-        ] = {
-            topics.NOISE_VARIANCE: (
-                partial(messages.read_variance, names=config.column_names),
-                timing.add_variance,
-            ),
-            topics.JOINT_STATES: (
-                partial(
-                    messages.read_named_vectors,
-                    names=robot.joint_names,
-                    fields=('position',),
-                    optional=('velocity',),
-                    partial=efforts,
-                ),
-                lambda *reading: timing.add(JointInput(*reading)),
-            ),
-        }
-        if wrench is not None:
-            self._inputs[wrench] = (
-                partial(messages.read_wrench, frame=robot.sensor_frame),
-                lambda *reading: timing.add(WrenchInput(*reading)),
-            )
+        self._readers = _build_readers(config)
         self._outputs = ControllerOutputs(self, config, node_config.effort_output_topic)
         self._report = ControllerReport(
-            self, loop, timing, [*self._inputs], may_pause=node_config.lockstep
+            self,
+            self._loop,
+            self._timing,
+            [*self._readers],
+            may_pause=node_config.lockstep,
         )
-        create_command_servers(
-            self, loop, self._report.report_answer, lambda: self._node_config.push_test
-        )
-        for topic, (read, take_in) in self._inputs.items():
-            self._inputs[topic] = MessageReader(topic.message, read), take_in
+        CommandServers(self, self._loop, self._report, self._get_push_test)
+        for topic in self._readers:
             self.create_subscription(
                 topic.message,
                 topic.name,
@@ -183,15 +171,35 @@ class ControllerNode(ManagedNode):
                 qos.INPUT if node_config.lockstep else qos.SENSOR,
                 raw=True,
             )
-        self._node_config = node_config
-        self._torque: Vector | None = None  # the newest
+
+    def _build_loop(self, config: ControllerConfig) -> ControlLoop:
+        """Return the control loop, compiled and warmed up; log what is suspicious of the arm."""
+        scenario = self._node_config.scenario(
+            config, self._find_folder('reference_file')
+        )
+        loop = ControlLoop(
+            config,
+            scenario,
+            self._node_config.command,
+            self._find_folder('robot.urdf'),
+            supervised=self._node_config.supervised,
+        )
+        for text in loop.warnings:
+            self.get_logger().warning(text)
+        self.get_logger().info(loop.remark)
+        _warm_up(loop)
+        return loop
+
+    def _get_push_test(self) -> PushTestConfig:
+        return self._node_config.push_test
 
     def activate(self) -> ControllerNodeConfig:
         """Start with the next sample, as if there had been none."""
         self._loop.restart()
         self._timing.restart()
         self._report.inputs.restart()
-        self._torque, self.due = None, 0
+        self._torque = None
+        self.due = 0
         return self._node_config
 
     def deactivate(self) -> None:
@@ -204,26 +212,29 @@ class ControllerNode(ManagedNode):
         )
 
     def shutdown_safely(self, spinner: Spinner) -> None:
-        """Go over to the safe behaviour for a while, unless the robot has been silent as long."""
+        """
+        Command the safe behaviour for `SAFE_TIME` before the process ends.
+
+        A robot that has been silent for as long needs none: the time counts from its last sample.
+        """
         if not self.working:
             return
         self.trigger_deactivate()
         start = time.monotonic_ns()
-        while (
-            time.monotonic_ns() < min(start, self._report.watch.last) + SAFE_TIME * 1e9
-        ):
+        safe_time = int(SAFE_TIME * NANOSECONDS)
+        while time.monotonic_ns() < min(start, self._report.watch.last) + safe_time:
             self.spin_once(spinner)
 
     def write_run_counts(self) -> None:
-        """Write the counts of this run, if asked to."""
-        report = self._report
+        """Write ticks, latencies, refusals and events of this run to `timing_file`, if given."""
+        latencies = self._report.watch.latencies
         self._node_config.write_counts(
             {
-                'steps': report.watch.latencies.count,
-                'tick_us': report.watch.latencies.percentiles(),
+                'steps': latencies.count,
+                'tick_us': latencies.percentiles(),
                 'refused': dict(self.refusals.counts),
                 'unpaired': self._timing.unpaired,
-                'restarts': report.restarts,
+                'restarts': self._report.restarts,
                 'events': [*self._loop.events.events],
             }
         )
@@ -231,32 +242,44 @@ class ControllerNode(ManagedNode):
     def compute_design(
         self, configurations: Sequence[Any]
     ) -> tuple[Design | None, Any]:
-        """Compute what a new configuration of the controller leads to; None if it is as it was."""
+        """
+        Return the design of a changed controller, and the node's configuration.
+
+        The design is None if the controller's configuration is as it was. Takes long: called by
+        another thread. MulticontactError if no controller can be made.
+        """
         config, node_config = configurations
-        if config == self._loop.config:
-            return None, node_config
-        return self._loop.design(config), node_config
+        design = None
+        if config != self._loop.config:
+            design = self._loop.design(config)
+        return design, node_config
 
     def apply_design(self, design: tuple[Design | None, Any]) -> None:
-        """Go on with new configurations from the next sample on; raise if that cannot be."""
-        new, node_config = design
-        if new is not None:
-            self._loop.use(new)
-        self._node_config, self._loop.limits = node_config, node_config.command
+        """Go on with a design from the next sample on; MulticontactError if that cannot be now."""
+        controller_design, node_config = design
+        if controller_design is not None:
+            self._loop.use(controller_design)
+        self._node_config = node_config
+        self._loop.limits = node_config.command
 
     def collect_statuses(self) -> Iterator[ComponentStatus | None]:
-        """Yield what diagnostics report, and None for a pause."""
+        """Yield the statuses of loop, inputs, contacts, sensor, supervisor; None for a pause."""
         return self._report.collect_statuses()
 
     def _on_message(self, topic: topics.Topic, data: bytes) -> None:
-        """Take in a message, and do what it leads to."""
-        if self.state not in (ACTIVE, INACTIVE):
-            return  # it was on its way when the end of its topic was destroyed
+        """Take in a reading or an R, and answer the sample that it completes."""
+        if self.state not in CONFIGURED:
+            return  # it was on its way when its subscription was destroyed
         start = time.monotonic_ns()
-        self._heard += 1
-        read, take_in = self._inputs[topic]
+        self._message_count += 1
         try:
-            take_in(*read(data))
+            reading = self._readers[topic](data)
+            if topic is topics.NOISE_VARIANCE:
+                self._timing.add_variance(*reading)
+            elif topic is topics.JOINT_STATES:
+                self._timing.add(JointInput(*reading))
+            else:
+                self._timing.add(WrenchInput(*reading))
             safe = self._loop.supervisor.safe
             if self.working or safe:
                 self._carry_out(self._timing.what_now(start, safe=safe), start)
@@ -265,74 +288,112 @@ class ControllerNode(ManagedNode):
             self.refusals.log_refusal(topic.name, error)
 
     def do_due_work(self, spinner: Spinner) -> None:
-        """Answer what has waited for the gate; go on with half a sample or none if it is time."""
-        now, heard = time.monotonic_ns(), -1
-        late = 0 < self.due <= now
-        while late and heard != self._heard and not spinner.stop:
-            heard = self._heard  # what waits in a queue has come: it goes first
-            spinner.spin_once(0.0)
+        """Answer a sample that has waited for the gate; at `due`, half a sample or none."""
+        late = 0 < self.due <= time.monotonic_ns()
+        if late:
+            self._run_waiting_callbacks(spinner)
         safe = self._loop.supervisor.safe
-        if self.working or safe:
-            now = time.monotonic_ns()
-            self._carry_out(
-                self._timing.late(now)
-                if late
-                else self._timing.what_now(now, safe=safe),
-                now,
-            )
+        if not (self.working or safe):
+            return
+        now = time.monotonic_ns()
+        if late:
+            decision = self._timing.late(now)
+        else:
+            decision = self._timing.what_now(now, safe=safe)
+        self._carry_out(decision, now)
+
+    def _run_waiting_callbacks(self, spinner: Spinner) -> None:
+        """Take in the messages that wait in queues: what has come is not late."""
+        count = -1
+        while count != self._message_count and not spinner.stop:
+            count = self._message_count
+            spinner.spin_once(0.0)
 
     def _carry_out(self, decision: Decision, start: int) -> None:
-        """Do what is due after a message that came at a monotonic time [ns], command first."""
+        """Answer a message of a monotonic time [ns] as decided: command first, then reports."""
         action, inputs = decision
-        loop, timing, outputs = self._loop, self._timing, self._outputs
-        self.due = timing.due
+        loop = self._loop
+        self.due = self._timing.due
         if action is Action.ANEW:
-            self.get_logger().warning('samples start anew: the controller starts anew')
-            loop.restart()
-            self._report.restarts += 1
+            self._start_anew()
         elif action is Action.REFUSE:
-            self.refusals.log_refusal(
-                topics.JOINT_STATES.name,
-                MessageError(
-                    'stamp', 'one after that of the last sample', 'an older one'
-                ),
-            )
+            self._refuse_older_sample()
         if inputs is not None:
-            self._torque = None
+            self._torque = None  # unless the step returns one
             try:
                 self._torque = loop.step(inputs)
             except MulticontactError as error:
-                self.get_logger().error(  # only bare: a supervisor would have answered
-                    f'{error}; going over to the safe behaviour, until activated anew'
-                )
-                self._torque = loop.stop()
+                self._torque = self._stop_because_of(error)
         elif action is Action.REPEAT and loop.supervisor.safe and self._torque is None:
             self._torque = loop.stop()  # the robot waits, and was deactivated meanwhile
-        if self._torque is not None and (inputs is not None or action is Action.REPEAT):
-            outputs.publish(outputs.command(timing.answered_stamp, self._torque))
-            if outputs.publish_bare is not None:
-                outputs.publish_bare(Float64MultiArray(data=self._torque))
+        answers = inputs is not None or action is Action.REPEAT
+        if answers and self._torque is not None:
+            outputs = self._outputs
+            stamp = self._timing.answered_stamp
+            outputs.publish_command(outputs.encode_command(stamp, self._torque))
+            outputs.publish_bare_efforts(self._torque)
         if inputs is not None:
             self._report.watch.latencies.add(time.monotonic_ns() - start)
             self._report.report_changes()
-        self._report.samples += action in NEW
-        if action in WHOLE:
+        if action in NEW_SAMPLE:
+            self._report.samples += 1
+        if action in WHOLE_SAMPLE:
             self._report.watch.add_period(start)
-        if action in SHOWN and loop.output is not None:
-            outputs.publish_tick(timing.answered_stamp, timing.tick, loop.output)
+        if action in PUBLISHED and loop.output is not None:
+            self._outputs.publish_tick(
+                self._timing.answered_stamp, self._timing.tick, loop.output
+            )
+
+    def _start_anew(self) -> None:
+        """Forget the past: stamps have been set back, or samples begin again."""
+        self.get_logger().warning('samples start anew: the controller starts anew')
+        self._loop.restart()
+        self._report.restarts += 1
+
+    def _refuse_older_sample(self) -> None:
+        error = MessageError(
+            'stamp', 'one after that of the last sample', 'an older one'
+        )
+        self.refusals.log_refusal(topics.JOINT_STATES.name, error)
+
+    def _stop_because_of(self, error: MulticontactError) -> Vector:
+        """Return the torque of the safe behaviour; bare only, a supervisor answers itself."""
+        self.get_logger().error(
+            f'{error}; going over to the safe behaviour, until activated anew'
+        )
+        return self._loop.stop()
+
+
+def _build_readers(config: ControllerConfig) -> dict[topics.Topic, MessageReader]:
+    """Return the readers of R, joint states and, unless momentum stands in, the wrench."""
+    robot = config.robot
+    read_joints = partial(
+        messages.read_named_vectors,
+        names=robot.joint_names,
+        fields=('position',),
+        optional=('velocity',),
+        unchecked=('effort',) if robot.measures_torque else (),
+    )
+    readers = {
+        topics.NOISE_VARIANCE: partial(
+            messages.read_variance, names=config.column_names
+        ),
+        topics.JOINT_STATES: read_joints,
+    }
+    wrench = topics.WRENCHES.get(config.wrench_input)
+    if wrench is not None:
+        readers[wrench] = partial(messages.read_wrench, frame=robot.sensor_frame)
+    return {
+        topic: MessageReader(topic.message, read) for topic, read in readers.items()
+    }
 
 
 def _warm_up(loop: ControlLoop) -> None:
     """Take a step that is not sent: the first one takes a hundred times as long."""
-    joints = np.linspace(0.4, 1.0, len(loop.config.robot.joint_names))
+    q = np.linspace(0.4, 1.0, len(loop.config.robot.joint_names))
+    at_rest = JointInput(0.0, q, np.zeros_like(q))
     with contextlib.suppress(MulticontactError):
-        loop.step(
-            TickInputs(
-                0.0,
-                JointInput(0.0, joints, 0.0 * joints),
-                WrenchInput(0.0, np.zeros(6)),
-            )
-        )
+        loop.step(TickInputs(0.0, at_rest, WrenchInput(0.0, np.zeros(6))))
         if loop.output is not None:
             loop.output.pose.quaternion_xyzw  # noqa: B018 - compiled too
     loop.restart()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from geometry_msgs.msg import Point, PoseStamped, Vector3
 from multicontact_control.arrays import Vector
@@ -13,121 +13,147 @@ from multicontact_control.control.controller import ControlOutput
 from multicontact_control.errors import MulticontactError
 from multicontact_control.loop import ControlLoop
 from multicontact_control.nodes import messages, qos, topics
+from multicontact_control.nodes.controller_report import CommandAnswer, ControllerReport
 from multicontact_control.nodes.graph import create_publisher, full_topic_name
 from multicontact_control.nodes.lifecycle import ManagedNode
-from multicontact_control.nodes.messages import get_identifier, JOINT_FIELDS
+from multicontact_control.nodes.messages import get_identifier
 from multicontact_control.nodes.streams import StreamPublisher
 from multicontact_control.sensor.push_test import PushTestConfig
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from std_msgs.msg import ColorRGBA, Float64MultiArray, Header
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-# What is published of a tick: the fields of a message per contact, or none for a pose, and its
-# numbers in the order of the message's fields.
-Numbers = Callable[[ControlOutput], tuple[Vector, ...]]
-SHOWN: dict[topics.Topic, tuple[tuple[str, ...], Numbers]] = {
-    topics.MEASURED_FORCES: (
-        ('effort',),
-        lambda output: (output.contacts['alpha_meas'],),
+
+class ContactSeries(NamedTuple):
+    """A topic with numbers per force and couple: fields of its message, and of which record."""
+
+    record: str  # attribute of `ControlOutput`: `contacts` or `answer`
+    numbers: dict[str, str]  # field of the record by field of the message, in its order
+
+
+CONTACT_SERIES = {
+    topics.MEASURED_FORCES: ContactSeries('contacts', {'effort': 'alpha_meas'}),
+    topics.ESTIMATED_FORCES: ContactSeries(
+        'answer', {'velocity': 'alpha_rate_est', 'effort': 'alpha_est'}
     ),
-    topics.ESTIMATED_FORCES: (
-        ('velocity', 'effort'),
-        lambda output: (output.answer['alpha_rate_est'], output.answer['alpha_est']),
-    ),
-    topics.DESIRED_FORCES: (('effort',), lambda output: (output.answer['alpha_des'],)),
-    topics.INNOVATION: (
-        JOINT_FIELDS,
-        lambda output: (
-            output.answer['variance_used'],
-            output.answer['prior_variance'],
-            output.answer['innovation'],
-        ),
-    ),
-    topics.STIFFNESS: (
-        JOINT_FIELDS,
-        lambda output: (
-            output.contacts['stiffness_est'],
-            output.contacts['stiffness_std'],
-            output.contacts['stiffness'],
-        ),
-    ),
-    topics.STABILITY_MARGIN: (
-        ('position', 'effort'),
-        lambda output: (output.contacts['ratio_bound'], output.contacts['margin']),
-    ),
-    topics.POSE: (
-        (),
-        lambda output: (output.pose.position_world, output.pose.quaternion_xyzw),
-    ),
-    topics.POSE_DESIRED: (
-        (),
-        lambda output: (
-            output.pose_des.position_world,
-            output.pose_des.quaternion_xyzw,
-        ),
+    topics.DESIRED_FORCES: ContactSeries('answer', {'effort': 'alpha_des'}),
+    topics.INNOVATION: ContactSeries(
+        'answer',
+        {
+            'position': 'variance_used',
+            'velocity': 'prior_variance',
+            'effort': 'innovation',
+        },
     ),
 }
-OF_STIFFNESS = (topics.STIFFNESS, topics.STABILITY_MARGIN)
+STIFFNESS_SERIES = {  # only if the stiffness is found on-line
+    topics.STIFFNESS: ContactSeries(
+        'contacts',
+        {
+            'position': 'stiffness_est',
+            'velocity': 'stiffness_std',
+            'effort': 'stiffness',
+        },
+    ),
+    topics.STABILITY_MARGIN: ContactSeries(
+        'contacts', {'position': 'ratio_bound', 'effort': 'margin'}
+    ),
+}
 
 # Of the arrows for viewers.
 MARKER_NAMESPACE = 'contact_forces'
-MARKER_RATE, SCALE = 25.0, 0.01  # messages per second, m/N
-SIZE = Vector3(
-    x=0.008, y=0.016, z=0.02
-)  # m: diameters of shaft and head, length of the head
+MARKER_RATE = 25.0  # Hz
+ARROW_SCALE = 0.01  # m/N
+# m: diameters of shaft and head, length of the head
+ARROW_SIZE = Vector3(x=0.008, y=0.016, z=0.02)
 SMALLEST_FORCE = 0.2  # N; below it the arrow would be noise
-LIFETIME = 0.5  # s; a viewer drops the arrows of a controller that is gone
-CONTROLLED = ColorRGBA(r=1.0, g=0.45, b=0.1, a=1.0)
-FELT = ColorRGBA(r=0.5, g=0.5, b=0.5, a=1.0)
+MARKER_LIFETIME = 0.5  # s; a viewer drops the arrows of a controller that is gone
+CONTROLLED_COLOUR = ColorRGBA(r=1.0, g=0.45, b=0.1, a=1.0)
+MEASURED_COLOUR = ColorRGBA(r=0.5, g=0.5, b=0.5, a=1.0)
 
 
 class ControllerOutputs:
     """
     Publishes the command, the state of each tick, and arrows for viewers.
 
-    `command` makes the bytes of a command from a stamp [ns] and torques, or raises `MessageError`;
-    `publish` sends them, `publish_bare` the efforts for ros2_control, where these are asked for.
+    Parameters
+    ----------
+    node, config
+        The node that publishes, and the configuration of its controller.
+    bare_topic
+        Topic of bare efforts for the forward controllers of ros2_control; empty for none.
+
+    Attributes
+    ----------
+    encode_command
+        Returns the bytes of a command from a stamp [ns] and torques, shape (n,) [N m];
+        MessageError if these are not finite.
+    publish_command
+        Publishes these bytes.
+
     """
 
-    def __init__(self, node: Node, config: ControllerConfig, bare: str) -> None:
+    def __init__(self, node: Node, config: ControllerConfig, bare_topic: str) -> None:
         self._config = config
-        joints, contacts = config.robot.joint_names, config.column_names
-        build = messages.joint_state_message
-        commands = StreamPublisher(
-            node, topics.EFFORT_COMMAND, build(0, joints, effort=np.zeros(len(joints)))
-        )
-        self.command, self.publish = commands.encode_message, commands.publish
-        self.publish_bare = (
-            node.create_publisher(
-                Float64MultiArray,
-                full_topic_name('effort_output_topic', bare, node),
-                qos.STREAM,
-            ).publish
-            if bare
-            else None
-        )
-        self._shown: list[tuple[StreamPublisher, Numbers]] = []
-        for topic, (fields, numbers) in SHOWN.items():
-            publisher = StreamPublisher(
-                node,
-                topic,
-                build(0, contacts, **dict.fromkeys(fields, np.zeros(len(contacts))))
-                if fields
-                else (PoseStamped(header=Header(frame_id=topics.WORLD_FRAME))),
+        joints = config.robot.joint_names
+        pattern = messages.joint_state_message(0, joints, effort=np.zeros(len(joints)))
+        commands = StreamPublisher(node, topics.EFFORT_COMMAND, pattern)
+        self.encode_command = commands.encode_message
+        self.publish_command = commands.publish
+        self._bare_publisher: Publisher | None = None
+        if bare_topic:
+            name = full_topic_name('effort_output_topic', bare_topic, node)
+            self._bare_publisher = node.create_publisher(
+                Float64MultiArray, name, qos.STREAM
             )
-            if config.force.stiffness == 'adaptive' or topic not in OF_STIFFNESS:
-                self._shown.append((publisher, numbers))
+        zeros = np.zeros(len(config.column_names))
+        self._series: list[tuple[StreamPublisher, ContactSeries]] = []
+        for topic, series in {**CONTACT_SERIES, **STIFFNESS_SERIES}.items():
+            pattern = messages.joint_state_message(
+                0, config.column_names, **dict.fromkeys(series.numbers, zeros)
+            )
+            publisher = StreamPublisher(node, topic, pattern)
+            if topic in CONTACT_SERIES or config.force.stiffness == 'adaptive':
+                self._series.append((publisher, series))
+        pose = PoseStamped(header=Header(frame_id=topics.WORLD_FRAME))
+        self._pose = StreamPublisher(node, topics.POSE, pose)
+        self._pose_desired = StreamPublisher(node, topics.POSE_DESIRED, pose)
         self._markers = create_publisher(node, topics.CONTACT_MARKERS)
         self._marker_ticks = max(1, round(config.rate / MARKER_RATE))
 
+    def publish_bare_efforts(self, torque: Vector) -> None:
+        """Publish a torque, shape (n,) [N m], for ros2_control if that is asked for."""
+        if self._bare_publisher is not None:
+            self._bare_publisher.publish(Float64MultiArray(data=torque))
+
     def publish_tick(self, stamp: int, tick: int, output: ControlOutput) -> None:
-        """Publish forces, innovations, poses and markers of a tick with a stamp [ns]."""
-        for publisher, numbers in self._shown:
-            publisher.publish_if_subscribed(stamp, *numbers(output))
+        """
+        Publish forces, innovations and poses of a tick, and arrows at `MARKER_RATE`.
+
+        Parameters
+        ----------
+        stamp, tick
+            Time of the sample [ns], and its number, of which the arrows' rate is made.
+        output
+            The controller's answer to the sample.
+
+        """
+        for publisher, series in self._series:
+            record = getattr(output, series.record)
+            columns = [record[field] for field in series.numbers.values()]
+            publisher.publish_if_subscribed(stamp, *columns)
+        for publisher, pose in (
+            (self._pose, output.pose),
+            (self._pose_desired, output.pose_des),
+        ):
+            publisher.publish_if_subscribed(
+                stamp, pose.position_world, pose.quaternion_xyzw
+            )
         if tick % self._marker_ticks == 0:
             self._markers.publish(build_contact_arrows(self._config, stamp, output))
 
@@ -136,22 +162,21 @@ def build_contact_arrows(
     config: ControllerConfig, stamp: int, output: ControlOutput
 ) -> MarkerArray:
     """
-    Return the measured contact forces of a sample at a time [ns] as arrows.
+    Return the measured contact forces of a sample at a time [ns] as arrows in world axes.
 
     Each points into its surface and ends at the contact's tip, orange where the force is
-    controlled and grey where it is only felt.
+    controlled and grey where it is only measured; an arrow of less than `SMALLEST_FORCE` is
+    deleted.
     """
-    arrows, header = (
-        [],
-        Header(frame_id=topics.WORLD_FRAME, stamp=messages.ns_to_stamp(stamp)),
-    )
-    for number, (name, i) in enumerate(zip(config.contact_names, config.leaders)):
-        force, pose = float(output.contacts['alpha_meas'][i]), output.pose
-        tip = (
-            pose.position_world
-            + pose.rotation_world @ config.contacts[name].point_operational
-        )
-        tail = tip - SCALE * force * output.contacts['normal'][i]
+    header = Header(frame_id=topics.WORLD_FRAME, stamp=messages.ns_to_stamp(stamp))
+    pose = output.pose
+    arrows = []
+    for number, (name, column) in enumerate(zip(config.contact_names, config.leaders)):
+        force = float(output.contacts['alpha_meas'][column])
+        point_operational = config.contacts[name].point_operational
+        tip = pose.position_world + pose.rotation_world @ point_operational
+        tail = tip - ARROW_SCALE * force * output.contacts['normal'][column]
+        controlled = output.answer['active'][column]
         arrows.append(
             Marker(
                 header=header,
@@ -159,41 +184,45 @@ def build_contact_arrows(
                 id=number,
                 type=Marker.ARROW,
                 action=Marker.ADD if force > SMALLEST_FORCE else Marker.DELETE,
-                color=CONTROLLED if output.answer['active'][i] else FELT,
-                points=[
-                    Point(
-                        **dict(
-                            zip('xyz', messages.finite_array(end, 3, 'points').tolist())
-                        )
-                    )
-                    for end in (tail, tip)
-                ],
-                scale=SIZE,
-                lifetime=Duration(seconds=LIFETIME).to_msg(),
+                color=CONTROLLED_COLOUR if controlled else MEASURED_COLOUR,
+                points=[_make_point(tail), _make_point(tip)],
+                scale=ARROW_SIZE,
+                lifetime=Duration(seconds=MARKER_LIFETIME).to_msg(),
             )
         )
     return MarkerArray(markers=arrows)
 
 
-# The services of the controller's node: class, and content for the reference.
+def _make_point(position: Vector) -> Point:
+    x, y, z = messages.finite_array(position, 3, 'points').tolist()
+    return Point(x=x, y=y, z=z)
+
+
+class Service(NamedTuple):
+    """A service of the controller's node: its class, and its content for the reference."""
+
+    kind: Any
+    content: str
+
+
 SERVICES = {
-    'tare': (
+    'tare': Service(
         Trigger,
         'Takes the present reading of the wrist sensor for its bias; refused while '
         'a contact is under force control, or pressed by a reaction.',
     ),
-    'hold': (SetBool, 'Holds the present pose and forces, or lets go of them.'),
-    'retry': (
+    'hold': Service(SetBool, 'Holds the present pose and forces, or lets go of them.'),
+    'retry': Service(
         Trigger,
         'Resumes control that waits for an operator (cause `latched`, or '
         'velocities in doubt), and seeks contacts that were given up.',
     ),
-    'push_test': (
+    'push_test': Service(
         Trigger,
         'Begins the push test: log, diagnostics and `~/status` say where to '
         'push the tool.',
     ),
-    'cancel_push_test': (
+    'cancel_push_test': Service(
         Trigger,
         'Takes back a push test that is under way, or has ended because '
         'nothing pushed; force control is allowed if it was before.',
@@ -201,71 +230,117 @@ SERVICES = {
 }
 
 
-def create_command_servers(
-    node: ManagedNode,
-    loop: ControlLoop,
-    answer: Callable[[str, str, Exception | None, str], None],
-    push_test: Callable[[], PushTestConfig],
-) -> None:
+class CommandServers:
     """
-    Hand commands on topics and requests of services to a control loop.
+    Hands commands on topics and requests of services to a control loop, and reports each answer.
 
-    `answer` is called with the source of each, its identifier, its refusal if it is one, and what
-    is not obeyed of one that is accepted; `push_test` returns how the tool is to be pushed.
+    What the loop refuses is logged by the node, answered on ~/status, and said in the response of
+    a service; the loop is then as it was.
+
+    Parameters
+    ----------
+    node, loop, report
+        The node that is commanded, its control loop, and the report that gets the answers.
+    get_push_test
+        Returns the present parameters of the push test, which may change while the node works.
+
     """
 
-    def obey(
-        source: str, work: Callable[[Any], Any], wish: Any, identifier: str = ''
-    ) -> Any:
-        refusal, left_out = None, ''
+    def __init__(
+        self,
+        node: ManagedNode,
+        loop: ControlLoop,
+        report: ControllerReport,
+        get_push_test: Callable[[], PushTestConfig],
+    ) -> None:
+        self._node = node
+        self._loop = loop
+        self._report = report
+        self._get_push_test = get_push_test
+        for topic, obey_message in (
+            (topics.FORCE_COMMAND, self._set_forces),
+            (topics.MOTION_COMMAND, self._set_motion),
+        ):
+            node.create_subscription(
+                topic.message,
+                topic.name,
+                partial(self._answer_message, topic.name, obey_message),
+                qos.EVENT,
+            )
+        for name, obey_request in (
+            ('tare', self._tare),
+            ('hold', self._hold),
+            ('retry', self._retry),
+            ('push_test', self._push_test),
+            ('cancel_push_test', self._cancel_push_test),
+        ):
+            source = f'~/{name}'
+            node.create_service(
+                SERVICES[name].kind,
+                source,
+                partial(self._answer_request, source, obey_request),
+            )
+
+    def _answer_message(
+        self, source: str, obey: Callable[[Any], str], message: Any
+    ) -> None:
+        """Obey a command on a topic; report what of it is left out, or why it is refused."""
+        identifier = get_identifier(message)
         try:
-            outcome = work(wish)
-            if source == topics.MOTION_COMMAND.name:
-                left_out = outcome
+            answer = CommandAnswer(source, identifier, left_out=obey(message))
         except MulticontactError as error:
-            node.refusals.log_refusal(source, error)
-            outcome = refusal = error
-        answer(source, identifier, refusal, left_out)
-        return outcome
+            answer = self._refuse(source, identifier, error)
+        self._report.report_answer(answer)
 
-    def serve(
-        source: str, work: Callable[[Any], Any], request: Any, response: Any
+    def _answer_request(
+        self, source: str, obey: Callable[[Any], str], request: Any, response: Any
     ) -> Any:
-        outcome = obey(source, work, request)
-        response.message = str(outcome)
-        response.success = not isinstance(outcome, MulticontactError)
+        """Obey a request of a service; respond with what happens now, or why not."""
+        answer = CommandAnswer(source)
+        try:
+            response.message = obey(request)
+            response.success = True
+        except MulticontactError as error:
+            answer = self._refuse(source, '', error)
+            response.message = answer.refusal
+        self._report.report_answer(answer)
         return response
 
-    def tare(_request: Any) -> str:
-        bias = loop.tare().tolist()
-        (result,) = node.set_parameters([Parameter('tool.bias_sensor', value=bias)])
+    def _refuse(
+        self, source: str, identifier: str, error: MulticontactError
+    ) -> CommandAnswer:
+        self._node.refusals.log_refusal(source, error)
+        return CommandAnswer(source, identifier, refusal=str(error))
+
+    def _set_forces(self, message: Any) -> str:
+        forces, centres = messages.read_force_command(
+            message, self._loop.config.column_names
+        )
+        self._loop.set_forces(forces, centres)
+        return ''
+
+    def _set_motion(self, message: Any) -> str:
+        return self._loop.set_motion(messages.read_motion(message))
+
+    def _tare(self, _request: Any) -> str:
+        """Set the bias of the sensor, shape (6,) [N, N m], as a parameter of the node."""
+        bias = self._loop.tare().tolist()
+        (result,) = self._node.set_parameters(
+            [Parameter('tool.bias_sensor', value=bias)]
+        )
         if not result.successful:
             raise MulticontactError(result.reason)
-        return 'bias [N, N m]: ' + ', '.join(f'{x:.4g}' for x in bias)
+        numbers = ', '.join(f'{x:.4g}' for x in bias)
+        return f'bias [N, N m]: {numbers}'
 
-    commands: dict[topics.Topic, Callable[[Any], Any]] = {
-        topics.FORCE_COMMAND: lambda message: loop.set_forces(
-            *messages.read_force_command(message, loop.config.column_names)
-        ),
-        topics.MOTION_COMMAND: lambda message: loop.set_motion(
-            messages.read_motion(message)
-        ),
-    }
-    for topic, command in commands.items():
-        node.create_subscription(
-            topic.message,
-            topic.name,
-            lambda message, source=topic.name, work=command: obey(
-                source, work, message, get_identifier(message)
-            ),
-            qos.EVENT,
-        )
-    works: dict[str, Callable[[Any], Any]] = {
-        'tare': tare,
-        'hold': lambda request: loop.hold(request.data),
-        'retry': lambda _: loop.retry(),
-        'push_test': lambda _: loop.push_test(push_test()),
-        'cancel_push_test': lambda _: loop.cancel_push_test(),
-    }
-    for name, (kind, _) in SERVICES.items():
-        node.create_service(kind, f'~/{name}', partial(serve, f'~/{name}', works[name]))
+    def _hold(self, request: Any) -> str:
+        return self._loop.hold(request.data)
+
+    def _retry(self, _request: Any) -> str:
+        return self._loop.retry()
+
+    def _push_test(self, _request: Any) -> str:
+        return self._loop.push_test(self._get_push_test())
+
+    def _cancel_push_test(self, _request: Any) -> str:
+        return self._loop.cancel_push_test()

@@ -19,51 +19,60 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
-OURS = (CONTROLLER, ESTIMATOR)  # what publishes inputs of other nodes
-PERIOD, PAUSE = NANOSECONDS, 5_000_000  # ns, of reports, and between two steps of one
+OUR_NODES = (CONTROLLER, ESTIMATOR)  # that publish inputs of other nodes
+PERIOD = NANOSECONDS  # ns, of the reports
+PAUSE = 5_000_000  # ns, between two steps of a report
 NO_STEP_LEFT = object()
 STALE_PERIODS = 25  # from which an input at the control rate is stale
-# s: an input is missed after MISSING_AGE; its first message may take DISCOVERY_TIME.
-MISSING_AGE, DISCOVERY_TIME = 1.0, 3.0
+MISSING_AGE = 1.0  # s, from which an input that has come before is missed
+DISCOVERY_TIME = 3.0  # s, that the first message of an input may take
 CAPACITY = 1 << 18  # durations: 8 minutes at 500 Hz
 PERCENTILES = {'p50': 50.0, 'p99': 99.0, 'p999': 99.9, 'max': 100.0}
-OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
 @dataclass(frozen=True)
 class ComponentStatus:
-    """A part of a node, e.g. ``loop``: values by name, and what is not as it should be."""
+    """
+    The status of a component of a node, e.g. ``loop``: one entry of a diagnostics message.
 
-    part: str
-    values: Mapping[str, Any] = field(default_factory=dict)
+    A warning or an error says what is not as it should be, what is expected and what was found;
+    the error counts where there are both.
+    """
+
+    component: str
+    values: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # by key, as operators read them
     warning: str = ''
     error: str = ''
 
 
 def build_status_message(name: str, status: ComponentStatus) -> DiagnosticStatus:
-    """Return the message of a part of a node."""
+    """Return the message of a component of a node with some name; numbers have 6 digits."""
+    level = DiagnosticStatus.OK
+    if status.error:
+        level = DiagnosticStatus.ERROR
+    elif status.warning:
+        level = DiagnosticStatus.WARN
     return DiagnosticStatus(
-        name=f'{name}: {status.part}',
+        name=f'{name}: {status.component}',
         message=status.error or status.warning or 'ok',
-        level=ERROR if status.error else WARN if status.warning else OK,
+        level=level,
         values=[
-            KeyValue(
-                key=key,
-                value=(
-                    'none'
-                    if x is None
-                    else f'{x:.6g}'
-                    if isinstance(x, float)
-                    else str(x)
-                ),
-            )
-            for key, x in status.values.items()
+            KeyValue(key=key, value=_format_value(value))
+            for key, value in status.values.items()
         ],
     )
 
 
+def _format_value(value: Any) -> str:
+    if value is None:
+        return 'none'
+    return f'{value:.6g}' if isinstance(value, float) else str(value)
+
+
 def serialize_report(node: Node, statuses: Iterable[ComponentStatus]) -> bytes:
-    """Return the message of a whole report of a node, serialised."""
+    """Return the serialised message of a whole report of a node, stamped by the node's clock."""
     name = node.get_fully_qualified_name().lstrip('/')
     message = DiagnosticArray(
         status=[build_status_message(name, status) for status in statuses]
@@ -74,11 +83,20 @@ def serialize_report(node: Node, statuses: Iterable[ComponentStatus]) -> bytes:
 
 class DiagnosticsPublisher:
     """
-    Publishes what `collect` yields of a node, once a second of the wall clock.
+    Publishes the statuses of a node's components, once a second of the wall clock.
 
-    No sample waits for a whole report: it is made step by step, with `PAUSE` between two of them,
-    and the message by the background thread.
-    `collect` yields None where its own work may pause.
+    No sample waits for a whole report: `poll` makes one step of it at a time, with `PAUSE` between
+    two of them, and the background thread serialises the message.
+
+    Parameters
+    ----------
+    node
+        The node that publishes.
+    collect
+        Yields the statuses, and None where its own work may pause.
+    background
+        Serialises the message.
+
     """
 
     def __init__(
@@ -87,30 +105,33 @@ class DiagnosticsPublisher:
         collect: Callable[[], Iterable[ComponentStatus | None]],
         background: BackgroundThread,
     ) -> None:
-        self._node, self._collect, self._background = node, collect, background
+        self._node = node
+        self._collect = collect
+        self._background = background
         self._publisher = create_publisher(node, topics.DIAGNOSTICS)
-        self._next = self._due = time.monotonic_ns() + PERIOD  # report, and step
+        self._report_due = time.monotonic_ns() + PERIOD
+        self._step_due = self._report_due
         self._steps: Iterator[None] | None = None  # of the report that is being made
 
     def restart(self) -> None:
         """Drop the report that is being made: what it tells of has gone."""
-        self._steps, self._due = None, self._next
+        self._steps = None
+        self._step_due = self._report_due
 
     def poll(self) -> None:
-        """Do a step if it is due; called by the node's loop, which knows when it can."""
+        """Make a step of a report if it is due; the node's loop calls this between samples."""
         now = time.monotonic_ns()
-        if now < self._due:
+        if now < self._step_due:
             return
-        self._due = now + PAUSE
+        self._step_due = now + PAUSE
         if self._steps is None:
-            self._steps = self._report()
-            self._next = max(
-                self._next + PERIOD, now + PERIOD // 2
-            )  # no burst after a pause
+            self._steps = self._make_report()
+            # Half a period from now at least: no burst of reports after a pause.
+            self._report_due = max(self._report_due + PERIOD, now + PERIOD // 2)
         if next(self._steps, NO_STEP_LEFT) is NO_STEP_LEFT:
-            self._steps, self._due = None, self._next
+            self.restart()
 
-    def _report(self) -> Iterator[None]:
+    def _make_report(self) -> Iterator[None]:
         """Publish one report, and yield between its steps."""
         statuses = []
         for status in self._collect():
@@ -125,93 +146,131 @@ class DiagnosticsPublisher:
 
 
 class DurationLog:
-    """The newest durations, 8 minutes of them at 500 Hz."""
+    """Durations of a loop: the newest `CAPACITY` of them, and the `count` of all."""
 
     def __init__(self) -> None:
         self._nanoseconds = np.zeros(CAPACITY, dtype=np.int64)
         self.count = 0
 
     def add(self, nanoseconds: int) -> None:
-        """Keep one duration [ns]."""
+        """Keep one duration [ns]; it takes the place of the oldest if the log is full."""
         self._nanoseconds[self.count % CAPACITY] = nanoseconds
         self.count += 1
 
     def microseconds(self, since: int = 0) -> Vector:
-        """Return those that are kept, and came after the first `since` [us]."""
+        """Return the durations that are kept, without the first `since` of all [us]."""
         first = max(since, self.count - CAPACITY)
-        return np.asarray(
-            1e-3 * self._nanoseconds[np.arange(first, self.count) % CAPACITY]
-        )
+        places = np.arange(first, self.count) % CAPACITY
+        return np.asarray(1e-3 * self._nanoseconds[places])
 
     def percentiles(
         self, since: int = 0, expected: float = 0.0
     ) -> dict[str, float | None]:
-        """Return median, tails and maximum of what is not as `expected` [us]; None without any."""
-        off = np.abs(self.microseconds(since) - expected)
-        if not off.size:
+        """
+        Return median, tails and maximum of the deviations from an `expected` duration [us].
+
+        Without an expected duration these are the durations themselves. All are None if there is
+        no duration behind the first `since`.
+        """
+        deviations = np.abs(self.microseconds(since) - expected)
+        if not deviations.size:
             return dict.fromkeys(PERCENTILES)
-        off.sort()  # np.percentile takes several times as long
-        places = np.array([*PERCENTILES.values()]) / 100.0 * (off.size - 1)
-        values = np.interp(places, np.arange(off.size), off).round(3)
+        deviations.sort()  # np.percentile takes several times as long
+        last = deviations.size - 1
+        places = np.array([*PERCENTILES.values()]) / 100.0 * last
+        values = np.interp(places, np.arange(deviations.size), deviations).round(3)
         return dict(zip(PERCENTILES, values.tolist()))
 
 
 class LoopStatistics:
-    """Rate, jitter and latency of a loop that should run at `rate` [Hz], since the last report."""
+    """
+    Rate, jitter and latency of a loop that should run at `rate` [Hz], since the last report.
+
+    Attributes
+    ----------
+    intervals, latencies
+        Durations between turns of the loop, and those that its node adds: from an input to the
+        answer.
+    missed
+        Deadlines missed since the last report; its node counts them.
+    last
+        Time of the newest turn, monotonic time [ns]; 0 before the first.
+
+    """
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
-        self.intervals, self.latencies = DurationLog(), DurationLog()
-        self._reported = (time.monotonic_ns(), 0, 0)
-        self.missed = self.last = (
-            0  # deadlines, by the node; the last turn, monotonic time [ns]
-        )
+        self.intervals = DurationLog()
+        self.latencies = DurationLog()
+        self.missed = self.last = 0
+        self._report_start = time.monotonic_ns()
+        self._reported_turns = self._reported_answers = 0
 
     def add_period(self, now: int) -> None:
-        """Take note of a turn of the loop at a monotonic time [ns]."""
+        """Count a turn of the loop at a monotonic time [ns]."""
         if self.last:
             self.intervals.add(now - self.last)
         self.last = now
 
     def report(self) -> dict[str, float | int | None]:
-        """Return what was seen; jitter is the deviation from the period."""
-        now, turns, missed = time.monotonic_ns(), self.intervals.count, self.missed
-        start, before, answered = self._reported
-        self._reported, self.missed = (now, turns, self.latencies.count), 0
-        jitter = self.intervals.percentiles(before, 1e6 / self._rate)
-        latency = self.latencies.percentiles(answered)
-        return {
-            'rate_hz': round((turns - before) * NANOSECONDS / max(1, now - start), 2),
-            'deadline_misses': missed,
-            **{f'jitter_us_{name}': jitter[name] for name in ('p50', 'p99')},
-            **{f'latency_us_{name}': latency[name] for name in ('p50', 'p99', 'max')},
+        """Return the statistics since the last call; jitter is the deviation from the period."""
+        now = time.monotonic_ns()
+        turns = self.intervals.count
+        elapsed = max(1, now - self._report_start)
+        jitter = self.intervals.percentiles(self._reported_turns, 1e6 / self._rate)
+        latency = self.latencies.percentiles(self._reported_answers)
+        values: dict[str, float | int | None] = {
+            'rate_hz': round((turns - self._reported_turns) * NANOSECONDS / elapsed, 2),
+            'deadline_misses': self.missed,
         }
+        for name in ('p50', 'p99'):
+            values[f'jitter_us_{name}'] = jitter[name]
+        for name in ('p50', 'p99', 'max'):
+            values[f'latency_us_{name}'] = latency[name]
+        self._report_start = now
+        self._reported_turns = turns
+        self._reported_answers = self.latencies.count
+        self.missed = 0
+        return values
 
 
 class InputMonitor:
     """
-    When each input came `last`, monotonic time [ns]; logs what is missing, and what comes again.
+    Knows when each input came last; logs inputs that are missing, and those that come again.
 
-    Of our own nodes each says itself why it is silent: what they publish is missed only until it
-    has come once. So is all that comes from a robot that `may_pause`, as in lockstep.
+    Our own nodes say themselves why they are silent: what they publish is missed only until it
+    has come once. The same holds for all inputs from a robot that may pause.
+
+    Parameters
+    ----------
+    node, rate, inputs
+        The node that needs the inputs, their rate [Hz], and their topics.
+    may_pause
+        Whether the robot may stop sending, as in lockstep.
+
+    Attributes
+    ----------
+    last
+        When each input came last, monotonic time [ns]; 0 for never. Its node writes here.
+    max_age
+        Age from which an input is stale [s].
+
     """
 
     def __init__(
-        self,
-        node: Node,
-        rate: float,
-        *inputs: Topic,
-        may_pause: bool = False,
+        self, node: Node, rate: float, *inputs: Topic, may_pause: bool = False
     ) -> None:
-        self._node, self._may_pause = node, may_pause
-        self.max_age = STALE_PERIODS / rate  # s
+        self._node = node
+        self._may_pause = may_pause
+        self.max_age = STALE_PERIODS / rate
         self.last = dict.fromkeys(inputs, 0)
         self.restart()
 
     def restart(self) -> None:
-        """Wait for all of them from now on."""
-        self.last, self._since = dict.fromkeys(self.last, 0), time.monotonic_ns()
-        self._missed: set[Topic] = set()  # what was said to be missing
+        """Wait for all inputs from now on, as if none had come."""
+        self.last = dict.fromkeys(self.last, 0)
+        self._start = time.monotonic_ns()
+        self._logged_missing: set[Topic] = set()
 
     def age(self, topic: Topic) -> float:
         """Return how long ago an input came last [s], infinity if it never has."""
@@ -219,79 +278,88 @@ class InputMonitor:
         return (time.monotonic_ns() - last) * 1e-9 if last else math.inf
 
     def status(self, *, needed: bool, consequence: str = '') -> ComponentStatus:
-        """Return ages; if `needed`, which are above `max_age`, and what is done about it."""
-        ages = {topic: self.age(topic) for topic in self.last}
-        stale = {
-            topic: age for topic, age in ages.items() if needed and age > self.max_age
-        }
-        if needed:
-            for topic in ages:
-                self._log_change(topic, topic in stale)
-        warning = ', '.join(
-            f'no {topic.name} ' + (f'for {age:.3g} s' if age < math.inf else 'ever')
-            for topic, age in stale.items()
-        )
-        return ComponentStatus(
-            'inputs',
-            {
-                f'age_s {topic.name}': age if age < math.inf else None
-                for topic, age in ages.items()
-            },
-            warning and warning + consequence,
-        )
+        """
+        Return the ages of the inputs, and log those that begin or cease to be missing.
+
+        Parameters
+        ----------
+        needed
+            Whether the node works with its inputs now: else their silence is no fault.
+        consequence
+            What the node does without them, e.g. ': the last R is held'; ends a warning.
+
+        """
+        values: dict[str, float | None] = {}
+        stale = []
+        for topic in self.last:
+            age = self.age(topic)
+            values[f'age_s {topic.name}'] = age if age < math.inf else None
+            if not needed:
+                continue
+            self._log_change(topic, age > self.max_age)
+            if age == math.inf:
+                stale.append(f'no {topic.name} ever')
+            elif age > self.max_age:
+                stale.append(f'no {topic.name} for {age:.3g} s')
+        warning = ', '.join(stale)
+        if warning:
+            warning += consequence
+        return ComponentStatus('inputs', values, warning)
 
     def _log_change(self, topic: Topic, stale: bool) -> None:
         """Log once that a topic is missing, and once that it comes again."""
-        if stale == (topic in self._missed):
-            return  # what is missing takes long to find out
-        change = f'messages on {self._node.resolve_topic_name(topic.name)} come now'
-        if stale:
-            change = self._missing(topic)
-        if change:
-            self._missed ^= {topic}
-            self._node.get_logger().warning(change)
+        if stale == (topic in self._logged_missing):
+            return  # the cause takes long to find out
+        if not stale:
+            name = self._node.resolve_topic_name(topic.name)
+            self._logged_missing.remove(topic)
+            self._node.get_logger().warning(f'messages on {name} come now')
+        elif self._is_missing(topic):
+            self._logged_missing.add(topic)
+            self._node.get_logger().warning(self._describe_missing(topic))
 
-    def _missing(self, topic: Topic) -> str:
-        """Return what is expected of a topic that is missing for long, and what there is."""
-        before = self.last[topic] > 0
-        if before and (self._may_pause or topic.publisher in OURS):
-            return ''
-        missing = (
-            time.monotonic_ns() - (self.last[topic] or self._since)
-        ) / NANOSECONDS
-        if missing < (MISSING_AGE if before else DISCOVERY_TIME):
-            return ''
+    def _silence(self, topic: Topic) -> float:
+        """Return for how long a topic has been waited for [s]."""
+        return (time.monotonic_ns() - (self.last[topic] or self._start)) / NANOSECONDS
+
+    def _is_missing(self, topic: Topic) -> bool:
+        """Return whether a stale topic has been silent so long that an operator should know."""
+        if not self.last[topic]:
+            return self._silence(topic) >= DISCOVERY_TIME
+        may_be_silent = self._may_pause or topic.publisher in OUR_NODES
+        return not may_be_silent and self._silence(topic) >= MISSING_AGE
+
+    def _describe_missing(self, topic: Topic) -> str:
+        """Return what is found in the graph instead of a topic that is missing, and expected."""
         name = self._node.resolve_topic_name(topic.name)
         publishers = self._node.get_publishers_info_by_topic(name)
-        types = {x.topic_type for x in publishers} - {topic.type_name}
-        source = (
-            'the driver of the robot' if topic.publisher == SIM else topic.publisher
-        )
+        types = {publisher.topic_type for publisher in publishers} - {topic.type_name}
         if not publishers:
-            present = (
+            source = topic.publisher
+            if source == SIM:
+                source = 'the driver of the robot'
+            found = (
                 f'it has no publisher: start {source}, or give its topic, '
                 f'-r {topic.name}:=/its/topic'
             )
         elif types:
-            present = f'it is published as {", ".join(sorted(types))}'
+            found = f'it is published as {", ".join(sorted(types))}'
         else:
-            names = ', '.join(sorted({x.node_name for x in publishers}))
-            silent = 'sends no more' if before else 'has sent nothing that can be read'
-            present = f'its publisher, {names}, {silent}'
+            names = sorted({publisher.node_name for publisher in publishers})
+            silent = 'has sent nothing that can be read'
+            if self.last[topic]:
+                silent = 'sends no more'
+            found = f'its publisher, {", ".join(names)}, {silent}'
         # What is found goes first: a terminal cuts a long line.
         return (
-            f'no message on {name} for {missing:.1f} s: {present}; expected '
+            f'no message on {name} for {self._silence(topic):.1f} s: {found}; expected '
             f'{topic.type_name}: {topic.content}'
         )
 
 
 def refusal_status(refusals: RefusalLog, **dropped: int) -> ComponentStatus:
-    """Return what was refused, by cause, and what was dropped."""
-    return ComponentStatus(
-        'messages',
-        {
-            'refused': sum(refusals.counts.values()),
-            **dropped,
-            **{f'refused {cause}': count for cause, count in refusals.counts.items()},
-        },
-    )
+    """Return the status of messages: how many were refused, by cause, and how many dropped."""
+    values = {'refused': refusals.counts.total(), **dropped}
+    for cause, count in refusals.counts.items():
+        values[f'refused {cause}'] = count
+    return ComponentStatus('messages', values)

@@ -10,7 +10,7 @@ The stamps of samples are the robot's own time, and the age of a command is coun
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 import contextlib
 from dataclasses import replace
 from functools import partial
@@ -33,21 +33,27 @@ from multicontact_control.nodes.streams import MessageReader, StreamPublisher
 from multicontact_control.sampling import NANOSECONDS
 import numpy as np
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
-NAME, JOINTS = 'franka_bridge', 7
+NAME = 'franka_bridge'
+JOINTS = 7
 SEVEN: dict[str, Any] = {'min_length': JOINTS, 'max_length': JOINTS}
-CYCLE, MILLISECOND = 0.001, NANOSECONDS // 1000  # s, ns: that of the robot
-SWITCH_INTERVAL = (
-    5e-5  # s, for which other threads may keep the control thread from Python
-)
-STATUS_PERIOD, LOG_PERIOD, CONNECT_PERIOD = 1.0, 5.0, 0.5  # s
-RECOVERY_TIMEOUT, JOIN_TIMEOUT = 10.0, 2.0  # s
+CYCLE = 0.001  # s, of the robot
+MILLISECOND = NANOSECONDS // 1000  # ns
+# s, for which other threads may keep the control thread from Python.
+SWITCH_INTERVAL = 5e-5
+STATUS_PERIOD = 1.0  # s, between two equal messages on ~/status
+LOG_PERIOD = 5.0  # s, between two equal warnings
+CONNECT_PERIOD = 0.5  # s, between two attempts to connect
+RECOVERY_TIMEOUT = 10.0  # s, that ~/recover waits for the control thread
+JOIN_TIMEOUT = 2.0  # s, that the end waits for the control thread
+# Kinds of torque that a cycle is answered with.
 TORQUE_COMMANDED = 'commanded'
 TORQUE_HELD = 'held'
 TORQUE_DAMPED = 'damped'
 TORQUE_STOPPED = 'stopped'
-FIGURES = (
+FIGURES = (  # keys of the diagnostics, and of the counts of a run
     'cycles',
     'starts',
     'aborts',
@@ -65,7 +71,11 @@ FIGURES = (
 
 
 class LateConfig(Config):
-    """What the bridge sends while the newest command is late; its age counts from its sample."""
+    """
+    The torque that the bridge sends while the newest command is late, by the command's age.
+
+    The age counts from the sample that the command answers, in the robot's own time.
+    """
 
     command_age: float = parameter(
         0.006, 'Age up to which a command is in time.', unit='s', gt=0.0
@@ -97,7 +107,7 @@ class LateConfig(Config):
 
 
 class FrankaBridgeConfig(graph.StartupConfig):
-    """Parameters of the bridge."""
+    """Parameters of the bridge: address and names of the arm, timing, limits of collisions."""
 
     address: str = parameter(..., 'IP address or name of the robot.')
     enforce_realtime: bool = parameter(
@@ -143,83 +153,115 @@ class LateRule:
     Chooses and limits the torque of each cycle, without gravity.
 
     While the newest command is in time, its torque; then that torque for a while, then damping,
-    then none: the end. Each cycle is counted by what its torque is.
+    then none: the end.
+
+    Attributes
+    ----------
+    kind
+        Kind of the newest torque, e.g. `TORQUE_HELD`.
+    figures
+        Cycles by the kind of their torque, and how often and how far torques changed.
+
     """
 
     def __init__(self, config: LateConfig) -> None:
-        self._config, self.kind = config, TORQUE_COMMANDED
-        self._damping, self._step = np.array(config.damping), config.torque_rate * CYCLE
+        self._config = config
+        self._damping = np.array(config.damping)
+        self._largest_change = config.torque_rate * CYCLE
+        self.kind = TORQUE_COMMANDED
         self.figures: dict[str, float] = dict.fromkeys(FIGURES, 0)
 
-    def answer(
+    def choose_torque(
         self, age: float, commanded: Vector, speed: Vector, before: Vector
-    ) -> Any:
+    ) -> Vector | None:
         """
-        Return the next torque, shape (7,) [N m]; None to end torque control.
+        Return the torque of the next cycle, None to end torque control.
 
-        The newest command has an `age` [s] and a torque, the joints have a speed [rad/s], and the
-        robot got the torque `before` last.
+        Parameters
+        ----------
+        age, commanded
+            Age of the newest command [s], and its torque, shape (7,) [N m].
+        speed
+            Speed of the joints, shape (7,) [rad/s].
+        before
+            Torque of the last cycle, shape (7,) [N m]: the next one is within `torque_rate` of it.
+
         """
-        config = self._config
-        self.kind = (
-            TORQUE_COMMANDED
-            if age <= config.command_age
-            else TORQUE_HELD
-            if age <= config.hold_time
-            else TORQUE_DAMPED
-            if age <= config.stop_time
-            else TORQUE_STOPPED
-        )
+        self.kind = self._classify(age)
         self.figures[self.kind] += 1
         if self.kind == TORQUE_STOPPED:
             return None
-        change = (
-            -self._damping * speed if self.kind == TORQUE_DAMPED else commanded
-        ) - before
-        limited = np.clip(change, -self._step, self._step)
-        self.figures['rate_limited'] += bool(np.any(limited != change))
+        wanted = commanded
+        if self.kind == TORQUE_DAMPED:
+            wanted = -self._damping * speed
+        change = wanted - before
+        limited = np.clip(change, -self._largest_change, self._largest_change)
+        if np.any(limited != change):
+            self.figures['rate_limited'] += 1
+        rate = float(np.abs(limited).max()) / CYCLE
         self.figures['highest_torque_rate'] = max(
-            self.figures['highest_torque_rate'], float(np.abs(limited).max()) / CYCLE
+            rate, self.figures['highest_torque_rate']
         )
         return np.asarray(before + limited)
 
+    def _classify(self, age: float) -> str:
+        """Return the kind of torque for a command of some age [s]."""
+        if age <= self._config.command_age:
+            return TORQUE_COMMANDED
+        if age <= self._config.hold_time:
+            return TORQUE_HELD
+        if age <= self._config.stop_time:
+            return TORQUE_DAMPED
+        return TORQUE_STOPPED
+
 
 class FrankaBridge(Node):
-    """Connects a Franka arm with the controller."""
+    """
+    Connects a Franka arm with the controller.
+
+    The control thread answers the robot and owns everything but the reports, which the main
+    thread makes of strings and numbers that the control thread replaces as a whole.
+
+    Parameters
+    ----------
+    library
+        Module with the classes of libfranka; None for pylibfranka.
+    options
+        Those of `rclpy.node.Node`.
+
+    """
 
     def __init__(self, library: Any = None, **options: Any) -> None:
         super().__init__(NAME, **options)
         self._config: FrankaBridgeConfig = load_parameters(self, FrankaBridgeConfig)[0]
-        self._library = _library() if library is None else library
+        self._library = _import_library() if library is None else library
         self._robot: Any = None
-        self._model: Any = None
-        self._active: Any = None  # torque control, while it runs
-        self._lost: list[
-            Any
-        ] = []  # of lost connections; deleted, they would wait for the robot
+        self._model: Any = None  # of the robot's dynamics; None if it knows no gravity
+        self._control: Any = None  # torque control, while it runs
+        # Of lost connections: deleted, they would wait for the robot.
+        self._lost: list[Any] = []
         self._problem = 'connecting'  # for which `~/recover` is needed
-        self._mode, self._errors = 'Idle', ''  # of the robot, in its own words
+        self._mode = 'Idle'  # of the robot, in its own words
+        self._errors = ''  # of the robot, likewise
         self._rule = LateRule(self._config.late)
         self._figures = self._rule.figures
         self._torques = self._library.Torques([0.0] * JOINTS)  # the last
-        self._time = self._origin = self._sample = (
-            0  # of the robot [ms], its stamp at 0 [ns]
-        )
-        self._command, self._command_stamp = np.zeros(JOINTS), 0
-        self._wrench, self._wrench_stamp = np.zeros(6), 0  # and when it came
+        self._time = 0  # of the robot [ms]; 0 for unknown
+        self._origin = 0  # stamp of the robot's time 0 [ns]; 0 for unknown
+        self._sample = 0  # number of the last
+        self._command = np.zeros(JOINTS)  # N m
+        self._command_stamp = 0  # of the sample that it answers [ns]
+        self._wrench = np.zeros(6)  # N, N m
+        self._wrench_stamp = 0  # when it came [ns]
         self._refusals = graph.RefusalLog(self.get_logger())
         self._refused: deque[tuple[str, Exception]] = deque(maxlen=100)
-        self._samples = StreamPublisher(
-            self,
-            topics.JOINT_STATES,
-            messages.joint_state_message(
-                0,
-                self._config.joint_names,
-                **dict.fromkeys(messages.JOINT_FIELDS, np.zeros(JOINTS)),
-            ),
+        zeros = np.zeros(JOINTS)
+        pattern = messages.joint_state_message(
+            0, self._config.joint_names, position=zeros, velocity=zeros, effort=zeros
         )
+        self._samples = StreamPublisher(self, topics.JOINT_STATES, pattern)
         self._wrenches = StreamPublisher(self, topics.WRENCH, WrenchStamped())
-        sensor = replace(
+        self._sensor = replace(
             topics.WRENCH,
             publisher='the driver of the wrist sensor',
             name=self.resolve_topic_name('~/wrench'),
@@ -228,49 +270,45 @@ class FrankaBridge(Node):
         self._listener = Node(
             f'{NAME}_inputs', context=self.context, start_parameter_services=False
         )
-        self._heard = {
-            topic: (
-                self._listener.create_subscription(
-                    topic.message,
-                    topic.name,
-                    graph.ignore_message,
-                    qos.SENSOR,
-                    raw=True,
-                ),
-                MessageReader(topic.message, read),
-            )
-            for topic, read in (
-                (
-                    topics.EFFORT_COMMAND,
-                    partial(
-                        messages.read_named_vectors,
-                        names=self._config.joint_names,
-                        fields=['effort'],
-                    ),
-                ),
-                (sensor, messages.read_wrench),
-            )
-        }
+        self._commands_heard = self._subscribe(
+            topics.EFFORT_COMMAND,
+            partial(
+                messages.read_named_vectors,
+                names=self._config.joint_names,
+                fields=['effort'],
+            ),
+        )
+        self._wrenches_heard = self._subscribe(self._sensor, messages.read_wrench)
         self._watch = diagnostics.LoopStatistics(1.0 / CYCLE)
         self._inputs = diagnostics.InputMonitor(
-            self, 1.0 / (CYCLE * self._config.divider), sensor
+            self, 1.0 / (CYCLE * self._config.divider), self._sensor
         )
         self._diagnostics = diagnostics.DiagnosticsPublisher(
-            self, self._statuses, BackgroundThread()
+            self, self._collect_statuses, BackgroundThread()
         )
         self._status_publisher = self.create_publisher(
             DiagnosticStatus, '~/status', qos.EVENT
         )
-        self._reported: tuple[float, tuple[str, ...]] = (0.0, (self._problem,))
-        self._ending, self._recovery, self._recovered = False, Event(), Event()
+        self._reported_texts: tuple[str, ...] = (self._problem,)
+        self._report_due = 0.0  # s, monotonic
+        self._ending = False
+        self._recovery_wanted = Event()
+        self._recovery_done = Event()
         self.create_service(Trigger, '~/recover', self._on_recover)
-        graph.StartupGate(
-            self, self._config
-        )  # the control thread inherits its scheduling
+        # Claims the processor; the control thread inherits its scheduling.
+        graph.StartupGate(self, self._config)
+
+    def _subscribe(
+        self, topic: topics.Topic, read: Callable[[Any], tuple[Any, ...]]
+    ) -> tuple[Subscription, MessageReader]:
+        subscription = self._listener.create_subscription(
+            topic.message, topic.name, graph.ignore_message, qos.SENSOR, raw=True
+        )
+        return subscription, MessageReader(topic.message, read)
 
     def run(self, spinner: Spinner) -> None:
-        """Run the control thread until asked to stop; report meanwhile."""
-        thread = Thread(target=self._control, name='control', daemon=True)
+        """Run the control thread until asked to stop; RunError if it ends by itself."""
+        thread = Thread(target=self._answer_robot, name='control', daemon=True)
         self.get_logger().info(f'connecting with {self._config.address}')
         spinner.spin_once(0.0)  # with the first line logged, what takes long is done
         sys.setswitchinterval(SWITCH_INTERVAL)
@@ -278,14 +316,14 @@ class FrankaBridge(Node):
         while not spinner.stop and thread.is_alive():
             spinner.spin_once(0.02)
             self._diagnostics.poll()
-            self._report()
+            self._report_changes()
         self._ending = True
         thread.join(JOIN_TIMEOUT)
         if not spinner.stop:
             raise RunError('the control thread has ended, as above')
 
     def close(self) -> None:
-        """Write the counts of this run, if asked to."""
+        """Destroy the listener, and write the counts of this run to `timing_file`, if given."""
         self._listener.destroy_node()
         self._config.write_counts(
             {
@@ -295,188 +333,201 @@ class FrankaBridge(Node):
             }
         )
 
-    # What the control thread does. It writes no log: the first line of one takes 40 ms.
+    # The control thread. It writes no log: the first line of one takes 40 ms.
 
-    def _control(self) -> None:
-        """Answer the robot until the node ends."""
-        while not self._ending or self._active is not None:
-            asked = self._recovery.is_set() or self._robot is None and not self._lost
+    def _answer_robot(self) -> None:
+        """Connect, and answer the robot until the node ends."""
+        failures = (self._library.FrankaException, RuntimeError, MulticontactError)
+        while not self._ending or self._control is not None:
+            never_connected = self._robot is None and not self._lost
+            recovering = self._recovery_wanted.is_set() or never_connected
             try:
-                if asked:
+                if recovering:
                     self._recover()
                 if self._robot is not None and not self._ending:
-                    self._turn()
-                elif self._active is not None:
-                    self._finish()
-            except (
-                self._library.FrankaException,
-                RuntimeError,
-                MulticontactError,
-            ) as error:
-                self._fail(error)
-            if asked:
-                self._recovery.clear()
-                self._recovered.set()
+                    self._answer_state()
+                elif self._control is not None:
+                    self._finish_control()
+            except failures as error:
+                self._note_failure(error)
+            if recovering:
+                self._recovery_wanted.clear()
+                self._recovery_done.set()
             if self._robot is None:
                 time.sleep(CONNECT_PERIOD)
 
-    def _turn(self) -> None:
+    def _answer_state(self) -> None:
         """Take one state of the robot: answer it, then publish it."""
-        state = (
-            self._robot.read_once()
-            if self._active is None
-            else self._active.readOnce()[0]
-        )
+        if self._control is None:
+            state = self._robot.read_once()
+        else:
+            state, _ = self._control.readOnce()
         received = time.monotonic_ns()
         now = round(state.time.to_sec() / CYCLE)
-        self._mode, self._errors = (
-            str(state.robot_mode).split('.')[-1],
-            str(state.current_errors),
-        )
-        if not self._origin:
-            self._origin = (
-                time.time_ns() // MILLISECOND * MILLISECOND - now * MILLISECOND
-            )
-        if self._active is not None and self._time:
-            self._figures['lost_cycles'] += now - self._time - 1
-        self._time, stamp = now, self._origin + now * MILLISECOND
+        stamp = self._stamp_state(now)
+        self._mode = str(state.robot_mode).split('.')[-1]
+        self._errors = str(state.current_errors)
         self._take_inputs(stamp)
-        speed, age = np.array(state.dq), abs(1e-9 * (stamp - self._command_stamp))
-        if self._active is not None:
-            self._answer(state, age, speed)
+        age = abs(1e-9 * (stamp - self._command_stamp))
+        if self._control is not None:
+            self._send_torque(state, age)
             self._watch.latencies.add(time.monotonic_ns() - received)
-        elif (
-            not self._problem
-            and self._mode == 'Idle'
-            and (age <= self._config.late.command_age)
-        ):
-            self._active = self._robot.start_torque_control()
-            self._time = 0  # in which some cycles pass
-            self._figures['starts'] += 1
+        elif not self._problem and self._mode == 'Idle':
+            if age <= self._config.late.command_age:
+                self._start_control()
         self._watch.add_period(received)
-        if now // self._config.divider != self._sample:
-            self._sample = now // self._config.divider
-            self._publish(stamp, state, speed)
-        time.sleep(
-            0.0
-        )  # libfranka keeps other threads from Python while it waits for the robot
+        sample = now // self._config.divider
+        if sample != self._sample:
+            self._sample = sample
+            self._publish_sample(stamp, state)
+        # libfranka keeps other threads from Python while it waits for the robot.
+        time.sleep(0.0)
+
+    def _stamp_state(self, now: int) -> int:
+        """Return the stamp [ns] of a time of the robot [ms]; count the cycles it has passed by."""
+        if not self._origin:
+            started = time.time_ns() // MILLISECOND - now
+            self._origin = started * MILLISECOND
+        if self._control is not None and self._time:
+            self._figures['lost_cycles'] += now - self._time - 1
+        self._time = now
+        return self._origin + now * MILLISECOND
 
     def _take_inputs(self, stamp: int) -> None:
-        """Take in the newest command and wrench."""
-        for topic, (subscription, read) in self._heard.items():
-            while (taken := graph.take_message(subscription)) is not None:
-                try:
-                    if topic is topics.EFFORT_COMMAND:
-                        self._command_stamp, self._command = read(taken[0])
-                    else:
-                        _, self._wrench = read(taken[0])
-                        self._wrench_stamp = stamp
-                        self._inputs.last[topic] = time.monotonic_ns()
-                except MulticontactError as error:
-                    self._refused.append((topic.name, error))
+        """Take in the newest command and wrench, at a time of the robot [ns]."""
+        for command_stamp, command in self._read_arrived(*self._commands_heard):
+            self._command_stamp = command_stamp
+            self._command = command
+        for _, wrench in self._read_arrived(*self._wrenches_heard):
+            self._wrench = wrench
+            self._wrench_stamp = stamp
+            self._inputs.last[self._sensor] = time.monotonic_ns()
 
-    def _answer(self, state: Any, age: float, speed: Vector) -> None:
-        """Send a torque, or end torque control."""
-        torque = self._rule.answer(age, self._command, speed, np.array(state.tau_J_d))
+    def _read_arrived(
+        self, subscription: Subscription, read: MessageReader
+    ) -> Iterator[tuple[Any, ...]]:
+        """Yield what is read in the messages that wait; keep what is refused for the log."""
+        while (taken := graph.take_message(subscription)) is not None:
+            try:
+                yield read(taken[0])
+            except MulticontactError as error:
+                self._refused.append((subscription.topic_name, error))
+
+    def _start_control(self) -> None:
+        self._control = self._robot.start_torque_control()
+        self._time = 0  # unknown: some cycles pass meanwhile
+        self._figures['starts'] += 1
+
+    def _send_torque(self, state: Any, age: float) -> None:
+        """Answer a state by a torque while the command has some age [s], or end torque control."""
+        torque = self._rule.choose_torque(
+            age, self._command, np.array(state.dq), np.array(state.tau_J_d)
+        )
         if torque is None:
-            self._finish()
+            self._finish_control()
         else:
             self._torques = self._library.Torques(torque.tolist())
-            self._active.writeOnce(self._torques)
+            self._control.writeOnce(self._torques)
             self._figures['cycles'] += 1
             self._figures['success_rate'] = state.control_command_success_rate
 
-    def _finish(self) -> None:
+    def _finish_control(self) -> None:
         """End torque control: the robot holds its position."""
-        active, self._active = self._active, None
+        control = self._control
+        self._control = None  # also if the robot does not take the end
         self._torques.motion_finished = True
-        active.writeOnce(self._torques)
+        control.writeOnce(self._torques)
 
-    def _publish(self, stamp: int, state: Any, speed: Vector) -> None:
-        """Publish a sample."""
+    def _publish_sample(self, stamp: int, state: Any) -> None:
+        """Publish joint state and wrench at a stamp [ns]; efforts without gravity."""
         if 1e-9 * (stamp - self._wrench_stamp) <= self._config.wrench_age:
             self._wrenches.publish_if_subscribed(stamp, self._wrench)
         else:
             self._figures['wrench_late'] += 1
-        effort = (
-            np.array(state.tau_J_d)
-            if self._model is None
-            else (np.array(state.tau_J) - np.array(self._model.gravity(state)))
-        )
-        self._samples.publish_if_subscribed(stamp, state.q, speed, effort)
+        effort = np.array(state.tau_J_d)
+        if self._model is not None:
+            effort = np.array(state.tau_J) - np.array(self._model.gravity(state))
+        self._samples.publish_if_subscribed(stamp, state.q, state.dq, effort)
 
-    def _fail(self, error: Exception) -> None:
-        """Take note of what ended torque control or the connection."""
-        self._figures['aborts'] += self._active is not None
-        if isinstance(error, self._library.NetworkException):
-            self._lost += [self._active, self._robot] if self._robot is not None else []
-            self._active = self._robot = self._model = None
-        elif self._active is not None:
-            with contextlib.suppress(RuntimeError, self._library.FrankaException):
-                self._finish()  # libfranka then knows that it has ended
+    def _note_failure(self, error: Exception) -> None:
+        """Give up what an error has ended: the connection, or torque control."""
+        if self._control is not None:
+            self._figures['aborts'] += 1
         text = shorten_ros_error(error).removeprefix('libfranka: ').rstrip('.')
-        self._problem = (
-            f'{self._config.address}: {text}' if self._robot is None else text
-        )
+        if isinstance(error, self._library.NetworkException):
+            if self._robot is not None:
+                self._lost += [self._control, self._robot]
+            self._control = self._robot = self._model = None
+        elif self._control is not None:
+            with contextlib.suppress(RuntimeError, self._library.FrankaException):
+                self._finish_control()  # libfranka then knows that it has ended
+        if self._robot is None:
+            text = f'{self._config.address}: {text}'
+        self._problem = text
 
     def _recover(self) -> None:
         """Connect, or clear the robot's errors; torque control may then start."""
         if self._robot is None:
-            config, kinds = self._config, self._library.RealtimeConfig
-            robot = self._library.Robot(
-                config.address,
-                kinds.kEnforce if config.enforce_realtime else kinds.kIgnore,
-            )
-            robot.set_collision_behavior(
-                *[list(config.collision_torque)] * 2,
-                *[list(config.collision_force)] * 2,
-            )
-            measures = any(
-                robot.read_once().O_ddP_O
-            )  # simulators know no direction of gravity
-            self._model = robot.load_model() if measures else None
-            self._robot, self._origin = robot, 0
-            self._inputs.restart()
+            self._connect()
         elif self._mode == 'UserStopped':
             raise RunError('release the user stop')
-        elif self._active is None:
+        elif self._control is None:
             self._robot.automatic_error_recovery()
             self._figures['recoveries'] += 1
         self._problem = ''
 
-    # What the main thread does.
+    def _connect(self) -> None:
+        config = self._config
+        kinds = self._library.RealtimeConfig
+        realtime = kinds.kEnforce if config.enforce_realtime else kinds.kIgnore
+        robot = self._library.Robot(config.address, realtime)
+        torque = list(config.collision_torque)
+        force = list(config.collision_force)
+        robot.set_collision_behavior(torque, torque, force, force)
+        # Simulators know no direction of gravity, and measure no torque.
+        self._model = robot.load_model() if any(robot.read_once().O_ddP_O) else None
+        self._robot = robot
+        self._origin = 0
+        self._inputs.restart()
+
+    # The main thread.
 
     def _on_recover(self, _request: Any, response: Any) -> Any:
-        self._recovered.clear()
-        self._recovery.set()
-        done = self._recovered.wait(RECOVERY_TIMEOUT)
-        response.success = done and not self._problem
-        response.message = self._problem if done else 'no answer of the robot'
+        self._recovery_done.clear()
+        self._recovery_wanted.set()
+        if self._recovery_done.wait(RECOVERY_TIMEOUT):
+            response.success = not self._problem
+            response.message = self._problem
+        else:
+            response.message = 'no answer of the robot'
         return response
 
+    def _describe_control(self) -> str:
+        """Return the kind of torque while torque control runs, else whether it starts."""
+        if self._control is not None:
+            return self._rule.kind
+        if self._problem or self._mode != 'Idle':
+            return 'off'
+        if self._rule.kind == TORQUE_STOPPED:
+            return 'has ended; starts with the next command'
+        return 'starts with the next command'
+
     def _robot_status(self) -> diagnostics.ComponentStatus:
-        """Return what the robot and the bridge do."""
-        mode, error, warning = self._mode, self._problem, ''
-        if self._active is not None:
-            control = self._rule.kind
-        elif error or mode != 'Idle':
-            control = 'off'
-        else:
-            control = (
-                'has ended; ' * (self._rule.kind == TORQUE_STOPPED)
-                + 'starts with the next command'
-            )
+        """Return the status of robot and torque control."""
+        control = self._describe_control()
+        warning = ''
         if control in (TORQUE_HELD, TORQUE_DAMPED):
             warning = f'no command in time: torques are {control}'
-        elif control == 'off' and mode != 'Idle':
-            warning = f'the robot is in mode {mode}'
+        elif control == 'off' and self._mode != 'Idle':
+            warning = f'the robot is in mode {self._mode}'
+        error = self._problem
         if error and (self._lost or self._robot is not None):
             error += '; call ~/recover'
         return diagnostics.ComponentStatus(
             'robot',
             {
                 'torque_control': control,
-                'robot_mode': mode,
+                'robot_mode': self._mode,
                 'errors': self._errors,
                 **self._figures,
             },
@@ -484,37 +535,32 @@ class FrankaBridge(Node):
             warning=warning,
         )
 
-    def _report(self) -> None:
-        """Publish on ``~/status`` what changes, and once a second; log it."""
+    def _report_changes(self) -> None:
+        """Publish changes on ~/status, the state once a second as well; log what changes."""
         while self._refused:
             self._refusals.log_refusal(*self._refused.popleft())
-        status, now = self._robot_status(), time.monotonic()
+        status = self._robot_status()
         control = status.values['torque_control']
-        texts = (
-            status.error,
-            status.warning,
-            f'{self._config.address}: torque control '
-            + (
-                'runs'
-                if control in (TORQUE_COMMANDED, TORQUE_HELD, TORQUE_DAMPED)
-                else control
-            ),
-        )
-        if texts != self._reported[1] or now > self._reported[0] + STATUS_PERIOD:
-            if status.error and status.error not in self._reported[1]:
+        if control in (TORQUE_COMMANDED, TORQUE_HELD, TORQUE_DAMPED):
+            control = 'runs'
+        text = f'{self._config.address}: torque control {control}'
+        texts = (status.error, status.warning, text)
+        before = self._reported_texts
+        now = time.monotonic()
+        if texts == before and now <= self._report_due:
+            return
+        if status.error:
+            if status.error not in before:
                 self.get_logger().error(status.error)
-            elif status.warning and not status.error:
-                self.get_logger().warning(
-                    status.warning, throttle_duration_sec=LOG_PERIOD
-                )
-            elif not status.error and texts[2] not in self._reported[1]:
-                self.get_logger().info(texts[2])
-            self._reported = (now, texts)
-            self._status_publisher.publish(
-                diagnostics.build_status_message(NAME, status)
-            )
+        elif status.warning:
+            self.get_logger().warning(status.warning, throttle_duration_sec=LOG_PERIOD)
+        elif text not in before:
+            self.get_logger().info(text)
+        self._reported_texts = texts
+        self._report_due = now + STATUS_PERIOD
+        self._status_publisher.publish(diagnostics.build_status_message(NAME, status))
 
-    def _statuses(self) -> Sequence[diagnostics.ComponentStatus]:
+    def _collect_statuses(self) -> Sequence[diagnostics.ComponentStatus]:
         return [
             self._robot_status(),
             diagnostics.ComponentStatus('loop', self._watch.report()),
@@ -523,7 +569,7 @@ class FrankaBridge(Node):
         ]
 
 
-def _library() -> Any:
+def _import_library() -> Any:
     """Return the module of libfranka; ConfigError if it is not installed."""
     try:
         import pylibfranka

@@ -25,6 +25,7 @@ from multicontact_control.nodes.messages import (
 from multicontact_control.nodes.runtime import start_ros
 from multicontact_control.nodes.topics import Topic
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
@@ -32,13 +33,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 
-CONFIGURE, ACTIVATE, DEACTIVATE, CLEAN_UP = (
-    'configure',
-    'activate',
-    'deactivate',
-    'cleanup',
-)
-GOALS = {
+CONFIGURE = 'configure'
+ACTIVATE = 'activate'
+DEACTIVATE = 'deactivate'
+CLEAN_UP = 'cleanup'
+GOALS = {  # state that each transition leads to
     CONFIGURE: 'inactive',
     ACTIVATE: 'active',
     DEACTIVATE: 'inactive',
@@ -47,30 +46,31 @@ GOALS = {
 LARGEST_DOMAIN = 232  # for which there are ports
 PATIENCE = 300.0  # s, until a node is there, and has done its work
 FIRST_TIMEOUT = 5.0  # s; an answer may be lost: then the state tells
-ASK_PERIOD = 1.0  # s
+ASK_PERIOD = 1.0  # s, between two requests for a state
 QUEUED = (topics.STATUS, topics.DIAGNOSTICS)  # of which no message may be missed
 RESEND_PERIOD = 0.2  # s, of a command that is not answered
 CONNECTION_TIME = 2.0  # s, that the first command waits for all its readers at most
-WAIT_PERIOD, POLL_PERIOD = 0.02, 0.001  # s, for services, and for messages
+SERVICE_PERIOD = 0.02  # s, of looking for a service and its answer
+MESSAGE_PERIOD = 0.001  # s, of looking for messages
 
 T = TypeVar('T')
 
 
 class CommandRefusedError(RunError):
-    """The controller refuses a command, and says why."""
+    """The controller refuses a command; the text is its reason."""
 
 
 class NoAnswerError(RunError):
-    """A node does not answer."""
+    """A service is missing or does not answer in time; the text names it and the time."""
 
 
 class TransitionError(RunError):
-    """A node refused a transition; its log says why."""
+    """A node refused a transition of its life cycle; the node's log says why."""
 
 
 @cache
-def _context(domain_id: int) -> Context:
-    """Return the context of all guests of a domain: one participant, as long as it has nodes."""
+def _join_domain(domain_id: int) -> Context:
+    """Return the context of all clients of a domain: one participant until the process ends."""
     # Fast DDS 2.14 can wait for itself for ever when one leaves while others come and go.
     context = Context()
     start_ros([], context=context, domain_id=domain_id)
@@ -78,16 +78,15 @@ def _context(domain_id: int) -> Context:
     return context
 
 
-def _domain_number(domain_id: int | None) -> int:
+def _validate_domain(domain_id: int | None) -> int:
     """Return the number of a ROS domain, by default that of the environment; MessageError."""
     given: object = domain_id
-    if given is None:
+    if domain_id is None:
         given = os.environ.get('ROS_DOMAIN_ID') or '0'
-    number = -1
-    if isinstance(given, int):
-        number = given
-    elif isinstance(given, str) and given.isdecimal():
-        number = int(given)
+    try:
+        number = int(str(given))
+    except ValueError:
+        number = -1
     if not 0 <= number <= LARGEST_DOMAIN:
         raise MessageError(
             'domain_id', f'a whole number from 0 to {LARGEST_DOMAIN}', repr(given)
@@ -107,12 +106,31 @@ def _parameter_message(name: str, value: Any) -> Any:
         ) from None
 
 
+def _keep_waiting(_what: str) -> None:
+    """Go on waiting for a node."""
+
+
 class ServiceClientNode:
     """
-    A node without parameters and logs, which calls services and transitions of others.
+    A node that calls services, parameters and transitions of other nodes, and has none itself.
 
-    The domain is that of the environment by default. It waits up to `patience` [s] for a node to
-    appear or work; `keep_waiting` is called with what is waited for meanwhile, and may raise.
+    It is a context manager, and destroys the node at its end.
+
+    Parameters
+    ----------
+    name, domain_id, namespace
+        Name of the node; its ROS domain, by default that of the environment; its namespace.
+    patience
+        How long it waits for a node to appear or to work [s].
+    keep_waiting
+        Called meanwhile, every `SERVICE_PERIOD`, with the text of what is waited for; an exception
+        that it raises ends the wait.
+
+    Raises
+    ------
+    MessageError
+        If ROS knows no such domain or namespace.
+
     """
 
     def __init__(
@@ -122,13 +140,15 @@ class ServiceClientNode:
         namespace: str = '',
         *,
         patience: float = PATIENCE,
-        keep_waiting: Callable[[str], None] = lambda what: None,
+        keep_waiting: Callable[[str], None] = _keep_waiting,
     ) -> None:
-        self._patience, self._keep_waiting = patience, keep_waiting
+        self._patience = patience
+        self._keep_waiting = keep_waiting
         self._closed = False
-        self.context = _context(_domain_number(domain_id))
+        self._clients: dict[str, Client] = {}  # by the name of the service
+        self.context = _join_domain(_validate_domain(domain_id))
         try:
-            self.node = node = Node(
+            self.node = Node(
                 name,
                 namespace=namespace,
                 context=self.context,
@@ -143,16 +163,11 @@ class ServiceClientNode:
                 repr(namespace),
             ) from None
         self._domain = f'ROS domain {self.context.get_domain_id()}'
-        self._client = cache(
-            lambda server, service, name: node.create_client(
-                service, f'{server}/{name}'
-            )
-        )
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
 
     def __enter__(self) -> Self:
-        """Return the guest itself."""
+        """Return the client itself."""
         return self
 
     def __exit__(self, *_error: object) -> None:
@@ -160,7 +175,7 @@ class ServiceClientNode:
         self.close()
 
     def close(self) -> None:
-        """Leave the graph, once."""
+        """Leave the graph; every call after the first does nothing."""
         if self._closed:
             return
         self._closed = True
@@ -176,20 +191,31 @@ class ServiceClientNode:
             )
 
     def configure_and_activate(self, node_name: str) -> None:
-        """Configure and activate a node, as far as it is not."""
-        for state, transition in (('unconfigured', CONFIGURE), ('inactive', ACTIVATE)):
-            if self.get_state(node_name) == state:
-                self.change_state(node_name, transition)
+        """Lead a node to the active state by the transitions that it still needs."""
+        if self.get_state(node_name) == 'unconfigured':
+            self.change_state(node_name, CONFIGURE)
+        if self.get_state(node_name) == 'inactive':
+            self.change_state(node_name, ACTIVATE)
 
     def change_state(self, node_name: str, transition: str) -> None:
-        """Lead a node to where a transition goes; TransitionError if it refuses, NoAnswerError."""
+        """
+        Lead a node through a transition, e.g. `CONFIGURE`, unless it is there already.
+
+        Raises
+        ------
+        TransitionError
+            If the node is in another state than the goal afterwards.
+        NoAnswerError
+            If there is no such node.
+
+        """
         request = ChangeState.Request(transition=Transition(label=transition))
-        with suppress(
-            NoAnswerError
-        ):  # it is lost, or the node is at work and answers later
-            if self.call_service(
+        # Without an answer: it is lost, or the node is at work and answers later.
+        with suppress(NoAnswerError):
+            response = self.call_service(
                 node_name, ChangeState, 'change_state', request, FIRST_TIMEOUT
-            ).success:
+            )
+            if response.success:
                 return
         if self.get_state(node_name) != GOALS[transition]:
             raise TransitionError(
@@ -197,29 +223,30 @@ class ServiceClientNode:
             )
 
     def get_state(self, node_name: str) -> str:
-        """Return the state of a node; NoAnswerError."""
+        """Return the state of a node, e.g. 'inactive'; NoAnswerError after `patience`."""
         give_up = time.monotonic() + self._patience
-        while (
-            True
-        ):  # one that is killed and started again seems to listen, and never answers
+        # A node that is killed and started again seems to listen at first, and never answers.
+        while True:
             try:
-                return str(
-                    self.call_service(
-                        node_name, GetState, 'get_state', GetState.Request(), ASK_PERIOD
-                    ).current_state.label
+                response = self.call_service(
+                    node_name, GetState, 'get_state', GetState.Request(), ASK_PERIOD
                 )
+                return str(response.current_state.label)
             except NoAnswerError:
                 if time.monotonic() > give_up:
                     raise
 
     def has_lifecycle(self, node_name: str, wait: float) -> bool:
-        """Return whether a node has a lifecycle, looking for it for up to `wait` [s]."""
+        """Return whether a node has a life cycle, looking for it for up to `wait` [s]."""
+        client = self._get_client(node_name, GetState, 'get_state')
+        return self._wait_until(client.service_is_ready, wait, f'{node_name} to appear')
+
+    def _get_client(self, node_name: str, service: Any, name: str) -> Client:
         self._require_open()
-        return self._wait_until(
-            self._client(node_name, GetState, 'get_state').service_is_ready,
-            wait,
-            f'{node_name} to appear',
-        )
+        full_name = f'{node_name}/{name}'
+        if full_name not in self._clients:
+            self._clients[full_name] = self.node.create_client(service, full_name)
+        return self._clients[full_name]
 
     def call_service(
         self,
@@ -229,12 +256,26 @@ class ServiceClientNode:
         request: Any,
         timeout: float = PATIENCE,
     ) -> Any:
-        """Return the response of a service; NoAnswerError without one within `timeout` [s]."""
-        self._require_open()
-        client, timeout = (
-            self._client(node_name, service, name),
-            min(timeout, self._patience),
-        )
+        """
+        Return the response of a service of a node.
+
+        Parameters
+        ----------
+        node_name, service, name
+            Name of the node, class of the service, and its name behind that of the node.
+        request
+            A request of that class.
+        timeout
+            Longest wait for the answer [s], once the service is there.
+
+        Raises
+        ------
+        NoAnswerError
+            If the service is not there within `patience`, or does not answer in time.
+
+        """
+        client = self._get_client(node_name, service, name)
+        timeout = min(timeout, self._patience)
         if not self._wait_until(
             client.service_is_ready, self._patience, f'{node_name} to appear'
         ):
@@ -251,16 +292,12 @@ class ServiceClientNode:
         return future.result()
 
     def get_parameters(self, node_name: str, *names: str) -> list[Any]:
-        """Return parameters of a node; RunError if it lacks one."""
+        """Return the values of parameters of a node; RunError with the names that it lacks."""
         request = GetParameters.Request(names=names)
-        values = [
-            *map(
-                parameter_value_to_python,
-                self.call_service(
-                    node_name, GetParameters, 'get_parameters', request
-                ).values,
-            )
-        ]
+        response = self.call_service(
+            node_name, GetParameters, 'get_parameters', request
+        )
+        values = [parameter_value_to_python(value) for value in response.values]
         if len(values) != len(names) or None in values:
             self._require_known(node_name, names)
             raise RunError(
@@ -269,27 +306,30 @@ class ServiceClientNode:
         return values
 
     def set_parameters(self, node_name: str, values: Mapping[str, Any]) -> None:
-        """Set parameters of a node, all or none; RunError if it refuses."""
-        request = SetParametersAtomically.Request(
-            parameters=[
-                _parameter_message(name, value) for name, value in values.items()
-            ]
+        """
+        Set parameters of a node by name, all or none.
+
+        MessageError for a value that is none of a parameter; RunError, with the node's reason, if
+        the node refuses.
+        """
+        changes = [_parameter_message(name, value) for name, value in values.items()]
+        response = self.call_service(
+            node_name,
+            SetParametersAtomically,
+            'set_parameters_atomically',
+            SetParametersAtomically.Request(parameters=changes),
         )
-        result = self.call_service(
-            node_name, SetParametersAtomically, 'set_parameters_atomically', request
-        ).result
-        if not result.successful:
-            self._require_known(
-                node_name, values
-            )  # rclpy names none that is not declared
-            raise RunError(str(result.reason))
+        if not response.result.successful:
+            # rclpy does not name a parameter that is not declared.
+            self._require_known(node_name, values)
+            raise RunError(str(response.result.reason))
 
     def _require_known(self, node_name: str, names: Iterable[str]) -> None:
         """Refuse names of parameters that a node does not have; RunError with all of them."""
-        known = self.call_service(
+        response = self.call_service(
             node_name, ListParameters, 'list_parameters', ListParameters.Request()
-        ).result.names
-        unknown = [f"'{name}'" for name in names if name not in known]
+        )
+        unknown = [f"'{name}'" for name in names if name not in response.result.names]
         if unknown:
             raise RunError(
                 f'{node_name}: expected parameters that it has, got {", ".join(unknown)}'
@@ -304,17 +344,36 @@ class ServiceClientNode:
             if time.monotonic() > give_up:
                 return False
             self._keep_waiting(what)
-            self._executor.spin_once(timeout_sec=WAIT_PERIOD)
+            self._executor.spin_once(timeout_sec=SERVICE_PERIOD)
         return True
+
+
+def _ignore_status(_status: ControllerStatus) -> None:
+    """Take no note of a status."""
 
 
 class ControllerLink(ServiceClientNode):
     """
     One end of a connection to a running controller, without a thread.
 
-    It keeps the newest message of each topic that it hears, all of those `QUEUED`, and waits for
-    nothing longer than `timeout` [s]. `on_status` is called with each status that `look` takes,
-    of which `last_status` is the last.
+    It keeps the newest message of each topic that it hears, and all of those that are `QUEUED`.
+
+    Parameters
+    ----------
+    heard
+        Topics to subscribe to, beside ~/status.
+    namespace, domain_id
+        Those of the controller; None for the domain of the environment.
+    timeout
+        Longest wait for an answer or a message [s].
+    on_status
+        Called with each status that `take_statuses` takes.
+
+    Attributes
+    ----------
+    last_status
+        The newest status that was taken, None before the first.
+
     """
 
     def __init__(
@@ -324,42 +383,35 @@ class ControllerLink(ServiceClientNode):
         namespace: str,
         domain_id: int | None,
         timeout: float,
-        on_status: Callable[[ControllerStatus], None] = lambda status: None,
+        on_status: Callable[[ControllerStatus], None] = _ignore_status,
     ) -> None:
         super().__init__(
             f'multicontact_client_{os.getpid()}', domain_id, namespace, patience=timeout
         )
         self._on_status = on_status
         self.last_status: ControllerStatus | None = None
-        self._kept: dict[Topic, deque[Any]] = {
-            topic: deque(maxlen=None if topic in QUEUED else 1)
-            for topic in (*heard, topics.STATUS)
-        }
-        self._subscriptions = {
-            topic: self.node.create_subscription(
-                topic.message,
-                topic.name,
-                lambda message, kept=kept: kept.append(
-                    message
-                ),  # while a service is waited for
-                qos.STREAM
-                if kept.maxlen is None
-                else qos.LATCHED
-                if topic.profile == qos.LATCHED
-                else qos.GLANCE,
+        self._kept: dict[Topic, deque[Any]] = {}
+        self._subscriptions = {}
+        for topic in (*heard, topics.STATUS):
+            kept, profile = deque[Any](maxlen=1), qos.GLANCE
+            if topic in QUEUED:
+                kept, profile = deque[Any](), qos.STREAM
+            elif topic.profile == qos.LATCHED:
+                profile = qos.LATCHED
+            self._kept[topic] = kept
+            # The callback runs while a service is waited for; else messages are taken.
+            self._subscriptions[topic] = self.node.create_subscription(
+                topic.message, topic.name, kept.append, profile
             )
-            for topic, kept in self._kept.items()
-        }
         self._publishers = {
             topic: create_publisher(self.node, topic)
             for topic in (topics.FORCE_COMMAND, topics.MOTION_COMMAND)
         }
-        self._connected: set[Topic] = (
-            set()
-        )  # those whose first command all readers have
+        # Topics whose first command all readers have.
+        self._connected: set[Topic] = set()
 
     def close(self) -> None:
-        """Leave the graph, when all readers of the commands have these."""
+        """Leave the graph once all readers of the commands have these."""
         if self._closed:
             return
         for publisher in self._publishers.values():
@@ -367,42 +419,59 @@ class ControllerLink(ServiceClientNode):
         super().close()
 
     def _take_arrived(self, topic: Topic) -> deque[Any]:
+        """Return the messages that are kept of a topic, with those that have just arrived."""
         self._require_open()
         kept = self._kept[topic]
         while (taken := take_message(self._subscriptions[topic])) is not None:
-            kept.append(taken[0])
+            message, _info = taken
+            kept.append(message)
         return kept
 
     def get_newest(self, topic: Topic) -> Any | None:
         """Return the newest message of a topic, None if none has come so far."""
-        return next(reversed(self._take_arrived(topic)), None)
+        kept = self._take_arrived(topic)
+        return kept[-1] if kept else None
 
     def take_queued(self, topic: Topic) -> list[Any]:
-        """Return the messages of a topic that have come since this was called last."""
+        """Return the messages of a topic that have come since the last call, oldest first."""
         messages = list(self._take_arrived(topic))
         self._kept[topic].clear()
         return messages
 
     def receive_fresh(self, *wanted: Topic, one_stamp: bool = False) -> list[Any]:
-        """Return messages that come from now on, all of one stamp if asked to; RunError."""
+        """
+        Return a message of each topic that comes from now on.
 
-        def complete() -> list[Any] | None:
+        Parameters
+        ----------
+        wanted
+            Topics that are heard.
+        one_stamp
+            Whether all messages are to be of one sample.
+
+        Raises
+        ------
+        RunError
+            If they do not come within the timeout.
+
+        """
+
+        def find_messages() -> list[Any] | None:
             messages: list[Any] = [self.get_newest(topic) for topic in wanted]
-            stamps = [x and x.header.stamp for x in messages]
-            return (
-                None
-                if None in stamps
-                or (one_stamp and stamps.count(stamps[0]) < len(stamps))
-                else messages
-            )
+            if None in messages:
+                return None
+            first = messages[0].header.stamp
+            if one_stamp and any(each.header.stamp != first for each in messages):
+                return None
+            return messages
 
         for topic in wanted:
             self._take_arrived(topic).clear()
-        return self._await_value(
-            complete, f'{", ".join(topic.name for topic in wanted)}: expected a message'
-        )
+        names = ', '.join(topic.name for topic in wanted)
+        return self._await_value(find_messages, f'{names}: expected a message')
 
     def _await_value(self, get: Callable[[], T | None], missing: str) -> T:
+        """Return the first value that is not None; RunError with a text if none comes in time."""
         give_up = time.monotonic() + self._patience
         while (value := get()) is None:
             if time.monotonic() > give_up:
@@ -410,21 +479,24 @@ class ControllerLink(ServiceClientNode):
                     f'{missing} within {self._patience:g} s in {self._domain}, got '
                     'none; is the controller active?'
                 )
-            time.sleep(POLL_PERIOD)
+            time.sleep(MESSAGE_PERIOD)
         return value
 
     def take_statuses(self) -> list[ControllerStatus]:
-        """Return what the controller has said of itself and of commands since the last look."""
-        statuses = [
-            ControllerStatus.from_message(message)
-            for message in self.take_queued(topics.STATUS)
-        ]
-        for self.last_status in statuses:
+        """Return what the controller has said of itself and of commands since the last call."""
+        statuses = []
+        for message in self.take_queued(topics.STATUS):
+            self.last_status = ControllerStatus.from_message(message)
+            statuses.append(self.last_status)
             self._on_status(self.last_status)
         return statuses
 
     def request_service(self, name: str, service: Any, request: Any) -> str:
-        """Call a service of the controller; return what it says; CommandRefusedError."""
+        """
+        Call a service of the controller, e.g. 'hold'; return what happens now, in words.
+
+        CommandRefusedError with the controller's reason if it refuses.
+        """
         answer = self.call_service(topics.CONTROLLER, service, name, request)
         if not answer.success:
             raise CommandRefusedError(
@@ -433,49 +505,65 @@ class ControllerLink(ServiceClientNode):
         return str(answer.message)
 
     def publish_command(self, topic: Topic, command: Any, identifier: str) -> None:
-        """Publish a command once, without waiting for an answer."""
+        """Publish a command once, without waiting for an answer, which has its identifier."""
         self._require_open()
         set_identifier(command, identifier)
         self._publishers[topic].publish(command)
 
     def find_acceptance(self, identifier: str) -> ControllerStatus | None:
-        """Return the acceptance of a command since the last look, if any; CommandRefusedError."""
-        answers = [
-            status for status in self.take_statuses() if status.command == identifier
-        ]
-        for status in answers:
+        """
+        Return the newest acceptance of a command among the statuses since the last look.
+
+        None if there is none so far. CommandRefusedError if the controller refuses it.
+        """
+        acceptance = None
+        for status in self.take_statuses():
+            if status.command != identifier:
+                continue
             if status.event == REFUSED:
                 raise CommandRefusedError(status.text)
-        return answers[-1] if answers else None
+            acceptance = status
+        return acceptance
 
     def command_until_answered(self, topic: Topic, command: Any) -> ControllerStatus:
         """
         Publish a command until it is accepted, and return what the controller says then.
 
-        CommandRefusedError if it refuses, RunError without an answer.
-
         A recorder may be connected later than the controller: the first command of a topic is
         then published for it again.
-        """
-        identifier, due, sent_to = new_identifier(), 0.0, 0
-        readers = self._publishers[topic].get_subscription_count
 
-        def publish_until_answered() -> ControllerStatus | None:
-            nonlocal due, sent_to
-            if (
-                time.monotonic() >= due
-            ):  # one that comes before the connection stands is lost
-                due, sent_to = time.monotonic() + RESEND_PERIOD, readers()
+        Raises
+        ------
+        CommandRefusedError
+            If the controller refuses the command.
+        RunError
+            If there is no answer within the timeout.
+
+        """
+        identifier = new_identifier()
+        count_readers = self._publishers[topic].get_subscription_count
+        resend_due = 0.0
+        sent_to = 0  # readers
+
+        def publish_and_look() -> ControllerStatus | None:
+            nonlocal resend_due, sent_to
+            # A command that is published before the connection stands is lost.
+            if time.monotonic() >= resend_due:
+                resend_due = time.monotonic() + RESEND_PERIOD
+                sent_to = count_readers()
                 self.publish_command(topic, command, identifier)
             return self.find_acceptance(identifier)
 
+        def all_are_connected() -> bool:
+            return count_readers() >= answer.readers
+
         answer = self._await_value(
-            publish_until_answered, f'{topic.name}: expected an answer'
+            publish_and_look, f'{topic.name}: expected an answer'
         )
         if topic not in self._connected:
             self._connected.add(topic)
             if sent_to < answer.readers and self._wait_until(
-                lambda: readers() >= answer.readers, CONNECTION_TIME, topic.name
+                all_are_connected, CONNECTION_TIME, topic.name
             ):
                 self.publish_command(topic, command, identifier)
         return answer

@@ -4,78 +4,80 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from typing import Any
 
-from multicontact_control.nodes.background import BackgroundThread
+from multicontact_control.nodes.background import BackgroundThread, Pausing
 from multicontact_control.nodes.parameters import ParameterSet
 from multicontact_control.nodes.private import answer_later
+from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 NOTHING_LEFT = object()
+SendResponse = Callable[[Any], None]
 
 
 class LiveChanges:
     """
     Answers requests to set parameters of a node, each once its change is in force or refused.
 
-    What a change leads to takes longer than a sample may wait: a background
-    thread computes it, one change
-    after the other. `poll`, called by the node's loop, takes it over.
+    What a change leads to takes longer than a sample may wait: a background thread computes it,
+    one change after the other. `poll`, called by the node's loop, takes it over.
     """
 
     def __init__(
         self, node: Node, parameters: ParameterSet, background: BackgroundThread
     ) -> None:
-        self._parameters, self._background = parameters, background
+        self._parameters = parameters
+        self._background = background
         self._requests: deque[Iterator[None]] = deque()
         for service in node.services:
             if service.srv_type is SetParameters:
-                answer_later(service, self._take_one_by_one)
+                answer_later(service, self._take_single_changes)
             elif service.srv_type is SetParametersAtomically:
-                answer_later(service, self._take_at_once)
+                answer_later(service, self._take_joint_change)
 
     def poll(self) -> None:
-        """Take over what has been computed since, and answer."""
+        """Put into force what has been computed since the last call, and answer."""
         while self._requests:
             if next(self._requests[0], NOTHING_LEFT) is not NOTHING_LEFT:
                 return  # it waits for the thread
             self._requests.popleft()
 
-    def _take_one_by_one(self, request: Any, answer: Callable[[Any], None]) -> None:
-        changes = [[Parameter.from_parameter_msg(each)] for each in request.parameters]
-        response = SetParameters.Response()
-        self._requests.append(
-            self._serve(changes, response.results, partial(answer, response))
-        )
+    def _take_single_changes(self, request: Any, send_response: SendResponse) -> None:
+        self._requests.append(self._serve_single_changes(request, send_response))
 
-    def _take_at_once(self, request: Any, answer: Callable[[Any], None]) -> None:
-        change = [Parameter.from_parameter_msg(each) for each in request.parameters]
-        results: list[Any] = []
-        self._requests.append(
-            self._serve(
-                [change],
-                results,
-                lambda: answer(SetParametersAtomically.Response(result=results[0])),
-            )
-        )
+    def _take_joint_change(self, request: Any, send_response: SendResponse) -> None:
+        self._requests.append(self._serve_joint_change(request, send_response))
 
-    def _serve(
-        self,
-        changes: Sequence[Sequence[Parameter]],
-        results: Any,
-        answer: Callable[[], None],
+    def _serve_single_changes(
+        self, request: Any, send_response: SendResponse
     ) -> Iterator[None]:
-        """Yield while the thread computes; then change, and answer."""
+        """Change each parameter for itself: some may be refused."""
+        response = SetParameters.Response()
+        for message in request.parameters:
+            change = [Parameter.from_parameter_msg(message)]
+            response.results.append((yield from self._apply_change(change)))
+        send_response(response)
+
+    def _serve_joint_change(
+        self, request: Any, send_response: SendResponse
+    ) -> Iterator[None]:
+        """Change all parameters or none."""
+        change = [Parameter.from_parameter_msg(each) for each in request.parameters]
+        result = yield from self._apply_change(change)
+        send_response(SetParametersAtomically.Response(result=result))
+
+    def _apply_change(
+        self, change: Sequence[Parameter]
+    ) -> Pausing[SetParametersResult]:
+        """Yield while the thread computes; then change, and return whether that was possible."""
         parameters = self._parameters
-        for change in changes:
-            version = None
-            while version != parameters.version:  # another change has come first
-                version = parameters.version
-                designed = yield from self._background.compute(
-                    parameters.design_change, change
-                )
-            results.append(parameters.apply(change, designed.result))
-        answer()
+        version = None
+        while version != parameters.version:  # else another change has come first
+            version = parameters.version
+            designed = yield from self._background.compute(
+                parameters.design_change, change
+            )
+        return parameters.apply(change, designed.result)

@@ -32,73 +32,80 @@ from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
 UNIT_QUATERNION_TOLERANCE = 1e-3
 NUMBERS = 'iuf'  # kinds of numpy: text and truth values are none, though numpy reads them as such
 LAST_SECOND = 2**31 - 1  # that a stamp can hold
-JOINT_FIELDS = ('position', 'velocity', 'effort')
-STATE, ACCEPTED, REFUSED = 'state', 'accepted', 'refused'  # the event of a status
-STATUS_TEXTS = (
-    'event',
-    'command',
-    'life_cycle',
-    'reaction',
-    'causes',
-    'contacts',
-    'push_test',
-    'unwatched',
-    'left_out',
-)
+JOINT_FIELDS = ('position', 'velocity', 'effort')  # of a JointState, in its order
+# Events of a status: the controller's state alone, or the answer to a command.
+STATE = 'state'
+ACCEPTED = 'accepted'
+REFUSED = 'refused'
 
 
 def stamp_to_ns(stamp: Time) -> int:
-    """Return a time stamp in nanoseconds, exactly."""
+    """Return a time stamp in whole nanoseconds: exact, unlike seconds as a float."""
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
 def ns_to_stamp(nanoseconds: int) -> Time:
-    """Return nanoseconds as a time stamp, exactly."""
-    sec, nanosec = divmod(nanoseconds, NANOSECONDS)
-    return Time(sec=sec, nanosec=nanosec)
+    """Return whole nanoseconds as a time stamp: the inverse of `stamp_to_ns`."""
+    seconds, remainder = divmod(nanoseconds, NANOSECONDS)
+    return Time(sec=seconds, nanosec=remainder)
 
 
 def finite_array(values: ArrayLike, length: int, field: str) -> Vector:
-    """Return so many numbers as an array; they must be finite, and so must be their sum."""
+    """
+    Return numbers as an array of floats.
+
+    Parameters
+    ----------
+    values, length
+        One row of numbers, of which there have to be so many. Their sum has to be finite, too.
+    field
+        Name of the values in an error.
+
+    Returns
+    -------
+    Vector
+        A new array of shape (length,).
+
+    Raises
+    ------
+    MessageError
+        If the values are no numbers, too few or too many, not in one row or not finite.
+
+    """
+    in_one_row = f'{format_count(length, "values")} in one row'
     try:
         numbers = np.array(values)
     except ValueError:  # rows of different lengths
-        raise MessageError(
-            field, f'{format_count(length, "values")} in one row', repr(values)
-        ) from None
+        raise MessageError(field, in_one_row, repr(values)) from None
     if numbers.dtype.kind not in NUMBERS:
-        raise MessageError(
-            field, f'{format_count(length, "values")} that are numbers', repr(values)
-        )
-    numbers = numbers.astype(np.float64)
+        expected = f'{format_count(length, "values")} that are numbers'
+        raise MessageError(field, expected, repr(values))
     if numbers.ndim != 1:
-        raise MessageError(
-            field,
-            f'{format_count(length, "values")} in one row',
-            f'an array of shape {numbers.shape}',
-        )
+        raise MessageError(field, in_one_row, f'an array of shape {numbers.shape}')
     if numbers.size != length:
         raise MessageError(field, format_count(length, 'values'), f'{numbers.size}')
+    numbers = numbers.astype(np.float64)
     if not math.isfinite(sum(numbers.tolist())):
         raise MessageError(field, 'finite numbers', numbers.tolist())
     return numbers
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Return whether a value is one finite number; no text, truth value or array is."""
+    """Return whether a value is one finite number; text, truth values and arrays are not."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real):
         return False
     return math.isfinite(value)
 
 
-def require_number(field: str, value: object, unit: str) -> None:
-    """Refuse what is not one finite number, in a unit."""
+def require_number(field: str, value: object, unit: str) -> float:
+    """Return a value that is one finite number in a unit; MessageError of the field if not."""
     if not is_number(value):
         raise MessageError(field, f'one finite number [{unit}]', repr(value))
+    return float(value)
 
 
 def require_positive(field: str, value: object, unit: str) -> None:
-    """Refuse what is not one finite number above 0, in a unit."""
+    """Refuse a value by MessageError of the field, unless it is one finite number above 0."""
     if not is_number(value):
         raise MessageError(field, f'above 0 {unit}', repr(value))
     if value <= 0.0:
@@ -106,14 +113,14 @@ def require_positive(field: str, value: object, unit: str) -> None:
 
 
 def require_not_negative(field: str, value: object, unit: str) -> None:
-    """Refuse what is not one finite number from 0 on, in a unit."""
-    require_number(field, value, unit)
-    if float(value) < 0.0:  # type: ignore[arg-type]
-        raise MessageError(field, f'at least 0 {unit}', f'{value:g} {unit}')
+    """Refuse a value by MessageError of the field, unless it is one finite number from 0 on."""
+    number = require_number(field, value, unit)
+    if number < 0.0:
+        raise MessageError(field, f'at least 0 {unit}', f'{number:g} {unit}')
 
 
 def require_named_numbers(field: str, values: object, unit: str) -> None:
-    """Refuse what is not a mapping of names to finite numbers, in a unit."""
+    """Refuse values by MessageError, unless they map names to finite numbers in a unit."""
     if not isinstance(values, Mapping):
         raise MessageError(
             field, f'numbers by name [{unit}], as {{name: number}}', repr(values)
@@ -125,7 +132,11 @@ def require_named_numbers(field: str, values: object, unit: str) -> None:
 
 
 def quaternion_array(values: ArrayLike, field: str) -> Vector:
-    """Return a quaternion x, y, z, w of any length above 0 as one of unit length, shape (4,)."""
+    """
+    Return a quaternion x, y, z, w, of any length above 0, as one of unit length, shape (4,).
+
+    MessageError of the field if it has no direction, or is no quaternion.
+    """
     quaternion = finite_array(values, 4, field)
     norm = float(np.linalg.norm(quaternion))
     if not 0.0 < norm < math.inf:
@@ -140,33 +151,62 @@ def read_named_vectors(
     names: Sequence[str],
     fields: Sequence[str],
     optional: Sequence[str] = (),
-    partial: Sequence[str] = (),
+    unchecked: Sequence[str] = (),
 ) -> tuple[Any, ...]:
     """
-    Return the stamp of a message [ns], and a vector per field in the order of `names`.
+    Return the stamp of a message and vectors of its fields, in the order of some names.
 
-    Those of the `optional` fields follow, None where numbers are missing or not finite; and those
-    of `partial` fields, None where numbers are missing, but with what is not finite in some.
+    Parameters
+    ----------
+    message
+        Numbers by name, in any order, with further names or none.
+    names
+        Names to read, each of which has to be there once.
+    fields
+        Fields that have to be there, all numbers finite.
+    optional
+        Fields of which the vector is None if numbers are missing or not finite.
+    unchecked
+        Fields of which the vector is None if numbers are missing; some may be not finite.
+
+    Returns
+    -------
+    tuple
+        The stamp [ns], then a vector, shape (names,), or None per field: `fields`, `optional`,
+        `unchecked`.
+
+    Raises
+    ------
+    MessageError
+        If a name is missing or there twice, or one of `fields` is unusable.
+
     """
-    given, vectors = list(message.name), []
+    given = list(message.name)
     if any(given.count(name) != 1 for name in names):
         raise MessageError('name', f'each of {list(names)} once', given)
     places = np.array([given.index(name) for name in names], dtype=int)
-    for field in (*fields, *optional, *partial):
+    vectors: list[Vector | None] = []
+    for field in (*fields, *optional, *unchecked):
         values: Vector = np.array(getattr(message, field), dtype=np.float64)
-        whole = len(values) == len(given)
-        vector = values[places] if whole else values
-        usable = whole and (field in partial or math.isfinite(sum(vector.tolist())))
-        if not usable and field in fields:
+        vector = None
+        if len(values) == len(given):
+            vector = values[places]
+            if field not in unchecked and not math.isfinite(sum(vector.tolist())):
+                vector = None
+        if vector is None and field in fields:
             raise MessageError(
                 field, format_count(len(given), 'finite values'), values.tolist()
             )
-        vectors.append(vector if usable else None)
+        vectors.append(vector)
     return stamp_to_ns(message.header.stamp), *vectors
 
 
 def read_variance(message: JointState, names: Sequence[str]) -> tuple[int, Vector]:
-    """Return the stamp of a message [ns] and a variance above 0 per name [N^2]."""
+    """
+    Return the stamp of a message [ns] and R, a variance above 0 per name, shape (names,) [N^2].
+
+    MessageError if a name or number is missing, or a number is not above 0.
+    """
     stamp, variance = read_named_vectors(message, names, ('effort',))
     if min(variance.tolist()) <= 0.0:
         raise MessageError('effort', 'variances above 0', variance.tolist())
@@ -174,7 +214,12 @@ def read_variance(message: JointState, names: Sequence[str]) -> tuple[int, Vecto
 
 
 def read_wrench(message: WrenchStamped, frame: str = '') -> tuple[int, Vector]:
-    """Return the stamp of a message [ns] and its wrench, in a frame or none; empty for any."""
+    """
+    Return the stamp of a message [ns] and its wrench, shape (6,) [N, N m].
+
+    A message has to name its frame as `frame`, or none at all; an empty `frame` takes any.
+    MessageError if it names another one, or a number is not finite.
+    """
     given = message.header.frame_id.lstrip('/')
     if frame and given not in ('', frame):
         raise MessageError(
@@ -185,28 +230,39 @@ def read_wrench(message: WrenchStamped, frame: str = '') -> tuple[int, Vector]:
 
 
 def read_force_command(
-    message: JointState,
-    names: Sequence[str],
+    message: JointState, names: Sequence[str]
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Read forces and couples by name [N], or else centres of pressure by couple [m]."""
+    """
+    Return the commanded forces and couples by name [N], and centres of pressure by couple [m].
+
+    One of both is empty: a message has either efforts, which are forces, or positions, which are
+    centres. MessageError if it has both, a name not among `names`, or one twice.
+    """
     given = list(message.name)
     if not given or len(set(given)) != len(given) or not set(given) <= set(names):
         raise MessageError('name', f'distinct names among {list(names)}', given)
-    if len(message.position) and len(message.effort):
+    if not len(message.position):
+        forces = finite_array(message.effort, len(given), 'effort')
+        return dict(zip(given, forces.tolist())), {}
+    if len(message.effort):
         raise MessageError(
             'position',
             'none beside efforts: centres of pressure are commanded in '
             'a message of their own',
             list(message.position),
         )
-    field = 'position' if len(message.position) else 'effort'
-    values = finite_array(getattr(message, field), len(given), field)
-    numbers = dict(zip(given, values.tolist()))
-    return ({}, numbers) if field == 'position' else (numbers, {})
+    centres = finite_array(message.position, len(given), 'position')
+    return {}, dict(zip(given, centres.tolist()))
 
 
 def read_motion(message: MultiDOFJointTrajectoryPoint) -> MotionReading:
-    """Read a commanded motion of one body; twist and acceleration are zero if left out."""
+    """
+    Return the commanded motion of the operational point, in world axes.
+
+    Twist and acceleration that are left out are zero. MessageError if there is another number of
+    poses than one, a number is not finite, or the quaternion is longer or shorter than 1 by more
+    than `UNIT_QUATERNION_TOLERANCE`.
+    """
     if len(message.transforms) != 1:
         raise MessageError('transforms', 'one pose', f'{len(message.transforms)}')
     pose = message.transforms[0]
@@ -226,9 +282,12 @@ def read_motion(message: MultiDOFJointTrajectoryPoint) -> MotionReading:
 
 
 def _read_twist(twists: Sequence[Twist], field: str) -> Vector:
+    """Return the only twist of a list, zero if there is none, shape (6,), linear first."""
     if len(twists) > 1:
         raise MessageError(field, 'at most one', f'{len(twists)}')
-    twist = twists[0] if twists else Twist()
+    if not twists:
+        return np.zeros(6)
+    (twist,) = twists
     return finite_array(_list_numbers('xyz', twist.linear, twist.angular), 6, field)
 
 
@@ -238,11 +297,10 @@ def _list_numbers(axes: str, *parts: Any) -> list[float]:
 
 
 def pose_arrays(pose: Pose) -> tuple[Vector, Vector]:
-    """Return the position [m] of a pose and its quaternion x, y, z, w."""
-    return (
-        np.array(_list_numbers('xyz', pose.position)),
-        np.array(_list_numbers('xyzw', pose.orientation)),
-    )
+    """Return the position of a pose, shape (3,) [m], and its quaternion x, y, z, w, shape (4,)."""
+    position = np.array(_list_numbers('xyz', pose.position))
+    quaternion_xyzw = np.array(_list_numbers('xyzw', pose.orientation))
+    return position, quaternion_xyzw
 
 
 def _set_numbers(values: ArrayLike, field: str, axes: str, *parts: Any) -> None:
@@ -256,14 +314,30 @@ def _set_numbers(values: ArrayLike, field: str, axes: str, *parts: Any) -> None:
 def joint_state_message(
     stamp: int, names: Sequence[str], **fields: ArrayLike
 ) -> JointState:
-    """Build a named list of numbers, by the `fields` position, velocity and effort."""
+    """
+    Return a message of numbers by name.
+
+    Parameters
+    ----------
+    stamp
+        Time of the sample [ns].
+    names
+        One per number, e.g. joints or contacts.
+    fields
+        Numbers of some of `JOINT_FIELDS`, each of shape (names,).
+
+    Raises
+    ------
+    MessageError
+        If a field has another length or a number that is not finite.
+
+    """
+    arrays = {}
+    for field, values in fields.items():
+        numbers = finite_array(values, len(names), field)
+        arrays[field] = array('d', numbers.tobytes())
     return JointState(
-        header=Header(stamp=ns_to_stamp(stamp)),
-        name=list(names),
-        **{
-            field: array('d', finite_array(values, len(names), field).tobytes())
-            for field, values in fields.items()
-        },
+        header=Header(stamp=ns_to_stamp(stamp)), name=list(names), **arrays
     )
 
 
@@ -273,8 +347,25 @@ def motion_message(
     twist_world: ArrayLike,
     acceleration_world: ArrayLike,
 ) -> MultiDOFJointTrajectoryPoint:
-    """Build a commanded motion of the operational point; twist and acceleration linear first."""
-    pose, twist, acceleration = Transform(), Twist(), Twist()
+    """
+    Return the command of a motion of the operational point.
+
+    Parameters
+    ----------
+    position_world, quaternion_xyzw
+        Its pose in world axes, shape (3,) [m], and a unit quaternion, shape (4,).
+    twist_world, acceleration_world
+        Linear first, in world axes, shape (6,) [m/s, rad/s] and [m/s^2, rad/s^2].
+
+    Raises
+    ------
+    MessageError
+        If an array has another length or a number that is not finite.
+
+    """
+    pose = Transform()
+    twist = Twist()
+    acceleration = Twist()
     _set_numbers(position_world, 'translation', 'xyz', pose.translation)
     _set_numbers(quaternion_xyzw, 'rotation', 'xyzw', pose.rotation)
     _set_numbers(twist_world, 'velocities', 'xyz', twist.linear, twist.angular)
@@ -292,7 +383,11 @@ def motion_message(
 
 @dataclass(frozen=True, slots=True)
 class ControllerStatus:
-    """What the controller says of itself on ``~/status``, and of a command."""
+    """
+    What the controller says of itself on ``~/status``, and of a command.
+
+    Texts are words for an operator; lists in them are joined by commas, and empty for nothing.
+    """
 
     event: str  # `accepted` or `refused` for a command, else `state`
     command: str  # its identifier; empty if it has none
@@ -303,55 +398,67 @@ class ControllerStatus:
     contacts: str  # the state of each in words
     held: bool  # on command
     refused: int  # commands so far
-    readers: (
-        int  # of the command's topic that the controller knows, a recorder among them
-    )
+    # Of the command's topic, as far as the controller knows them, a recorder among them.
+    readers: int
     push_test: str  # what it asks for; empty for nothing
     forces: Mapping[str, float]  # obeyed by contact and couple [N]; empty in a scenario
-    unwatched: str = (
-        ''  # whose efforts are of no use, and what is not watched; empty for all
-    )
-    left_out: str = (
-        ''  # what is not obeyed of a command that is accepted; empty for nothing
-    )
+    # Joints whose efforts are of no use, and what is not watched therefore; empty for none.
+    unwatched: str = ''
+    # The part of an accepted command that is not obeyed; empty for nothing.
+    left_out: str = ''
     # N_i of contacts that are sought or held, along which a motion has no effect, by force and
     # couple, shape (6,).
     placing: Mapping[str, tuple[float, ...]] = dataclasses.field(default_factory=dict)
 
     @property
     def contact_states(self) -> dict[str, str]:
-        """Return the state of each contact by its name."""
-        return dict(each.split(' ', 1) for each in self.contacts.split(', ') if each)
+        """The state of each contact in words, e.g. `holding`, by its name."""
+        return dict(each.split(' ', 1) for each in _split_list(self.contacts))
 
     @classmethod
     def from_message(cls, message: DiagnosticStatus) -> ControllerStatus:
-        """Return what a message on ``~/status`` says."""
-        values = {x.key: x.value for x in message.values}
-        forces = [each.rsplit(' ', 1) for each in values['forces'].split(', ') if each]
-        placing = [each.split(' ') for each in values['placing'].split(', ') if each]
+        """Return the status in a message on ``~/status``: the inverse of `to_message`."""
+        values = {value.key: value.value for value in message.values}
+        forces = {}
+        for each in _split_list(values['forces']):
+            name, force = each.rsplit(' ', 1)
+            forces[name] = float(force)
+        placing = {}
+        for each in _split_list(values['placing']):
+            name, *column = each.split(' ')
+            placing[name] = tuple(map(float, column))
         return cls(
             text=message.message,
             refused=int(values['refused']),
             readers=int(values['readers']),
             held=values['held'] == str(True),
-            forces={name: float(force) for name, force in forces},
-            placing={name: tuple(map(float, column)) for name, *column in placing},
+            forces=forces,
+            placing=placing,
             **{name: values[name] for name in STATUS_TEXTS},
         )
 
     def to_message(self, name: str, level: bytes) -> DiagnosticStatus:
-        """Return the message that says so."""
-        values = {each: getattr(self, each) for each in STATUS_TEXTS} | {
+        """
+        Return the message that says so.
+
+        Parameters
+        ----------
+        name, level
+            Name of the status in the message, and its level, e.g. `DiagnosticStatus.WARN`.
+
+        """
+        forces = [f'{key} {force:.9g}' for key, force in self.forces.items()]
+        placing = []
+        for key, column in self.placing.items():
+            numbers = [f'{number:.9g}' for number in column]
+            placing.append(' '.join([key, *numbers]))
+        values = {
+            **{text: getattr(self, text) for text in STATUS_TEXTS},
             'refused': str(self.refused),
             'readers': str(self.readers),
             'held': str(self.held),
-            'forces': ', '.join(
-                f'{name} {force:.9g}' for name, force in self.forces.items()
-            ),
-            'placing': ', '.join(
-                ' '.join([name, *(f'{x:.9g}' for x in column)])
-                for name, column in self.placing.items()
-            ),
+            'forces': ', '.join(forces),
+            'placing': ', '.join(placing),
         }
         return DiagnosticStatus(
             name=name,
@@ -361,13 +468,29 @@ class ControllerStatus:
         )
 
 
+# Fields of a status that a message has as they are; `text` is its own field there.
+STATUS_TEXTS = tuple(
+    field.name
+    for field in dataclasses.fields(ControllerStatus)
+    if field.type == 'str' and field.name != 'text'
+)
+
+
+def _split_list(text: str) -> list[str]:
+    return text.split(', ') if text else []
+
+
 def new_identifier() -> str:
-    """Return an identifier for a command that no other client uses."""
+    """Return a random identifier for a command, such that no other client has the same."""
     return str(1 + secrets.randbelow(2**31 - 1))
 
 
 def set_identifier(command: Any, identifier: str) -> None:
-    """Give a command on a topic an identifier; that of a motion is a number of 31 bits."""
+    """
+    Give a command on a topic an identifier, which `~/status` answers with.
+
+    That of forces is any text; that of a motion is a number of 31 bits, 0 for none.
+    """
     if isinstance(command, JointState):
         command.header.frame_id = identifier
     else:
@@ -375,9 +498,8 @@ def set_identifier(command: Any, identifier: str) -> None:
 
 
 def get_identifier(command: Any) -> str:
-    """Return the identifier of a command on a topic, empty if it has none."""
-    return str(
-        command.header.frame_id
-        if isinstance(command, JointState)
-        else command.time_from_start.sec or ''
-    )
+    """Return the identifier of a command of forces or of a motion, empty if it has none."""
+    if isinstance(command, JointState):
+        return str(command.header.frame_id)
+    number = command.time_from_start.sec
+    return str(number) if number else ''

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 import sys
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from multicontact_control.arrays import Vector
 from multicontact_control.config import NoiseEstimatorConfig
@@ -26,12 +26,19 @@ from multicontact_control.nodes.streams import MessageReader, StreamPublisher
 import numpy as np
 
 
+class ForceSample(NamedTuple):
+    """The measured forces and couples of one sample, shape (r,) [N]."""
+
+    stamp: int  # ns
+    forces: Vector
+
+
 class NoiseEstimatorNode(ManagedNode):
     """
     Estimates R_k, the variance of the noise of each measured force, and publishes it.
 
-    A sample that comes again gets the same answer again; one that is older than the last starts
-    the window anew. Inactive it is silent: the controller holds the last R.
+    A sample that is sent twice gets the same answer twice; one that is older than the last starts
+    the window anew. Inactive the node is silent: the controller holds the last R.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -41,30 +48,24 @@ class NoiseEstimatorNode(ManagedNode):
         self._samples = 0
 
     def configure(self, configurations: Sequence[Any]) -> None:
-        """Make the estimator and its ends of the topics."""
+        """Make the estimator, its publisher of R and its subscriptions; compile its kernels."""
         self._config, self._node_config = configurations
         names = self._config.contact_names
+        zeros = np.zeros(len(names))
         self._estimator = make_noise_estimator(self._config)
-        self._estimator.update(np.zeros(len(names)))  # the first one takes a while
+        self._estimator.update(zeros)  # the first one takes a while
         self._watch = LoopStatistics(self._config.rate)
-        self._publisher = StreamPublisher(
-            self,
-            topics.NOISE_VARIANCE,
-            (messages.joint_state_message(0, names, effort=np.zeros(len(names)))),
-        )
-        heard = [topics.MEASURED_FORCES, topics.INNOVATION][
-            : 1 + self._estimator.uses_innovation
-        ]
-        self._readers = {
-            topic: MessageReader(
-                topic.message,
-                partial(messages.read_named_vectors, names=names, fields=fields),
+        pattern = messages.joint_state_message(0, names, effort=zeros)
+        self._publisher = StreamPublisher(self, topics.NOISE_VARIANCE, pattern)
+        fields = {topics.MEASURED_FORCES: ['effort']}
+        if self._estimator.uses_innovation:
+            fields[topics.INNOVATION] = ['position', 'velocity', 'effort']
+        self._readers = {}
+        for topic in fields:
+            read = partial(
+                messages.read_named_vectors, names=names, fields=fields[topic]
             )
-            for topic, fields in zip(
-                heard, (['effort'], ['position', 'velocity', 'effort'])
-            )
-        }
-        for topic in heard:
+            self._readers[topic] = MessageReader(topic.message, read)
             self.create_subscription(
                 topic.message,
                 topic.name,
@@ -72,82 +73,88 @@ class NoiseEstimatorNode(ManagedNode):
                 qos.INPUT,
                 raw=True,
             )
-        self._inputs = InputMonitor(self, self._config.rate, *heard)
+        self._inputs = InputMonitor(self, self._config.rate, *fields)
 
     def activate(self) -> StartupConfig:
         """Start with an empty window."""
         self._estimator.reset()
-        self._waiting: deque[tuple[int, Vector]] = deque()
+        self._waiting: deque[ForceSample] = deque()
+        # By stamp [ns], the newest last: those of samples that wait are among the last few.
         self._innovations: deque[tuple[int, Innovation]] = deque(maxlen=8)
-        self._last_stamp, self._last_answer = -1, b''
+        self._last_stamp = -1
+        self._last_answer = b''  # empty if the last sample was refused
         self._inputs.restart()
         return self._node_config
 
     def write_run_counts(self) -> None:
-        """Write the counts of this run, if asked to."""
+        """Write samples and refusals of this run to `timing_file`, if given."""
         self._node_config.write_counts(
             {'samples': self._samples, 'refused': dict(self.refusals.counts)}
         )
 
     def _on_message(self, topic: topics.Topic, data: bytes) -> None:
-        """Take in a message; answer what can be answered with it."""
-        received, answered = time.monotonic_ns(), self._samples
+        """Take in forces or an innovation, and answer the samples that are complete with it."""
+        received = time.monotonic_ns()
+        answered = self._samples
         if topic is topics.MEASURED_FORCES:
             self._watch.add_period(received)
         if self.state == ACTIVE:
             with self.refusals.logging_refusals(topic):
-                stamp, *vectors = self._readers[topic](data)
-                if topic is topics.MEASURED_FORCES:
-                    self._waiting.append((stamp, vectors[0]))
-                else:
-                    variance, prior, innovation = vectors
-                    self._innovations.append(
-                        (stamp, Innovation(innovation, prior, variance))
-                    )
+                self._take_in(topic, data)
                 self._inputs.last[topic] = received
                 self.do_due_work()
         if self._samples != answered:
             self._watch.latencies.add(time.monotonic_ns() - received)
 
+    def _take_in(self, topic: topics.Topic, data: bytes) -> None:
+        stamp, *vectors = self._readers[topic](data)
+        if topic is topics.MEASURED_FORCES:
+            self._waiting.append(ForceSample(stamp, *vectors))
+        else:
+            variance, prior_variance, innovation = vectors
+            self._innovations.append(
+                (stamp, Innovation(innovation, prior_variance, variance))
+            )
+
     def do_due_work(self, _spinner: Spinner | None = None) -> None:
-        """Answer everything that waits, in order; an innovation that is lost is not waited for."""
+        """Answer all samples that wait, in order, except one whose innovation is still to come."""
         with self.refusals.logging_refusals(topics.MEASURED_FORCES):
             while self.working and self._waiting:
-                stamp, values = self._waiting[0]
-                if self._estimator.uses_innovation and (
-                    not self._innovations or self._innovations[-1][0] < stamp
-                ):
+                if self._awaits_innovation(self._waiting[0].stamp):
                     return
-                self._waiting.popleft()
-                if stamp != self._last_stamp:
-                    if stamp < self._last_stamp:
-                        self._estimator.reset()
-                    self._last_stamp, self._last_answer = stamp, b''
-                    self._samples += 1
-                    self._last_answer = self._publisher.encode_message(
-                        stamp,
-                        self._estimator.update(
-                            values, dict(self._innovations).get(stamp)
-                        ),
-                    )
-                if self._last_answer:
-                    self._publisher.publish(self._last_answer)
+                self._answer(self._waiting.popleft())
+
+    def _awaits_innovation(self, stamp: int) -> bool:
+        """Return whether no innovation of a sample or of a later one has come."""
+        if not self._estimator.uses_innovation:
+            return False
+        return not self._innovations or self._innovations[-1][0] < stamp
+
+    def _answer(self, sample: ForceSample) -> None:
+        """Publish R of a sample; that of the last sample again if it is sent twice."""
+        if sample.stamp != self._last_stamp:
+            if sample.stamp < self._last_stamp:
+                self._estimator.reset()
+            self._last_stamp = sample.stamp
+            self._last_answer = b''
+            self._samples += 1
+            innovation = dict(self._innovations).get(sample.stamp)
+            variance = self._estimator.update(sample.forces, innovation)
+            self._last_answer = self._publisher.encode_message(sample.stamp, variance)
+        if self._last_answer:
+            self._publisher.publish(self._last_answer)
 
     def collect_statuses(self) -> Iterator[ComponentStatus]:
-        """Yield what diagnostics report."""
+        """Yield the statuses of loop, inputs and messages, with samples at a bound of R."""
         yield ComponentStatus(
             'loop', {**self._watch.report(), 'samples': self._samples}
         )
         yield self._inputs.status(needed=self.state == ACTIVE)
+        at_a_bound = {}
+        for name, count in zip(self._config.contact_names, self._estimator.bounded):
+            at_a_bound[f'{name} at_a_bound_of_noise_variance'] = int(count)
         yield refusal_status(
-            self.refusals,
-            dropped=self._estimator.dropped,
-            **{
-                f'{name} at_a_bound_of_noise_variance': int(count)
-                for name, count in zip(
-                    self._config.contact_names, self._estimator.bounded
-                )
-            },
+            self.refusals, dropped=self._estimator.dropped, **at_a_bound
         )
 
 

@@ -23,41 +23,71 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
-STAMP, HEADER = struct.Struct('<iI'), 4  # after so many bytes
+HEADER = 4  # bytes of CDR before the fields
+STAMP = struct.Struct('<iI')  # behind the header: seconds and nanoseconds
+WORD = 8  # bytes of a number; numbers are aligned to words behind the header
 LITTLE_ENDIAN = b'\0\1'  # begins a message
-(MARK,) = struct.unpack(
-    '<d', bytes(range(1, 9))
-)  # a number that is nowhere else in a message
+# A number whose multiples are nowhere else in a message.
+(MARK,) = struct.unpack('<d', bytes(range(1, 9)))
 
 
 class StreamPublisher:
-    """Publishes messages like a pattern, which ends with a number, but for stamp and numbers."""
+    """
+    Publishes messages that differ from a pattern in stamp and numbers alone.
+
+    Parameters
+    ----------
+    node, topic
+        The node that publishes, and the topic.
+    pattern
+        A message object with the names, frames and number of numbers of all; its last field is a
+        number.
+
+    Attributes
+    ----------
+    publish
+        Publishes the bytes of a message.
+
+    """
 
     def __init__(self, node: Node, topic: Topic, pattern: Any) -> None:
         publisher = create_publisher(node, topic)
-        self.publish, self._readers = (
-            publisher.publish,
-            publisher.get_subscription_count,
-        )
+        self.publish = publisher.publish
+        self._count_readers = publisher.get_subscription_count
         data, self._places = locate_numbers(pattern)
         self._bytes = bytearray(data)
-        self._numbers = _words(self._bytes)
+        self._words = _view_words(self._bytes)
 
     def encode_message(self, stamp: int, *numbers: Vector) -> bytes:
-        """Return the message with a stamp [ns], and numbers in their order; MessageError."""
+        """
+        Return the bytes of a message.
+
+        Parameters
+        ----------
+        stamp
+            Time of the sample [ns].
+        numbers
+            Vectors in the order of the message's fields, together as long as the pattern's.
+
+        Raises
+        ------
+        MessageError
+            If a number is not finite, their count is another, or ROS has no such stamp.
+
+        """
         values = np.concatenate(numbers)
         if values.size != len(self._places) or not math.isfinite(values.sum()):
-            finite_array(values, len(self._places), 'numbers')  # raises what is wrong
-        sec, nanosec = divmod(stamp, NANOSECONDS)
-        if abs(sec) > LAST_SECOND:
-            raise MessageError('stamp.sec', f'at most {LAST_SECOND}', sec)
-        self._numbers[self._places] = values
-        STAMP.pack_into(self._bytes, HEADER, sec, nanosec)
+            finite_array(values, len(self._places), 'numbers')  # raises the error
+        seconds, nanoseconds = divmod(stamp, NANOSECONDS)
+        if abs(seconds) > LAST_SECOND:
+            raise MessageError('stamp.sec', f'at most {LAST_SECOND}', seconds)
+        self._words[self._places] = values
+        STAMP.pack_into(self._bytes, HEADER, seconds, nanoseconds)
         return bytes(self._bytes)
 
     def publish_if_subscribed(self, stamp: int, *numbers: Vector) -> None:
-        """Publish a message with a stamp [ns] and numbers, if it is subscribed to."""
-        if self._readers():
+        """Publish a message as `encode_message` makes it, unless the topic has no reader."""
+        if self._count_readers():
             self.publish(self.encode_message(stamp, *numbers))
 
 
@@ -65,76 +95,113 @@ class MessageReader:
     """
     Reads messages from their bytes: those that are like the last one in place.
 
-    `read` returns the stamp of a message object and vectors of its numbers, or raises
-    `MessageError`; it is asked again whenever anything but stamp and numbers changes.
+    A message whose bytes differ from the last one in stamp and numbers alone is read where it is.
+    Any other becomes a message object, which is checked, and whose layout is kept.
+
+    Parameters
+    ----------
+    message_class
+        Class of the messages.
+    read
+        Returns the stamp [ns] of a message object and vectors of its numbers, None for one that
+        is missing; raises MessageError for what is unusable.
+
     """
 
-    def __init__(self, class_: Any, read: Callable[[Any], tuple[Any, ...]]) -> None:
-        self._class, self._read = class_, read
-        self._length, self._word_count = -1, 0  # of a message like the last one
+    def __init__(
+        self, message_class: Any, read: Callable[[Any], tuple[Any, ...]]
+    ) -> None:
+        self._message_class = message_class
+        self._read = read
+        self._length = -1  # of a message like the last one; -1 for none
+        self._word_count = 0
 
     def __call__(self, data: bytes) -> tuple[Any, ...]:
-        """Return the stamp [ns] and the vectors in a message; MessageError."""
+        """Return the stamp [ns] and the vectors in a message; MessageError if it is unusable."""
         if len(data) == self._length:
-            sec, nanosec = STAMP.unpack_from(data, HEADER)
+            seconds, nanoseconds = STAMP.unpack_from(data, HEADER)
             words = np.frombuffer(data, np.float64, self._word_count, HEADER)
             if (
-                words[self._others].tobytes() == self._constant
-                and nanosec < NANOSECONDS
-                and (math.isfinite(sum(words[self._used].tolist())))
+                words[self._constant_places].tobytes() == self._constant_bytes
+                and nanoseconds < NANOSECONDS
+                and math.isfinite(sum(words[self._number_places].tolist()))
             ):
-                return sec * NANOSECONDS + nanosec, *(words[x] for x in self._vectors)
-        return self._learn_layout(data)
+                vectors = [words[places] for places in self._vector_places]
+                return seconds * NANOSECONDS + nanoseconds, *vectors
+        return self._read_object(data)
 
-    def _learn_layout(self, data: bytes) -> tuple[Any, ...]:
-        """Read a message by way of its class, and keep where its numbers are."""
+    def _read_object(self, data: bytes) -> tuple[Any, ...]:
+        """Read a message as an object, and keep where its numbers are in the bytes."""
         self._length = -1
         try:
-            message = deserialize_message(data, self._class)
+            message = deserialize_message(data, self._message_class)
         except Exception as error:  # of whatever kind the middleware raises
-            raise MessageError('data', f'a {self._class.__name__}', error) from None
-        reading, places = self._read(message), locate_numbers(message)[1]
-        marks = [vector for vector in self._read(message)[1:] if vector is not None]
-        if len(marks) == len(reading) - 1 and data[:2] == LITTLE_ENDIAN:
-            self._vectors = [
-                places[np.rint(marked / MARK).astype(int) - 1] for marked in marks
-            ]
-            self._used, words = np.concatenate(self._vectors), _words(data)
-            self._others = np.delete(
-                np.arange(len(words)), [0, *places]
-            )  # 0 is the stamp
-            self._constant, self._length = words[self._others].tobytes(), len(data)
-            self._word_count = len(words)
+            raise MessageError(
+                'data', f'a {self._message_class.__name__}', error
+            ) from None
+        reading = self._read(message)
+        _, places = locate_numbers(message)  # which are marked from here on
+        marked_vectors = self._read(message)[1:]
+        complete = all(vector is not None for vector in marked_vectors)
+        if complete and data[:2] == LITTLE_ENDIAN:
+            self._keep_layout(data, places, marked_vectors)
         return reading
+
+    def _keep_layout(
+        self, data: bytes, places: Any, marked_vectors: tuple[Vector, ...]
+    ) -> None:
+        """Keep where the numbers of vectors are, and the words that are equal in all messages."""
+        self._vector_places = []
+        for vector in marked_vectors:
+            numbers = np.rint(vector / MARK).astype(
+                int
+            )  # from 1, in order of the bytes
+            self._vector_places.append(places[numbers - 1])
+        self._number_places = np.concatenate(self._vector_places)
+        words = _view_words(data)
+        stamp_place = 0
+        self._constant_places = np.delete(np.arange(len(words)), [stamp_place, *places])
+        self._constant_bytes = words[self._constant_places].tobytes()
+        self._word_count = len(words)
+        self._length = len(data)
 
 
 def locate_numbers(message: Any) -> tuple[bytes, Any]:
     """
-    Set the numbers of a message to `MARK`, 2 `MARK`, 3 `MARK`...
+    Set the numbers of a message to `MARK`, 2 `MARK`, 3 `MARK`..., and find them in its bytes.
 
-    Returns its bytes up to the last, and where they are: in words of 8 bytes behind the header,
-    where numbers are aligned. Bytes between, and behind the last, may be any.
+    Returns
+    -------
+    tuple[bytes, Any]
+        The bytes up to the last number, and the places of all, in words of 8 bytes behind the
+        header. Bytes between numbers, and behind the last, may be any.
+
     """
-    marks = (MARK * k for k in count(1))
-    _set_numbers(message, marks)
-    total, data = round(next(marks) / MARK) - 1, serialize_message(message)
-    words = _words(data)
-    places = np.array(
-        [np.flatnonzero(words == MARK * k)[0] for k in range(1, total + 1)], int
-    )
-    return data[: HEADER + 8 * (int(places.max(initial=-1)) + 1)], places
+    marks = (MARK * number for number in count(1))
+    _mark_numbers(message, marks)
+    total = round(next(marks) / MARK) - 1
+    data = serialize_message(message)
+    words = _view_words(data)
+    found = [
+        np.flatnonzero(words == MARK * number)[0] for number in range(1, total + 1)
+    ]
+    places = np.array(found, int)
+    end = int(places.max(initial=-1)) + 1
+    return data[: HEADER + WORD * end], places
 
 
-def _words(data: bytes | bytearray) -> Vector:
-    return np.frombuffer(data, np.float64, (len(data) - HEADER) // 8, HEADER)
+def _view_words(data: bytes | bytearray) -> Vector:
+    return np.frombuffer(data, np.float64, (len(data) - HEADER) // WORD, HEADER)
 
 
-def _set_numbers(message: Any, numbers: Iterator[float]) -> None:
+def _mark_numbers(message: Any, marks: Iterator[float]) -> None:
+    """Give the numbers of a message and of its parts the next marks, in order of the fields."""
     for field in message.get_fields_and_field_types():
         part = getattr(message, field)
         if isinstance(part, float):
-            setattr(message, field, next(numbers))
+            setattr(message, field, next(marks))
         elif isinstance(part, array):
-            setattr(message, field, array('d', [next(numbers) for _ in part]))
+            marked = [next(marks) for _ in part]
+            setattr(message, field, array('d', marked))
         elif hasattr(part, 'get_fields_and_field_types'):
-            _set_numbers(part, numbers)
+            _mark_numbers(part, marks)

@@ -139,7 +139,7 @@ def _call_all() -> None:
     from multicontact_control.force.force_law import continue_laws, make_force_laws
     from multicontact_control.force.noise import make_noise_estimator
     from multicontact_control.force.stiffness import (
-        find_stiffness,
+        estimate_stiffness,
         FIT_SPACE,
         friction_of_others,
     )
@@ -160,7 +160,7 @@ def _call_all() -> None:
     laws[0]['observer']['running'] = True
     for new, old in zip(laws[1:], laws):
         continue_laws(new, old)
-    find_stiffness(
+    estimate_stiffness(
         laws[1][0]['stiffness'], 0.0, 0.0, 0.0, 0.0, np.zeros(1, dtype=FIT_SPACE)[0]
     )
     friction_of_others(np.zeros(1, dtype=FRAME)[0], np.zeros(2, dtype=CONTACT), 0)

@@ -160,19 +160,21 @@ class PushGate:
             return self.result.message + again
         return '' if self.open else DISABLED
 
-    def start(self, config: PushTestConfig, contacts: Mapping[str, Vector]) -> None:
+    def start_test(
+        self, config: PushTestConfig, contacts: Mapping[str, Vector]
+    ) -> None:
         """Begin a test of a tool with tips at `contacts`, operational frame, shape (3,) [m]."""
         self._config, self._contacts = config, contacts
         if not self._may_cancel:
             self._open_before = self.open
         self.result, self.phase = None, 'rest'
-        self.restart()
+        self.restart_test()
 
     @property
     def _may_cancel(self) -> bool:
         return self.running or (self.result is not None and not self.result.judged)
 
-    def cancel(self) -> None:
+    def cancel_test(self) -> None:
         """
         Take back a test that is under way, or has ended without a verdict on the sensor.
 
@@ -182,17 +184,19 @@ class PushGate:
             raise CommandError('push test', hint='none is under way')
         self.open, self.result, self.phase = self._open_before, None, ''
 
-    def restart(self) -> None:
+    def restart_test(self) -> None:
         """Begin a test that is under way anew, with the next sample."""
         if self.running:
             self._rest, self._pushes = np.zeros(6), list[Vector]()
             self._enter('rest')
 
-    def fail(self, finding: str) -> None:
+    def fail_test(self, finding: str) -> None:
         """End a test that is under way, because of what has nothing to do with the pushes."""
         self._finish(PushTestResult((finding,), judged=False))
 
-    def update(self, frame: Frame, wrench_sensor: Vector, tool: ToolConfig) -> bool:
+    def add_fit_sample(
+        self, frame: Frame, wrench_sensor: Vector, tool: ToolConfig
+    ) -> bool:
         """
         Take the next sample of a test that is under way; return whether it has come to its end.
 
@@ -289,7 +293,7 @@ def judge_pushes(
 
     """
     expected, deltas = -config.force * config.directions_world, wrenches - rest
-    sign, rotation, scale = fit_mounting(deltas[:, :3], expected)
+    sign, rotation, scale = fit_sensor_mounting(deltas[:, :3], expected)
     findings = _mounting_findings(
         sign, rotation_world.T @ rotation @ rotation_world, scale
     ) or _push_findings(deltas[:, :3], expected, config)
@@ -307,7 +311,9 @@ def judge_pushes(
     return PushTestResult(tuple(findings), scale, unchecked)
 
 
-def fit_mounting(measured: Matrix, expected: Matrix) -> tuple[int, Matrix, float]:
+def fit_sensor_mounting(
+    measured: Matrix, expected: Matrix
+) -> tuple[int, Matrix, float]:
     """
     Fit f = s Q e to forces of shape (p, 3) [N]; return the sign, Q without it, and the scale s.
 

@@ -60,7 +60,7 @@ class Identification:
         )
 
 
-def weight_reading(
+def predict_weight_reading(
     rotation_world: Matrix, tool: ToolConfig, gravity_world: Vector
 ) -> Vector:
     """
@@ -73,7 +73,7 @@ def weight_reading(
     return np.concatenate((force, np.cross(tool.com_sensor, force)))
 
 
-def tare_bias(
+def compute_tare_bias(
     wrenches_sensor: Matrix,
     rotation_world: Matrix,
     tool: ToolConfig,
@@ -89,7 +89,7 @@ def tare_bias(
     wrenches_sensor
         Readings at rest, sensor axes, force first, shape (k, 6) [N, N m].
     rotation_world, tool, gravity_world
-        As for `weight_reading`.
+        As for `predict_weight_reading`.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def tare_bias(
             f'{restless[0]:.3g} N and {restless[1]:.3g} N m'
         )
     mean: Vector = wrenches_sensor.mean(axis=0)
-    return mean - weight_reading(rotation_world, tool, gravity_world)
+    return mean - predict_weight_reading(rotation_world, tool, gravity_world)
 
 
 def identify_tool(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -10,66 +10,125 @@ from typing import Any, NamedTuple
 from multicontact_control.errors import ConfigError
 from multicontact_control.runs import overrides
 from multicontact_control.runs.scenario import resolve, Setup
-from multicontact_control.study.config import PartConfig, StudyConfig
+from multicontact_control.study.config import FactorConfig, PartConfig, StudyConfig
 from multicontact_control.study.jobs import Job, RunJob
 
-CHOSEN = ('robot', 'scenario', 'preset')  # factors that choose files
+FILE_CHOICES = ('robot', 'scenario', 'preset')  # factors that choose files
 
 
 class Cell(NamedTuple):
-    """A job, and what of the factors it stands for; several cells may have the same job."""
+    """
+    A job, and the values of the factors for which its result stands in the table.
+
+    Several cells may have the same job, which is then run once: `key` names its result.
+    """
 
     factors: Mapping[str, Any]  # with part, plant and seed
     job: Job
     key: str
 
 
-def run_cells(study: StudyConfig) -> list[Cell]:
+class Combination(NamedTuple):
+    """One value of every factor of a part, on one of the part's plants."""
+
+    plant: str
+    labels: Mapping[str, Any]  # value, or label of a level, by factor
+    settings: Mapping[str, Any]  # what the labels stand for, by dotted name
+
+
+def combine_factors(part: PartConfig) -> Iterator[Combination]:
+    """Yield every combination of a part's plants and factors; the last factor changes first."""
+    settings_of_factors = [
+        factor.settings(name) for name, factor in part.factors.items()
+    ]
+    for plant in part.plants:
+        for chosen in product(*settings_of_factors):
+            settings: dict[str, Any] = {}
+            for _, values in chosen:
+                settings |= values
+            labels = [label for label, _ in chosen]
+            yield Combination(plant, dict(zip(part.factors, labels)), settings)
+
+
+def split_file_choices(
+    settings: Mapping[str, Any],
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """
+    Split settings into those that choose files and those that are values of parameters.
+
+    The first are arguments of `resolve` (`FILE_CHOICES`), the second have dotted names.
+    """
+    files = {}
+    parameters = dict(settings)
+    for name in FILE_CHOICES:
+        if name in parameters:
+            files[name] = parameters.pop(name)
+    return files, parameters
+
+
+def lay_over_arguments(
+    arguments: Mapping[str, Any], values: Mapping[str, Any], base: Setup
+) -> dict[str, Any]:
+    """
+    Return arguments of `resolve` that lay values of parameters over the files.
+
+    Parameters
+    ----------
+    arguments
+        What is resolved without these values.
+    values
+        Values by dotted names, of which ``*`` stands for every contact.
+    base
+        What `arguments` are resolved to: it tells which contacts and parameters there are.
+
+    Raises
+    ------
+    ConfigError
+        If a name is none of a parameter.
+
+    """
+    by_section = overrides.overrides_of(values, base, 'factors.')
+    by_argument = {
+        overrides.ARGUMENTS[section]: nested for section, nested in by_section.items()
+    }
+    return {**arguments, **by_argument}
+
+
+def plan_runs(study: StudyConfig) -> list[Cell]:
     """
     Return the runs of a study by part, plant, combination and seed.
 
     A parameter that is no factor of a part has the value of its files there; other factors are
-    empty, or 1 if they are multiples. ConfigError with the first value that is not acceptable.
+    empty, or 1 if they are multiples.
+
+    Raises
+    ------
+    ConfigError
+        With the first value that is not acceptable, or if the conditions of the parts leave no
+        run.
+
     """
-    absent = {
-        name: 1.0 if factor.multiples_of else ''
-        for part in study.parts.values()
-        for name, factor in part.factors.items()
-    }
+    absent: dict[str, Any] = {}
+    for part in study.parts.values():
+        for name, factor in part.factors.items():
+            absent[name] = 1.0 if factor.multiples_of else ''
     cells = []
     for title, part in study.parts.items():
-        for plant, *chosen in product(
-            part.plants,
-            *(
-                [(name, *setting) for setting in factor.settings(name)]
-                for name, factor in part.factors.items()
-            ),
-        ):
-            job = _job(study, part, plant, chosen)
+        for combination in combine_factors(part):
+            job = _plan_run(study, part, combination)
             if job is None:
                 continue
-            try:
-                setup = job.setup()
-            except ConfigError as error:
-                where = ', '.join(f'{name} = {value}' for name, value, _ in chosen)
-                field = (
-                    f'{title} ({where}): {error.field}'.strip()
-                    if where
-                    else error.field
-                )
-                raise error.moved(field) from None
+            setup = _resolve_job(job, title, combination)
             factors = {
                 'part': title,
                 'plant': setup.plant_name,
                 **absent,
-                **{name: value for name, value, _ in chosen},
-                **{
-                    name: overrides.value_of(name, setup)
-                    for name in absent
-                    if is_parameter(name)
-                },
+                **combination.labels,
             }
-            cells += seeded(factors, job, part.seeds)
+            for name in absent:
+                if is_parameter_name(name):
+                    factors[name] = overrides.value_of(name, setup)
+            cells += cells_with_seeds(factors, job, part.seeds)
     if not cells:
         raise ConfigError(
             'parts', 'at least one run', 'none that fulfils the conditions'
@@ -77,77 +136,89 @@ def run_cells(study: StudyConfig) -> list[Cell]:
     return cells
 
 
-def seeded(factors: Mapping[str, Any], job: Any, seeds: Sequence[int]) -> list[Cell]:
-    """Return the cells of a `RunJob` with some seeds."""
-    jobs = {
-        seed: replace(job, arguments={**job.arguments, 'seed': seed}) for seed in seeds
-    }
-    return [
-        Cell({**factors, 'seed': seed}, one, one.key()) for seed, one in jobs.items()
-    ]
+def cells_with_seeds(
+    factors: Mapping[str, Any], job: Any, seeds: Sequence[int]
+) -> list[Cell]:
+    """Return a cell for each seed: the run of a `RunJob` with this seed, and its factors."""
+    cells = []
+    for seed in seeds:
+        seeded = replace(job, arguments={**job.arguments, 'seed': seed})
+        cells.append(Cell({**factors, 'seed': seed}, seeded, seeded.key()))
+    return cells
 
 
-def is_parameter(name: str) -> bool:
-    """Return whether the name of a factor is that of a parameter."""
-    return '.' in name and name.partition('.')[0] in overrides.ARGUMENTS
+def is_parameter_name(name: str) -> bool:
+    """Return whether a factor is called like a parameter: a section, a dot, and what follows."""
+    section, dot, _ = name.partition('.')
+    return bool(dot) and section in overrides.ARGUMENTS
 
 
-def _job(
-    study: StudyConfig,
-    part: PartConfig,
-    plant: str,
-    chosen: Sequence[tuple[str, Any, Mapping[str, Any]]],
+def _plan_run(
+    study: StudyConfig, part: PartConfig, combination: Combination
 ) -> RunJob | None:
     """Return the run of a combination, None where the part's conditions are not fulfilled."""
-    settings = {
-        name: value for _, _, values in chosen for name, value in values.items()
-    }
+    files, settings = split_file_choices(combination.settings)
     arguments = {
         'scenario': part.scenario,
-        'plant': plant,
+        'plant': combination.plant,
         'preset': part.preset,
         'duration': part.duration,
-        **{name: settings.pop(name) for name in CHOSEN if name in settings},
+        **files,
     }
     base = resolve(**arguments)
-    if not _fulfilled(part.where, base):
+    if not _has_values(base, part.where):
         return None
     values = dict(part.fixed)
     for adjustment in study.adjustments:
-        if _fulfilled(adjustment.where, base):
+        if _has_values(base, adjustment.where):
             values |= adjustment.values
-    for factor in part.factors.values():
+    for name, factor in part.factors.items():
         if factor.multiples_of:
-            settings |= _multiples(
-                factor.sets, settings.pop(factor.sets), factor.multiples_of, base
-            )
-    laid_over = overrides.overrides_of({**values, **settings}, base, 'factors.')
+            parameter = factor.sets or name
+            multiple = settings.pop(parameter)
+            settings |= _multiples(factor, parameter, multiple, base)
     return RunJob(
-        {
-            **arguments,
-            **{
-                overrides.ARGUMENTS[section]: nested
-                for section, nested in laid_over.items()
-            },
-        },
+        lay_over_arguments(arguments, {**values, **settings}, base),
         part.supervised,
         part.surface_gone,
     )
 
 
-def _fulfilled(where: Mapping[str, Any], setup: Setup) -> bool:
+def _resolve_job(job: RunJob, title: str, combination: Combination) -> Setup:
+    """Return the setup of a job; the ConfigError of a bad one names its part and factors."""
+    try:
+        return job.setup()
+    except ConfigError as error:
+        field = error.field
+        where = ', '.join(
+            f'{name} = {value}' for name, value in combination.labels.items()
+        )
+        if where:
+            field = f'{title} ({where}): {field}'.strip()
+        raise error.moved(field) from None
+
+
+def _has_values(setup: Setup, expected: Mapping[str, Any]) -> bool:
+    """Return whether parameters of a setup have the values that a condition expects."""
     return all(
-        overrides.value_of(name, setup) == value for name, value in where.items()
+        overrides.value_of(name, setup) == value for name, value in expected.items()
     )
 
 
-def _multiples(name: str, factor: float, of: str, setup: Setup) -> dict[str, float]:
-    """Return a multiple of another parameter's value, for each contact where there is a ``*``."""
-    star = name.split('.').index(overrides.EVERY) if overrides.EVERY in name else None
-    return {
-        '.'.join(place): factor
-        * overrides.value_of(
-            of if star is None else of.replace(overrides.EVERY, place[star]), setup
-        )
-        for place in overrides.paths_of(name, setup, 'factors')
-    }
+def _multiples(
+    factor: FactorConfig, parameter: str, multiple: float, base: Setup
+) -> dict[str, float]:
+    """
+    Return the values of a parameter that are a multiple of another one in the files.
+
+    A ``*`` in both names stands for the same contact.
+    """
+    parts = parameter.split('.')
+    values = {}
+    for place in overrides.paths_of(parameter, base, 'factors'):
+        source = factor.multiples_of
+        if overrides.EVERY in parts:
+            contact = place[parts.index(overrides.EVERY)]
+            source = source.replace(overrides.EVERY, contact)
+        values['.'.join(place)] = multiple * overrides.value_of(source, base)
+    return values

@@ -23,14 +23,19 @@ from sim_bridge.robots import find_robot
 Kind = Literal['sweep', 'compare', 'map', 'tune', 'faults', 'situations']
 Aggregate = Literal['median', 'min', 'max', 'share', 'set', 'good_values']
 Choices = Mapping[str, Sequence[Any]]  # values by factor
-REGISTRIES: Mapping[str, Mapping[str, str]] = {
+REGISTRIES: Mapping[str, Mapping[str, str]] = {  # by parameter that chooses from one
     'controller.force.law': FORCE_LAWS,
     'noise_estimator.estimator': NOISE_ESTIMATORS,
-}  # of the names that a parameter chooses from
+}
 
 
 class FactorConfig(Config):
-    """What is varied: values or a range of one parameter, or levels with values of several."""
+    """
+    What is varied: values or a range of one parameter, or levels with values of several.
+
+    In a file a bare list stands for `values`, and a mapping with other keys than the fields
+    below for `levels`.
+    """
 
     values: tuple[Any, ...] = parameter(
         (), 'Values of the parameter, or labels of levels.'
@@ -60,9 +65,8 @@ class FactorConfig(Config):
         if isinstance(given, (list, tuple)):
             return {'values': given}
         if isinstance(given, Mapping) and not given.keys() <= cls.model_fields.keys():
-            return {
-                'levels': {str(label): level or {} for label, level in given.items()}
-            }
+            levels = {str(label): level or {} for label, level in given.items()}
+            return {'levels': levels}
         return given
 
     @field_validator('levels')
@@ -83,53 +87,54 @@ class FactorConfig(Config):
                     'a list of values, a range of start, stop and count, or values '
                     'by label'
                 )
-        elif (
-            self.count < 2
-            or self.spacing == 'log'
-            and min(self.start, self.stop) <= 0.0
-        ):
+            return self
+        no_ratio = self.spacing == 'log' and min(self.start, self.stop) <= 0.0
+        if self.count < 2 or no_ratio:
             raise ValueError(
                 'a count of at least 2, and of spacing: log a start and stop above 0'
             )
         return self
 
     def settings(self, name: str) -> list[tuple[Any, dict[str, Any]]]:
-        """Return each value or label of the factor with the parameters that it sets."""
+        """
+        Return each value or label of the factor with the parameters that it sets.
+
+        Values set the parameter `sets`, or else the one that the factor is called like (`name`).
+        A range is rounded to 12 digits, such that 0.1 is not 0.09999999999999999.
+        """
         if self.levels:
             return list(self.levels.items())
         values = self.values
         if not values and self.start is not None and self.stop is not None:
             space = np.geomspace if self.spacing == 'log' else np.linspace
-            values = tuple(
-                float(f'{value:.12g}')  # such that 0.1 is not 0.09999999999999999
-                for value in space(self.start, self.stop, self.count)
-            )
+            numbers = space(self.start, self.stop, self.count)
+            values = tuple(float(f'{number:.12g}') for number in numbers)
         return [(value, {self.sets or name: value}) for value in values]
 
-    def choose(self, values: Sequence[Any]) -> FactorConfig:
-        """Return the factor with other values, or with some of its levels."""
+    def with_choice(self, values: Sequence[Any]) -> FactorConfig:
+        """Return the factor with other values; of one with levels, those with these labels."""
         if not self.levels:
             return self.model_copy(update={'values': tuple(values)})
-        return self.model_copy(
-            update={
-                'levels': {
-                    label: level
-                    for label, level in self.levels.items()
-                    if label in map(str, values)
-                }
-            }
-        )
+        chosen = {str(value) for value in values}
+        levels = {
+            label: level for label, level in self.levels.items() if label in chosen
+        }
+        return self.model_copy(update={'levels': levels})
 
 
 class AdjustmentConfig(Config):
-    """Parameters of those runs that fulfil a condition."""
+    """Parameters of those runs that fulfil a condition, whichever part they are of."""
 
     where: dict[str, Any] = parameter(..., 'Values that parameters must have.')
     values: dict[str, Any] = parameter(..., 'Parameters and their values.')
 
 
 class PartConfig(Config):
-    """What is run: every combination of the factors with every plant and seed."""
+    """
+    What is run: every combination of the factors with every plant and seed.
+
+    A part of a study says only in what it differs from the study.
+    """
 
     where: dict[str, Any] = parameter(
         {}, 'Values that parameters must have; else nothing is run.'
@@ -179,7 +184,7 @@ class PartConfig(Config):
 
 
 class ColumnConfig(Config):
-    """A column of the table; each of its lines stands for several runs."""
+    """A column of the table: a value of the runs, and what a line shows of several of them."""
 
     name: str = parameter(..., 'Head of the column.')
     value: str = parameter(
@@ -201,7 +206,11 @@ class ColumnConfig(Config):
 
 
 class StudyConfig(PartConfig):
-    """One study."""
+    """
+    One study: its grids of runs, and what its table, figure and page show of them.
+
+    What it says of a run itself holds for all of its parts.
+    """
 
     name: str = parameter(..., 'Name, as used in file names.', pattern=r'^[\w.-]+$')
     description: str = parameter(
@@ -245,39 +254,58 @@ class StudyConfig(PartConfig):
     notes: str = parameter('', 'What stands below the table.')
 
     def whole_parts(self) -> dict[str, PartConfig]:
-        """Return every part with what it has from the study; without parts the study itself."""
-        own = {name: getattr(self, name) for name in PartConfig.model_fields}
+        """
+        Return every part with what it has from the study; without parts the study itself.
+
+        A part's own fields take the place of the study's, except that `fixed` parameters and
+        factors are added to them. Values that a part gives to a factor of the study choose among
+        its levels.
+        """
+        inherited = {name: getattr(self, name) for name in PartConfig.model_fields}
         parts = {}
         for title, part in (self.parts or {'': PartConfig()}).items():
-            given = {name: getattr(part, name) for name in part.model_fields_set}
+            own = {name: getattr(part, name) for name in part.model_fields_set}
             factors = dict(self.factors)
             for name, factor in part.factors.items():
-                factors[name] = (
-                    factors[name].choose(factor.values)
-                    if (name in factors and not factor.levels)
-                    else factor
-                )
-            parts[title] = PartConfig.model_construct(
-                part.model_fields_set,
-                **{
-                    **own,
-                    **given,
-                    'factors': factors,
-                    'fixed': {**self.fixed, **part.fixed},
-                },
-            )
+                if name in factors and not factor.levels:
+                    factors[name] = factors[name].with_choice(factor.values)
+                else:
+                    factors[name] = factor
+            fields = {
+                **inherited,
+                **own,
+                'factors': factors,
+                'fixed': {**self.fixed, **part.fixed},
+            }
+            parts[title] = PartConfig.model_construct(part.model_fields_set, **fields)
         return parts
 
 
 def read_study(name: str) -> StudyConfig:
-    """Read a study by name or path, with whole parts; ConfigError if it is not acceptable."""
+    """
+    Read a study by name or path; its parts are whole.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file, or a value in it is not acceptable.
+
+    """
     path = find_named_file('study', 'studies', name)
     study = validate(StudyConfig, read_yaml(path), str(path))
     return study.model_copy(update={'parts': study.whole_parts()})
 
 
 def read_choices(texts: Iterable[str]) -> dict[str, Sequence[Any]]:
-    """Read ``FACTOR=VALUE,VALUE`` texts, the values as in a YAML file; ConfigError if bad."""
+    """
+    Read ``FACTOR=VALUE,VALUE`` texts: values by factor, as they would stand in a YAML file.
+
+    Raises
+    ------
+    ConfigError
+        If a text has no factor or no values.
+
+    """
     choices: dict[str, Sequence[Any]] = {}
     for text in texts:
         name, _, values = text.partition('=')
@@ -287,68 +315,85 @@ def read_choices(texts: Iterable[str]) -> dict[str, Sequence[Any]]:
     return choices
 
 
-def select(study: StudyConfig, choices: Choices, *, robot: str = '') -> StudyConfig:
+def apply_choices(
+    study: StudyConfig, choices: Choices, *, robot: str = ''
+) -> StudyConfig:
     """
-    Return a study of `read_study` with what a user chooses; ConfigError if there is no such thing.
+    Return a study with what a user chooses of it.
 
-    Choices are values or labels by factor, `part`, `plant` or `seed` (not of parts with their
-    own); a parameter that is no factor becomes one. A robot has its own plants of those names.
+    Parameters
+    ----------
+    study
+        What `read_study` gives.
+    choices
+        Values or labels by factor, `part`, `plant` or `seed`; seeds do not reach parts with
+        their own. A parameter that is no factor becomes one.
+    robot
+        Whose plants of the study's names are meant; the default robot if empty.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such part, label, plant or robot.
+
     """
     parts = dict(study.parts)
     for name, values in choices.items():
         if name == 'part':
             parts = {title: part for title, part in parts.items() if title in values}
         elif name not in ('plant', 'seed'):
-            parts = _with_choice(parts, name, values)
+            parts = _choose_values(parts, name, values)
     if not parts:
         raise ConfigError(
             'part', f'some of {", ".join(study.parts)}', choices.get('part')
         )
-    plants, seeds = choices.get('plant', ()), choices.get('seed', ())
-    return study.model_copy(
-        update={
-            'parts': {
-                title: part.model_copy(
-                    update={
-                        'plants': _plants(
-                            robot, plants or part.plants, chosen=bool(plants)
-                        ),
-                        'seeds': part.seeds
-                        if 'seeds' in part.model_fields_set or not seeds
-                        else (tuple(seeds)),
-                    }
-                )
-                for title, part in parts.items()
-            }
-        }
-    )
+    for title, part in parts.items():
+        if 'plant' in choices:
+            plants = choices['plant']
+        elif robot:
+            plants = _plants_of_robot(robot, part.plants)
+        else:
+            plants = part.plants
+        names = [plant_source(plant, robot).name for plant in plants]
+        changes = {'plants': tuple(dict.fromkeys(names))}
+        if 'seed' in choices and 'seeds' not in part.model_fields_set:
+            changes['seeds'] = tuple(choices['seed'])
+        parts[title] = part.model_copy(update=changes)
+    return study.model_copy(update={'parts': parts})
 
 
-def _with_choice(
+def _choose_values(
     parts: Mapping[str, PartConfig],
     name: str,
     values: Sequence[Any],
 ) -> dict[str, PartConfig]:
-    """Return the parts with values of a factor; one in which none of them is known goes."""
-    known = [title for title, part in parts.items() if name in part.factors]
-    labels = dict.fromkeys(
-        label for title in known for label in parts[title].factors[name].levels
-    )
+    """
+    Return the parts with values of a factor, which all get if none has it.
+
+    A part in which no level has one of these labels goes.
+    """
+    with_factor = [title for title, part in parts.items() if name in part.factors]
+    labels: list[str] = []
+    for title in with_factor:
+        labels += parts[title].factors[name].levels
     for value in values:
         if labels and str(value) not in labels:
-            raise ConfigError(name, f'some of {", ".join(labels)}', f"'{value}'")
-    selection = dict(parts)
-    for title in known or parts:
-        before = parts[title].factors.get(name, FactorConfig(values=('',)))
-        factors = {**parts[title].factors, name: before.choose(values)}
-        selection[title] = parts[title].model_copy(update={'factors': factors})
-        if before.levels and not factors[name].levels:
-            del selection[title]
-    return selection
+            known = ', '.join(dict.fromkeys(labels))
+            raise ConfigError(name, f'some of {known}', f"'{value}'")
+    chosen = dict(parts)
+    for title in with_factor or parts:
+        part = parts[title]
+        before = part.factors.get(name, FactorConfig(values=('',)))
+        factor = before.with_choice(values)
+        if before.levels and not factor.levels:
+            del chosen[title]
+        else:
+            factors = {**part.factors, name: factor}
+            chosen[title] = part.model_copy(update={'factors': factors})
+    return chosen
 
 
-def _plants(robot: str, names: Sequence[str], *, chosen: bool) -> tuple[str, ...]:
-    if robot and not chosen:
-        known = find_robot(robot)
-        names = [name for name in names if known.plant_name(name)] or ['']
-    return tuple(dict.fromkeys(plant_source(name, robot).name for name in names))
+def _plants_of_robot(robot: str, names: Sequence[str]) -> list[str]:
+    """Return those plants of some names that a robot has, its default one if it has none."""
+    known = find_robot(robot)
+    return [name for name in names if known.plant_name(name)] or ['']

@@ -17,7 +17,7 @@ from pathlib import Path
 import signal
 import threading
 import time
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 from multicontact_control.errors import ConfigError, RunError
 from multicontact_control.files import (
@@ -40,11 +40,22 @@ CONNECT_TIMEOUT = 10.0  # s, until an address counts as one that does not answer
 
 # The simulator and the compiled kernels are not for several threads of one process.
 _ONE_AT_A_TIME = threading.Lock()
-Outcome = tuple[str, dict[str, Any], float]  # key, what was measured, wall time [s]
+
+
+class Outcome(NamedTuple):
+    """What a finished job has to say."""
+
+    key: str  # of the job
+    metrics: dict[str, Any]  # what was measured, as JSON values
+    wall_time: float  # [s]
 
 
 class Job(Protocol):
-    """One piece of work: a frozen dataclass that describes it in full and can be pickled."""
+    """
+    One piece of work: a frozen dataclass that describes it in full and can be pickled.
+
+    It carries all that a worker on another machine needs beside this package and its files.
+    """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
@@ -52,14 +63,14 @@ class Job(Protocol):
         """Return the setup that is run; ConfigError if it is not acceptable."""
 
     def key(self) -> str:
-        """Return the hash of all that decides the outcome."""
+        """Return the hash of all that decides the outcome; see `outcome_key`."""
 
     def run(self) -> dict[str, Any]:
         """Do the work in this process; return what was measured as JSON values."""
 
 
 @cache
-def code_stamp() -> str:
+def hash_code() -> str:
     """Return a hash over all sources and the versions of the numerical libraries."""
     package = Path(__file__).resolve().parents[2]
     digest = hashlib.sha256()
@@ -73,54 +84,58 @@ def code_stamp() -> str:
     return digest.hexdigest()
 
 
-def content_key(kind: str, content: Mapping[str, Any]) -> str:
-    """Return the key of a kind of work on JSON values, which with the code decide the outcome."""
-    text = json.dumps(
-        {'kind': kind, 'code': code_stamp(), **content},
-        sort_keys=True,
-        separators=(',', ':'),
-    )
-    return hashlib.sha256(text.encode()).hexdigest()[:24]
+def outcome_key(kind: str, setup: Setup, **content: Any) -> str:
+    """
+    Return the key of a job: a hash of all that decides its outcome, 24 hexadecimal digits.
 
+    Parameters
+    ----------
+    kind
+        Of the work; different work on the same setup has another kind.
+    setup
+        What is run: its configurations, seed, URDF and, of a known robot, the arm.
+    content
+        What else decides the outcome, as JSON values.
 
-def setup_content(setup: Setup) -> dict[str, Any]:
-    """Return what decides the outcome of a run, as JSON values."""
-    urdf = (setup.urdf_dir / setup.controller.robot.urdf).read_bytes()
+    """
     configurations = {
         name: getattr(setup, name).model_dump(mode='json')
         for name in ('scenario', 'controller', 'noise_estimator', 'plant')
     }
-    return {
+    urdf = (setup.urdf_dir / setup.controller.robot.urdf).read_bytes()
+    whole = {
+        'kind': kind,
+        'code': hash_code(),
         'seed': setup.seed,
         'urdf': hashlib.sha256(urdf).hexdigest(),
         'arm': repr(find_robot(setup.plant.robot).arm),
         **configurations,
+        **content,
     }
+    text = json.dumps(whole, sort_keys=True, separators=(',', ':'))
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
 @dataclass(frozen=True)
 class RunJob:
-    """One run of a scenario."""
+    """One run of a scenario, in process, of which the usual figures are measured."""
 
     arguments: Mapping[str, Any]  # of `resolve`
     supervised: bool = False
-    surface_gone: tuple[float, float] | None = (
-        None  # from when to when the last one is away [s]
-    )
+    # From when to when the last surface is away [s].
+    surface_gone: tuple[float, float] | None = None
 
     def setup(self) -> Setup:
         """Return everything the run needs; see `Job.setup`."""
         return resolve(**self.arguments)
 
     def key(self) -> str:
-        """Return the hash of all that decides the outcome."""
-        return content_key(
+        """Return the hash of all that decides the outcome; see `outcome_key`."""
+        return outcome_key(
             'run',
-            {
-                **setup_content(self.setup()),
-                'supervised': self.supervised,
-                'surface_gone': self.surface_gone,
-            },
+            self.setup(),
+            supervised=self.supervised,
+            surface_gone=self.surface_gone,
         )
 
     def run(self) -> dict[str, Any]:
@@ -128,24 +143,37 @@ class RunJob:
         return measure_run(self.setup(), self.supervised, self.surface_gone)
 
 
-def read_cells(folder: Path, keys: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Return what was measured in those jobs that are finished in a folder, by key."""
-    paths = {key: folder / CELLS / f'{key}.json' for key in keys}
-    return {
-        key: read_json_file(path)['metrics']
-        for key, path in paths.items()
-        if path.exists()
-    }
+def read_finished(folder: Path, keys: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return what was measured in those jobs that are finished in a study's folder, by key."""
+    finished = {}
+    for key in keys:
+        path = _cell_file(folder, key)
+        if path.exists():
+            finished[key] = read_json_file(path)['metrics']
+    return finished
+
+
+def _cell_file(folder: Path, key: str) -> Path:
+    return folder / CELLS / f'{key}.json'
 
 
 def prepare_folder(folder: Path, *, overwrite: bool) -> None:
-    """Make the folder of a study, or keep what it has; ConfigError if that is no study's."""
+    """
+    Make the folder of a study, or keep the finished jobs that it has, unless `overwrite`.
+
+    Raises
+    ------
+    ConfigError
+        If the folder has files that are no study's.
+
+    """
     cells = folder / CELLS
     if folder.is_dir() and not cells.is_dir() and any(folder.iterdir()):
         raise ConfigError('out', 'a new or empty folder, or that of a study', folder)
     cells.mkdir(parents=True, exist_ok=True)
-    for path in cells.glob('*.json') if overwrite else ():
-        path.unlink()
+    if overwrite:
+        for path in cells.glob('*.json'):
+            path.unlink()
 
 
 def run_jobs(
@@ -160,47 +188,60 @@ def run_jobs(
     """
     Run every job without a result in a folder, and return what was measured in all, by key.
 
-    One worker is this process, 0 stands for a process on every core; the client of a Dask cluster
-    runs them there. RunError if a worker or the cluster dies; what is finished is kept.
+    Parameters
+    ----------
+    jobs
+        Jobs by their keys.
+    folder
+        Of the study, prepared; every result is written there as soon as it is known.
+    workers
+        How many processes run jobs: 1 is this process, 0 stands for one on every core.
+    client
+        Of a Dask cluster, which runs them instead (`dask_client`).
+    console
+        Where a bar called `title` shows how many are finished.
+
+    Raises
+    ------
+    RunError
+        If a worker or the cluster dies; what is finished is kept.
+
     """
-    done = read_cells(folder, jobs)
-    todo = {key: job for key, job in jobs.items() if key not in done}
-    if todo:
+    finished = read_finished(folder, jobs)
+    missing = {key: job for key, job in jobs.items() if key not in finished}
+    if missing:
         ensure_compiled()  # here once, not in every worker at once
     with (
         make_count_bar(console) as progress,
-        closing(_outcomes(todo, workers, client)) as outcomes,
+        closing(_run_missing(missing, workers, client)) as outcomes,
     ):
-        bar = progress.add_task(title, total=len(jobs), completed=len(done))
+        bar = progress.add_task(title, total=len(jobs), completed=len(finished))
         for key, metrics, wall_time in outcomes:
-            replace_json_file(
-                folder / CELLS / f'{key}.json',
-                {
-                    'key': key,
-                    'job': asdict(todo[key]),
-                    'wall_s': wall_time,
-                    'metrics': metrics,
-                },
-            )
-            done[key] = metrics
+            content = {
+                'key': key,
+                'job': asdict(missing[key]),
+                'wall_s': wall_time,
+                'metrics': metrics,
+            }
+            replace_json_file(_cell_file(folder, key), content)
+            finished[key] = metrics
             progress.advance(bar)
-            if progress.disable and 10 * len(done) % len(jobs) < 10:  # at every tenth
+            is_next_tenth = 10 * len(finished) % len(jobs) < 10
+            if progress.disable and is_next_tenth:
                 progress.console.print(
-                    f'{title}: {len(done)} of {len(jobs)}', highlight=False
+                    f'{title}: {len(finished)} of {len(jobs)}', highlight=False
                 )
-    return done
+    return finished
 
 
-def _outcomes(
-    todo: Mapping[str, Job],
-    workers: int,
-    client: Any,
+def _run_missing(
+    jobs: Mapping[str, Job], workers: int, client: Any
 ) -> Generator[Outcome, None, None]:
     """Yield the outcomes of jobs as they end: in this process, in others, or on a cluster."""
-    if client is None and (len(todo) < 2 or workers == 1):
-        yield from starmap(_run, todo.items())
+    if client is None and (len(jobs) < 2 or workers == 1):
+        yield from starmap(_run_job, jobs.items())
         return
-    deaths: tuple[type[BaseException], ...] = (BrokenExecutor,)
+    deaths: tuple[type[BaseException], ...]
     with ExitStack() as stack:
         if client is None:
             from joblib.externals.loky import get_reusable_executor
@@ -212,6 +253,7 @@ def _outcomes(
                 initializer=signal.signal,
                 initargs=(signal.SIGINT, signal.SIG_IGN),
             )
+            deaths = (BrokenExecutor,)
             stack.callback(executor.shutdown)
             stack.callback(_end_workers, others=active_children())
         else:
@@ -221,9 +263,8 @@ def _outcomes(
             executor = client.get_executor(pure=False)
             deaths = (KilledWorker, CancelledError, OSError)
         try:
-            for future in as_completed(
-                [executor.submit(_run, *item) for item in todo.items()]
-            ):
+            futures = [executor.submit(_run_job, *item) for item in jobs.items()]
+            for future in as_completed(futures):
                 yield future.result()
         except deaths:
             raise RunError(WORKER_DIED) from None
@@ -236,17 +277,28 @@ def _end_workers(others: Sequence[BaseProcess]) -> None:
             process.terminate()
 
 
-def _run(key: str, job: Job) -> Outcome:
+def _run_job(key: str, job: Job) -> Outcome:
     """Run a job where its key is the same, which stands for equal code and configuration."""
     with _ONE_AT_A_TIME:
         if job.key() != key:
             raise RunError('a worker has other code, libraries or configuration files')
         start = time.perf_counter()
-        return key, replace_nonfinite_numbers(job.run()), time.perf_counter() - start
+        metrics = replace_nonfinite_numbers(job.run())
+        return Outcome(key, metrics, time.perf_counter() - start)
 
 
 def dask_client(address: str) -> AbstractContextManager[Any]:
-    """Connect to the Dask scheduler at an address, None without one; ConfigError, RunError."""
+    """
+    Connect to the Dask scheduler at an address; without an address the context is None.
+
+    Raises
+    ------
+    ConfigError
+        If no scheduler answers there.
+    RunError
+        If `distributed` is not installed.
+
+    """
     if not address:
         return nullcontext()
     try:

@@ -8,18 +8,19 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
 from multicontact_control import __version__
 from multicontact_control.errors import format_count
 from multicontact_control.files import replace_json_file
 from multicontact_control.judging import page
 from multicontact_control.runs.overrides import unit_of
 from multicontact_control.study import table
-from multicontact_control.study.cells import Cell, is_parameter, run_cells
+from multicontact_control.study.cells import Cell, is_parameter_name, plan_runs
 from multicontact_control.study.config import StudyConfig
 from multicontact_control.study.jobs import (
     dask_client,
     prepare_folder,
-    read_cells,
+    read_finished,
     run_jobs,
 )
 from multicontact_control.study.measure import Metrics, metrics_row
@@ -34,135 +35,135 @@ PAGE_FILE, FIGURE_FILE, PRINTED_FIGURE_FILE = 'study.html', 'study.png', 'study.
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What came out of a study: its cells, and the table of them."""
+    """What came out of a study: its cells, what was measured in them, and the table of it."""
 
     cells: Sequence[Cell]
     frame: pd.DataFrame  # a row for each cell; `attrs` has factors and units
-    metrics: Mapping[str, Metrics]  # what was measured, by `key`
+    metrics: Mapping[str, Metrics]  # what was measured, by `Cell.key`
 
 
 class Study:
-    """A study of a file; a kind with code of its own is a subclass in `presets`."""
+    """
+    A study of a file, whose table has a row for each run.
+
+    A kind with code of its own is a subclass in `presets`, which replaces some of these methods.
+    """
 
     def __init__(self, config: StudyConfig) -> None:
         self.config = config
 
-    def cells(self) -> list[Cell]:
+    def plan_cells(self) -> list[Cell]:
         """Return every cell; ConfigError if one is not acceptable."""
-        return run_cells(self.config)
+        return plan_runs(self.config)
 
-    def further(self, results: Results) -> list[Cell]:
-        """Return the cells that follow from the results of the first."""
+    def plan_further_cells(self, results: Results) -> list[Cell]:
+        """Return the cells that follow from the results of the first, none in most studies."""
         return []
 
-    def rows(self, metrics: Metrics) -> list[dict[str, Any]]:
-        """Return the rows of the table that the metrics of a cell make."""
+    def table_rows(self, metrics: Metrics) -> list[dict[str, Any]]:
+        """Return the rows of the table that the metrics of a cell make, by column."""
         return [metrics_row(metrics)]
 
-    def complete(self, frame: pd.DataFrame) -> pd.DataFrame:
+    def complete_table(self, frame: pd.DataFrame) -> pd.DataFrame:
         """Return the table with further columns, or in another order."""
         return frame
 
-    def findings(self, results: Results) -> list[str]:
-        """Return what the numbers show, in sentences."""
-        return table.sentences(results.frame, self.config)
+    def describe_findings(self, results: Results) -> list[str]:
+        """Return what the numbers show, in sentences that open page and terminal output."""
+        return table.describe_good_runs(results.frame, self.config)
 
-    def figure(self, results: Results) -> Any:
-        """Return the figure, None if there is none."""
+    def draw_figure(self, results: Results) -> Figure | None:
+        """Return the figure, None if there is nothing to draw."""
         return table.draw_study(results.frame, self.config)
 
-    def sections(self, results: Results) -> Mapping[str, str]:
+    def further_sections(self, results: Results) -> Mapping[str, str]:
         """Return what stands below the table on the page: HTML by plain heading."""
         return {}
 
-    def results(self, cells: Sequence[Cell], metrics: Mapping[str, Metrics]) -> Results:
+    def tabulate(
+        self, cells: Sequence[Cell], metrics: Mapping[str, Metrics]
+    ) -> Results:
         """Return cells with what was measured in them, by key, as a table."""
-        frame = self.complete(
-            pd.DataFrame(
-                [
-                    {**cell.factors, **row, 'key': cell.key}
-                    for cell in cells
-                    for row in self.rows(metrics[cell.key])
-                ]
-            )
-        )
+        rows = []
+        for cell in cells:
+            for row in self.table_rows(metrics[cell.key]):
+                rows.append({**cell.factors, **row, 'key': cell.key})
+        frame = self.complete_table(pd.DataFrame(rows))
+        factors = list(cells[0].factors)
         units = {
             name: unit_of(name, cells[0].job.setup())
-            for name in cells[0].factors
-            if is_parameter(name)
+            for name in factors
+            if is_parameter_name(name)
         }
-        frame.attrs = {
-            'factors': list(cells[0].factors),
-            'units': units,
-            'version': __version__,
-        }
+        frame.attrs = {'factors': factors, 'units': units, 'version': __version__}
         return Results(cells, frame, metrics)
 
-    def warnings(self, results: Results) -> list[str]:
+    def list_warnings(self, results: Results) -> list[str]:
         """Return which runs ended early and why, and which columns are not in the table."""
         frame = results.frame
         failed = frame[frame['error'].notna()]
         names = dict.fromkeys([*self.config.lines, *frame.attrs['factors'], 'seed'])
-        texts = [
-            ', '.join(f'{name} {row[name]}' for name in names if row[name] != '')
-            + f': {row["error"]}'
-            for _, row in failed.head(MOST_WARNINGS).iterrows()
-        ]
+        warnings = []
+        for _, row in failed.head(MOST_WARNINGS).iterrows():
+            where = [f'{name} {row[name]}' for name in names if row[name] != '']
+            warnings.append(f'{", ".join(where)}: {row["error"]}')
         if len(failed) > MOST_WARNINGS:
-            texts.append(f'{len(failed) - MOST_WARNINGS} more are in {CSV_FILE}')
-        return texts + [
-            f'columns: the table has nothing under {column.value}'
-            for column in table.table_columns(frame, self.config)
-            if column.value not in frame
-            and table.worst(frame, column.value).isna().all()
-        ]
+            warnings.append(f'{len(failed) - MOST_WARNINGS} more are in {CSV_FILE}')
+        for column in table.resolve_columns(frame, self.config):
+            numbers = table.largest_of_columns(frame, column.value)
+            if column.value not in frame and numbers.isna().all():
+                warnings.append(f'columns: the table has nothing under {column.value}')
+        return warnings
 
-    def write(self, results: Results, folder: Path) -> None:
-        """Write study, table and page into the folder."""
-        frame, config, warnings = results.frame, self.config, self.warnings(results)
-        replace_json_file(folder / STUDY_FILE, config.model_dump(mode='json'))
+    def write_files(self, results: Results, folder: Path) -> None:
+        """Write study, table, figure and page into the folder."""
+        frame = results.frame
+        replace_json_file(folder / STUDY_FILE, self.config.model_dump(mode='json'))
         frame.to_csv(folder / CSV_FILE, index=False)
         frame.to_parquet(folder / TABLE_FILE, index=False)
-        figure = self.figure(results)
+        image = ''
+        figure = self.draw_figure(results)
         if figure is not None:
             for name in (FIGURE_FILE, PRINTED_FIGURE_FILE):
                 figure.savefig(folder / name, dpi=DPI)
+            image = page.render_image(folder / FIGURE_FILE, self.config.name)
         page.write_page(
             folder / PAGE_FILE,
-            f'Study {config.name}',
-            '\n'.join(
-                [
-                    f'<p>{escape(config.description)}</p>',
-                    _listed(self.findings(results)),
-                    ''
-                    if figure is None
-                    else page.render_image(folder / FIGURE_FILE, config.name),
-                    *(
-                        f'<h2>{escape(section)}</h2>'
-                        + page.render_table(
-                            list(map(escape, lines)),
-                            [list(map(escape, line)) for line in lines.to_numpy()],
-                            numbers_from=lines.attrs['labels'],
-                        )
-                        for section, lines in table.listing_of(frame, config).items()
-                    ),
-                    f'<p class=note>{escape(config.notes)} Every run is in {CSV_FILE}.</p>',
-                    page.render_details(
-                        format_count(len(warnings), 'remarks'), _listed(warnings)
-                    )
-                    if warnings
-                    else '',
-                    *(
-                        f'<h2>{escape(heading)}</h2>{text}'
-                        for heading, text in self.sections(results).items()
-                    ),
-                ]
-            ),
+            f'Study {self.config.name}',
+            self._page_body(results, image),
         )
 
+    def _page_body(self, results: Results, image: str) -> str:
+        """Return the page below its title as HTML: findings, figure, tables, remarks."""
+        config = self.config
+        parts = [
+            f'<p>{escape(config.description)}</p>',
+            _bullet_list(self.describe_findings(results)),
+            image,
+        ]
+        for section, lines in table.make_listing(results.frame, config).items():
+            head = [escape(name) for name in lines]
+            rows = [[escape(text) for text in line] for line in lines.to_numpy()]
+            cells = page.render_table(head, rows, numbers_from=lines.attrs['labels'])
+            parts.append(f'<h2>{escape(section)}</h2>{cells}')
+        parts.append(
+            f'<p class=note>{escape(config.notes)} Every run is in {CSV_FILE}.</p>'
+        )
+        remarks = ''
+        warnings = self.list_warnings(results)
+        if warnings:
+            title = format_count(len(warnings), 'remarks')
+            remarks = page.render_details(title, _bullet_list(warnings))
+        parts.append(remarks)
+        for heading, text in self.further_sections(results).items():
+            parts.append(f'<h2>{escape(heading)}</h2>{text}')
+        return '\n'.join(parts)
 
-def _listed(texts: Sequence[str]) -> str:
-    return f'<ul>{"".join(f"<li>{escape(text)}</li>" for text in texts)}</ul>'
+
+def _bullet_list(texts: Sequence[str]) -> str:
+    """Return plain texts as a list in HTML."""
+    items = [f'<li>{escape(text)}</li>' for text in texts]
+    return f'<ul>{"".join(items)}</ul>'
 
 
 def run_study(
@@ -178,51 +179,78 @@ def run_study(
     """
     Run a study, write its files, and show and return what came out; None of a dry run.
 
-    The folder is `out`, or ``runs/<name>``; `jobs` and `dask` are as for `run_jobs` and
-    `dask_client`. ConfigError if the study is not acceptable, before anything is run.
+    Parameters
+    ----------
+    study
+        What is run.
+    out
+        The folder, ``runs/<name>`` if not given; what is finished there is not run again.
+    jobs
+        How many at once; see `run_jobs`.
+    dask
+        Address of the scheduler of a cluster that runs them instead; see `dask_client`.
+    dry_run
+        Whether the factors are only listed.
+    overwrite
+        Whether what is finished is run again.
+    console
+        Where progress and results are shown.
+
+    Raises
+    ------
+    ConfigError
+        If the study is not acceptable, before anything is run.
+
     """
-    console, name = console or Console(highlight=False), study.config.name
-    cells, folder = study.cells(), out or Path('runs') / name
+    console = console or Console(highlight=False)
+    name = study.config.name
+    folder = out or Path('runs') / name
+    cells = study.plan_cells()
     keys = {cell.key for cell in cells}
     with dask_client(dask) as client:
         if not dry_run:
             prepare_folder(folder, overwrite=overwrite)
         console.print(
             f'study {name}: {format_count(len(keys), "jobs")}, '
-            f'{len(read_cells(folder, keys))} of them finished before'
+            f'{len(read_finished(folder, keys))} of them finished before'
         )
         if dry_run:
-            for factor in cells[0].factors:
-                values = dict.fromkeys(str(cell.factors[factor]) for cell in cells)
-                if any(values):
-                    console.print(
-                        f'  {factor}: {", ".join(filter(None, values))}',
-                        markup=False,
-                        soft_wrap=True,
-                    )
+            _show_factors(cells, console)
             return None
 
-        def run(some: Sequence[Cell]) -> dict[str, dict[str, Any]]:
-            return run_jobs(
-                {cell.key: cell.job for cell in some},
+        def run_cells(chosen: Sequence[Cell]) -> Results:
+            metrics = run_jobs(
+                {cell.key: cell.job for cell in chosen},
                 folder,
                 workers=jobs,
                 client=client,
                 console=console,
                 title=name,
             )
+            return study.tabulate(chosen, metrics)
 
-        results = study.results(cells, run(cells))
-        if further := study.further(results):
-            cells += further
-            results = study.results(cells, run(cells))
-    study.write(results, folder)
-    listing = table.listing_of(results.frame, study.config)
+        results = run_cells(cells)
+        further = study.plan_further_cells(results)
+        if further:
+            results = run_cells([*cells, *further])
+    study.write_files(results, folder)
+    listing = table.make_listing(results.frame, study.config)
     console.print(*table.terminal_tables(name, listing, console.width))
-    for text in study.warnings(results):
+    for text in study.list_warnings(results):
         console.print(text, style='red', markup=False)
-    for text in study.findings(results):
+    for text in study.describe_findings(results):
         console.print(f'- {text}', markup=False)
     for file in (PAGE_FILE, CSV_FILE, TABLE_FILE):
         console.print(f'results in {folder / file}', soft_wrap=True)
     return results
+
+
+def _show_factors(cells: Sequence[Cell], console: Console) -> None:
+    """Print every factor that has values, with the values of the cells."""
+    for factor in cells[0].factors:
+        texts = dict.fromkeys(str(cell.factors[factor]) for cell in cells)
+        values = [text for text in texts if text]
+        if values:
+            console.print(
+                f'  {factor}: {", ".join(values)}', markup=False, soft_wrap=True
+            )

@@ -16,12 +16,13 @@ from multicontact_control.runs.overrides import EVERY
 from multicontact_control.study.config import ColumnConfig, StudyConfig
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_numeric_dtype
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
 WIDE_RANGE = 20.0  # largest over smallest, from which an axis is logarithmic
-MARKERS = 'osD^vPp'  # one for each of COLOURS
+MARKERS = 'osD^vPp'  # one for each of CURVE_COLOURS
 CROSS: dict[str, Any] = {
     'linestyle': '',
     'marker': 'x',
@@ -35,184 +36,210 @@ ROOM_OF_SERIES = 0.09  # inches
 NAME_WIDTH = 24  # characters of a line
 LEGEND_COLUMNS = 4
 Listing = Mapping[str, pd.DataFrame]  # texts of lines and columns, by section
-MOST_SHOWN = 5  # columns in sentences and in the figure
+MOST_SHOWN = 5  # columns in the figure
 NOT_FACTORS = ('part', 'plant', 'seed')
-CHOICE = {  # of columns to show
+USUAL_COLUMNS = {  # those of a study that names none, by their heads
     'rise [s]': 'contacts.*.step_rise_63_s',
     'rest rms [N]': 'contacts.*.rest.true_error_rms_n',
     'move rms [N]': 'contacts.*.moving.true_error_rms_n',
 }
+NO_VALUE = '-'
+NO_GOOD_VALUE = 'none'
 
 
-def columns_of(frame: pd.DataFrame, value: str) -> pd.DataFrame:
+def numeric_columns(frame: pd.DataFrame, value: str) -> pd.DataFrame:
     """Return the columns of numbers that a name stands for, with ``*`` for one part of it."""
-    pattern = '[^.*]+'.join(map(re.escape, value.split(EVERY)))
-    return (
-        frame.filter(regex=f'^{pattern}$')
-        .select_dtypes(['number', 'bool'])
-        .astype(float)
-    )
+    pattern = '[^.*]+'.join(re.escape(part) for part in value.split(EVERY))
+    columns = frame.filter(regex=f'^{pattern}$')
+    return columns.select_dtypes(['number', 'bool']).astype(float)
 
 
-def worst(frame: pd.DataFrame, value: str) -> pd.Series:
+def largest_of_columns(frame: pd.DataFrame, value: str) -> pd.Series:
     """Return a column, with ``*`` in its name the largest of all; NaN if there is none."""
-    return columns_of(frame, value).max(axis=1)
+    return numeric_columns(frame, value).max(axis=1)
 
 
-def table_columns(frame: pd.DataFrame, study: StudyConfig) -> list[ColumnConfig]:
-    """Return the columns of a study's table, a choice if it has none."""
-    columns = study.columns or [
-        ColumnConfig(name=study.truth),
-        *(
-            ColumnConfig(name=name, value=value, digits=3)
-            for name, value in CHOICE.items()
-            if worst(frame, value).notna().any()
-        ),
-    ]
-    return [
-        column
-        if column.value
-        else column.model_copy(
-            update={
-                'value': column.name,
-                'name': column.name.rpartition(f'{EVERY}.')[2],
-                'aggregate': 'share'
-                if column.name == study.truth
-                else column.aggregate,
-            }
-        )
-        for column in columns
-    ]
+def resolve_columns(frame: pd.DataFrame, study: StudyConfig) -> list[ColumnConfig]:
+    """
+    Return the columns of a study's table, each with the value that it shows.
+
+    A study that names none has its truth and those of the `USUAL_COLUMNS` that are in the frame.
+    The truth is shown as a share of the runs where nothing else is said.
+    """
+    columns = list(study.columns)
+    if not columns:
+        columns.append(ColumnConfig(name=study.truth))
+        for name, value in USUAL_COLUMNS.items():
+            if largest_of_columns(frame, value).notna().any():
+                columns.append(ColumnConfig(name=name, value=value, digits=3))
+    resolved = []
+    for column in columns:
+        changes = {}
+        if not column.value:
+            _, _, name = column.name.rpartition(f'{EVERY}.')
+            changes = {'value': column.name, 'name': name}
+            if column.name == study.truth:
+                changes['aggregate'] = 'share'
+        resolved.append(column.model_copy(update=changes))
+    return resolved
 
 
-def listing_of(frame: pd.DataFrame, study: StudyConfig) -> Listing:
-    """Return the tables of a study: a line for each value of its factors, from all seeds."""
-    columns = table_columns(frame, study)
-    lines = [
+def make_listing(frame: pd.DataFrame, study: StudyConfig) -> Listing:
+    """
+    Return the tables of a study, by section: a line for each value of its factors, of all seeds.
+
+    Cells are texts; `attrs['labels']` of a table tells how many columns at the left name the
+    line.
+    """
+    columns = resolve_columns(frame, study)
+    factors = [
         name
         for name in study.lines or frame.attrs['factors']
         if name not in (*NOT_FACTORS, *study.sections)
         and frame[name].astype(str).ne('').any()
     ]
-    heads = [_head(frame, study, name) for name in lines]
-    by = [name for name in study.sections if frame[name].nunique() > 1]
+    heads = [_factor_head(frame, study, name) for name in factors]
+    by_section = [name for name in study.sections if frame[name].nunique() > 1]
     listing = {}
-    for title, section in _groups(frame, by):
-        shown = pd.DataFrame(
-            [
-                {
-                    **dict(zip(heads, map(show, label))),
-                    **{column.name: _cell(column, group, study) for column in columns},
-                }
-                for label, group in _groups(section, lines)
-            ]
-        )
-        shown.attrs = {'labels': len(lines)}  # columns at the left that are no numbers
-        listing[', '.join(filter(None, map(str, title)))] = shown
+    for title, section in _groups(frame, by_section):
+        lines = []
+        for values, runs in _groups(section, factors):
+            line = dict(zip(heads, map(format_value, values)))
+            for column in columns:
+                line[column.name] = _fill_cell(column, runs, study)
+            lines.append(line)
+        shown = pd.DataFrame(lines)
+        shown.attrs = {'labels': len(factors)}
+        words = [str(value) for value in title]
+        listing[', '.join(word for word in words if word)] = shown
     return listing
 
 
-def _head(frame: pd.DataFrame, study: StudyConfig, factor: str) -> str:
-    """Return what a factor is called in tables and sentences, with its unit in brackets."""
-    name = study.symbols.get(factor, factor.rpartition('.')[2].replace('_', ' '))
-    unit = frame.attrs['units'].get(factor)
+def _name_and_unit(
+    frame: pd.DataFrame, study: StudyConfig, factor: str
+) -> tuple[str, str]:
+    """Return what a factor is called in tables and sentences, and its unit, '' without one."""
+    _, _, last_part = factor.rpartition('.')
+    name = study.symbols.get(factor, last_part.replace('_', ' '))
+    return name, frame.attrs['units'].get(factor, '')
+
+
+def _factor_head(frame: pd.DataFrame, study: StudyConfig, factor: str) -> str:
+    """Return what a factor is called in tables and figures, with its unit in brackets."""
+    name, unit = _name_and_unit(frame, study, factor)
     return f'{name} [{unit}]' if unit else name
 
 
-def sentences(frame: pd.DataFrame, study: StudyConfig) -> list[str]:
+def _equation(frame: pd.DataFrame, study: StudyConfig, factor: str, text: str) -> str:
+    """Return a factor and its values as they stand in a sentence: name = values unit."""
+    name, unit = _name_and_unit(frame, study, factor)
+    return f'{name} = {text} {unit}'.rstrip()
+
+
+def describe_good_runs(frame: pd.DataFrame, study: StudyConfig) -> list[str]:
     """Return in how many runs each estimator or law is good, and with which values in all."""
     varied = [
         name
         for name in frame.attrs['factors']
         if name not in NOT_FACTORS and frame[name].nunique() > 1
     ]
-    subject = [
-        name for name in varied if not pd.api.types.is_numeric_dtype(frame[name])
-    ][:1]
-    alike: dict[str, list[str]] = {}
-    for (plant, *who), runs in _groups(frame, ['plant', *subject]):
+    names = [name for name in varied if not is_numeric_dtype(frame[name])]
+    subject = names[:1]
+    conditions = [name for name in varied if name not in subject]
+    subjects_by_statement: dict[str, list[str]] = {}
+    for (plant, *subjects), runs in _groups(frame, ['plant', *subject]):
         good = runs[study.truth]
-        where = '; '.join(
-            f'{head} = {values} {unit}'.rstrip()
-            for name in varied
-            if name not in subject
-            and runs[name].nunique() > 1
-            and (values := good_values(runs, name, study.truth)) != 'none'
-            for head, _, unit in [_head(frame, study, name).rstrip(']').partition(' [')]
-        )
-        count = 'all runs' if good.all() else f'{int(good.sum())} of {len(runs)} runs'
-        also = '' if good.all() else 'in every run '
-        alike.setdefault(
-            f'{study.truth} on {plant} in {count}'
-            + (f', {also}with {where}' if where else ''),
-            [],
-        ).extend(who or ['The arm'])
-    return [
-        f'{", ".join(map(str, names))} {"are" if len(names) > 1 else "is"} {text}.'
-        for text, names in alike.items()
-    ]
+        equations = []
+        for name in conditions:
+            values = list_good_values(runs, name, study.truth)
+            if runs[name].nunique() > 1 and values != NO_GOOD_VALUE:
+                equations.append(_equation(frame, study, name, values))
+        if good.all():
+            count, condition = 'all runs', 'with'
+        else:
+            count = f'{int(good.sum())} of {len(runs)} runs'
+            condition = 'in every run with'
+        statement = f'{study.truth} on {plant} in {count}'
+        if equations:
+            statement += f', {condition} {"; ".join(equations)}'
+        same = subjects_by_statement.setdefault(statement, [])
+        same += map(str, subjects or ['The arm'])
+    sentences = []
+    for statement, subjects in subjects_by_statement.items():
+        verb = 'are' if len(subjects) > 1 else 'is'
+        sentences.append(f'{", ".join(subjects)} {verb} {statement}.')
+    return sentences
 
 
-def good_values(frame: pd.DataFrame, factor: str, truth: str) -> str:
-    """Return the values of a factor at which all runs are good: a range, a list, or `none`."""
+def list_good_values(frame: pd.DataFrame, factor: str, truth: str) -> str:
+    """
+    Return the values of a factor at which all runs are good, as a text.
+
+    They are a list, from four neighbours on a range, or `none`.
+    """
     known = frame[frame[factor].astype(str).ne('')]
-    good = known.groupby(factor)[truth].all()
-    values, places = [show(value) for value in good.index[good]], np.flatnonzero(good)
-    if len(values) > 3 and len(values) == places[-1] - places[0] + 1:
-        values = [f'{values[0]} to {values[-1]}']
-    return ', '.join(values) or 'none'
+    is_good = known.groupby(factor)[truth].all()
+    values = [format_value(value) for value in is_good.index[is_good]]
+    if not values:
+        return NO_GOOD_VALUE
+    places = np.flatnonzero(is_good)
+    are_neighbours = len(values) == places[-1] - places[0] + 1
+    if len(values) > 3 and are_neighbours:
+        return f'{values[0]} to {values[-1]}'
+    return ', '.join(values)
 
 
 def _groups(
-    frame: pd.DataFrame, by: Sequence[str]
-) -> Iterable[tuple[Any, pd.DataFrame]]:
+    frame: pd.DataFrame, factors: Sequence[str]
+) -> Iterable[tuple[tuple[Any, ...], pd.DataFrame]]:
     """Return the rows of each combination of values, in the order in which they come first."""
-    return frame.groupby(list(by) or (lambda _: ''), sort=False, dropna=False)
+    if not factors:
+        return [((), frame)]
+    return frame.groupby(list(factors), sort=False, dropna=False)
 
 
-def show(value: Any) -> str:
+def format_value(value: Any) -> str:
     """Return a value as the text of a cell: at least four digits, a dash for no value."""
     if value is None or value != value:
-        return '-'
+        return NO_VALUE
     if isinstance(value, float):
         return f'{value:.4g}' if abs(value) < 1e4 else f'{value:.0f}'
     return str(value)
 
 
-def _number(values: pd.Series, column: ColumnConfig) -> str:
+def _format_statistic(values: pd.Series, column: ColumnConfig) -> str:
     """Return a statistic of the values that are known; infinite stands for a time of no event."""
     known = values.dropna()
     if known.empty:
-        return '-'
+        return NO_VALUE
     value = float(known.agg(column.aggregate))
     if math.isinf(value):
         return 'never'
     value *= column.scale
-    return show(value) if column.digits is None else f'{value:.{column.digits}f}'
+    if column.digits is None:
+        return format_value(value)
+    return f'{value:.{column.digits}f}'
 
 
-def _cell(column: ColumnConfig, group: pd.DataFrame, study: StudyConfig) -> str:
-    cells = group if not column.part else group[group['part'] == column.part]
+def _fill_cell(column: ColumnConfig, runs: pd.DataFrame, study: StudyConfig) -> str:
+    """Return the text of a column in the line that stands for some runs."""
+    if column.part:
+        runs = runs[runs['part'] == column.part]
     if column.aggregate == 'good_values':
-        chosen = column.value in cells and len(cells)
-        return good_values(cells, column.value, study.truth) if chosen else '-'
+        if runs.empty or column.value not in runs:
+            return NO_VALUE
+        return list_good_values(runs, column.value, study.truth)
     if column.aggregate in ('share', 'set'):
-        values = cells.get(column.value, pd.Series(dtype=float)).dropna()
-        return (
-            f'{int(values.sum())}/{len(values)}'
-            if column.aggregate == 'share'
-            else (', '.join(sorted(set(map(str, values)))) or '-')
-        )
-    numbers = columns_of(cells, column.value)
-    if column.each:
-        return (
-            ' / '.join(
-                _number(numbers[name], column)
-                for name in numbers.dropna(axis=1, how='all')
-            )
-            or '-'
-        )
-    return _number(numbers.max(axis=1), column)
+        values = runs.get(column.value, pd.Series(dtype=float)).dropna()
+        if column.aggregate == 'share':
+            return f'{int(values.sum())}/{len(values)}'
+        return ', '.join(sorted(set(map(str, values)))) or NO_VALUE
+    numbers = numeric_columns(runs, column.value)
+    if not column.each:
+        return _format_statistic(numbers.max(axis=1), column)
+    known = numbers.dropna(axis=1, how='all')
+    texts = [_format_statistic(known[name], column) for name in known]
+    return ' / '.join(texts) or NO_VALUE
 
 
 def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
@@ -230,30 +257,23 @@ def terminal_tables(title: str, listing: Listing, width: int) -> list[Table]:
     return tables
 
 
-class Series(NamedTuple):
-    """Runs that are one series of points in every panel of a figure."""
-
-    label: str
-    runs: pd.DataFrame
-    style: Mapping[str, Any]
-
-
 def _columns_that_fit(frame: pd.DataFrame, width: int) -> list[list[str]]:
     """Return the columns beside the labels, as many together as fit into a width."""
-    labels = list(frame)[: frame.attrs['labels']]
-    room = {
-        name: 2 + max(*map(len, _head_lines(name)), *frame[name].map(len))
-        for name in frame
-    }
-    of_labels = sum(room[name] for name in labels)
+    names = list(frame)
+    rooms = []
+    for name in names:
+        longest_word = max(len(word) for word in _head_lines(name))
+        rooms.append(2 + max(longest_word, frame[name].str.len().max()))
+    labels = frame.attrs['labels']
+    room_of_labels = sum(rooms[:labels])
     parts: list[list[str]] = []
     used = width
-    for name in list(frame)[len(labels) :]:
-        if used + room[name] >= width:
+    for name, room in zip(names[labels:], rooms[labels:]):
+        if used + room >= width:
             parts.append([])
-            used = of_labels
+            used = room_of_labels
         parts[-1].append(name)
-        used += room[name]
+        used += room
     return parts or [[]]
 
 
@@ -284,6 +304,18 @@ def _head_lines(name: str) -> list[str]:
     return re.split(r' (?![^[]*\]|/)', name)
 
 
+class Series(NamedTuple):
+    """Runs that are one series of points in every panel of a figure."""
+
+    label: str
+    runs: pd.DataFrame
+    style: Mapping[str, Any]  # of its points
+
+    def on_plant(self, plant: str) -> Series:
+        """Return the series with its runs on a plant alone."""
+        return self._replace(runs=self.runs[self.runs['plant'] == plant])
+
+
 def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
     """
     Return the figure of a study, a panel for each plant and each value that varies.
@@ -295,24 +327,27 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
     names = [name for name in frame.attrs['factors'] if name not in NOT_FACTORS]
     columns = [
         column
-        for column in table_columns(frame, study)
+        for column in resolve_columns(frame, study)
         if column.aggregate in ('median', 'share')
-        and worst(frame, column.value).nunique() > 1
+        and largest_of_columns(frame, column.value).nunique() > 1
     ][:MOST_SHOWN]
     if not (study.figure and names and columns):
         return None
-    lines = ['part'] if frame['part'].nunique() > 1 else []
-    lines += names[1:2] or ['part'] * (not lines)
-    series = series_of(frame, study, lines)
-    draw = (
-        _draw_numbers if pd.api.types.is_numeric_dtype(frame[names[0]]) else _draw_names
-    )
-    figure = draw(frame, study, names[0], columns, series)
+    factor = names[0]
+    lines = names[1:2]
+    if frame['part'].nunique() > 1 or not lines:
+        lines = ['part', *lines]
+    series = group_series(frame, study, lines)
+    if is_numeric_dtype(frame[factor]):
+        figure = _draw_numbers(frame, study, factor, columns, series)
+    else:
+        figure = _draw_names(frame, study, factor, columns, series)
     shown: dict[str, Any] = {}
     for axes in figure.axes:
         for line, label in zip(*axes.get_legend_handles_labels()):
             shown.setdefault(label, line)
-    if not frame.groupby([names[0], 'plant', *lines])[study.truth].any().all():
+    has_good_run = frame.groupby([factor, 'plant', *lines])[study.truth].any()
+    if not has_good_run.all():
         shown[f'no {study.truth} run'] = Line2D([], [], color='#222222', **CROSS)
     if len(shown) > 1:
         figure.legend(
@@ -326,28 +361,24 @@ def draw_study(frame: pd.DataFrame, study: StudyConfig) -> Figure | None:
     return figure
 
 
-def series_of(
-    frame: pd.DataFrame, study: StudyConfig, lines: Sequence[str]
+def group_series(
+    frame: pd.DataFrame, study: StudyConfig, factors: Sequence[str]
 ) -> list[Series]:
-    """Return the runs by part and value of the second factor, each with its name and look."""
+    """Return the runs by values of some factors, each group with its name and look."""
     series = []
-    for number, (values, runs) in enumerate(_groups(frame, lines)):
+    for number, (values, runs) in enumerate(_groups(frame, factors)):
         words = []
-        for name, value in zip(lines, values):
-            head, _, unit = _head(frame, study, name).rstrip(']').partition(' [')
-            text = show(value)
-            words.append(text if name == 'part' else f'{head} = {text} {unit}'.strip())
-        series.append(
-            Series(
-                ', '.join(words),
-                runs,
-                {
-                    'color': CURVE_COLOURS[number % len(CURVE_COLOURS)],
-                    'marker': MARKERS[number % len(MARKERS)],
-                    'markersize': 5,
-                },
-            )
-        )
+        for factor, value in zip(factors, values):
+            word = format_value(value)
+            if factor != 'part':
+                word = _equation(frame, study, factor, word)
+            words.append(word)
+        style = {
+            'color': CURVE_COLOURS[number % len(CURVE_COLOURS)],
+            'marker': MARKERS[number % len(MARKERS)],
+            'markersize': 5,
+        }
+        series.append(Series(', '.join(words), runs, style))
     return series
 
 
@@ -369,13 +400,14 @@ def _draw_numbers(
     )
     for axes, (column, plant) in zip(grid.flat, product(columns, plants)):
         for each in series:
-            runs = each.runs[each.runs['plant'] == plant]
-            values, good = _points(runs, factor, column, study)
+            values, without_good_run = _points(
+                each.on_plant(plant).runs, factor, column, study
+            )
             values = values.sort_index()
             axes.plot(
                 values.index, values, '-', alpha=0.8, label=each.label, **each.style
             )
-            for value in _not_drawn(good, column):
+            for value in without_good_run:
                 axes.plot(
                     value,
                     0.0,
@@ -387,8 +419,8 @@ def _draw_numbers(
         if known[0] > 0.0 and known[-1] / known[0] >= WIDE_RANGE:
             axes.set_xscale('log')
             axes.xaxis.set_major_formatter('{x:g}')
-        axes.set_ylabel(_title(column), fontsize=8)
-        axes.set_xlabel(_head(frame, study, factor), fontsize=8)
+        axes.set_ylabel(_axis_title(column), fontsize=8)
+        axes.set_xlabel(_factor_head(frame, study, factor), fontsize=8)
         axes.tick_params(labelsize=8)
         axes.grid(alpha=0.3)
         axes.label_outer()
@@ -425,13 +457,10 @@ def _draw_names(
     for axes, ((plant, known), column) in zip(
         grid.flat, product(names.items(), columns)
     ):
-        here = [
-            each._replace(runs=each.runs[each.runs['plant'] == plant])
-            for each in series
-        ]
-        places = _places(here, factor, known)
-        for each in here:
-            values, good = _points(each.runs, factor, column, study)
+        on_plant = [each.on_plant(plant) for each in series]
+        places = _places_of_names(on_plant, factor, known)
+        for each in on_plant:
+            values, without_good_run = _points(each.runs, factor, column, study)
             axes.plot(
                 values,
                 [places[name, each.label] for name in values.index],
@@ -439,7 +468,7 @@ def _draw_names(
                 label=each.label,
                 **each.style,
             )
-            for name in _not_drawn(good, column):
+            for name in without_good_run:
                 axes.plot(
                     0.0,
                     places[name, each.label],
@@ -449,11 +478,10 @@ def _draw_names(
                 )
         for place in range(0, len(known), 2):
             axes.axhspan(place - 0.5, place + 0.5, color='#f4f5f7', zorder=0)
-        axes.set_yticks(
-            range(len(known)), [fill(str(name), NAME_WIDTH) for name in known]
-        )
+        labels = [fill(str(name), NAME_WIDTH) for name in known]
+        axes.set_yticks(range(len(known)), labels)
         axes.set_ylim(len(known) - 0.5, -0.5)
-        axes.set_xlabel(_title(column), fontsize=9)
+        axes.set_xlabel(_axis_title(column), fontsize=9)
         axes.tick_params(labelsize=9)
         axes.grid(axis='x', alpha=0.4)
         axes.label_outer()
@@ -462,7 +490,7 @@ def _draw_names(
     return figure
 
 
-def _places(
+def _places_of_names(
     series: Sequence[Series],
     factor: str,
     names: Sequence[Any],
@@ -470,18 +498,15 @@ def _places(
     """Return where each series of each name lies: beside each other, around the name's place."""
     places = {}
     for place, name in enumerate(names):
-        there = [each.label for each in series if (each.runs[factor] == name).any()]
-        for number, label in enumerate(there):
-            places[name, label] = place + SPREAD * ((number + 0.5) / len(there) - 0.5)
+        labels = [each.label for each in series if (each.runs[factor] == name).any()]
+        for number, label in enumerate(labels):
+            share = (number + 0.5) / len(labels) - 0.5
+            places[name, label] = place + SPREAD * share
     return places
 
 
-def _not_drawn(good: pd.Series, column: ColumnConfig) -> list[Any]:
-    """Return where no run is good, which a median leaves out."""
-    return [] if column.aggregate == 'share' else list(good.index[~good])
-
-
-def _title(column: ColumnConfig) -> str:
+def _axis_title(column: ColumnConfig) -> str:
+    """Return what an axis with the values of a column is called, in several lines."""
     name = column.name.replace('*', 'worst').replace('.', '\n')
     return f'share of {name} runs' if column.aggregate == 'share' else name
 
@@ -491,11 +516,17 @@ def _points(
     factor: str,
     column: ColumnConfig,
     study: StudyConfig,
-) -> tuple[pd.Series, pd.Series]:
-    """Return what is drawn of runs by the value of a factor, and whether any of them is good."""
-    drawn, statistic = worst(runs, column.value), 'mean'
-    if column.aggregate == 'median':
-        drawn = column.scale * drawn.where(runs[study.truth] & np.isfinite(drawn))
-        statistic = 'median'
-    by_value = runs.assign(drawn=drawn).groupby(factor, sort=False)
-    return by_value['drawn'].agg(statistic), by_value[study.truth].any()
+) -> tuple[pd.Series, list[Any]]:
+    """
+    Return what is drawn of runs by the value of a factor, and where a cross takes its place.
+
+    A share counts all runs, a median the good ones alone: without any there is nothing to draw.
+    """
+    numbers = largest_of_columns(runs, column.value)
+    if column.aggregate == 'share':
+        drawn = runs.assign(drawn=numbers).groupby(factor, sort=False)['drawn']
+        return drawn.mean(), []
+    known = column.scale * numbers.where(runs[study.truth] & np.isfinite(numbers))
+    by_value = runs.assign(drawn=known).groupby(factor, sort=False)
+    good = by_value[study.truth].any()
+    return by_value['drawn'].median(), list(good.index[~good])

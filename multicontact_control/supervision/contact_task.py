@@ -24,7 +24,7 @@ from multicontact_control.config.contact import LARGEST_OFFSET
 from multicontact_control.config.supervision import ContactStateConfig
 from multicontact_control.control.controller import Controller
 from multicontact_control.control.tasks import STILL, Task, TaskSource
-from multicontact_control.dynamics.rotations import Pose, rotation_vector
+from multicontact_control.dynamics.rotations import Pose, rotation_vector_between
 from multicontact_control.records import (
     Contact,
     Control,
@@ -463,7 +463,7 @@ def _advance_reference(limit: TaskLimits, frame: Frame, task: TaskRecord) -> boo
     """
     config, way, turn = limit.config, limit.way, limit.turned_way
     way[:] = vector_between(limit.position, task.position)
-    turn[:] = rotation_vector(task.rotation, limit.rotation)
+    turn[:] = rotation_vector_between(task.rotation, limit.rotation)
     if not limit.catching_up:
         steps = _is_task_step(
             way, task.twist[:3], limit.twist[:3], config.reach / config.lead
@@ -726,7 +726,7 @@ def _limit_reference(
     if share < 1.0:
         add_scaled_vector(position, share - 1.0, gap)
     turn, turned_way = limit.turned_way, twist[3:]
-    limit.turned_ahead[:] = rotation_vector(task.rotation, frame.rotation)
+    limit.turned_ahead[:] = rotation_vector_between(task.rotation, frame.rotation)
     way = (
         config.lead * turned_way[0],
         config.lead * turned_way[1],

@@ -29,7 +29,7 @@ from multicontact_control.flags import (
     RESIDUAL_CLEARED,
     RESIDUAL_EXCEEDED,
 )
-from multicontact_control.force.force_law import continue_laws_at
+from multicontact_control.force.force_law import continue_laws_after_pause
 from multicontact_control.records import Records
 from multicontact_control.supervision import checks, reactions
 from multicontact_control.supervision.command_limits import outside_limits
@@ -362,7 +362,9 @@ class Supervisor:
         controller = self.controller
         if self.started:
             held = self.task.resume_task()
-            continue_laws_at(controller.laws, held, controller.contacts['alpha_meas'])
+            continue_laws_after_pause(
+                controller.laws, held, controller.contacts['alpha_meas']
+            )
         else:
             controller.reset()  # the arm may have been moved since an attempt before
             self.task.start_task(controller.start())

@@ -71,7 +71,7 @@ class SceneView:
     def _add_tool(self) -> None:
         """Let rods lead from the wrist sensor to the contacts, since the URDF shows no tool."""
         names = self._scene.config.robot
-        sensor, own = self._robot.link_poses(
+        sensor, own = self._robot.compute_link_poses(
             np.zeros(len(names.joint_names)),
             (names.sensor_frame, names.operational_frame),
         )
@@ -217,7 +217,8 @@ class SceneView:
         """Draw a snapshot; the labels only now and then."""
         if np.isfinite(snapshot.q).all():
             for link, pose in zip(
-                self._links.values(), self._robot.link_poses(snapshot.q, [*self._links])
+                self._links.values(),
+                self._robot.compute_link_poses(snapshot.q, [*self._links]),
             ):
                 link.position = pose.position_world
                 link.wxyz = wxyz_of(Rotation.from_matrix(pose.rotation_world))
@@ -288,7 +289,7 @@ class SceneView:
         if self._push.visible != shown:
             self._push.visible = shown
         if push and shown:
-            (pose,) = self._robot.link_poses(q, [push.link])
+            (pose,) = self._robot.compute_link_poses(q, [push.link])
             tip = pose.position_world - PUSH * force / size
             tail = tip - (METRES_PER_NEWTON + PUSH / size) * force
             self._push.points = np.array([[tail, tip]], dtype=np.float32)

@@ -7,7 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from multicontact_control.arrays import Matrix, Vector
-from multicontact_control.dynamics.urdf import ends_of, parse_urdf
+from multicontact_control.dynamics.urdf import find_joint_ends, parse_urdf
 from multicontact_control.errors import ConfigError
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -62,7 +62,7 @@ def read_shapes(urdf: Path) -> dict[str, trimesh.Scene]:
         if not len(link) or link.find("inertial/mass[@value='0.0']") is not None
     }
     for joint in root.findall('joint'):
-        (name, child), end = ends_of(joint), _origin(joint)[:3, 3]
+        (name, child), end = find_joint_ends(joint), _origin(joint)[:3, 3]
         if (
             name not in seen
             and np.linalg.norm(end) >= BONE

@@ -58,7 +58,7 @@ class Stream:
     def _read_object(self, message: Any) -> tuple[Any, ...]:
         self._known = [k for k, name in enumerate(self._names) if name in message.name]
         return read_named_vectors(
-            message, [self._names[k] for k in self._known], (), partial=('effort',)
+            message, [self._names[k] for k in self._known], (), unchecked=('effort',)
         )
 
     def look(self) -> None:

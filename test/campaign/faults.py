@@ -15,7 +15,7 @@ import time
 from campaign.graph import Graph
 from campaign.graph_faults import GRAPH_FAULTS
 from multicontact_control.errors import RunError
-from multicontact_control.faults.judge import FaultRow
+from multicontact_control.faults.outcomes import FaultRow
 from multicontact_control.files import replace_json_file, replace_nonfinite_numbers
 from multicontact_control.runs.graph.domain import reserve_domain
 from multicontact_control.runs.scenario import resolve

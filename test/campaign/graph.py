@@ -18,7 +18,7 @@ import time
 from campaign.graph_faults import HALT, KILL, NodeChange
 from campaign.relay import INPUTS, PREFIX
 from multicontact_control.errors import RunError
-from multicontact_control.faults import judge
+from multicontact_control.faults import outcomes
 from multicontact_control.nodes import link, messages, qos, topics
 from multicontact_control.nodes.graph import (
     create_publisher,
@@ -208,7 +208,7 @@ class Graph(link.ServiceClientNode):
     def inject(self, fault, seed):
         """Let a fault happen; what a node was led down from is left to `recover`."""
         action = fault.action
-        random = fault.random(seed)
+        random = fault.random_source(seed)
         if fault.input == CONTROLLER and action.steps != HALT:
             self.moves = False  # no motion is commanded meanwhile
         duration = float(random.uniform(*FAULT_TIME))
@@ -276,7 +276,7 @@ class Graph(link.ServiceClientNode):
         problems, recovered = [], False
         begin = time.time()
         try:
-            self.spin(float(fault.random(seed).uniform(*QUIET)))
+            self.spin(float(fault.random_source(seed).uniform(*QUIET)))
             begin = time.time()
             self.inject(fault, seed)
             self.recover()
@@ -288,7 +288,7 @@ class Graph(link.ServiceClientNode):
             seen.problems.add('commands stopped')
         # The first command of a controller is what the drives do.
         seen = seen._replace(limited_rate=fault.input != CONTROLLER)
-        row = judge.judge(fault, seed, self.setup, seen)
+        row = outcomes.judge_fault(fault, seed, self.setup, seen)
         if not recovered:
             return replace(row, time_to_safe_s=math.inf)
         ends = [round(stop - begin, 6) for _, stop in silences]
@@ -309,7 +309,7 @@ class Graph(link.ServiceClientNode):
         samples = np.array([sent for sent, _ in forces])
         silences = self._silences(begin, [sent for sent, _ in commands], samples)
         torque = np.array([[values[name] for name in joints] for _, values in commands])
-        return judge.Observation(
+        return outcomes.Observation(
             torque=torque.reshape(-1, len(joints)),
             time=samples - begin,
             force=np.array([max(x.values()) for _, x in forces]),

@@ -19,11 +19,11 @@ from joblib import delayed, Parallel
 from multicontact_control.algebra import quintic_blend
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError
-from multicontact_control.faults import in_process
-from multicontact_control.faults.judge import (
-    MET_FORCE,
-    never_allowed,
+from multicontact_control.faults import fault_run
+from multicontact_control.faults.outcomes import (
+    find_violations,
     Observation,
+    OBSTACLE_FORCE,
 )
 from multicontact_control.faults.vocabulary import FAULTS, PlantEdit
 from multicontact_control.judging.oscillation import find_oscillations
@@ -62,7 +62,7 @@ class Soak:
     """A closed loop in process under random commands and faults, until closed."""
 
     def __init__(self, plant, seed):
-        self.setup = in_process.with_obstacles('quick', plant, seed)
+        self.setup = fault_run.resolve_with_obstacles('quick', plant, seed)
         self.loop = ClosedLoop(self.setup, commanded=True)
         self._random = np.random.default_rng(seed)
         self._faults = [fault for fault in FAULTS.values() if is_passing(fault)]
@@ -106,14 +106,14 @@ class Soak:
         self._note_oscillations(errors)
         seen = Observation(
             torque=np.array(self._torques),
-            before=self._before,
+            torque_before=self._before,
             force=np.array(self._forces),
             time=self._period * np.arange(len(self._forces)),
             reaction='',
         )
-        self._problems.update(never_allowed(seen, self.setup)[0])
+        self._problems.update(find_violations(seen, self.setup)[0])
         obstacle_force = max(self._obstacle_forces, default=0.0)
-        if obstacle_force > MET_FORCE:
+        if obstacle_force > OBSTACLE_FORCE:
             self._problems.add(f'{obstacle_force:.0f} N on an obstacle')
         problems = sorted(self._problems)
         self._before = self._torques[-1]
@@ -165,9 +165,10 @@ class Soak:
         by_input = {fault.input: fault for fault in shuffled}
         chosen = self._random.permutation(list(by_input.values()))[:count]
         occurrences = [
-            in_process.Occurrence(fault, self._random, self.loop) for fault in chosen
+            fault_run.FaultOccurrence(fault, self._random, self.loop)
+            for fault in chosen
         ]
-        for _ in range(max(each.lasts for each in occurrences)):
+        for _ in range(max(each.duration_ticks for each in occurrences)):
             self.advance(occurrences)
         return ' + '.join(f'{fault.input} {fault.kind}' for fault in chosen)
 
@@ -207,7 +208,7 @@ class Soak:
 
     def advance(self, faults=()):
         loop = self.loop
-        in_process.advance_with(faults, loop)
+        fault_run.advance_with_faults(faults, loop)
         self._torques.append(loop.command.copy())
         self._forces.append(float(loop.sample.contact_force.max()))
         obstacle_force = loop.plant.contacts.obstacles.max(initial=0.0)

@@ -19,7 +19,7 @@ from multicontact_control.config import merge
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CommandError, RunError
-from multicontact_control.faults.in_process import Occurrence
+from multicontact_control.faults.fault_run import FaultOccurrence
 from multicontact_control.faults.vocabulary import FAULTS as EVERY_FAULT
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
@@ -86,7 +86,7 @@ def resolve_setup(cell):
 def make_occurrence(cell, loop):
     """Return the fault of a cell at its place, of which half is the sign."""
     fault = FAULTS[cell.fault]
-    occurrence = Occurrence(fault, fault.random(0), loop)
+    occurrence = FaultOccurrence(fault, fault.random_source(0), loop)
     count = len(getattr(loop.inputs(), fault.input)[1])
     # The middle of the share that a place has of random numbers, and a sign.
     share = (cell.place % count + 0.5) / count
@@ -113,7 +113,7 @@ def run(cell):
     # RunError: the arm is thrown out of all numbers.
     with closing(ClosedLoop(setup, commanded=True)) as loop, suppress(RunError):
         if cell.fault:
-            corrupt = make_occurrence(cell, loop).corrupt  # throughout
+            corrupt = make_occurrence(cell, loop).corrupt_inputs  # throughout
         home = robot.update(loop.sample.q, loop.sample.qd).pose
         for _ in range(ticks):
             loop.advance(corrupt)

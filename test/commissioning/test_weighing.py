@@ -20,7 +20,7 @@ from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import CalibrationError
 from multicontact_control.nodes import messages, topics
 from multicontact_control.runs.scenario import read_controller_files
-from multicontact_control.sensor.tool import PoseReading, weight_reading
+from multicontact_control.sensor.tool import PoseReading, predict_weight_reading
 import numpy as np
 import pytest
 from ros_graph import write_bag
@@ -51,7 +51,7 @@ def led_arm(file, offset, touched):
         here, there = POSES[int(number)], POSES[min(int(number) + 1, len(POSES) - 1)]
         q = here + max(at - REST, 0.0) / MOVE * (there - here)
         wrench = random.normal(size=6) * ([0.1] * 3 + [0.01] * 3) + TOOL.bias_sensor
-        wrench += weight_reading(
+        wrench += predict_weight_reading(
             robot.update(q, np.zeros(7)).sensor_pose.rotation_world,
             TOOL,
             np.array([0.0, 0.0, -9.81]),

@@ -9,13 +9,13 @@ from equations import free_motions, operational_stiffness
 from hypothesis import given
 from hypothesis import strategies as st
 from multicontact_control.algebra import multiply_vector, solve_cholesky
-from multicontact_control.contact.geometry import normal_space, placed_way
+from multicontact_control.contact.geometry import normal_space, project_on_contacts
 from multicontact_control.contact.projections import (
     compose_acceleration,
     factorise_contacts,
 )
 from multicontact_control.control.law import drive_coordinates, force_law
-from multicontact_control.force.plant import delayed_plant, place_poles
+from multicontact_control.force.plant import make_delayed_plant, place_poles
 from multicontact_control.records import CONTACT, LAW
 import numpy as np
 import pytest
@@ -144,7 +144,7 @@ def test_force_loop_for_k_s_commands_the_share_k_env_over_k_s():
     """Of what the loop for k_env does (eq. 36), which has the inputs under way likewise."""
     ratio, h = 1.7, 0.002
     k_env, k_s = (
-        place_poles(delayed_plant(k, 20.0, 0.006, h), h, time_constant=0.02).L
+        place_poles(make_delayed_plant(k, 20.0, 0.006, h), h, time_constant=0.02).L
         for k in (6000.0, ratio * 6000.0)
     )
     np.testing.assert_allclose(k_s[:2], k_env[:2] / ratio, rtol=1e-9)
@@ -257,13 +257,13 @@ def test_placed_way_is_what_normals_and_axes_of_couples_take_of_a_way():
     )
     way = np.array([0.3, 0.0, 0.5, 0.1, 0.2, 0.3])
     np.testing.assert_allclose(
-        placed_way(way, np.array([force, couple])),
+        project_on_contacts(way, np.array([force, couple])),
         [0.0, 0.0, 0.5, 0.0, 0.2, 0.0],
         atol=1e-15,
     )
     np.testing.assert_allclose(
-        placed_way(way, np.append(oblique, np.zeros(3))[None])[:3],
+        project_on_contacts(way, np.append(oblique, np.zeros(3))[None])[:3],
         oblique * (oblique @ way[:3]),
         atol=1e-15,
     )
-    np.testing.assert_array_equal(placed_way(way, np.empty((0, 6))), 0.0)
+    np.testing.assert_array_equal(project_on_contacts(way, np.empty((0, 6))), 0.0)

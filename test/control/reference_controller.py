@@ -19,7 +19,7 @@ from equations import (
     posture_pull,
 )
 from multicontact_control.control.controller import LEAST_TASK_SHARE, SINGULAR_MOBILITY
-from multicontact_control.force.plant import delayed_plant, place_poles
+from multicontact_control.force.plant import make_delayed_plant, place_poles
 import numpy as np
 
 
@@ -155,7 +155,7 @@ class ReferenceController:
             k_env = self.config.contacts[name].stiffness
             h = self.config.period
             loop = place_poles(
-                delayed_plant(k_env, force.damping_rate, force.input_delay, h),
+                make_delayed_plant(k_env, force.damping_rate, force.input_delay, h),
                 h,
                 time_constant=force.time_constant,
                 second_pole_ratio=force.second_pole_ratio,

@@ -19,7 +19,7 @@ from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import ContactGeometryError, SingularTaskError
 from multicontact_control.paths import find_config_folder
 from multicontact_control.records import JOINT, LAW
-from multicontact_control.sensor.tool import weight_reading
+from multicontact_control.sensor.tool import predict_weight_reading
 import numpy as np
 import pytest
 from reference_controller import ReferenceController
@@ -38,7 +38,7 @@ def make_law(reference=None, **changes):
 def sample(law, time=0.0, qd=REST, **forces):
     """Return a sample at home, with forces on contacts."""
     state, config = law.robot.update(HOME, qd), law.config
-    weight = weight_reading(
+    weight = predict_weight_reading(
         state.sensor_pose.rotation_world,
         config.tool,
         np.array(config.robot.gravity_world),

@@ -1,7 +1,7 @@
 """The momentum observer, against what really touches a simulated arm."""
 
 from arms import controller_config, HOME, plant_config
-from multicontact_control.contact.wrench import tool_record
+from multicontact_control.contact.wrench import make_tool_record
 from multicontact_control.control.arm import ArmState
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.flags import RESIDUAL_EXCEEDED
@@ -43,7 +43,9 @@ def test_residual_is_what_touches_the_arm_before_its_sensor_and_nothing_else():
     config = controller_config()
     robot = RobotModel(config.robot, find_config_folder())
     controls = np.zeros(1, dtype=CONTROL)
-    controls['tool'] = tool_record(config.tool, np.array(config.robot.gravity_world))
+    controls['tool'] = make_tool_record(
+        config.tool, np.array(config.robot.gravity_world)
+    )
     controls['law']['friction_speed'], controls['momentum']['config']['bandwidth'] = (
         1.0,
         K,

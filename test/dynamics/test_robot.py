@@ -13,7 +13,7 @@ from multicontact_control.config import ToolConfig
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.law import control_law, LAW_SPACE
 from multicontact_control.dynamics.robot import load_model, RobotModel
-from multicontact_control.dynamics.rotations import Pose, rotation_vector
+from multicontact_control.dynamics.rotations import Pose, rotation_vector_between
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.force_law import FORCE_LAW
 from multicontact_control.loop import ControlLoop
@@ -93,7 +93,7 @@ def test_model_carries_another_load_than_its_urdf_has():
             frame.placement,
         )
     robot = RobotModel(config.robot, find_config_folder())
-    robot.carry(load, config.tool)
+    robot.carry_load(load, config.tool)
     for q, v, a in np.random.default_rng(1).uniform(-1.5, 1.5, (5, 3, 6)):
         state = robot.update(q, v)
         torque = (state.mass_matrix - np.diag(config.robot.armature)) @ a
@@ -107,7 +107,7 @@ def test_model_carries_another_load_than_its_urdf_has():
 def test_rotation_error_is_scipys_rotation_vector(seed, size):
     a, b = size * np.random.default_rng(seed).uniform(-1.0, 1.0, (2, 3))
     R_des, R = Rotation.from_rotvec(a).as_matrix(), Rotation.from_rotvec(b).as_matrix()
-    error = rotation_vector(R_des, R)
+    error = rotation_vector_between(R_des, R)
     np.testing.assert_allclose(
         Rotation.from_rotvec(error).as_matrix() @ R, R_des, atol=1e-7
     )

@@ -5,23 +5,23 @@ from contextlib import closing
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.faults.course import Course
-from multicontact_control.faults.judge import (
+from multicontact_control.faults.outcomes import (
     judge_situation,
     Observation,
 )
 from multicontact_control.faults.situation import (
     FOREIGN,
-    situated,
+    resolve_situation,
     SituationConfig,
 )
 from multicontact_control.faults.situation_run import (
     run_situation,
     SituationRun,
 )
-from multicontact_control.faults.unasked import (
-    across_normals,
+from multicontact_control.faults.unasked_motion import (
+    MotionTrace,
+    project_across_normals,
     unasked_motion,
-    Way,
 )
 from multicontact_control.runs.closed_loop import ClosedLoop
 import numpy as np
@@ -59,17 +59,17 @@ def seen_and_way(setup, *, force=10.0, **changes):
         },
     )
     wanted = seen.commands > 0.0
-    return seen, Way(
+    return seen, MotionTrace(
         **{'direction': X, **values},
         wanted=wanted,
         pressed=seen.forces > 0.0,
-        across=across_normals(DOWN[np.newaxis], wanted),
+        across=project_across_normals(DOWN[np.newaxis], wanted),
     )
 
 
 @pytest.fixture(scope='module', name='setup')
 def fixture_setup():
-    return situated(PANDA, SituationConfig())[0]
+    return resolve_situation(PANDA, SituationConfig())[0]
 
 
 def on_the_way(direction, distance):
@@ -175,7 +175,7 @@ def test_course_goes_there_and_back_at_its_speed_without_a_jump():
     )
     course = Course(pose, X, np.zeros(3), 0.3, 0.4, legs=2)
     ticks = range(round(course.duration / H))
-    readings = course.readings(np.array([course.way(k * H) for k in ticks]))
+    readings = course.setpoints(np.array([course.way_at(k * H) for k in ticks]))
     places = np.array([reading.position_world for reading in readings])
     twists = np.array([reading.twist_world[0] for reading in readings])
     np.testing.assert_allclose(
@@ -196,7 +196,7 @@ def test_course_goes_there_and_back_at_its_speed_without_a_jump():
 )
 def test_joint_is_led_beyond_its_stop_by_the_task(joint, side, force):
     """With the joints as the task wants them, without limits: from the Jacobian along the way."""
-    setup, course = situated(
+    setup, course = resolve_situation(
         PANDA,
         SituationConfig(stop_joint=joint, stop_side=side, stop_margin=0.1, force=force),
     )
@@ -220,7 +220,7 @@ def test_joint_is_led_beyond_its_stop_by_the_task(joint, side, force):
 @pytest.mark.parametrize('appears', [False, True])
 def test_bias_reads_as_pressing_from_when_it_is_there(appears):
     situation = SituationConfig(bias_along=4.0, bias_appears=appears, farther=0.05)
-    setup, course = situated(PANDA, situation)
+    setup, course = resolve_situation(PANDA, situation)
     run = SituationRun(setup, course, situation)
     with closing(run.loop):
         for tick in range(252):
@@ -235,7 +235,7 @@ def test_bias_reads_as_pressing_from_when_it_is_there(appears):
 def test_tilted_surface_leads_up_and_lies_before_the_tip_as_the_flat_one_does():
     situation = SituationConfig(tilt=6.0, direction_world=(1.0, 0.0, 0.0), distance=0.1)
     flat, tilted = (
-        situated(PANDA, case)[0].plant.surfaces['table']
+        resolve_situation(PANDA, case)[0].plant.surfaces['table']
         for case in (SituationConfig(), situation)
     )
     assert tilted.point_world == flat.point_world
@@ -251,12 +251,12 @@ def test_tilted_surface_leads_up_and_lies_before_the_tip_as_the_flat_one_does():
 def test_safe_situations_have_the_figures_of_what_is_asked_for():
     """A slide that arrives, one that falls short at a side of the box, and a payload."""
     slide = SituationConfig(direction_world=(1.0, 0.0, 0.0), distance=0.1, speed=0.2)
-    row = run_situation('slide', *situated(PANDA, slide), slide)
+    row = run_situation('slide', *resolve_situation(PANDA, slide), slide)
     assert row.safe and row.off_n < 0.1 and row.short_mm < 1.0
     assert 0.0 < row.peak_over_n < 10.0 and 0.05 < row.speed_share < 0.5
     told, untold = (SituationConfig(payload=0.5, told=told) for told in (True, False))
     rows = [
-        run_situation('payload', *situated(PANDA, case), case)
+        run_situation('payload', *resolve_situation(PANDA, case), case)
         for case in (told, untold)
     ]
     assert rows[0].off_n < 0.1
@@ -265,7 +265,7 @@ def test_safe_situations_have_the_figures_of_what_is_asked_for():
 
 @needs_mujoco
 def test_foreign_arm_is_one_of_new_robot_in_mujoco():
-    setup, course = situated(
+    setup, course = resolve_situation(
         {'scenario': 'one_contact', 'robot': FOREIGN, 'plant': 'rigid'},
         SituationConfig(),
     )
@@ -276,5 +276,7 @@ def test_foreign_arm_is_one_of_new_robot_in_mujoco():
 
 def test_arm_that_breaks_down_is_not_safe(monkeypatch):
     monkeypatch.setattr(ClosedLoop, 'act', lambda self: 1 / 0)
-    row = run_situation('', *situated(PANDA, SituationConfig()), SituationConfig())
+    row = run_situation(
+        '', *resolve_situation(PANDA, SituationConfig()), SituationConfig()
+    )
     assert not row.safe and 'ZeroDivisionError' in row.problems

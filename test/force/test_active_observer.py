@@ -6,14 +6,14 @@ import equations
 from force_loop import ActiveObserver, design_force_loop, H, observer_of
 from multicontact_control.errors import ConfigError
 from multicontact_control.force.observer import (
-    continue_at,
-    continue_from,
+    continue_observers_after_pause,
+    continue_observers_from,
     correct,
     design_observer,
     make_observers,
     predict,
 )
-from multicontact_control.force.plant import delayed_plant
+from multicontact_control.force.plant import make_delayed_plant
 from multicontact_control.records import MAX_ORDER
 from numba import njit
 import numpy as np
@@ -28,7 +28,7 @@ K = 6000.0
 def test_delayed_plant_agrees_with_the_continuous_one(k_2, delay):
     """The plant alpha'' + K_2 alpha' = k u(t - T_d) (eq. 32), for whole and broken periods."""
     inputs, fine = np.random.default_rng(2).standard_normal(12), 20  # steps of 0.1 ms
-    plant = delayed_plant(K, k_2, delay, H)
+    plant = make_delayed_plant(K, k_2, delay, H)
     assert len(plant.Gamma) == 2 + int(np.ceil(delay / H - 1e-9))
     states = [np.zeros(plant.Phi.shape[0])]
     for value in inputs:
@@ -48,7 +48,7 @@ def test_delayed_plant_agrees_with_the_continuous_one(k_2, delay):
 
 def test_delayed_plant_refuses_more_than_ten_periods_of_delay():
     with pytest.raises(ConfigError, match='^input_delay: expected'):
-        delayed_plant(K, 20.0, 0.0201, H)
+        make_delayed_plant(K, 20.0, 0.0201, H)
 
 
 @pytest.mark.parametrize('delay', [0.0, 0.002, 0.006, 0.0125])
@@ -161,7 +161,7 @@ def test_continue_from_predicts_with_the_input_that_acts(loop):
             observer.update(force, 0.6)
             observer.command(10.0)
     new = ActiveObserver(faster)
-    continue_from(new.records, old.records)
+    continue_observers_from(new.records, old.records)
     for observer in (new, unchanged):
         observer.update(7.0, 0.6)
     np.testing.assert_allclose(new.x_est, unchanged.x_est, rtol=1e-9, atol=1e-9)
@@ -172,7 +172,9 @@ def test_observer_that_continues_knows_its_disturbance_and_others_begin_anew(loo
     observers = make_observers([design_observer(loop)] * 2)
     observers['running'] = True
     observers['x_est'][:, :6] = [8.0, 3.0, 0.1, 0.2, 0.3, 0.7]
-    continue_at(observers, np.array([True, False]), np.array([5.0, 6.0]))
+    continue_observers_after_pause(
+        observers, np.array([True, False]), np.array([5.0, 6.0])
+    )
     assert observers['running'].tolist() == [True, False]
     np.testing.assert_array_equal(
         observers['x_est'][0, :6], [5.0, 0.0, 0.0, 0.0, 0.0, 0.7]

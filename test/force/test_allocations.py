@@ -1,7 +1,7 @@
 """Nothing is allocated between a sample and its answer."""
 
 from multicontact_control.force.force_law import (
-    answer_forces,
+    answer_contact_forces,
     FORCE_SPACE,
     make_force_laws,
 )
@@ -17,7 +17,7 @@ import pytest
 def answer_again(count, laws, contacts, controls, inputs, spaces):
     for k in range(count):
         contacts[0].alpha_meas = 5.0 + k % 20
-        answer_forces(laws, contacts, controls[0], inputs, spaces[0])
+        answer_contact_forces(laws, contacts, controls[0], inputs, spaces[0])
 
 
 @pytest.mark.parametrize('preset', ['paper', 'adaptive', 'laws/dob'])

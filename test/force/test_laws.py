@@ -23,22 +23,22 @@ from multicontact_control.config.force import (
     PiConfig,
 )
 from multicontact_control.force.force_law import (
-    act_beyond,
-    answer_forces,
+    add_extra_acceleration,
+    answer_contact_forces,
     continue_laws,
     design_law,
+    find_largest_stiffness_ratio,
     FORCE_SPACE,
-    largest_ratio,
-    loop_model,
     make_force_laws,
-    step_linear,
+    make_loop_model,
+    step_linear_law,
 )
-from multicontact_control.force.laws.aob import steady_law
+from multicontact_control.force.laws.aob import make_steady_law
 from multicontact_control.force.laws.design import find_law
 from multicontact_control.force.laws.linear import LinearLaw
 from multicontact_control.force.margins import spectral_radius
-from multicontact_control.force.observer import steady_gain
-from multicontact_control.force.plant import delayed_plant
+from multicontact_control.force.observer import solve_steady_gain
+from multicontact_control.force.plant import make_delayed_plant
 from multicontact_control.paths import find_config_folder
 from multicontact_control.records import CONTACT, CONTROL, MAX_STATES
 from multicontact_control.registry import FORCE_LAWS
@@ -74,11 +74,11 @@ def config_of(law, **force):
 
 def law_of(name, **force):
     config = config_of(name, **force)
-    design = design_law(name, config.force, loop_model(config, K))
+    design = design_law(name, config.force, make_loop_model(config, K))
     return (
         design
         if isinstance(design, LinearLaw)
-        else steady_law(design, steady_gain(design, 0.6))
+        else make_steady_law(design, solve_steady_gain(design, 0.6))
     )
 
 
@@ -90,7 +90,7 @@ def run_steps(law, alphas, desired, speeds, extra=None):
         contact['alpha_meas'], contact['answer']['alpha_des'] = values[:2]
         if k and extra is not None:
             record['extra'] = extra[k - 1]
-        u = step_linear(record, contact, values[2], np.empty(MAX_STATES))
+        u = step_linear_law(record, contact, values[2], np.empty(MAX_STATES))
         answers.append(
             (u, float(contact['answer']['alpha_est']), float(record['p_est']))
         )
@@ -157,13 +157,13 @@ def one_contact(desired):
 def hold(laws, ticks, *, disturbance, desired=10.0, state=None):
     """Let the compiled laws of one contact hold a force on a delayed plant."""
     contacts, control = one_contact(desired)
-    plant = delayed_plant(K, 100.0, DELAY, H)
+    plant = make_delayed_plant(K, 100.0, DELAY, H)
     x = desired * np.eye(len(plant.Gamma))[0] if state is None else state
     inputs, forces = np.empty(1), []
     for _ in range(ticks):
         contacts['alpha_meas'] = x[0]
         control['frame']['twist'][0, 2] = x[1] / K
-        answer_forces(laws, contacts, control[0], inputs, SPACE)
+        answer_contact_forces(laws, contacts, control[0], inputs, SPACE)
         x = plant.Phi @ x + plant.Gamma * (inputs[0] + disturbance)
         forces.append(x[0])
     return np.array(forces), x
@@ -221,9 +221,9 @@ def test_law_knows_what_acts_beyond_its_answer(name):
             one_contact(20.0),
         )
         for _ in range(100):  # everything is clipped: nothing moves
-            answer_forces(laws, contacts, control[0], inputs, SPACE)
+            answer_contact_forces(laws, contacts, control[0], inputs, SPACE)
             if aware:
-                act_beyond(laws, np.array([True]), -inputs)
+                add_extra_acceleration(laws, np.array([True]), -inputs)
         part = (
             laws[0]['linear']['p_est']
             if laws['is_linear'][0]
@@ -240,7 +240,7 @@ def test_law_knows_what_acts_beyond_its_answer(name):
 @pytest.mark.parametrize('name', [name for name in FORCE_LAWS if name != 'feedforward'])
 def test_margins_are_where_the_loop_becomes_unstable(name):
     config = config_of(name)
-    law, model = law_of(name), loop_model(config, K)
+    law, model = law_of(name), make_loop_model(config, K)
     margins, (_, stiffest) = margins_of(law, model), stable_ratios(law, model)
     if np.isfinite(stiffest):
         assert spectral_radius(contact_loop(law, model, 0.98 * stiffest)) < 1.0
@@ -253,7 +253,7 @@ def test_margins_are_where_the_loop_becomes_unstable(name):
         delay = DELAY + share * margins.delay
         if delay > 10 * H:
             continue
-        late = loop_model(config_of(name, input_delay=delay), K)
+        late = make_loop_model(config_of(name, input_delay=delay), K)
         assert (spectral_radius(contact_loop(law, late)) < 1.0 + 1e-9) == stable
 
 
@@ -267,16 +267,16 @@ def test_design_for_a_range_has_its_margins_on_every_surface_and_its_file_is_rea
     )
     force = ForceConfig(**result.values)
     config = resolve('quick').controller.model_copy(update={'force': force})
-    design = design_law(name, force, loop_model(config, result.stiffness))
+    design = design_law(name, force, make_loop_model(config, result.stiffness))
     law = (
         design
         if isinstance(design, LinearLaw)
-        else steady_law(design, steady_gain(design, 2.0))
+        else make_steady_law(design, solve_steady_gain(design, 2.0))
     )
     for stiffness in (2000.0, 4000.0, 8000.0, 15900.0):
-        model = loop_model(config, stiffness)
+        model = make_loop_model(config, stiffness)
         assert spectral_radius(contact_loop(law, model)) < 1.0 + 1e-9
-    late = loop_model(
+    late = make_loop_model(
         config.model_copy(
             update={'force': force.model_copy(update={'input_delay': DELAY + 0.99 * H})}
         ),
@@ -308,7 +308,7 @@ def test_every_law_has_ranges_to_tune_it_in_and_a_preset():
 @pytest.mark.parametrize('name', FORCE_LAWS)
 def test_design_depends_on_the_gains_that_its_law_says_it_reads_and_on_no_others(name):
     config = config_of(name)
-    model = loop_model(config, K)
+    model = make_loop_model(config, K)
     before = design_law(name, config.force, model)
     for field, other in OTHER_GAINS.items():
         force = config.force.model_copy(update={field: other})
@@ -322,11 +322,14 @@ def test_design_depends_on_the_gains_that_its_law_says_it_reads_and_on_no_others
 
 def test_live_change_of_what_adaptive_limits_do_not_read_computes_none_anew():
     config = resolve('quick', preset='adaptive').controller
-    laws, known = make_force_laws(config), largest_ratio.cache_info().misses
+    laws, known = (
+        make_force_laws(config),
+        find_largest_stiffness_ratio.cache_info().misses,
+    )
     for field in set(OTHER_GAINS) - set(find_law('aob').reads):
         force = config.force.model_copy(update={field: OTHER_GAINS[field]})
         make_force_laws(config.model_copy(update={'force': force}))
-    assert largest_ratio.cache_info().misses == known
+    assert find_largest_stiffness_ratio.cache_info().misses == known
     force = config.force.model_copy(
         update={'time_constant': OTHER_GAINS['time_constant']}
     )

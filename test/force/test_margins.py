@@ -1,14 +1,14 @@
 """The linear loop's stability against Riccati, the paper notes and the loop run in time."""
 
 from force_loop import H, observer_of
-from multicontact_control.force.laws.aob import steady_law
+from multicontact_control.force.laws.aob import make_steady_law
 from multicontact_control.force.margins import (
     closed_loop,
-    last_stable,
+    find_last_stable,
     LinearArmPlant,
     spectral_radius,
 )
-from multicontact_control.force.observer import steady_gain
+from multicontact_control.force.observer import solve_steady_gain
 import numpy as np
 import pytest
 
@@ -17,7 +17,9 @@ DELAY_TICKS = 3
 
 
 def law_of(observer, variance):
-    return steady_law(observer.design, steady_gain(observer.design, variance))
+    return make_steady_law(
+        observer.design, solve_steady_gain(observer.design, variance)
+    )
 
 
 def loop_of(law, ratio=1.0, damping_rate=20.0, delay=DELAY_TICKS * H):
@@ -35,7 +37,7 @@ def loop_of(law, ratio=1.0, damping_rate=20.0, delay=DELAY_TICKS * H):
 
 def boundary(law, **values):
     """Return the last stable ratio of the real stiffness to that of the design."""
-    return last_stable(
+    return find_last_stable(
         lambda ratio: spectral_radius(loop_of(law, ratio, **values)) < 1.0,
         np.geomspace(1.0, 100.0, 95).tolist(),
         1e-4,
@@ -51,7 +53,7 @@ def test_steady_gain_is_where_the_observer_settles(order, variance):
         observer.update(0.0, variance)
     settled = observer.P[:, 0] / variance  # K = P C^T / R
     np.testing.assert_allclose(
-        steady_gain(observer.design, variance), settled, rtol=1e-6, atol=1e-12
+        solve_steady_gain(observer.design, variance), settled, rtol=1e-6, atol=1e-12
     )
 
 
@@ -81,11 +83,11 @@ def test_stable_ratios_are_those_of_the_paper_notes(damping_rate, at_rest, in_mo
 def test_loop_is_the_observer_on_coupled_contacts_in_time(delay):
     """One period of the matrix is one tick of the AOBs on a finely integrated plant."""
     k, c, tool, own, aob = 1.5 * K, 30.0, 0.5, 5.0, observer_of()
-    B, gain = np.array([[0.3, 0.1], [0.1, 0.2]]), steady_gain(aob.design, 0.6)
+    B, gain = np.array([[0.3, 0.1], [0.1, 0.2]]), solve_steady_gain(aob.design, 0.6)
     plant = LinearArmPlant(
         B, np.full(2, k), np.full(2, c), tool * np.eye(2), delay * H, own
     )
-    matrix = closed_loop(plant, steady_law(aob.design, gain), 20.0, H)
+    matrix = closed_loop(plant, make_steady_law(aob.design, gain), 20.0, H)
     state, under_way = (
         np.random.default_rng(3).standard_normal(len(matrix)),
         int(np.ceil(delay)),

@@ -5,13 +5,13 @@ from multicontact_control.config import ForceConfig
 from multicontact_control.force.force_law import FORCE_LAW
 from multicontact_control.force.observer import design_observer, make_observers
 from multicontact_control.force.stiffness import (
-    adopt_stiffness,
-    find_stiffness,
+    add_fit_sample,
+    estimate_stiffness,
     FIT_SPACE,
-    learn_stiffness,
+    follow_stiffness,
+    set_up_stiffness,
     STIFFNESS,
-    take_sample,
-    use_stiffness,
+    use_model_stiffness,
 )
 from multicontact_control.records import CONTACT, CONTROL
 import numpy as np
@@ -26,7 +26,7 @@ def stiffness_of(k=6000.0, delay=0.006, mass=0.5, period=H, **values):
     loop = design_force_loop(k, 100.0, delay, period)
     observer = make_observers([design_observer(loop)])[0]
     record = np.zeros(1, dtype=STIFFNESS)[0]
-    adopt_stiffness(
+    set_up_stiffness(
         record,
         loop.plant,
         k,
@@ -44,7 +44,7 @@ def follow(observer, record):
         np.zeros(1, dtype=dtype) for dtype in (FORCE_LAW, CONTACT, CONTROL)
     )
     laws['observer'], laws['stiffness'], controls['measured'] = observer, record, True
-    learn_stiffness(laws, contacts, 0, controls[0], 0.0, SPACE)
+    follow_stiffness(laws, contacts, 0, controls[0], 0.0, SPACE)
     for part, changed in (
         (observer, laws['observer'][0]),
         (record, laws['stiffness'][0]),
@@ -58,7 +58,7 @@ def test_feedback_of_another_stiffness_is_that_of_ackermann(delay):
     """Of another stiffness, and with other poles; P04 eq. 36 is the reference."""
     record, observer = stiffness_of(delay=delay, mass=0.0)
     for k in (300.0, 20_000.0, 6000.0):
-        use_stiffness(observer, record, k, 0.0)
+        use_model_stiffness(observer, record, k, 0.0)
         wanted = make_observers([design_observer(design_force_loop(k, 100.0, delay))])[
             'design'
         ][0]
@@ -73,7 +73,7 @@ def test_feedback_of_another_stiffness_is_that_of_ackermann(delay):
 
 def test_poles_are_limited_by_tool_and_surface():
     record, observer = stiffness_of()
-    use_stiffness(observer, record, 300.0, 20.0)
+    use_model_stiffness(observer, record, 300.0, 20.0)
     design = observer['design']
     loop = design['Phi_n'][:5, :5] - np.outer(
         design['Gamma'][:5], design['feedback'][:5]
@@ -104,7 +104,7 @@ def fit_to(samples):
     record, _ = stiffness_of()
     fit = record['slow']
     for record['depth'], record['speed'], friction, alpha in samples:
-        take_sample(record, fit, friction, alpha, True, SPACE)
+        add_fit_sample(record, fit, friction, alpha, True, SPACE)
     return fit
 
 
@@ -131,7 +131,7 @@ def test_fit_takes_samples_after_a_touch_or_a_step_alone():
     record, _ = stiffness_of()
     weights = []
     for k, sample in enumerate(signals(6000.0, 0.0, 0.0, 0.5, count=600)):
-        find_stiffness(
+        estimate_stiffness(
             record, 5.0 + sample[3], 15.0 if k > 400 else 10.0, sample[1], 0.0, SPACE
         )
         weights.append(float(record['slow']['weight']))
@@ -161,7 +161,7 @@ def test_force_does_not_jump_when_the_model_changes():
         2.0,
         3.0,
     )
-    use_stiffness(observer, record, 12_000.0, 24.0)
+    use_model_stiffness(observer, record, 12_000.0, 24.0)
     assert observer['x_est'][:2].tolist() == [10.0, 80.0]
     assert (observer['P'][0, 1], observer['P'][1, 1]) == (4.0, 12.0)
     assert observer['design']['damping_time'] == pytest.approx(24.0 / 12_000.0)

@@ -46,7 +46,7 @@ ConnectionLost = type('ConnectionLost', (RuntimeError,), {})
 def test_late_rule_holds_damps_and_ends_within_the_rate_and_counts(age, kind, wanted):
     rule, before = LateRule(LATE), np.zeros(7)
     for _ in range(10):
-        torque = rule.answer(age, np.full(7, 1.0), np.full(7, 0.2), before)
+        torque = rule.choose_torque(age, np.full(7, 1.0), np.full(7, 0.2), before)
         assert torque is None or np.abs(torque - before).max() < 1.0
         before = before if torque is None else torque
     assert (rule.kind, rule.figures[kind]) == (kind, 10)

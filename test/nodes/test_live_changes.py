@@ -74,13 +74,13 @@ def asker(host, controller):
 @pytest.fixture
 def released(controller):
     """Let every change take as long as a test wants."""
-    released, design = Event(), controller.parameter_set.design
+    released, design = Event(), controller.parameter_set.compute_design
 
     def design_late(configurations):
         released.wait()
         return design(configurations)
 
-    controller.parameter_set.design = design_late
+    controller.parameter_set.compute_design = design_late
     yield released
     released.set()
 

@@ -177,7 +177,7 @@ def test_efforts_of_some_joints_are_read_beside_those_that_are_no_numbers():
         'names': JOINTS,
         'fields': JOINT_FIELDS[:1],
         'optional': JOINT_FIELDS[1:2],
-        'partial': JOINT_FIELDS[2:],
+        'unchecked': JOINT_FIELDS[2:],
     }
     reader = MessageReader(JointState, partial(messages.read_named_vectors, **fields))
     message = six()
@@ -247,7 +247,9 @@ def test_stream_writes_what_rclpy_reads(middleware):
             for size in range(1, 9)
         ),
     ):  # whatever bytes there are between
-        data = StreamPublisher(middleware.node, topic, pattern).write(START, *written)
+        data = StreamPublisher(middleware.node, topic, pattern).encode_message(
+            START, *written
+        )
         assert deserialize_message(data, type(pattern)) == expected
         store.deserialize_cdr(
             data, topic.type_name
@@ -443,7 +445,7 @@ class Live:
     def values(self, part):
         """Return the values of a part of the diagnostics."""
         return next(
-            x.values for x in self.node.collect_statuses() if x and x.part == part
+            x.values for x in self.node.collect_statuses() if x and x.component == part
         )
 
     def restart(self):

@@ -4,7 +4,7 @@ from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 from multicontact_control.config import ControllerConfig
 from multicontact_control.errors import ConfigError
-from multicontact_control.faults.judge import never_allowed, Observation
+from multicontact_control.faults.outcomes import find_violations, Observation
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
 import numpy as np
@@ -71,7 +71,7 @@ def test_accepted_configuration_is_safe(powers, plant):
         torques.append(loop.command.copy())
         forces.append(loop.sample.contact_force.max())
     loop.close()
-    problems, _ = never_allowed(
+    problems, _ = find_violations(
         Observation(
             np.array(torques),
             config.period * np.arange(TICKS),

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from multicontact_control.config import ToolConfig
 from multicontact_control.records import FRAME
 from multicontact_control.sensor.push_test import (
-    fit_mounting,
+    fit_sensor_mounting,
     judge_pushes,
     MAX_ANGLE,
     PushGate,
@@ -102,7 +102,7 @@ def test_push_test_refuses_every_flip_and_every_large_rotation(
         rng=np.random.default_rng(seed),
     ).passed
     expected = np.random.default_rng(seed).standard_normal((5, 3))
-    fit = fit_mounting(expected @ (sign * scale * mounting).T, expected)
+    fit = fit_sensor_mounting(expected @ (sign * scale * mounting).T, expected)
     assert fit[0] == sign and fit[2] == pytest.approx(scale)
     np.testing.assert_allclose(fit[1], mounting, atol=1e-8)
 
@@ -163,7 +163,7 @@ def test_push_test_does_not_check_moments_without_a_lever_and_refuses_a_force_at
 def begun(**config):
     """Return a gate with a test under way, of a sensor at a short tool."""
     gate = PushGate(required=True, gravity_world=np.zeros(3), rate=RATE)
-    gate.start(PushTestConfig(**config), {})
+    gate.start_test(PushTestConfig(**config), {})
     return gate
 
 
@@ -171,7 +171,7 @@ def feel(gate, force):
     """Let the sensor, which has the world's axes, read a force [N]."""
     frame = np.zeros(1, dtype=FRAME)
     frame['sensor_rotation'] = STRAIGHT
-    return gate.update(frame[0], np.append(force, np.zeros(3)), ToolConfig())
+    return gate.add_fit_sample(frame[0], np.append(force, np.zeros(3)), ToolConfig())
 
 
 def asked(gate):
@@ -205,7 +205,7 @@ def test_push_gate_guides_through_the_pushes_and_opens():
     assert asked(gate) == '+x'
     while gate.phase != 'release':
         feel(gate, -obedient(asked(gate)))
-    gate.restart()
+    gate.restart_test()
     assert run(gate, obedient) == ['+x', '+y', '+z'] and gate.open
 
 

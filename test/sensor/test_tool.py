@@ -10,10 +10,10 @@ from multicontact_control.contact.wrench import contact_wrench
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import CalibrationError
 from multicontact_control.sensor.tool import (
+    compute_tare_bias,
     identify_tool,
     PoseReading,
-    tare_bias,
-    weight_reading,
+    predict_weight_reading,
 )
 import numpy as np
 import pytest
@@ -31,7 +31,9 @@ POSES = Rotation.random(8, rng=np.random.default_rng(1)).as_matrix()
 def readings(rotations, tool=TOOL, noise=0.0, mounting=STRAIGHT, seed=0):
     rng, made = np.random.default_rng(seed), []
     for rotation in rotations.as_matrix():
-        wrench = weight_reading(rotation, tool, GRAVITY).reshape(2, 3) @ mounting.T
+        wrench = (
+            predict_weight_reading(rotation, tool, GRAVITY).reshape(2, 3) @ mounting.T
+        )
         made.append(
             PoseReading(
                 rotation,
@@ -44,7 +46,7 @@ def readings(rotations, tool=TOOL, noise=0.0, mounting=STRAIGHT, seed=0):
 def assert_compensates(tool):
     """Check that readings without contact give no wrench in any pose."""
     for rotation in POSES:
-        reading = weight_reading(rotation, TOOL, GRAVITY) + BIAS
+        reading = predict_weight_reading(rotation, TOOL, GRAVITY) + BIAS
         np.testing.assert_allclose(
             contact_wrench(
                 reading, Pose(np.ones(3), rotation), np.zeros(3), tool, GRAVITY
@@ -79,10 +81,10 @@ def test_contact_wrench_is_what_was_put_into_the_reading():
 
 @pytest.mark.parametrize('pose', POSES[:3])
 def test_tare_in_any_pose_compensates_in_every_pose(pose):
-    reading = weight_reading(pose, TOOL, GRAVITY) + BIAS
+    reading = predict_weight_reading(pose, TOOL, GRAVITY) + BIAS
     noise = np.random.default_rng(0).standard_normal((50, 6)) * 1e-3
     old = TOOL.model_copy(update={'bias_sensor': (9.0,) * 6})  # does not add up
-    bias = tare_bias(reading + noise - noise.mean(axis=0), pose, old, GRAVITY)
+    bias = compute_tare_bias(reading + noise - noise.mean(axis=0), pose, old, GRAVITY)
     np.testing.assert_allclose(bias, BIAS, atol=1e-12)
     assert_compensates(TOOL.model_copy(update={'bias_sensor': tuple(bias)}))
 
@@ -100,7 +102,7 @@ def test_tare_in_any_pose_compensates_in_every_pose(pose):
 )
 def test_tare_refuses_too_few_readings_and_any_unrest(wrenches, message):
     with pytest.raises(CalibrationError, match=f'tare: .*{message}'):
-        tare_bias(wrenches, np.eye(3), TOOL, GRAVITY)
+        compute_tare_bias(wrenches, np.eye(3), TOOL, GRAVITY)
 
 
 def test_identification_without_noise_is_exact():

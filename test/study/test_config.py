@@ -1,11 +1,11 @@
 """A study's file: what it may say, what a user chooses of it, and the runs it makes."""
 
 from multicontact_control.errors import ConfigError
-from multicontact_control.study.cells import run_cells
+from multicontact_control.study.cells import plan_runs
 from multicontact_control.study.config import (
+    apply_choices,
     read_choices,
     read_study,
-    select,
 )
 import pytest
 import yaml
@@ -93,12 +93,12 @@ def test_bad_file_parameter_or_value_is_refused_before_anything_runs(
     read, changes, field
 ):
     with pytest.raises(ConfigError, match=f'{field}: expected ') as caught:
-        run_cells(select(read(**changes), {}))
+        plan_runs(apply_choices(read(**changes), {}))
     assert '\n' not in str(caught.value)
 
 
 def test_cells_are_every_combination_with_every_seed_on_every_plant(read):
-    cells = run_cells(select(read(plants=['rigid', 'puma']), {}))
+    cells = plan_runs(apply_choices(read(plants=['rigid', 'puma']), {}))
     assert [
         tuple(cell.factors[name] for name in ('plant', DELAY, ESTIMATOR, 'seed'))
         for cell in cells
@@ -136,8 +136,8 @@ def test_parts_have_what_the_study_has_and_the_values_of_the_files_for_the_rest(
             },
         }
     )
-    cells = run_cells(
-        select(study, {'seed': (0,), **read_choices([f'{ESTIMATOR}=fixed'])})
+    cells = plan_runs(
+        apply_choices(study, {'seed': (0,), **read_choices([f'{ESTIMATOR}=fixed'])})
     )
     rows = [
         tuple(cell.factors[name] for name in ('part', DELAY, DAMPING, 'ratio', 'seed'))
@@ -158,8 +158,8 @@ def test_parts_have_what_the_study_has_and_the_values_of_the_files_for_the_rest(
 
 
 def test_adjustment_holds_where_its_condition_does(read):
-    cells = run_cells(
-        select(
+    cells = plan_runs(
+        apply_choices(
             read(
                 plants=['rigid', 'puma'],
                 factors={},
@@ -179,8 +179,8 @@ def test_adjustment_holds_where_its_condition_does(read):
 
 def test_user_chooses_plants_seeds_and_values(read):
     study = read(factors={'level': {'a': {DELAY: 0}, 'b': {DELAY: 2}}})
-    cells = run_cells(
-        select(
+    cells = plan_runs(
+        apply_choices(
             study,
             {'seed': (5,), **read_choices(['level=b', f'{DAMPING}=20, 60'])},
             robot='panda',
@@ -194,9 +194,9 @@ def test_user_chooses_plants_seeds_and_values(read):
         ('panda/rigid', 5)
     }
     with pytest.raises(ConfigError, match='^level: expected some of a, b, got'):
-        select(study, {'level': ['c']})
+        apply_choices(study, {'level': ['c']})
     with pytest.raises(ConfigError, match='^part: expected some of'):
-        select(study, {'part': ['c']})
+        apply_choices(study, {'part': ['c']})
     for text in ('level', '=3', 'level=', 'level=]'):
         with pytest.raises(ConfigError, match='^--set'):
             read_choices([text])

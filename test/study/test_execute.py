@@ -41,7 +41,7 @@ def test_key_changes_with_all_that_changes_the_outcome_and_with_nothing_else(
     assert keys[0] == pickle.loads(pickle.dumps(variants[0])).key()
     same = job_of(controller={'force': {'damping_rate': 100.0}})
     assert same.key() == job_of(preset='best').key() == keys[0]
-    monkeypatch.setattr(jobs_module, 'code_stamp', lambda: 'other code')
+    monkeypatch.setattr(jobs_module, 'hash_code', lambda: 'other code')
     assert variants[0].key() != keys[0]
 
 

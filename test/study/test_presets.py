@@ -6,19 +6,19 @@ from multicontact_control.cli.options import described
 from multicontact_control.config import read_yaml
 from multicontact_control.errors import ConfigError
 from multicontact_control.faults.vocabulary import FAULTS
-from multicontact_control.force.noise.window import lead_filter
+from multicontact_control.force.noise.window import design_lead_filter
 from multicontact_control.paths import find_config_folder
 from multicontact_control.registry import FORCE_LAWS, NOISE_ESTIMATORS
 from multicontact_control.runs.closed_loop import run_in_process
 from multicontact_control.runs.scenario import resolve
-from multicontact_control.study.cells import run_cells
-from multicontact_control.study.config import read_study, select
+from multicontact_control.study.cells import plan_runs
+from multicontact_control.study.config import apply_choices, read_study
 from multicontact_control.study.measure import measure_run, metrics_row
-from multicontact_control.study.presets import situations, study_of
+from multicontact_control.study.presets import make_study, situations
 from multicontact_control.study.presets.compare import CompareStudy
 from multicontact_control.study.presets.faults import FaultJob
 from multicontact_control.study.presets.map import ArmLoop
-from multicontact_control.study.presets.tune import cost, SCALES
+from multicontact_control.study.presets.tune import cost_of_run, SCALES
 from multicontact_control.study.study import run_study
 import pytest
 from rich.console import Console
@@ -28,7 +28,7 @@ QUIET = Console(quiet=True)
 
 def study(name, law='', **choices):
     config = read_study(name).model_copy(update={'law': law})
-    return study_of(select(config, choices))
+    return make_study(apply_choices(config, choices))
 
 
 def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter():
@@ -56,7 +56,7 @@ def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter():
         file = read_study(name)
         cells = study(
             name, **{'seed': file.seeds[:1], **file.quick, 'plant': ('rigid',)}
-        ).cells()
+        ).plan_cells()
         assert len({cell.key for cell in cells}) == count
     with pytest.raises(
         ConfigError, match=rf'^study: expected one of {", ".join(names)}'
@@ -65,7 +65,7 @@ def test_studies_of_the_package_can_be_planned_and_quick_ones_are_shorter():
 
 
 def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_filter():
-    cells = study('compare', plant=('puma',), seed=(0,)).cells()
+    cells = study('compare', plant=('puma',), seed=(0,)).plan_cells()
     setups = {
         (cell.factors['part'], cell.factors['estimator']): cell.job.setup()
         for cell in cells
@@ -74,7 +74,7 @@ def test_comparison_has_every_estimator_and_numbers_that_follow_from_the_lead_fi
     assert labels == {*NOISE_ESTIMATORS, 'window rescaled', 'innovation matched'}
     usual = setups['active state', 'lead_window']
     config = usual.noise_estimator
-    f = lead_filter(config.zero_frequency, config.pole_frequency, config.rate)
+    f = design_lead_filter(config.zero_frequency, config.pole_frequency, config.rate)
     gain = f.gain**2 * (
         1.0 + (f.pole - f.zero) ** 2 / (1.0 - f.pole**2)
     )  # of white noise
@@ -93,7 +93,7 @@ def test_every_law_has_ranges_whose_ends_are_acceptable():
     assert set(declared) == set(FORCE_LAWS)
     for law, ranges in declared.items():
         ends = {name: [values[0], values[-1]] for name, values in ranges.items()}
-        cells = run_cells(select(study('tune', law).config, ends))
+        cells = plan_runs(apply_choices(study('tune', law).config, ends))
         assert 2 <= len(cells) <= 2 ** len(ranges)
         assert {cell.factors['seed'] for cell in cells} == {0}
         assert cells[0].job.setup().controller.force.law == law
@@ -125,12 +125,12 @@ def test_linear_boundary_is_the_simulated_one_within_a_tenth(damping_rate):
         )
 
     loop = ArmLoop(setup(1.0))
-    linear = loop.boundary(0.6)
+    linear = loop.largest_stable_ratio(0.6)
     for share, settles in ((0.9, True), (1.1, False)):
         run = measure_run(setup(share * linear), supervised=False)
         assert metrics_row(run)['settled'] == settles
     # What eq. 32 leaves out makes it more robust.
-    assert loop.boundary(0.6, paper=True) < 0.9 * linear
+    assert loop.largest_stable_ratio(0.6, of_paper=True) < 0.9 * linear
 
 
 @pytest.mark.slow
@@ -162,16 +162,16 @@ def test_one_fault_of_every_kind_is_safe(tmp_path, plant):
 def test_every_situation_has_one_seed_and_is_of_a_robot_that_has_what_it_takes():
     """Whatever else is chosen: a share of one seed is the same share, as is that of a robot."""
     chosen = {'robot': ('ur5', 'foreign'), 'part': ('stiffness',)}
-    every = [cell.key for cell in study('situations', **chosen).cells()]
+    every = [cell.key for cell in study('situations', **chosen).plan_cells()]
     by_seed = [
         cell.key
         for seed in range(4)
-        for cell in study('situations', seed=(seed,), **chosen).cells()
+        for cell in study('situations', seed=(seed,), **chosen).plan_cells()
     ]
     assert (
         sorted(by_seed) == sorted(set(every)) and len(every) == 15
     )  # of two contacts: one arm
-    alone = study('situations', **{**chosen, 'robot': ('ur5',)}).cells()
+    alone = study('situations', **{**chosen, 'robot': ('ur5',)}).plan_cells()
     assert {cell.key for cell in alone} < set(every)
     tilted = study(
         'situations',
@@ -179,7 +179,7 @@ def test_every_situation_has_one_seed_and_is_of_a_robot_that_has_what_it_takes()
         part=('tilted surface',),
         speed=('0.1 m/s',),
         tilt=('3 deg',),
-    ).cells()
+    ).plan_cells()
     assert [(cell.factors['robot'], cell.factors['plant']) for cell in tilted] == [
         ('ur5', 'rigid'),
         ('panda', 'rigid'),
@@ -188,9 +188,9 @@ def test_every_situation_has_one_seed_and_is_of_a_robot_that_has_what_it_takes()
 
 
 def test_robot_that_is_not_installed_is_named_and_the_others_are_run(monkeypatch):
-    monkeypatch.setattr(situations, 'means_of', not_installed)
+    monkeypatch.setattr(situations, 'find_means', not_installed)
     one = study('situations', robot=('fr3',), part=('payload',))
-    assert not one.cells() and one.missing == {
+    assert not one.plan_cells() and one.missing == {
         'fr3': 'urdf: expected the package x, got none'
     }
 
@@ -211,9 +211,9 @@ def test_a_quarter_of_the_situations_is_safe(tmp_path):
 
 def test_cost_adds_figures_and_refuses_what_is_not_stable():
     row = {'stable': True, **SCALES}
-    assert cost(row) == pytest.approx(len(SCALES))
+    assert cost_of_run(row) == pytest.approx(len(SCALES))
     for changed in ({'stable': False}, {'rise_s': math.inf}, {'rest_rms_n': math.nan}):
-        assert cost(row | changed) == math.inf
+        assert cost_of_run(row | changed) == math.inf
 
 
 @pytest.mark.slow
@@ -226,7 +226,7 @@ def test_best_gains_are_written_and_judged_on_other_seeds(tmp_path):
     )
     for name, factor in tried.config.parts[''].factors.items():
         if name != 'controller.force.damping_rate':
-            tried.config = select(tried.config, {name: factor.values[:1]})
+            tried.config = apply_choices(tried.config, {name: factor.values[:1]})
     frame = run_study(tried, tmp_path, console=QUIET).frame
     assert frame['part'].tolist() == ['', '', *['on other seeds'] * 3]
     assert frame['cost'][0] <= frame['cost'][1] and frame['seed'].tolist()[2:] == [
@@ -252,8 +252,8 @@ def test_comparison_judges_the_claims(tmp_path):
     )
     assert isinstance(small, CompareStudy)
     results = run_study(small, tmp_path, console=QUIET)
-    sentences = small.findings(results)
+    sentences = small.describe_findings(results)
     assert sentences[0] == 'lead_window, fixed are stable on rigid in all runs.'
     assert 'agree with K_2 = 20 1/s' in sentences[-1]
-    direct = run_in_process(small.cells()[0].job.setup())
+    direct = run_in_process(small.plan_cells()[0].job.setup())
     assert results.frame['trajectory_sha256'][0] == direct.data.trajectory_sha256()

@@ -4,15 +4,15 @@ import io
 import re
 
 from multicontact_control.runs import closed_loop
-from multicontact_control.study.config import read_study, select, StudyConfig
+from multicontact_control.study.config import apply_choices, read_study, StudyConfig
 from multicontact_control.study.measure import metrics_row
-from multicontact_control.study.presets import study_of
+from multicontact_control.study.presets import make_study
 from multicontact_control.study.study import run_study
 from multicontact_control.study.table import (
+    describe_good_runs,
     draw_study,
-    good_values,
-    listing_of,
-    sentences,
+    list_good_values,
+    make_listing,
     terminal_tables,
 )
 import numpy as np
@@ -67,7 +67,7 @@ def fixture_frame():
 
 def cells_of(frame, **study):
     config = StudyConfig(name='s', scenario='step', **study)
-    (shown,) = listing_of(frame, config).values()
+    (shown,) = make_listing(frame, config).values()
     return list(shown), shown.to_numpy().tolist()
 
 
@@ -151,11 +151,11 @@ def test_sentences_tell_where_all_runs_are_good(frame):
         runs = pd.DataFrame(
             {'k': (0.1, 0.5, 1.0, 2.0, 5.0), 'good': [*map(int, flags)]}
         )
-        assert good_values(runs.astype({'good': bool}), 'k', 'good') == values
+        assert list_good_values(runs.astype({'good': bool}), 'k', 'good') == values
     frame['law'] = ['pi', 'dob'] * 3
     frame.attrs['factors'] = [*frame.attrs['factors'], 'law']
     config = StudyConfig(name='s', scenario='step', symbols={'k': 'k_s'})
-    assert sentences(frame, config) == [
+    assert describe_good_runs(frame, config) == [
         'pi is stable on rigid in all runs, with k_s = 600, 60000 N/m.',
         'dob is stable on rigid in 2 of 3 runs, in every run with k_s = 600 N/m.',
     ]
@@ -246,7 +246,7 @@ def test_changed_study_runs_what_is_missing_and_failures_are_rows(
         path.write_text(yaml.safe_dump({**STUDY, 'seeds': seeds}))
         shown = io.StringIO()
         run_study(
-            study_of(select(read_study(str(path)), {})),
+            make_study(apply_choices(read_study(str(path)), {})),
             out,
             jobs=1,
             console=Console(file=shown, width=160),

@@ -7,7 +7,7 @@ from equations import rotation_error
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from multicontact_control.config.supervision import ContactStateConfig
-from multicontact_control.contact.geometry import place_columns
+from multicontact_control.contact.geometry import configure_contacts
 from multicontact_control.control.tasks import (
     ApproachConfig,
     CommandedTask,
@@ -226,7 +226,7 @@ class Asked:
         config = controller_config(limits=limits)
         self.source = source or CommandedTask(config.contact_names)
         self.controls, self.contacts = np.zeros(1, CONTROL), np.zeros(2, CONTACT)
-        place_columns(config, self.contacts)
+        configure_contacts(config, self.contacts)
         self.task = ContactTask(config, self.source, self)
         self.stay(POSE)
         self.task.start_task(POSE)

@@ -6,7 +6,7 @@ from campaign.velocities import Cell, FARTHEST, FASTER, LARGEST_FORCE, run
 from multicontact_control.config.supervision import WatchdogConfig
 from multicontact_control.control.tasks import MotionReading
 from multicontact_control.errors import CommandError, ConfigError
-from multicontact_control.faults.in_process import with_obstacles
+from multicontact_control.faults.fault_run import resolve_with_obstacles
 from multicontact_control.faults.vocabulary import ELBOW_WALL, FAR
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import resolve
@@ -324,7 +324,7 @@ DEPTH = 2.5e-3  # m, at once: 15 N on the obstacle of 6000 N/m
 
 def standing(plant, ticks=150, *, commanded=True, **controller):
     """Return a loop that stands still, an obstacle far from its elbow, to be closed."""
-    overrides = with_obstacles('quick', plant, 0).plant.model_dump(
+    overrides = resolve_with_obstacles('quick', plant, 0).plant.model_dump(
         include={'obstacle_names', 'surfaces'}
     )
     loop = ClosedLoop(

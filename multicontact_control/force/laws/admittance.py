@@ -10,9 +10,9 @@ from multicontact_control.force.laws.linear import (
     ALPHA_MEAS,
     discretise_law,
     LinearLaw,
+    make_zero_law,
     P_EST,
     U,
-    zero_law,
 )
 
 
@@ -28,7 +28,7 @@ def design_admittance(model: LoopModel, config: ForceConfig) -> LinearLaw:
     rate = 1.0 / config.admittance.inertia_time
     integral_gain = compliance * config.admittance.integral_rate
     speed, integral = range(2)  # the states: v, and K_i int e dt
-    law = zero_law(2)
+    law = make_zero_law(2)
     law.A[speed, speed] = -rate
     law.B[speed, ALPHA_MEAS] = -rate * compliance
     law.B[speed, ALPHA_DES] = rate * compliance

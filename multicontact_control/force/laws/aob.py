@@ -10,9 +10,9 @@ from multicontact_control.force.laws.linear import (
     ALPHA_EST,
     ALPHA_MEAS,
     LinearLaw,
+    make_zero_law,
     P_EST,
     U,
-    zero_law,
 )
 from multicontact_control.force.observer import design_observer, ObserverDesign
 from multicontact_control.force.plant import place_poles
@@ -37,7 +37,7 @@ def design_aob(model: LoopModel, config: ForceConfig) -> ObserverDesign:
     )
 
 
-def steady_law(observer: ObserverDesign, gain: Vector) -> LinearLaw:
+def make_steady_law(observer: ObserverDesign, gain: Vector) -> LinearLaw:
     """
     Return an observer whose gain is constant as a linear law.
 
@@ -50,7 +50,7 @@ def steady_law(observer: ObserverDesign, gain: Vector) -> LinearLaw:
     observer
         An active observer of n states.
     gain
-        K, shape (n,), as from `steady_gain`.
+        K, shape (n,), as from `solve_steady_gain`.
 
     """
     n = len(observer.Gamma)
@@ -62,7 +62,7 @@ def steady_law(observer: ObserverDesign, gain: Vector) -> LinearLaw:
     outputs[U] = -observer.feedback
     outputs[ALPHA_EST, 0] = 1.0
 
-    law = zero_law(n)
+    law = make_zero_law(n)
     law.start_force[0] = 1.0
     if observer.order:
         outputs[P_EST, newest_disturbance] = 1.0

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from multicontact_control.config import ForceConfig
 from multicontact_control.force.laws.linear import LinearLaw
 from multicontact_control.force.observer import ObserverDesign
-from multicontact_control.force.plant import delayed_plant, DelayedPlant
+from multicontact_control.force.plant import DelayedPlant, make_delayed_plant
 from multicontact_control.registry import FORCE_LAWS
 
 
@@ -26,7 +26,7 @@ class LoopModel:
     @property
     def plant(self) -> DelayedPlant:
         """The plant k e^(-s T_d) / (s (s + K_2)), discretised with the period h (P04 eq. 33)."""
-        return delayed_plant(
+        return make_delayed_plant(
             self.stiffness, self.damping_rate, self.input_delay, self.period
         )
 

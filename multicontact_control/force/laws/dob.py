@@ -10,9 +10,9 @@ from multicontact_control.force.laws.linear import (
     ALPHA_MEAS,
     discretise_law,
     LinearLaw,
+    make_zero_law,
     P_EST,
     U,
-    zero_law,
 )
 import numpy as np
 
@@ -45,7 +45,7 @@ def design_dob(model: LoopModel, config: ForceConfig) -> LinearLaw:
     of_acted = slice(2, 4)
     oldest = 4
     newest = oldest + max(1, round(model.input_delay / model.period)) - 1
-    law = zero_law(newest + 1)
+    law = make_zero_law(newest + 1)
     law.A[of_inverse, of_inverse] = inverse_plant.A
     law.B[of_inverse] = inverse_plant.B
     law.A[of_acted, of_acted] = acted.A
@@ -72,7 +72,7 @@ def design_dob(model: LoopModel, config: ForceConfig) -> LinearLaw:
 
 def _low_pass(omega: float) -> LinearLaw:
     """Return Q of alpha, which starts at the rest of an input of 1, without an output."""
-    law = zero_law(2)
+    law = make_zero_law(2)
     law.A[:] = [[0.0, 1.0], [-(omega**2), -2.0 * omega]]
     law.B[1, ALPHA_MEAS] = 1.0
     law.start_force[0] = 1.0 / omega**2

@@ -8,13 +8,13 @@ from multicontact_control.force.laws.linear import (
     ALPHA_EST,
     ALPHA_MEAS,
     LinearLaw,
-    zero_law,
+    make_zero_law,
 )
 
 
 def design_feedforward(model: LoopModel, config: ForceConfig) -> LinearLaw:
     """Design u = 0: what is fed forward, and the damping K_2, are all that acts."""
-    law = zero_law(0)
+    law = make_zero_law(0)
     law.D[ALPHA_EST, ALPHA_MEAS] = 1.0
     return law
 

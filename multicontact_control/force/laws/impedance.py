@@ -10,9 +10,9 @@ from multicontact_control.force.laws.linear import (
     ALPHA_MEAS,
     discretise_law,
     LinearLaw,
+    make_zero_law,
     SPEED,
     U,
-    zero_law,
 )
 
 
@@ -25,7 +25,7 @@ def design_impedance(model: LoopModel, config: ForceConfig) -> LinearLaw:
     """
     spring = config.impedance.natural_frequency**2
     depth = 0  # the only state: z
-    law = zero_law(1)
+    law = make_zero_law(1)
     law.B[depth, SPEED] = 1.0
     law.C[U, depth] = -spring
     law.D[U, ALPHA_DES] = spring / model.stiffness

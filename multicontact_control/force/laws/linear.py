@@ -1,8 +1,8 @@
 """
 Force laws that are linear: x_(k+1) = A x_k + B y_k, with one compiled step for all of them.
 
-A design fills the matrices of a `zero_law` by the names of its inputs and outputs; the compiled
-step works on the record that `LinearLaw.record` makes of it.
+A design begins with `make_zero_law` and fills its matrices by the names of inputs and outputs; the
+compiled step works on the record that `LinearLaw.record` makes of it.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class LinearLaw:
     A force law x_(k+1) = A x_k + B y_k + E extra_k with the outputs C x_k + D y_k.
 
     Inputs and outputs are named above; u is without the damping K_2, and `extra` is what acts
-    beyond it [m/s^2]. `zero_law` makes one whose arrays a design then fills.
+    beyond it [m/s^2]. `make_zero_law` makes one whose arrays a design then fills.
     """
 
     A: Matrix  # shape (n, n)
@@ -130,7 +130,7 @@ class LinearLaw:
         return law
 
 
-def zero_law(states: int) -> LinearLaw:
+def make_zero_law(states: int) -> LinearLaw:
     """
     Return a law of so many states whose arrays are zero, for a design to fill.
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from multicontact_control.config import ForceConfig
-from multicontact_control.force.laws.aob import steady_law
+from multicontact_control.force.laws.aob import make_steady_law
 from multicontact_control.force.laws.design import LawDesign, LoopModel
 from multicontact_control.force.laws.linear import LinearLaw
-from multicontact_control.force.observer import design_observer, steady_gain
+from multicontact_control.force.observer import design_observer, solve_steady_gain
 from multicontact_control.force.plant import ForceLoop
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -28,7 +28,9 @@ def design_lqg(model: LoopModel, config: ForceConfig) -> LinearLaw:
     observer = design_observer(
         ForceLoop(model.plant, L), process_noise=config.process_noise
     )
-    return steady_law(observer, steady_gain(observer, config.lqg.noise_variance))
+    return make_steady_law(
+        observer, solve_steady_gain(observer, config.lqg.noise_variance)
+    )
 
 
 LAW = LawDesign(

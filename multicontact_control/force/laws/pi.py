@@ -12,9 +12,9 @@ from multicontact_control.force.laws.linear import (
     ALPHA_MEAS,
     discretise_law,
     LinearLaw,
+    make_zero_law,
     P_EST,
     U,
-    zero_law,
 )
 
 
@@ -30,7 +30,7 @@ def design_pi(model: LoopModel, config: ForceConfig) -> LinearLaw:
     is_filtered = config.pi.filter_cutoff > 0.0
     if is_filtered:
         filtered, integral = range(2)  # the states: low-passed alpha, and K_i int e dt
-        law = zero_law(2)
+        law = make_zero_law(2)
         cutoff = 2.0 * math.pi * config.pi.filter_cutoff
         law.A[filtered, filtered] = -cutoff
         law.B[filtered, ALPHA_MEAS] = cutoff
@@ -40,7 +40,7 @@ def design_pi(model: LoopModel, config: ForceConfig) -> LinearLaw:
         law.start_force[filtered] = 1.0
     else:
         integral = 0
-        law = zero_law(1)
+        law = make_zero_law(1)
         law.B[integral, ALPHA_MEAS] = -integral_gain
         law.D[U, ALPHA_MEAS] = -gain
         law.D[ALPHA_EST, ALPHA_MEAS] = 1.0

@@ -58,7 +58,7 @@ class LeadFilter:
     gain: float  # b
 
 
-def lead_filter(
+def design_lead_filter(
     zero_frequency: float,
     pole_frequency: float,
     rate: float,
@@ -166,7 +166,7 @@ class LeadWindow(Window):
     normalisation: Normalisation = 'dc'
 
     def _design(self) -> LeadFilter:
-        return lead_filter(
+        return design_lead_filter(
             self.config.zero_frequency,
             self.config.pole_frequency,
             self.config.rate,

@@ -18,6 +18,6 @@ KINDS = {
 }
 
 
-def study_of(config: StudyConfig) -> Study:
-    """Return the study of a configuration."""
+def make_study(config: StudyConfig) -> Study:
+    """Return the study of a configuration, with what its kind has beside the file."""
     return KINDS[config.kind](config)

@@ -10,47 +10,54 @@ LIKE_THE_PAPER = ('active state', 'K_2')  # parts
 
 
 class CompareStudy(Study):
-    """Noise estimators; the claims of the paper are judged over K_2 on every plant."""
+    """Noise estimators compared; the claims of the paper are judged over K_2 on every plant."""
 
-    def findings(self, results: Results) -> list[str]:
-        """Return how many claims agree with each K_2."""
-        sentences = super().findings(results)
-        for plant, claims in comparison_claims(results).items():
-            judged = {
-                rate: [claim.holds for claim in each] for rate, each in claims.items()
-            }
-            sentences.append(
-                f'Of the claims of the paper, on {plant}, '
-                + ', '.join(
-                    f'{each.count(True)} of {len(each) - each.count(None)} agree '
-                    f'with K_2 = {rate:g}'
-                    for rate, each in judged.items()
+    def describe_findings(self, results: Results) -> list[str]:
+        """Return what every study finds, and how many claims agree with each K_2."""
+        sentences = super().describe_findings(results)
+        for plant, claims_by_rate in judge_comparison(results).items():
+            counts = []
+            for rate, claims in claims_by_rate.items():
+                verdicts = [claim.holds for claim in claims]
+                judged = len(verdicts) - verdicts.count(None)
+                counts.append(
+                    f'{verdicts.count(True)} of {judged} agree with K_2 = {rate:g}'
                 )
-                + ' 1/s.'
+            sentences.append(
+                f'Of the claims of the paper, on {plant}, {", ".join(counts)} 1/s.'
             )
         return sentences
 
-    def sections(self, results: Results) -> dict[str, str]:
-        """Return the claims with each value of K_2."""
-        return {
-            f'Claims of the paper over K_2, plant {plant}': render_claims(
-                {f'K_2 = {rate:g} 1/s': judged for rate, judged in claims.items()}
-            )
-            for plant, claims in comparison_claims(results).items()
-        }
+    def further_sections(self, results: Results) -> dict[str, str]:
+        """Return a table of the claims on each plant, with a column for each value of K_2."""
+        sections = {}
+        for plant, claims_by_rate in judge_comparison(results).items():
+            columns = {
+                f'K_2 = {rate:g} 1/s': claims for rate, claims in claims_by_rate.items()
+            }
+            heading = f'Claims of the paper over K_2, plant {plant}'
+            sections[heading] = render_claims(columns)
+        return sections
 
 
-def comparison_claims(results: Results) -> dict[str, dict[float, list[Claim]]]:
-    """Judge the claims on every plant with every K_2, each by its first run like the paper's."""
-    rows = [
-        {**metrics['evidence'], 'estimator': row['estimator'], 'part': row['part']}
-        for _, row in results.frame.iterrows()
-        if (metrics := results.metrics[row['key']])['summary']
-    ]
+def judge_comparison(results: Results) -> dict[str, dict[float, list[Claim]]]:
+    """
+    Judge the paper's claims by plant and K_2 [1/s].
+
+    Each is judged by the first run with the paper's estimator and an active state, beside the
+    evidence of all runs.
+    """
+    runs = []
+    for _, row in results.frame.iterrows():
+        metrics = results.metrics[row['key']]
+        if metrics['summary']:
+            names = {'estimator': row['estimator'], 'part': row['part']}
+            runs.append({**metrics['evidence'], **names})
     claims: dict[str, dict[float, list[Claim]]] = {}
-    for run in rows:
+    for run in runs:
         if run['part'] in LIKE_THE_PAPER and run['estimator'] == PAPER_ESTIMATOR:
-            here = claims.setdefault(run['plant'], {})
-            if run['damping_rate'] not in here:
-                here[run['damping_rate']] = judge_claims(run, rows)
+            claims_by_rate = claims.setdefault(run['plant'], {})
+            rate = run['damping_rate']
+            if rate not in claims_by_rate:
+                claims_by_rate[rate] = judge_claims(run, runs)
     return claims

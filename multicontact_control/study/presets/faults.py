@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 import logging
 import math
@@ -11,39 +13,39 @@ import signal
 import traceback
 from typing import Any
 
-from multicontact_control.faults.in_process import run_fault, with_obstacles
-from multicontact_control.faults.judge import FaultRow
+from multicontact_control.faults.fault_run import resolve_with_obstacles, run_fault
+from multicontact_control.faults.outcomes import FaultRow
 from multicontact_control.faults.vocabulary import (
     APPROACH,
-    Breakdown,
+    combine_faults,
+    draw_pairs,
     Fault,
     FAULTS,
-    pairs_of_faults,
     PHASES,
     REST,
     SLIDING,
     START,
-    together,
 )
 from multicontact_control.runs.closed_loop import ClosedLoop
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.study.cells import Cell
-from multicontact_control.study.jobs import content_key, setup_content
+from multicontact_control.study.config import PartConfig
+from multicontact_control.study.jobs import outcome_key
 from multicontact_control.study.study import Metrics, Study
 import pandas as pd
 
 PHASE_TIMES = {START: 0.0, APPROACH: 0.65, REST: 4.9, SLIDING: 8.2}  # s, in this order
 FAULT_TIMEOUT = 60  # s
 FAULTS_PER_JOB = 12
-PAIRS, FEW_PAIRS = 300, 12  # of faults at the same time, the latter with a single seed
-Names = tuple[
-    tuple[str, str], ...
-]  # kind and input of a fault, or of two at the same time
+PAIRS = 300  # of faults at the same time
+FEW_PAIRS = 12  # likewise, with a single seed
+# Kind and input of a fault, or of two at the same time.
+Names = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
 class FaultJob:
-    """Some faults in one situation."""
+    """Some faults in one phase of a scenario, each in the state that the run has come to there."""
 
     scenario: str
     plant: str
@@ -52,36 +54,22 @@ class FaultJob:
     faults: tuple[tuple[Names, int], ...]  # with their seeds
 
     def setup(self) -> Setup:
-        """Return the scenario in which they happen."""
-        return with_obstacles(self.scenario, self.plant, self.first_seed)
+        """Return the scenario in which they happen, with obstacles far away."""
+        return resolve_with_obstacles(self.scenario, self.plant, self.first_seed)
 
     def key(self) -> str:
-        """Return the hash of all that decides the outcome."""
-        return content_key(
-            'faults',
-            {
-                **asdict(self),
-                **setup_content(self.setup()),
-                'time': PHASE_TIMES[self.phase],
-            },
-        )
+        """Return the hash of all that decides the outcome; see `outcome_key`."""
+        time = PHASE_TIMES[self.phase]
+        return outcome_key('faults', self.setup(), time=time, job=asdict(self))
 
     def run(self) -> dict[str, Any]:
         """Run the faults; a row for each is under `rows`."""
-        world = _world_at(self)
-        return {
-            'rows': [
-                asdict(
-                    in_fork(
-                        world,
-                        together(*map(FAULTS.__getitem__, names)),
-                        seed,
-                        self.phase,
-                    )
-                )
-                for names, seed in self.faults
-            ]
-        }
+        world = _advance_world(self)
+        rows = []
+        for names, seed in self.faults:
+            fault = combine_faults(*[FAULTS[name] for name in names])
+            rows.append(asdict(run_in_fork(world, fault, seed, self.phase)))
+        return {'rows': rows}
 
 
 # The worlds of this process by plant: faults happen in copies of them, so that a later phase
@@ -89,27 +77,33 @@ class FaultJob:
 _WORLDS: dict[str, ClosedLoop] = {}
 
 
-def _world_at(job: FaultJob) -> ClosedLoop:
+def _advance_world(job: FaultJob) -> ClosedLoop:
+    """Return the world of a job's plant at the beginning of its phase."""
     setup = job.setup()
     tick = round(PHASE_TIMES[job.phase] * setup.controller.rate)
     world = _WORLDS.get(job.plant)
     if world is None or world.tick > tick or world.setup != setup:
         if world is not None:
             world.plant.close()
-        world = _WORLDS[job.plant] = ClosedLoop(setup)
+        world = ClosedLoop(setup)
+        _WORLDS[job.plant] = world
     while world.tick < tick:
         world.advance()
     return world
 
 
-def in_fork(world: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
-    """Run a fault in a copy of this process; a copy that hangs or dies is not safe."""
+def run_in_fork(world: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
+    """
+    Run a fault in a copy of this process, which leaves the world as it is.
+
+    A copy that hangs or dies is not safe.
+    """
     ours, theirs = Pipe(duplex=False)
     # By hand: a worker of Dask is not allowed to have children of `multiprocessing`.
     child = os.fork()
     if not child:
         signal.alarm(FAULT_TIMEOUT)
-        if any(isinstance(part.action, Breakdown) for part in fault.parts or (fault,)):
+        if fault.breaks_part:
             logging.disable()  # of what is raised on purpose
         try:
             theirs.send(run_fault(world, fault, seed, phase))
@@ -123,17 +117,17 @@ def in_fork(world: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
         return row
     except EOFError:
         return FaultRow(
-            fault.kind,
-            fault.input,
-            seed,
-            'died',
-            math.inf,
-            0.0,
-            0.0,
-            False,
-            world.setup.plant_name,
-            phase,
-            'died',
+            kind=fault.kind,
+            input=fault.input,
+            seed=seed,
+            reaction='died',
+            time_to_safe_s=math.inf,
+            peak_force_n=0.0,
+            peak_torque_fraction=0.0,
+            safe=False,
+            plant=world.setup.plant_name,
+            phase=phase,
+            problems='died',
         )
     finally:
         ours.close()
@@ -141,65 +135,71 @@ def in_fork(world: ClosedLoop, fault: Fault, seed: int, phase: str) -> FaultRow:
 
 
 class FaultsStudy(Study):
-    """Kinds of faults and seeds, in the situations in turn, and pairs of faults."""
+    """
+    Kinds of faults and seeds, in the phases in turn, and pairs of faults.
 
-    def cells(self) -> list[Cell]:
-        """Return the jobs, early phases first; of a single seed one fault of each kind."""
+    Of a single seed there is one fault of each kind, in the phase and on the plant whose turn it
+    is.
+    """
+
+    def plan_cells(self) -> list[Cell]:
+        """Return the jobs, early phases first, and the faults of a phase on a plant in some."""
         (part,) = self.config.parts.values()
-        plants, seeds = part.plants, part.seeds
-        places: dict[tuple[str, str], list[tuple[Names, int]]] = {
-            (phase, plant): [] for phase in PHASE_TIMES for plant in plants
-        }
+        first_seed = part.seeds[0]
+        faults_by_place = self._spread_faults(part)
+        cells = []
+        for phase in PHASE_TIMES:
+            for plant in part.plants:
+                faults = faults_by_place[phase, plant]
+                for begin in range(0, len(faults), FAULTS_PER_JOB):
+                    some = tuple(faults[begin : begin + FAULTS_PER_JOB])
+                    job = FaultJob(part.scenario, plant, phase, first_seed, some)
+                    cells.append(Cell({'plant': plant, 'phase': phase}, job, job.key()))
+        return cells
 
-        def put(number: int, phases: tuple[str, ...], names: Names, seed: int) -> None:
-            """Put a fault where it is the turn of its number: all plants, then all phases."""
-            phase = phases[number // len(plants) % len(phases)]
-            places[phase, plants[number % len(plants)]].append((names, seed))
+    def _spread_faults(
+        self, part: PartConfig
+    ) -> Mapping[tuple[str, str], list[tuple[Names, int]]]:
+        """Return faults with their seeds by phase and plant, as their turns come."""
+        plants, seeds = part.plants, part.seeds
+        faults_by_place: defaultdict[tuple[str, str], list[tuple[Names, int]]]
+        faults_by_place = defaultdict(list)
+
+        def put(turn: int, phases: tuple[str, ...], names: Names, seed: int) -> None:
+            """Put a fault where it is its turn: all plants come, then all phases."""
+            phase = phases[turn // len(plants) % len(phases)]
+            plant = plants[turn % len(plants)]
+            faults_by_place[phase, plant].append((names, seed))
 
         for index, (name, fault) in enumerate(FAULTS.items()):
             phases = (START, *PHASES) if fault.from_start else PHASES
-            turn = index % (len(plants) * len(PHASES))
-            for number, seed in (
-                enumerate(seeds) if len(seeds) > 1 else [(turn, seeds[0] + turn)]
-            ):
-                put(number, phases, (name,), seed)
-        pairs = pairs_of_faults(PAIRS if len(seeds) > 1 else FEW_PAIRS, seeds[0])
-        for number, pair in enumerate(pairs):
-            put(number, PHASES, pair, seeds[0] + number)
-        jobs = [
-            FaultJob(
-                part.scenario,
-                plant,
-                phase,
-                seeds[0],
-                tuple(faults[i : i + FAULTS_PER_JOB]),
-            )
-            for (phase, plant), faults in places.items()
-            for i in range(0, len(faults), FAULTS_PER_JOB)
-        ]
-        return [
-            Cell({'plant': job.plant, 'phase': job.phase}, job, job.key())
-            for job in jobs
-        ]
+            if len(seeds) > 1:
+                for turn, seed in enumerate(seeds):
+                    put(turn, phases, (name,), seed)
+            else:
+                turn = index % (len(plants) * len(PHASES))
+                put(turn, phases, (name,), seeds[0] + turn)
+        pair_count = PAIRS if len(seeds) > 1 else FEW_PAIRS
+        for turn, pair in enumerate(draw_pairs(pair_count, seeds[0])):
+            put(turn, PHASES, pair, seeds[0] + turn)
+        return faults_by_place
 
-    def rows(self, metrics: Metrics) -> list[dict[str, Any]]:
-        """Return a row for each fault."""
+    def table_rows(self, metrics: Metrics) -> list[dict[str, Any]]:
+        """Return a row for each fault of a job; see `FaultRow`."""
         return list(metrics['rows'])
 
-    def complete(self, frame: pd.DataFrame) -> pd.DataFrame:
+    def complete_table(self, frame: pd.DataFrame) -> pd.DataFrame:
         """Return the rows by kind and seed, those of pairs last; what never came is infinite."""
-        order = {name: i for i, name in enumerate(FAULTS)}
-        places = [
-            order.get(name, len(order)) for name in zip(frame['kind'], frame['input'])
-        ]
+        order = {name: place for place, name in enumerate(FAULTS)}
+        names = zip(frame['kind'], frame['input'])
         problems = frame['problems'].where(frame['problems'] != '', frame['shortfalls'])
-        return (
-            frame.assign(
-                error=problems.where(problems != '', None),
-                back=frame['shortfalls'] == '',
-                time_to_safe_s=frame['time_to_safe_s'].astype(float).fillna(math.inf),
-                place=places,
-            )
-            .sort_values(['place', 'seed'], kind='stable', ignore_index=True)
-            .drop(columns='place')
+        completed = frame.assign(
+            error=problems.where(problems != '', None),
+            back=frame['shortfalls'] == '',
+            time_to_safe_s=frame['time_to_safe_s'].astype(float).fillna(math.inf),
+            place=[order.get(name, len(order)) for name in names],
         )
+        ordered = completed.sort_values(
+            ['place', 'seed'], kind='stable', ignore_index=True
+        )
+        return ordered.drop(columns='place')

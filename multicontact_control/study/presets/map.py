@@ -5,73 +5,92 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import lru_cache
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from multicontact_control.arrays import Matrix
 from multicontact_control.commissioning.law_report import contact_loop
+from multicontact_control.config import ToolConfig
 from multicontact_control.contact.geometry import normal_space
 from multicontact_control.control.controller import Controller
-from multicontact_control.dynamics.robot import RobotModel
+from multicontact_control.dynamics.robot import RobotModel, RobotState
 from multicontact_control.errors import ConfigError
 from multicontact_control.force import margins
-from multicontact_control.force.force_law import design_law, loop_model
-from multicontact_control.force.laws.aob import steady_law
+from multicontact_control.force.force_law import design_law, make_loop_model
+from multicontact_control.force.laws.aob import make_steady_law
 from multicontact_control.force.laws.design import LoopModel
-from multicontact_control.force.observer import ObserverDesign, steady_gain
+from multicontact_control.force.observer import ObserverDesign, solve_steady_gain
 from multicontact_control.runs.scenario import Setup
 from multicontact_control.study.study import Results, Study
 import numpy as np
 import pandas as pd
 
 RATIO, DELAY = 'true / model stiffness', 'plant.actuator_delay_ticks'
-LINEAR_LOOPS = (  # name, R [N^2] at rest or in motion, whether it is that of eq. 32
-    ('The linear loop of the arm', 0.6, False),
-    ('The linear loop of the arm', 100.0, False),
-    ('The plant of eq. 32 alone', 0.6, True),
+
+
+class LinearLoop(NamedTuple):
+    """A linear loop whose boundary of stability is drawn beside the simulated runs."""
+
+    name: str
+    noise_variance: float  # R that is held, as at rest or in motion [N^2]
+    of_paper: bool = False  # the plant of P04 eq. 32 alone, and not the arm's
+
+    @property
+    def label(self) -> str:
+        """Return what sentences and the figure call it."""
+        return f'{self.name} (R = {self.noise_variance:g} N²)'
+
+
+LINEAR_LOOPS = (
+    LinearLoop('The linear loop of the arm', 0.6),
+    LinearLoop('The linear loop of the arm', 100.0),
+    LinearLoop('The plant of eq. 32 alone', 0.6, of_paper=True),
 )
 STYLES = ('-', '--', ':')
 LARGEST_OVERSHOOT = 300.0  # %, of the colour scale
-RATIOS = tuple(
-    np.geomspace(0.1, 100.0, 73).tolist()
-)  # where boundaries are looked for, upwards
+# Where boundaries are looked for, upwards.
+RATIOS = tuple(np.geomspace(0.1, 100.0, 73).tolist())
 Boundaries = Mapping[str, Mapping[int, float]]  # largest stable ratio by line and delay
 
 
 class MapStudy(Study):
-    """True stiffness over that of the model, and delay of the actuator."""
+    """
+    Overshoots over true by modelled stiffness, and delay of the actuator.
 
-    def findings(self, results: Results) -> list[str]:
+    Beside the simulated runs stand the boundaries at which the linear loops become unstable.
+    """
+
+    def describe_findings(self, results: Results) -> list[str]:
         """Return where runs settle, and the boundaries of the linear loops."""
-        return [
-            *super().findings(results),
-            *(
-                f'{name} is stable on {plant} up to {RATIO} = '
-                + ', '.join(
+        sentences = super().describe_findings(results)
+        for plant, boundaries in linear_boundaries(results).items():
+            for name, ratios in boundaries.items():
+                limits = [
                     f'{min(ratio, RATIOS[-1]):.2f} with {delay}'
-                    for delay, ratio in line.items()
+                    for delay, ratio in ratios.items()
+                ]
+                sentences.append(
+                    f'{name} is stable on {plant} up to {RATIO} = '
+                    f'{", ".join(limits)} periods of delay.'
                 )
-                + ' periods of delay.'
-                for plant, lines in linear_boundaries(results).items()
-                for name, line in lines.items()
-            ),
-        ]
+        return sentences
 
-    def figure(self, results: Results) -> Figure:
+    def draw_figure(self, results: Results) -> Figure:
         """Return the map of overshoots, a panel for each plant and estimator."""
         groups = list(results.frame.groupby(['plant', 'estimator'], sort=False))
         columns = min(results.frame['estimator'].nunique(), 4)
-        lines = math.ceil(len(groups) / columns)
+        rows = math.ceil(len(groups) / columns)
         figure = Figure(
-            figsize=(3.2 * columns + 1.2, 2.0 * lines + 1.0), layout='constrained'
+            figsize=(3.2 * columns + 1.2, 2.0 * rows + 1.0), layout='constrained'
         )
-        grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+        grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
         mesh: Any = None
         for axes in grid.flat[len(groups) :]:
             axes.set_axis_off()
-        for axes, ((plant, label), frame) in zip(grid.flat, groups):
-            mesh = _panel(axes, frame, linear_boundaries(results)[plant])
+        for axes, ((plant, label), runs) in zip(grid.flat, groups):
+            mesh = _draw_panel(axes, runs, linear_boundaries(results)[plant])
             axes.set_title(f'{plant}: {label}', fontsize=9)
         figure.supylabel('delay [periods]', fontsize=8)
         figure.supxlabel(RATIO, fontsize=8)
@@ -87,49 +106,52 @@ class MapStudy(Study):
 
 @lru_cache(maxsize=1)  # sentences and figure of a study show the same
 def linear_boundaries(results: Results) -> Mapping[str, Boundaries]:
-    """Return the boundaries of the linear loops by plant: with R held, and of eq. 32 alone."""
+    """Return the boundaries of the `LINEAR_LOOPS` by plant, label and delay of the actuator."""
     by_plant: dict[str, dict[str, dict[int, float]]] = {}
-    setups = {
+    cells = {
         (cell.factors['plant'], cell.factors[DELAY]): cell for cell in results.cells
     }
-    for (plant, delay), cell in setups.items():
-        loop, lines = ArmLoop(cell.job.setup()), by_plant.setdefault(plant, {})
-        for name, variance, paper in LINEAR_LOOPS:
-            lines.setdefault(f'{name} (R = {variance:g} N²)', {})[delay] = (
-                loop.boundary(variance, paper=paper)
+    for (plant, delay), cell in cells.items():
+        arm_loop = ArmLoop(cell.job.setup())
+        boundaries = by_plant.setdefault(plant, {})
+        for linear in LINEAR_LOOPS:
+            ratios = boundaries.setdefault(linear.label, {})
+            ratios[delay] = arm_loop.largest_stable_ratio(
+                linear.noise_variance, of_paper=linear.of_paper
             )
     return by_plant
 
 
-def _panel(axes: Axes, frame: pd.DataFrame, boundaries: Boundaries) -> Any:
-    worst = (
-        frame['overshoot_percent'].where(frame['settled']).astype(float).clip(lower=1.0)
+def _draw_panel(axes: Axes, runs: pd.DataFrame, boundaries: Boundaries) -> Any:
+    """Draw the overshoots of settled runs and the boundaries; return the coloured mesh."""
+    overshoot = runs['overshoot_percent'].where(runs['settled']).astype(float)
+    table = runs.assign(shown=overshoot.clip(lower=1.0)).pivot(
+        index=DELAY, columns=RATIO, values='shown'
     )
-    table = frame.assign(worst=worst).pivot(index=DELAY, columns=RATIO, values='worst')
-    ratios, delays = table.columns.to_numpy(float), table.index.to_numpy(float)
-    edges = np.sqrt(ratios[:-1] * ratios[1:])
-    edges = np.concatenate(
-        [[ratios[0] ** 2 / edges[0]], edges, [ratios[-1] ** 2 / edges[-1]]]
-    )
+    ratios = table.columns.to_numpy(float)
+    delays = table.index.to_numpy(float)
+    middles = np.sqrt(ratios[:-1] * ratios[1:])
+    first_edge = ratios[0] ** 2 / middles[0]
+    last_edge = ratios[-1] ** 2 / middles[-1]
     levels = np.append(delays, delays[-1] + 1.0) - 0.5
     mesh = axes.pcolormesh(
-        edges,
+        np.concatenate([[first_edge], middles, [last_edge]]),
         levels,
         table.to_numpy(),
         cmap='viridis_r',
         norm=LogNorm(1.0, LARGEST_OVERSHOOT),
     )
-    unstable = frame[~frame['settled']]
+    unsettled = runs[~runs['settled']]
     axes.plot(
-        unstable[RATIO],
-        unstable[DELAY],
+        unsettled[RATIO],
+        unsettled[DELAY],
         'x',
         color='#c0262d',
         markersize=4,
         label='simulated: not settled',
     )
-    for (name, line), style in zip(boundaries.items(), STYLES):
-        limits = [line[int(delay)] for delay in delays]
+    for (name, largest), style in zip(boundaries.items(), STYLES):
+        limits = [largest[int(delay)] for delay in delays]
         axes.plot(
             np.repeat(limits, 2),
             np.repeat(levels, 2)[1:-1],
@@ -145,35 +167,36 @@ def _panel(axes: Axes, frame: pd.DataFrame, boundaries: Boundaries) -> Any:
 
 
 class ArmLoop:
-    """The linear force loops of a setup at its plant's home; ConfigError for a law but aob."""
+    """
+    The linear force loops of a setup's arm at its plant's home, with its tool and surfaces.
+
+    Raises
+    ------
+    ConfigError
+        If the force law is another than the active observer.
+
+    """
 
     def __init__(self, setup: Setup) -> None:
-        config, names = setup.controller, setup.controller.contact_names
+        config = setup.controller
+        names = config.contact_names
         robot = RobotModel(config.robot, setup.urdf_dir)
         state = robot.update(np.array(setup.plant.home), np.zeros(robot.joint_count))
-        rotation = state.pose.rotation_world
-        N = normal_space(Controller(config, robot).contacts, rotation)
-        x, y, z = (
-            state.sensor_pose.rotation_world @ np.array(config.tool.com_sensor)
-            + state.sensor_pose.position_world
-            - state.pose.position_world
-        )
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        inertia = config.tool.mass * np.block(
-            [[np.eye(3), -cross], [cross, -cross @ cross]]
-        )  # of a point mass at its centre
+        N = normal_space(Controller(config, robot).contacts, state.pose.rotation_world)
         observer = design_law(
             config.law_of(names[0]),
             config.force,
-            loop_model(config, config.contacts[names[0]].stiffness),
+            make_loop_model(config, config.contacts[names[0]].stiffness),
         )
         if not isinstance(observer, ObserverDesign):
             raise ConfigError(
                 'force.law', 'aob, for the linear loops', config.force.law
             )
-        self.observer, self.config = observer, config
+        self.observer = observer
+        self.config = config
         pushed = state.jacobian.T @ N
         self.mobility = pushed.T @ np.linalg.solve(state.mass_matrix, pushed)
+        inertia = _tool_inertia(config.tool, state)
         self.tool_inertia = np.linalg.pinv(N) @ inertia @ N @ np.linalg.inv(N.T @ N)
         self.stiffness = np.array([config.contacts[name].stiffness for name in names])
         self.damping = np.array([setup.plant.surfaces[name].damping for name in names])
@@ -182,43 +205,58 @@ class ArmLoop:
             setup.plant.actuator_delay_ticks * config.period
             + config.sensor.filter_delay(config.rate)
         )
-        self.fed_share = {  # of the desired force in what is fed forward, of the first contact
-            'mixed': min(
-                config.force.damping_rate**2
-                / (2.0 * self.stiffness[0] * self.mobility[0, 0]),
-                1.0,
-            ),
-            'desired': 1.0,
-        }.get(config.force.fed_forward, 0.0)
 
-    def boundary(self, noise_variance: float, *, paper: bool = False) -> float:
-        """
-        Return the largest stable stiffness ratio, 0 for none or infinity.
+    def _fed_share(self) -> float:
+        """Return the share of the desired force in what is fed forward, of the first contact."""
+        force = self.config.force
+        if force.fed_forward == 'desired':
+            return 1.0
+        if force.fed_forward == 'mixed':
+            stiffest = 2.0 * self.stiffness[0] * self.mobility[0, 0]
+            return float(min(force.damping_rate**2 / stiffest, 1.0))
+        return 0.0
 
-        With R held at `noise_variance` [N^2], on the arm, or on the plant of eq. 32 if `paper`.
+    def largest_stable_ratio(
+        self, noise_variance: float, *, of_paper: bool = False
+    ) -> float:
         """
-        law = steady_law(self.observer, steady_gain(self.observer, noise_variance))
-        period, K_2 = self.config.period, self.config.force.damping_rate
+        Return the largest stable ratio of true and modelled stiffness, 0 for none or infinity.
+
+        With R held at `noise_variance` [N^2], on the arm, or on the plant of P04 eq. 32 if
+        `of_paper`.
+        """
+        law = make_steady_law(
+            self.observer, solve_steady_gain(self.observer, noise_variance)
+        )
+        period = self.config.period
+        K_2 = self.config.force.damping_rate
         model = LoopModel(float(self.stiffness[0]), K_2, self.delay, period)
+        whole_delay = round(self.delay / period) * period
 
         def is_stable(ratio: float) -> bool:
-            loop = (
-                contact_loop(law, model, ratio)
-                if paper
-                else margins.closed_loop(
-                    margins.LinearArmPlant(  # where the real delay counts in whole periods
-                        self.mobility,
-                        ratio * self.stiffness,
-                        self.damping,
-                        self.tool_inertia,
-                        round(self.delay / period) * period,
-                    ),
-                    law,
-                    K_2,
-                    period,
-                    fed_share=self.fed_share,
+            if of_paper:
+                loop = contact_loop(law, model, ratio)
+            else:
+                arm = margins.LinearArmPlant(
+                    self.mobility,
+                    ratio * self.stiffness,
+                    self.damping,
+                    self.tool_inertia,
+                    whole_delay,
                 )
-            )
+                loop = margins.closed_loop(
+                    arm, law, K_2, period, fed_share=self._fed_share()
+                )
             return margins.spectral_radius(loop) < 1.0
 
-        return math.sqrt(math.prod(margins.last_stable(is_stable, RATIOS, 1e-7)))
+        low, high = margins.find_last_stable(is_stable, RATIOS, 1e-7)
+        return math.sqrt(low * high)
+
+
+def _tool_inertia(tool: ToolConfig, state: RobotState) -> Matrix:
+    """Return the inertia of the tool, a point mass at its centre, about the point, (6, 6)."""
+    sensor = state.sensor_pose
+    centre = sensor.rotation_world @ np.array(tool.com_sensor) + sensor.position_world
+    x, y, z = centre - state.pose.position_world
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return tool.mass * np.block([[np.eye(3), -cross], [cross, -cross @ cross]])

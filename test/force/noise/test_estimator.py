@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from multicontact_control.force.noise import Innovation
 from multicontact_control.force.noise.innovation import corrected_square
-from multicontact_control.force.noise.window import lead_filter
+from multicontact_control.force.noise.window import design_lead_filter
 from multicontact_control.registry import NOISE_ESTIMATORS
 import numpy as np
 import pytest
@@ -107,7 +107,7 @@ RATE = 500.0
 )
 def test_lead_filter_has_the_papers_gains(normalisation, at_dc, at_nyquist, factor):
     """Zero and pole at 3 and 60 Hz, and what is left of white noise (paper notes 6)."""
-    f = lead_filter(3.0, 60.0, RATE, normalisation)
+    f = design_lead_filter(3.0, 60.0, RATE, normalisation)
     numerator, denominator = [f.gain, -f.gain * f.zero], [1.0, -f.pole]
     np.testing.assert_allclose(
         -np.log([f.zero, f.pole]) * RATE / (2 * np.pi), [3.0, 60.0], rtol=1e-12
@@ -130,7 +130,7 @@ def test_window_is_the_variance_of_what_scipy_filters(name, normalisation):
     ).standard_normal((120, 2))
     filtered = forces
     if normalisation:
-        f = lead_filter(3.0, 60.0, RATE, normalisation)
+        f = design_lead_filter(3.0, 60.0, RATE, normalisation)
         numerator, denominator = [f.gain, -f.gain * f.zero], [1.0, -f.pole]
         zi = lfilter_zi(numerator, denominator)[:, None] * forces[0]
         filtered, _ = lfilter(numerator, denominator, forces, axis=0, zi=zi)

@@ -1,10 +1,10 @@
 """Faults in process: how they are answered and judged, and that the judge can say no."""
 
-from multicontact_control.faults.in_process import RUN_TICKS, with_obstacles
-from multicontact_control.faults.judge import judge, Observation
-from multicontact_control.faults.vocabulary import FAULTS, REST, together
+from multicontact_control.faults.fault_run import resolve_with_obstacles, RUN_TICKS
+from multicontact_control.faults.outcomes import judge_fault, Observation
+from multicontact_control.faults.vocabulary import combine_faults, FAULTS, REST
 from multicontact_control.runs.closed_loop import ClosedLoop
-from multicontact_control.study.presets.faults import FaultJob, in_fork
+from multicontact_control.study.presets.faults import FaultJob, run_in_fork
 import numpy as np
 import pytest
 
@@ -12,7 +12,7 @@ import pytest
 @pytest.fixture(scope='module')
 def world():
     """Return a rigid plant at the approach, with walls far away."""
-    world = ClosedLoop(with_obstacles('quick', 'rigid', 0))
+    world = ClosedLoop(resolve_with_obstacles('quick', 'rigid', 0))
     while world.tick < 330:
         world.advance()
     return world
@@ -42,7 +42,7 @@ def world():
     ],
 )
 def test_fault_is_answered_as_declared(world, kind, reaction):
-    row = in_fork(world, FAULTS[kind], 1, 'approach')
+    row = run_in_fork(world, FAULTS[kind], 1, 'approach')
     assert (row.reaction, row.safe, row.problems) == (reaction, True, '')
     # R may be three periods late, and a wrench that is missing is predicted for twelve.
     latest = {'variance': 0.008, 'wrench': 0.024}.get(kind[1], 0.004)
@@ -51,9 +51,9 @@ def test_fault_is_answered_as_declared(world, kind, reaction):
 
 def test_fault_that_kills_its_process_is_not_safe(world, monkeypatch):
     monkeypatch.setattr(ClosedLoop, 'advance', lambda self, corrupt=None: 1 / 0)
-    row = in_fork(
+    row = run_in_fork(
         world,
-        together(FAULTS['nan', 'wrench'], FAULTS['nan_q', 'joints']),
+        combine_faults(FAULTS['nan', 'wrench'], FAULTS['nan_q', 'joints']),
         1,
         'approach',
     )
@@ -68,11 +68,11 @@ def test_declared_reaction_that_does_not_come_is_not_safe(world, kind):
         np.zeros(RUN_TICKS),
         'none',
         reactions=['none'] * RUN_TICKS,
-        lasted=100,
+        fault_ticks=100,
     )
-    assert not judge(FAULTS[kind], 1, world.setup, seen, phase=REST).safe
+    assert not judge_fault(FAULTS[kind], 1, world.setup, seen, phase=REST).safe
     seen = seen._replace(reactions=[*['none'] * 2, *['float'] * 598])
-    assert judge(FAULTS[kind], 1, world.setup, seen, phase=REST).safe
+    assert judge_fault(FAULTS[kind], 1, world.setup, seen, phase=REST).safe
 
 
 @pytest.mark.slow
