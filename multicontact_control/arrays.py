@@ -19,8 +19,9 @@ def require_shape(
 
 
 def find_true_stretches(mask: Mask) -> list[tuple[int, int]]:
-    """Return the first place of every run of True, and the place after its last."""
-    edges = np.flatnonzero(
-        np.diff(np.concatenate([[False], mask, [False]]).astype(int))
-    )
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist()))
+    """Return the first index of every run of True in a mask, shape (k,), and one past its last."""
+    bordered = np.concatenate([[False], mask, [False]])
+    edges = np.flatnonzero(bordered[1:] != bordered[:-1])
+    begins = edges[::2].tolist()
+    ends = edges[1::2].tolist()
+    return list(zip(begins, ends))

@@ -55,7 +55,7 @@ BUDGETS = {
     'contact': 4_600,
     'force': 15_600,
     'control': 9_000,
-    LOOP: 3_300,
+    LOOP: 3_400,
     'supervision': 29_500,
     'diagnosis': 3_500,
     'sensor': 3_200,
@@ -73,7 +73,7 @@ BUDGETS = {
     'test/campaign': 8_700,
     'benchmarks': 3_200,
 }
-MOST_COMPILED = 144  # functions
+MOST_COMPILED = 145  # functions
 # How the product reads, as a whole: nodes of the syntax tree per simple statement, on average and
 # for 95 of 100; conditional expressions and comprehensions; functions of more than six arguments.
 MEAN_NODES, MOST_NODES = 14.0, 34

@@ -116,8 +116,9 @@ class Command(TyperCommand):
                 names |= dict.fromkeys(
                     (name, name.removesuffix('s'), spelled.lower()), spelled
                 )
-        return ConfigError.of(
-            x if x.source else x.moved(names.get(x.field, '')) for x in error.errors
+        return ConfigError.combine(
+            x if x.source else x.as_config_error(names.get(x.field, ''))
+            for x in error.errors
         )
 
 

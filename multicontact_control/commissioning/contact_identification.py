@@ -120,7 +120,7 @@ def contact_signals(
             [*data.q[k], *data.qd[k], *wrench[k], *data.torque[k]]
         ).all():
             continue
-        controller.take(data.q[k], data.qd[k], wrench[k])
+        controller.take_sample(data.q[k], data.qd[k], wrench[k])
         twist, levers = (
             frame['twist'],
             contacts['config']['point'] @ frame['rotation'].T,
@@ -136,7 +136,7 @@ def contact_signals(
             stiffness.friction_of_others(frame, contacts, i) for i in range(len(names))
         ]
         signals[5:, :, k] = _reactions(controller, data.torque[k])
-    return {names[i]: ContactSignals(*signals[:, i]) for i in config.leaders}
+    return {names[i]: ContactSignals(*signals[:, i]) for i in config.force_columns}
 
 
 def _reactions(controller: Controller, torque: Vector) -> Matrix:

@@ -192,7 +192,7 @@ def find_misread_friction(
     names, contacts = config.column_names, config.contacts
     return [
         (names[j], names[i], float(coupling[i, j]))
-        for j in config.leaders
+        for j in config.force_columns
         for i in range(len(names))
         if coupling[i, j] > LEVERED
         and not (

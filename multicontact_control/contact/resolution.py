@@ -124,7 +124,7 @@ def check_resolution(
         worst = max(each.noise / each.bound for each in found)
         if worst < least or not best:
             least, best = worst, found
-    raise ConfigError.of(_too_noisy(best))
+    raise ConfigError.combine(_too_noisy(best))
 
 
 def _turn_tool(frame: Records[Frame], turn: Matrix, lever: Vector) -> None:

@@ -31,7 +31,7 @@ def collect_warnings(findings: Iterable[Finding]) -> tuple[str, ...]:
         for refused, where, expected, got in findings
     ]
     if any(refused for refused, _ in errors):
-        raise ConfigError.of(error for _, error in errors)
+        raise ConfigError.combine(error for _, error in errors)
     return tuple(dict.fromkeys(str(error) for _, error in errors))
 
 

@@ -318,7 +318,7 @@ def _read_root(text: str | bytes, source: str) -> ElementTree.Element:
         root = parse_urdf(text)
         check_link_tree(root)
     except ConfigError as error:
-        raise error.moved(f'robot.{error.field}', source) from None
+        raise error.as_config_error(f'robot.{error.field}', source) from None
     return root
 
 
@@ -377,7 +377,7 @@ def _refuse_followers(root: ElementTree.Element, locked: Mapping[str, float]) ->
                 )
             )
     if errors:
-        raise ConfigError.of(errors)
+        raise ConfigError.combine(errors)
 
 
 def _complete(root: ElementTree.Element) -> tuple[dict[str, Vector], set[str]]:

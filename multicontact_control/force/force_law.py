@@ -168,7 +168,7 @@ def make_force_laws(config: ControllerConfig) -> Records[ForceLaw]:
             for k in stiffnesses.tolist()
         ]
     for law, column in zip(laws, config.columns):
-        name = config.law_of(column.contact)
+        name = config.force_law_of(column.contact)
         stiffness = force.adaptive.highest if adaptive else column.stiffness
         design = design_law(name, force, make_loop_model(config, stiffness))
         law['kind'] = names.index(name)

@@ -366,7 +366,7 @@ class ControllerReport:
         """Warn of joint states and wrenches that come, but with stamps that are no pair."""
         timing = self._timing
         silence = time.monotonic_ns() - self.watch.last
-        if not timing.apart or silence < NANOSECONDS:
+        if not timing.stamp_difference or silence < NANOSECONDS:
             return ''
         pair = [name for name in self.inputs.last if name is not topics.NOISE_VARIANCE]
         if any(self.inputs.age(topic) > 1.0 for topic in pair):
@@ -375,7 +375,7 @@ class ControllerReport:
         return self._warn(
             'apart',
             f'{names} come, but their stamps are '
-            f'{abs(timing.apart) * 1e-6:.6g} ms apart: expected at most '
+            f'{abs(timing.stamp_difference) * 1e-6:.6g} ms apart: expected at most '
             f'{timing.tolerance * 1e-6:g} ms (pair_tolerance), of one clock',
         )
 
@@ -470,7 +470,7 @@ class ControllerReport:
         if self._loop.status:
             return dict(zip(config.contact_names, self._loop.status.contact_states))
         states = {}
-        for name, column in zip(config.contact_names, config.leaders):
+        for name, column in zip(config.contact_names, config.force_columns):
             states[name] = 'force' if output.answer['active'][column] else 'motion'
         return states
 
@@ -508,7 +508,7 @@ class ControllerReport:
         status = self._status
         log = self._loop.events
         friction = yield from self._node.background.compute(
-            self._loop.supervisor.explanations.friction
+            self._loop.supervisor.explanations.explain_friction
         )
         values = {
             'reaction': status.reaction,

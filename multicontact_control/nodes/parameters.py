@@ -18,8 +18,8 @@ from typing import Any
 
 from multicontact_control.config.base import (
     Config,
+    find_config_model,
     merge,
-    model_in,
     sets_parameter,
     validate,
 )
@@ -42,7 +42,7 @@ def _leaves(
 ) -> Iterator[tuple[str, FieldInfo]]:
     """Yield name and field of all values; mappings as in `overrides`, or of their contacts."""
     for key, field in model.model_fields.items():
-        name, inner = prefix + key, model_in(field.annotation)
+        name, inner = prefix + key, find_config_model(field.annotation)
         if inner is None:
             yield name, field
         elif typing.get_origin(field.annotation) is dict:

@@ -130,7 +130,7 @@ class ClosedLoop:
 
     def act(self) -> None:
         """Let the command act on the plant when its time has come, and take the next sample."""
-        self._delay.command(self.tick, self.command)
+        self._delay.enter_command(self.tick, self.command)
         self.sample = self.plant.step(self._delay.torque_for(self.tick))
         self.tick += 1
 

@@ -20,7 +20,7 @@ from multicontact_control.config import (
     read_yaml,
     validate,
 )
-from multicontact_control.config.base import EVERY_NODE, read_node_parameters
+from multicontact_control.config.base import ANY_NODE, read_node_parameters
 from multicontact_control.control.tasks import ReferenceConfig, ScenarioTask
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.errors import ConfigError, run_all_checks
@@ -95,7 +95,7 @@ class Setup:
 
     def reference(self) -> ScenarioTask:
         """Return the scenario's reference, at its start."""
-        return ScenarioTask.of(self.scenario.reference, self.controller)
+        return ScenarioTask.for_controller(self.scenario.reference, self.controller)
 
     def commanded(self, time: Vector) -> Matrix:
         """Return the scenario's forces at some times [s], first its preload, shape (m, r) [N]."""
@@ -349,7 +349,7 @@ def check_together(setup: Setup, path: Path) -> None:
     try:
         setup.reference()
     except ConfigError as error:
-        raise error.moved(source=str(path)) from None
+        raise error.as_config_error(source=str(path)) from None
 
 
 class ControllerFiles(NamedTuple):
@@ -386,9 +386,9 @@ def read_controller_files(files: Sequence[Path]) -> ControllerFiles:
     estimator: dict[str, Any] = {}
     urdf_dir = Path()
     for path in files:
-        sections = read_node_parameters(path, (EVERY_NODE, *PRESET_NODES))
+        sections = read_node_parameters(path, (ANY_NODE, *PRESET_NODES))
         # What both know, the rate and the contacts, the estimator gets from the controller's.
-        shared = sections.get(EVERY_NODE, {})
+        shared = sections.get(ANY_NODE, {})
         section = merged(
             {name: value for name, value in shared.items() if name not in of_estimator},
             sections.get(CONTROLLER),

@@ -195,7 +195,7 @@ def _resolve_job(job: RunJob, title: str, combination: Combination) -> Setup:
         )
         if where:
             field = f'{title} ({where}): {field}'.strip()
-        raise error.moved(field) from None
+        raise error.as_config_error(field) from None
 
 
 def _has_values(setup: Setup, expected: Mapping[str, Any]) -> bool:

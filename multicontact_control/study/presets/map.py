@@ -184,7 +184,7 @@ class ArmLoop:
         state = robot.update(np.array(setup.plant.home), np.zeros(robot.joint_count))
         N = normal_space(Controller(config, robot).contacts, state.pose.rotation_world)
         observer = design_law(
-            config.law_of(names[0]),
+            config.force_law_of(names[0]),
             config.force,
             make_loop_model(config, config.contacts[names[0]].stiffness),
         )
