@@ -13,7 +13,7 @@ Bytes = NDArray[np.uint8]  # 0 or 1: what a record holds of yes and no
 def require_shape(
     name: str, array: NDArray[np.generic], expected: tuple[int, ...]
 ) -> None:
-    """Raise a ShapeError with the name of an array that has another shape."""
+    """Raise a ShapeError, with both shapes, if a named array has another than expected."""
     if array.shape != expected:
         raise ShapeError(name, f'shape {expected}', array.shape)
 

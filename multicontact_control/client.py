@@ -77,12 +77,12 @@ class ArmState:
 
     @property
     def pose(self) -> Pose:
-        """Return where the operational frame is."""
+        """Return where the operational frame is, measured by the joints."""
         return Pose.from_quaternion(self.position_world, self.quaternion_xyzw)
 
     @property
     def pose_desired(self) -> Pose:
-        """Return where it should be."""
+        """Return where the operational frame should be, by what is commanded and allowed."""
         return Pose.from_quaternion(self.position_desired, self.quaternion_desired)
 
 
@@ -125,7 +125,7 @@ class MultiContactClient(ControllerLink):
             self.change_state(topics.CONTROLLER, DEACTIVATE)
 
     def status(self) -> ControllerStatus | None:
-        """Return what the controller has said of itself last, None if nothing so far."""
+        """Return the newest status of the controller, None if it has sent none so far."""
         self.take_statuses()
         return self.last_status
 
@@ -311,7 +311,11 @@ class MultiContactClient(ControllerLink):
         return LimitsConfig(**dict(zip(fields, values)))
 
     def read(self) -> ArmState:
-        """Return the state of a sample that comes from now on."""
+        """
+        Return the state of a sample that comes from now on.
+
+        RunError if none comes within the timeout.
+        """
         forces, estimated, desired, pose, pose_desired = self.receive_fresh(
             *STATE_TOPICS, one_stamp=True
         )

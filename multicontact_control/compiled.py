@@ -63,7 +63,11 @@ def _hash_kernels() -> str:
 
 
 def compiled(function: FunctionT) -> FunctionT:
-    """Compile a function with numba on its first call, or take it from the cache on disk."""
+    """
+    Compile a function with numba on its first call, or take it from the cache on disk.
+
+    Divisions by zero give infinity or NaN, as those of numpy do.
+    """
     folder = find_cache_folder()
     config = cast(Any, numba.config)
     folder_of_others = config.CACHE_DIR  # in this process, which they keep

@@ -108,16 +108,20 @@ class ControlLoop:
 
     @property
     def config(self) -> ControllerConfig:
-        """Return the configuration in force."""
+        """Return the configuration in force, which `reconfigure` and `use` replace as a whole."""
         return self.supervisor.config
 
     @property
     def held(self) -> bool:
-        """Whether pose and forces are held."""
+        """Whether pose and forces are held, by `hold`: commands are refused until a release."""
         return self.supervisor.task.held
 
     def restart(self) -> None:
-        """Forget the past: the next sample is the first."""
+        """
+        Forget the past: the next sample is the first.
+
+        Commands, contacts, torques and events are forgotten; what is configured stays.
+        """
         self.supervisor.reset()
         self.push_gate.restart_test()
         self.output: ControlOutput | None = None
@@ -150,7 +154,11 @@ class ControlLoop:
         return output.torque
 
     def stop(self) -> Vector:
-        """Answer the newest sample by the safe behaviour, as all that follow until a restart."""
+        """
+        Answer the newest sample by the safe behaviour, as all that follow until a restart.
+
+        Returns the torque, shape (n,) [N m], which starts from the one that acts.
+        """
         self.supervisor.stop()
         return self.step(self._inputs)
 
@@ -168,7 +176,7 @@ class ControlLoop:
         frame = self.supervisor.controller.arm.frames[0]
         if (
             joints.stamp == wrench.stamp
-            and self.push_gate.add_fit_sample(frame, stage.raw_wrench, self.config.tool)
+            and self.push_gate.take_sample(frame, stage.raw_wrench, self.config.tool)
             and self.push_gate.open
         ):
             self.supervisor.gate.start_blend()
@@ -199,14 +207,23 @@ class ControlLoop:
         return self.push_gate.instruction
 
     def cancel_push_test(self) -> str:
-        """Take back a push test, see `PushGate.cancel_test`; return what is allowed now."""
+        """
+        Take back a push test, see `PushGate.cancel_test`; return what is allowed now, in words.
+
+        Force control is allowed again if an earlier test was passed or none is required.
+        """
         self.push_gate.cancel_test()
         self.supervisor.gate.start_blend()
         self.supervisor.task.set_lock(not self.push_gate.open)
         return self.push_gate.instruction or CANCELLED
 
     def reconfigure(self, config: ControllerConfig) -> None:
-        """Go on with another configuration; ConfigError and nothing changed if that cannot be."""
+        """
+        Go on with another configuration from the next sample on.
+
+        ConfigError and nothing changed if that cannot be. It may take longer than a period: where
+        samples come meanwhile, call `design` in another thread, then `use`.
+        """
         self.use(self.design(config))
 
     def design(self, config: ControllerConfig) -> ControllerDesign:
@@ -215,7 +232,11 @@ class ControlLoop:
         return self.supervisor.controller.design(config)
 
     def use(self, design: ControllerDesign) -> None:
-        """Go on with what has been designed, without a jump."""
+        """
+        Go on with what has been designed, without a jump of the torque.
+
+        CommandError if a push test runs meanwhile and the tool is another.
+        """
         self._keep_pushed_tool(design.config)  # a push test may have begun meanwhile
         self.supervisor.adopt_design(design)
 
@@ -282,7 +303,7 @@ class ControlLoop:
 
     @property
     def commanded_forces(self) -> dict[str, float]:
-        """Return the commanded forces and couples by name [N]; none in a scenario."""
+        """Return the commanded forces and couples by name [N]; none while a scenario is played."""
         if self._commanded is None:
             return {}
         return self._commanded.forces
@@ -313,7 +334,11 @@ class ControlLoop:
             raise CommandError('control', hint=hint)
 
     def hold(self, wanted: bool) -> str:
-        """Hold the present pose and the desired forces, or go on; return what happens now."""
+        """
+        Hold the present pose and the desired forces, or go on; return what happens now.
+
+        A released task goes on where it was held.
+        """
         self._require_running()
         if not wanted:
             self.supervisor.request_retry()
@@ -323,7 +348,11 @@ class ControlLoop:
         return 'held' if wanted else 'released'
 
     def retry(self) -> str:
-        """Resume control that is latched, and seek contacts given up; return what happens now."""
+        """
+        Resume control that is latched, and seek contacts given up; return what happens now.
+
+        CommandError if there is nothing to resume.
+        """
         if not self.supervisor.guarded:
             raise unsupervised_error()
         if not self.supervisor.request_retry():

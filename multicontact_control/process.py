@@ -24,13 +24,21 @@ MCL_FUTURE = 2
 
 
 def limit_threads() -> None:
-    """Limit linear algebra to one thread by default; call it before numpy is imported."""
+    """
+    Limit linear algebra to one thread by default; call it before numpy is imported.
+
+    What is set in the environment stays.
+    """
     for name in THREAD_VARIABLES:
         os.environ.setdefault(name, '1')
 
 
 def settle_process() -> None:
-    """Prepare this process for short, regular work; call it when everything is set up."""
+    """
+    Prepare this process for short, regular work; call it when everything is set up.
+
+    The garbage collector is switched off: a full collection takes several control periods.
+    """
     gc.collect()  # a full collection takes several control periods
     gc.freeze()
     gc.disable()

@@ -34,10 +34,10 @@ class Record(Protocol):
     """
 
     def __getitem__(self, field: str) -> Any:
-        """Return a field."""
+        """Return a field by its name."""
 
     def __setitem__(self, field: str, value: Any) -> None:
-        """Set a field."""
+        """Set a field by its name."""
 
 
 class Records(Protocol[RecordT_co]):

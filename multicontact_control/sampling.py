@@ -123,9 +123,13 @@ class SampleTiming:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the past: the next sample is the first. In lockstep a sample that waits stays."""
-        if not self._lockstep:  # it may be old
-            self._waiting = None
+        """
+        Forget the past: the next sample is the first.
+
+        In lockstep a sample that waits for its R stays.
+        """
+        if not self._lockstep:
+            self._waiting = None  # it may be old
         self._first_stamp: int | None = None
         self._older_stamp: int | None = None
         self.last_stamp = -1
@@ -143,7 +147,11 @@ class SampleTiming:
         self.silence_deadline = 0
 
     def add_reading(self, reading: JointInput | WrenchInput) -> None:
-        """Take in a reading; with its other half it is a sample that waits for its tick."""
+        """
+        Take in a reading; with its other half it is a sample that waits for its tick.
+
+        A reading whose other half never came is counted as unpaired.
+        """
         self.unpaired += type(reading) in self._halves
         self._halves[type(reading)] = reading
         joints = self._halves.get(JointInput)
@@ -178,7 +186,11 @@ class SampleTiming:
         return (stamp - (self._first_stamp or 0)) * 1e-9
 
     def decide_on_message(self, now: float, *, safe: bool = False) -> Decision:
-        """Decide after a message that came `now` [ns], in the safe behaviour if `safe`."""
+        """
+        Decide after a message that came `now` [ns], in the safe behaviour if `safe`.
+
+        A sample that waits is answered, repeated, refused or waits on, as the table says.
+        """
         if self._waiting is None:
             return Decision(Action.WAIT)
         stamp, joints, wrench = self._waiting
@@ -250,7 +262,11 @@ class SampleTiming:
             self.silence_deadline = int(now + self._patience_ns)
 
     def decide_on_silence(self, now: int) -> Decision:
-        """Decide if the deadline has passed `now` [ns] and all that has come is taken in."""
+        """
+        Decide if the deadline has passed `now` [ns] and all that has come is taken in.
+
+        Half a sample that waits is used; without one, time is counted on for each period.
+        """
         if not 0 < self.silence_deadline <= now:
             return Decision(Action.WAIT)
         newest = max(self._halves.values(), key=lambda half: half.stamp, default=None)

@@ -6,11 +6,7 @@ from typing import Annotated, Protocol
 
 from multicontact_control.arrays import Matrix, Vector
 from multicontact_control.compiled import compiled
-from multicontact_control.records import (
-    Record,
-    record_dtype,
-    Records,
-)
+from multicontact_control.records import Record, record_dtype, Records
 import numpy as np
 import pinocchio as pin
 

@@ -60,7 +60,7 @@ BUDGETS = {
     'diagnosis': 3_500,
     'sensor': 3_200,
     'config': 6_400,
-    'nodes': 27_300,
+    'nodes': 27_500,
     'runs': 16_700,
     'judging': 21_900,
     'commissioning': 6_700,
@@ -73,7 +73,7 @@ BUDGETS = {
     'test/campaign': 9_100,
     'benchmarks': 3_200,
 }
-MOST_COMPILED = 145  # functions
+MOST_COMPILED = 146  # functions
 # How the product reads, as a whole: nodes of the syntax tree per simple statement, on average and
 # for 95 of 100; conditional expressions and comprehensions; functions of more than six arguments.
 MEAN_NODES, MOST_NODES = 14.0, 34

@@ -164,7 +164,7 @@ def _fit(filtered: Matrix, accepted: Mask, h: float) -> dict[str, Any]:
     """Return the unknowns with their errors, and what share they explain; None if too little."""
     z, v, w, y, a = filtered[accepted].T
     columns = np.column_stack(
-        [z, v, a] + ([w] if np.abs(w).max(initial=0.0) > stiffness.STEP else [])
+        [z, v, a] + ([w] if np.abs(w).max(initial=0.0) > stiffness.COMMAND_STEP else [])
     )
     count = columns.shape[1]
     scale = np.linalg.norm(columns, axis=0)

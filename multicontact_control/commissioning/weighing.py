@@ -290,7 +290,7 @@ def _rest(
     ):  # where samples are lost, more of them are needed
         while not len(joints) or 1e-9 * joints.stamps[-1] < since + rests * REST_TIME:
             for columns, message in zip((joints, felt), link.receive_fresh(*heard)):
-                columns.take(message, time.time_ns())
+                columns.add_message(message, time.time_ns())
         poses = quiet_rests('calibrate', joints, felt, controller, robot, said.append)
         if poses:
             return poses[-1]

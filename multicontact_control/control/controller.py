@@ -13,7 +13,10 @@ from multicontact_control.contact.resolution import check_resolution
 from multicontact_control.contact.wrench import interpolate_tool, make_tool_record
 from multicontact_control.control.arm import ArmState
 from multicontact_control.control.law import control_law, LAW_SPACE, LawSpace
-from multicontact_control.dynamics.operational_space import MAX_CONDITION, STOP_MARGIN
+from multicontact_control.dynamics.operational_space import (
+    MAX_MOBILITY_CONDITION,
+    STOP_MARGIN,
+)
 from multicontact_control.dynamics.robot import RobotModel
 from multicontact_control.dynamics.rotations import Pose
 from multicontact_control.errors import (
@@ -373,8 +376,8 @@ class Controller:
             state.jacobian @ np.linalg.solve(state.mass_matrix, state.jacobian.T)
         )
         raise SingularTaskError(
-            f'J M^-1 J^T: expected a condition number below {MAX_CONDITION:g}, got eigenvalues '
-            f'from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}'
+            f'J M^-1 J^T: expected a condition number below {MAX_MOBILITY_CONDITION:g}, '
+            f'got eigenvalues from {eigenvalues[0]:.3g} to {eigenvalues[-1]:.3g}'
         )
 
 

@@ -404,7 +404,7 @@ def _warm_up(loop: ControlLoop) -> None:
 
 
 def main() -> int:
-    """Run the controller node."""
+    """Run the controller node in this process; return the exit code, see `run_node`."""
     return run_node(ControllerNode)
 
 

@@ -11,7 +11,7 @@ from multicontact_control.judging.contact_metrics import LASTING_PUSH
 from multicontact_control.judging.evidence import collect_evidence
 from multicontact_control.judging.metrics import RunMetrics
 from multicontact_control.judging.run_summary import summarise_run
-from multicontact_control.runs.scenario import dotted, Setup
+from multicontact_control.runs.scenario import flatten_parameters, Setup
 import numpy as np
 
 END_TIME = 0.5  # s, the end of a run that tells whether it has settled
@@ -182,7 +182,7 @@ def metrics_row(metrics: Metrics) -> dict[str, Any]:
         'neighbour_n': metrics.get('neighbour_n'),
     }
     in_full = {name: summary[name] for name in IN_FULL if name in summary}
-    for name, value in dotted(in_full).items():
+    for name, value in flatten_parameters(in_full).items():
         if not isinstance(value, list):
             row[name] = value
     row['trajectory_sha256'] = summary.get('trajectory_sha256')

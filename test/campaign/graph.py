@@ -116,7 +116,7 @@ class Graph(link.ServiceClientNode):
             self.processes.start(name)
 
     def close(self):
-        self.processes.stop(hurry=True)
+        self.processes.stop(abort=True)
         self._relay.communicate()
         self._driver.close()
         super().close()

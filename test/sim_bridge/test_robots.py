@@ -328,7 +328,15 @@ def test_new_robot_refuses_what_is_no_arm_in_one_line(
             '<robot xmlns:x="http://ros.org/xacro"><x:include file="a"/></robot>'
         )
     with pytest.raises(ConfigError, match=message) as caught:
-        command(welded, tip, sensor, lock=lock)
+        command(
+            urdf=welded,
+            tip=tip,
+            sensor=sensor,
+            out=None,
+            controller=Path('controller.yaml'),
+            overwrite=False,
+            lock=lock,
+        )
     assert '\n' not in str(caught.value) and not list(tmp_path.glob('*.yaml'))
 
 
